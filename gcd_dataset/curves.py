@@ -1,0 +1,224 @@
+"""The four kinds of curve a pattern edge can be, and their geometry in the panel's plane.
+
+Control points are kept in the *edge frame* of the specification format: for an edge from ``S`` to ``E``, the pair
+``(a, b)`` stands for ``S + a e + b n`` with ``e = E - S`` and ``n = (-e_y, e_x)``, the left normal of the same length.
+A curve therefore follows when its end points move. An arc keeps its radius in centimetres.
+
+>>> quarter = Arc(radius=10.0, large=False, right=True)
+>>> round(curve_length((0, 0), (10, 10), quarter), 4)
+15.708
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.errors import PatternError
+
+__all__ = [
+    "LINE",
+    "Arc",
+    "Cubic",
+    "Curve",
+    "Line",
+    "Point",
+    "Quadratic",
+    "curve_length",
+    "curve_points",
+    "curve_tangents",
+    "from_frame",
+    "mirrored",
+    "reversed_curve",
+    "sample_curve",
+    "to_frame",
+]
+
+Point: TypeAlias = tuple[float, float]
+
+QUADRATURE_NODES, QUADRATURE_WEIGHTS = np.polynomial.legendre.leggauss(24)
+ARC_TOLERANCE = 1e-6  # relative shortfall of a radius against half the chord that counts as rounding
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A straight edge."""
+
+    kind: ClassVar[str] = "line"
+
+
+@dataclass(frozen=True, slots=True)
+class Quadratic:
+    """A quadratic Bézier curve; the control point stands in the edge frame."""
+
+    control: Point
+    kind: ClassVar[str] = "quadratic"
+
+
+@dataclass(frozen=True, slots=True)
+class Cubic:
+    """A cubic Bézier curve; both control points stand in the edge frame."""
+
+    control0: Point
+    control1: Point
+    kind: ClassVar[str] = "cubic"
+
+
+@dataclass(frozen=True, slots=True)
+class Arc:
+    """A circular arc of ``radius`` cm.
+
+    ``large``: longer than a half circle. ``right``: bulges to the right of the direction of travel, y pointing up, so
+    that the travel runs counter-clockwise about the centre.
+    """
+
+    radius: float
+    large: bool
+    right: bool
+    kind: ClassVar[str] = "circle"
+
+
+Curve: TypeAlias = Line | Quadratic | Cubic | Arc
+LINE = Line()
+
+
+def curve_points(start: Point, end: Point, curve: Curve, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+    """Points [cm] at curve parameters ``t`` in [0, 1]: Bézier parameter, or share of an arc's angle.
+
+    Raises ``PatternError`` for an arc whose radius does not span its chord.
+    """
+    t = np.asarray(t, float)
+    if isinstance(curve, Arc):
+        centre, angle0, sweep = arc_centre(start, end, curve)
+        angles = angle0 + sweep * t
+        return centre + curve.radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    points = control_points(start, end, curve)
+    while len(points) > 1:  # de Casteljau
+        points = [(1 - t)[:, None] * p + t[:, None] * q for p, q in pairwise(points)]
+    return points[0] + np.zeros((len(t), 2))
+
+
+def curve_tangents(start: Point, end: Point, curve: Curve, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+    """Derivatives of ``curve_points`` with respect to ``t`` [cm]."""
+    t = np.asarray(t, float)
+    if isinstance(curve, Arc):
+        _, angle0, sweep = arc_centre(start, end, curve)
+        angles = angle0 + sweep * t
+        return curve.radius * sweep * np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
+    points = control_points(start, end, curve)
+    degree = len(points) - 1
+    steps = [degree * (q - p) for p, q in pairwise(points)]
+    while len(steps) > 1:
+        steps = [(1 - t)[:, None] * p + t[:, None] * q for p, q in pairwise(steps)]
+    return steps[0] + np.zeros((len(t), 2))
+
+
+def curve_length(start: Point, end: Point, curve: Curve) -> float:
+    """Arc length [cm]: exact for lines and arcs, by 24-point Gauss–Legendre quadrature for Bézier curves."""
+    if isinstance(curve, Line):
+        return float(np.hypot(end[0] - start[0], end[1] - start[1]))
+    if isinstance(curve, Arc):
+        return float(curve.radius * abs(arc_centre(start, end, curve)[2]))
+    nodes = 0.5 * (QUADRATURE_NODES + 1)
+    speed = np.linalg.norm(curve_tangents(start, end, curve, nodes), axis=1)
+    return float(0.5 * QUADRATURE_WEIGHTS @ speed)
+
+
+def sample_curve(start: Point, end: Point, curve: Curve, count: int) -> Float[np.ndarray, "n 2"]:
+    """``count`` points equally spaced by arc length [cm], both ends included and exact."""
+    t = np.linspace(0.0, 1.0, count)
+    if isinstance(curve, Quadratic | Cubic):
+        t = _equal_arc_length(start, end, curve, t)
+    points = curve_points(start, end, curve, t)
+    points[0], points[-1] = start, end
+    return points
+
+
+def _equal_arc_length(
+    start: Point, end: Point, curve: Quadratic | Cubic, shares: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """The curve parameters at which the given shares of the arc length are reached."""
+    knots = np.linspace(0.0, 1.0, max(129, 2 * len(shares) + 1))
+    speed = np.linalg.norm(curve_tangents(start, end, curve, knots), axis=1)
+    middle = np.linalg.norm(curve_tangents(start, end, curve, 0.5 * (knots[1:] + knots[:-1])), axis=1)
+    steps = (speed[1:] + 4 * middle + speed[:-1]) / 6 * np.diff(knots)  # Simpson's rule
+    reached = np.concatenate([[0.0], np.cumsum(steps)])
+    if reached[-1] == 0.0:
+        return shares
+    return np.interp(shares * reached[-1], reached, knots)
+
+
+def reversed_curve(curve: Curve) -> Curve:
+    """The same curve, walked from its end to its start."""
+    match curve:
+        case Quadratic((a, b)):
+            return Quadratic((1 - a, -b))
+        case Cubic((a0, b0), (a1, b1)):
+            return Cubic((1 - a1, -b1), (1 - a0, -b0))
+        case Arc(radius, large, right):
+            return Arc(radius, large, not right)
+        case _:
+            return curve
+
+
+def mirrored(curve: Curve) -> Curve:
+    """The curve of the mirrored edge: same direction of travel, bulging to the other side."""
+    match curve:
+        case Quadratic((a, b)):
+            return Quadratic((a, -b))
+        case Cubic((a0, b0), (a1, b1)):
+            return Cubic((a0, -b0), (a1, -b1))
+        case Arc(radius, large, right):
+            return Arc(radius, large, not right)
+        case _:
+            return curve
+
+
+def from_frame(start: Point, end: Point, relative: Point) -> Point:
+    """Edge frame to panel plane [cm]."""
+    ex, ey = end[0] - start[0], end[1] - start[1]
+    a, b = relative
+    return (start[0] + a * ex - b * ey, start[1] + a * ey + b * ex)
+
+
+def to_frame(start: Point, end: Point, absolute: Point) -> Point:
+    """Panel plane [cm] to edge frame. Raises ``PatternError`` for an edge without length."""
+    ex, ey = end[0] - start[0], end[1] - start[1]
+    square = ex * ex + ey * ey
+    if square == 0.0:
+        raise PatternError(f"edge from {tuple(start)} to {tuple(end)} has no length, so it has no frame")
+    dx, dy = absolute[0] - start[0], absolute[1] - start[1]
+    return ((dx * ex + dy * ey) / square, (dy * ex - dx * ey) / square)
+
+
+def control_points(start: Point, end: Point, curve: Line | Quadratic | Cubic) -> list[Float[np.ndarray, "2"]]:
+    """Ends and control points of a line or Bézier curve in the panel plane [cm]."""
+    match curve:
+        case Quadratic(control):
+            inner = [from_frame(start, end, control)]
+        case Cubic(control0, control1):
+            inner = [from_frame(start, end, control0), from_frame(start, end, control1)]
+        case _:
+            inner = []
+    return [np.asarray(p, float) for p in (start, *inner, end)]
+
+
+def arc_centre(start: Point, end: Point, arc: Arc) -> tuple[Float[np.ndarray, "2"], float, float]:
+    """Centre [cm], angle of the start seen from it and signed sweep [rad] of an arc.
+
+    Raises ``PatternError`` where the radius is under half the chord.
+    """
+    s, e = np.asarray(start, float), np.asarray(end, float)
+    chord = float(np.hypot(*(e - s)))
+    if chord == 0.0 or arc.radius < 0.5 * chord * (1 - ARC_TOLERANCE):
+        raise PatternError(f"arc of radius {arc.radius:.6g} cm cannot span a chord of {chord:.6g} cm")
+    height = np.sqrt(max(arc.radius**2 - 0.25 * chord**2, 0.0))
+    side = 1.0 if arc.right != arc.large else -1.0  # on which side of the chord the centre lies; +1: left
+    normal = np.array([s[1] - e[1], e[0] - s[0]]) / chord
+    centre = 0.5 * (s + e) + side * height * normal
+    half = float(np.arcsin(min(0.5 * chord / arc.radius, 1.0)))
+    turn = 2 * (np.pi - half) if arc.large else 2 * half
+    angle0 = float(np.arctan2(s[1] - centre[1], s[0] - centre[0]))
+    return centre, angle0, turn if arc.right else -turn

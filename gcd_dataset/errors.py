@@ -1,0 +1,68 @@
+"""Everything that can go wrong, as one tree.
+
+    GcdError
+    ├── SpecError           a specification file that cannot be read
+    ├── PatternError        a pattern that cannot be sewn
+    │   └── FitError        a curve that cannot meet its length or tangent
+    ├── BodyError           a body that cannot be used or measured
+    ├── MeshError           a panel that cannot be meshed, a seam that cannot be merged
+    ├── DrapeError          a drape that cannot start (no such device, not one garment)
+    ├── ShardError          a data set on disk that is broken, foreign or too new
+    ├── ConfigError         options that do not fit together
+    └── OutputError         a place that cannot be written
+
+Messages are one line and say what was met, where, and what to do about it: ``gcd`` prints them as they are.
+"""
+
+__all__ = [
+    "BodyError",
+    "ConfigError",
+    "DrapeError",
+    "FitError",
+    "GcdError",
+    "MeshError",
+    "OutputError",
+    "PatternError",
+    "ShardError",
+    "SpecError",
+]
+
+
+class GcdError(Exception):
+    """Any error of this package."""
+
+
+class SpecError(GcdError):
+    """A specification file that cannot be read."""
+
+
+class PatternError(GcdError):
+    """A pattern that cannot be sewn."""
+
+
+class FitError(PatternError):
+    """A curve that cannot meet its length or tangent; the message holds the residual."""
+
+
+class BodyError(GcdError):
+    """A body that cannot be used or measured."""
+
+
+class MeshError(GcdError):
+    """A panel that cannot be meshed, or a seam that cannot be merged."""
+
+
+class DrapeError(GcdError):
+    """A drape that cannot start."""
+
+
+class ShardError(GcdError):
+    """A data set on disk that is broken, foreign or too new."""
+
+
+class ConfigError(GcdError):
+    """Options that do not fit together."""
+
+
+class OutputError(GcdError):
+    """A place that cannot be written."""

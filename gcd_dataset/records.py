@@ -1,0 +1,428 @@
+"""What the package speaks of: frozen values, with shapes, units and one meaning each.
+
+Everywhere: centimetres; y up, the wearer faces +z, the wearer's left is +x, soles at y = 0; angles in radians.
+Axis letters: ``v f e p`` vertices, faces, edges, panels; ``s`` seams; ``k`` shape components; ``c`` corner points.
+Arrays are made read-only when they enter a record; records compare by value.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from enum import Enum
+from typing import Any, Self
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from gcd_dataset.curves import LINE, Curve
+from gcd_dataset.errors import BodyError, PatternError
+
+__all__ = [
+    "MEASURES",
+    "Body",
+    "BodyPart",
+    "BodyShape",
+    "BoxMesh",
+    "Drape",
+    "Edge",
+    "EdgeRef",
+    "Measurements",
+    "Outcome",
+    "Panel",
+    "Pattern",
+    "Placement",
+    "Provenance",
+    "Record",
+    "Sample",
+    "Seam",
+]
+
+
+class Record:
+    """A frozen dataclass that may hold arrays: made read-only on the way in, compared by value."""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, entry.name)
+            if isinstance(value, np.ndarray) and value.flags.writeable:
+                frozen = value.view()
+                frozen.flags.writeable = False
+                object.__setattr__(self, entry.name, frozen)
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))  # type: ignore[arg-type]
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return list(a) == list(b) and all(_same(a[key], b[key]) for key in a)
+    return bool(a == b)
+
+
+# ---------------------------------------------------------------------------------------------------------------- body
+
+
+class BodyPart(Enum):
+    """The parts a body's vertices are labelled with; the value is the label stored in arrays."""
+
+    TRUNK = 0
+    LEFT_ARM = 1
+    RIGHT_ARM = 2
+    LEFT_LEG = 3
+    RIGHT_LEG = 4
+    HEAD = 5
+    HANDS = 6
+    FEET = 7
+    INTERNAL = 8
+    """Eye sockets and mouth: never collides."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyShape(Record):
+    """Who a body is and how it stands, as few numbers as possible."""
+
+    weights: Float[np.ndarray, " k"]
+    """Weights of the shape components, in standard deviations of the population."""
+    arm_angle: float = 0.0
+    """Raising of both arms from the A-pose [rad]; positive lifts the hands."""
+    legs_apart: bool = False
+    """Feet set apart, as trousers need; else legs straight."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body(Record):
+    """A body standing at y = 0, ready to be dressed."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    """Vertex positions [cm]."""
+    faces: Int[np.ndarray, "f 3"]
+    """Triangles, counter-clockwise seen from outside."""
+    parts: UInt8[np.ndarray, " v"]
+    """``BodyPart`` value of each vertex."""
+    name: str = "body"
+
+
+MEASURES: tuple[str, ...] = (
+    "height", "head_l", "neck_w", "shoulder_w", "shoulder_incl", "armscye_depth", "arm_length", "arm_pose_angle",
+    "wrist", "bust", "underbust", "waist", "hips", "leg_circ", "waist_back_width", "back_width", "hip_back_width",
+    "bust_points", "bum_points", "waist_line", "waist_over_bust_line", "bust_line", "vert_bust_line", "hips_line",
+    "hip_inclination", "crotch_hip_diff",
+)  # fmt: skip
+"""The 26 keys of a GarmentCode measurement file: lengths in cm; the three inclinations in degrees in files."""
+
+ARMSCYE_EASE = 2.5  # cm, GarmentCode body_params.py
+SLEEVE_BALANCE = 2.0  # cm, GarmentCode body_params.py
+ANGLES = frozenset({"shoulder_incl", "arm_pose_angle", "hip_inclination"})
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """A tailor's measures [cm]; inclinations [rad]. NaN marks a measure nobody took.
+
+    The meaning of each is that of GarmentCode's measurement files; see ``generator.body.measure``.
+    """
+
+    height: float = np.nan
+    head_l: float = np.nan
+    """Nape of the neck to the top of the head, vertically."""
+    neck_w: float = np.nan
+    """Neck base round the back, from one side-neck point to the other."""
+    shoulder_w: float = np.nan
+    shoulder_incl: float = np.nan
+    """Slope of the shoulder below the horizontal [rad]."""
+    armscye_depth: float = np.nan
+    """Shoulder point to underarm point, straight."""
+    arm_length: float = np.nan
+    """Shoulder to wrist over the skin."""
+    arm_pose_angle: float = np.nan
+    """Angle of the arm below the horizontal [rad]."""
+    wrist: float = np.nan
+    bust: float = np.nan
+    underbust: float = np.nan
+    waist: float = np.nan
+    hips: float = np.nan
+    leg_circ: float = np.nan
+    waist_back_width: float = np.nan
+    back_width: float = np.nan
+    hip_back_width: float = np.nan
+    bust_points: float = np.nan
+    bum_points: float = np.nan
+    waist_line: float = np.nan
+    """Nape to waist along the back."""
+    waist_over_bust_line: float = np.nan
+    bust_line: float = np.nan
+    vert_bust_line: float = np.nan
+    hips_line: float = np.nan
+    """Waist to hips, vertically."""
+    hip_inclination: float = np.nan
+    """Lean of the side between hips and waist from the vertical [rad]."""
+    crotch_hip_diff: float = np.nan
+
+    @classmethod
+    def from_file_values(cls, values: Mapping[str, float]) -> Self:
+        """From the numbers of a measurement file: angles in degrees, derived keys (leading ``_``) left out."""
+        known = {key: float(value) for key, value in values.items() if key in MEASURES}
+        return cls(**{key: float(np.radians(value)) if key in ANGLES else value for key, value in known.items()})
+
+    def to_file_values(self) -> dict[str, float]:
+        """The numbers as a measurement file holds them: angles in degrees, measures nobody took left out."""
+        values = {key: float(getattr(self, key)) for key in MEASURES}
+        return {
+            key: float(np.degrees(value)) if key in ANGLES else value
+            for key, value in values.items()
+            if not np.isnan(value)
+        }
+
+    def require(self, *names: str) -> Self:
+        """These measurements, or ``BodyError`` with the names of those that nobody took."""
+        missing = [name for name in names if np.isnan(getattr(self, name))]
+        if missing:
+            raise BodyError(f"measures {', '.join(missing)} are missing: add them to the measurement file")
+        return self
+
+    @property
+    def waist_level(self) -> float:
+        """Height of the waist over the floor [cm]."""
+        return self.height - self.head_l - self.waist_line
+
+    @property
+    def leg_length(self) -> float:
+        """Hip line to floor [cm]."""
+        return self.waist_level - self.hips_line
+
+    @property
+    def sleeve_balance(self) -> float:
+        """Distance between the armholes' shoulder ends [cm]."""
+        return self.shoulder_w - SLEEVE_BALANCE
+
+    @property
+    def drawn_bust_line(self) -> float:
+        """The bust line as the patterns use it: two thirds vertical, one third over the bust [cm]."""
+        if np.isnan(self.vert_bust_line):
+            return self.bust_line
+        return 2 / 3 * self.vert_bust_line + 1 / 3 * self.bust_line
+
+    @property
+    def drawn_hip_inclination(self) -> float:
+        """Half the hips' inclination, as the patterns use it [rad]."""
+        return self.hip_inclination / 2
+
+    @property
+    def eased_armscye_depth(self) -> float:
+        """Armscye depth with ease [cm]."""
+        return self.armscye_depth + ARMSCYE_EASE
+
+
+# ------------------------------------------------------------------------------------------------------------- pattern
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """One edge of a panel, from vertex ``start`` to vertex ``end``."""
+
+    start: int
+    end: int
+    curve: Curve = LINE
+    label: str = ""
+    """What the edge is to a drape: ``lower_interface``, ``left_collar``, …; empty for none."""
+    name: str = ""
+    """How the drawing calls it; not part of a specification file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placement(Record):
+    """Where a panel hangs before sewing: ``x -> R (x, y, 0) + translation``."""
+
+    translation: Float[np.ndarray, "3"]
+    """[cm]"""
+    rotation: Float[np.ndarray, "3"]
+    """Angles about the fixed x, y, z axes, applied in that order [rad]: ``R = Rz Ry Rx``."""
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "3 3"]:
+        """The rotation as a matrix."""
+        (cx, cy, cz), (sx, sy, sz) = np.cos(self.rotation), np.sin(self.rotation)
+        about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+        about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+        about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+        return about_z @ about_y @ about_x
+
+    def apply(self, points: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
+        """Points of the panel's plane in space [cm]."""
+        return np.asarray(points) @ self.matrix[:, :2].T + self.translation
+
+
+@dataclass(frozen=True, eq=False)
+class Panel(Record):
+    """A piece of cloth: a closed loop of edges in the plane, and where it hangs before sewing.
+
+    The loop runs counter-clockwise as seen on the right (outer) side of the cloth.
+    """
+
+    name: str
+    vertices: Float[np.ndarray, "v 2"]
+    """Corner points in the panel's plane [cm]."""
+    edges: tuple[Edge, ...]
+    placement: Placement
+    label: str = ""
+    """The part of the body it covers: ``body``, ``arm``, ``leg``; empty if unknown."""
+
+    def edge_ends(self, index: int) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Start and end point of edge ``index`` [cm]."""
+        edge = self.edges[index]
+        (x0, y0), (x1, y1) = self.vertices[edge.start], self.vertices[edge.end]
+        return (float(x0), float(y0)), (float(x1), float(y1))
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeRef:
+    """An edge of a pattern: panel name and the edge's place in the panel's loop."""
+
+    panel: str
+    edge: int
+
+
+@dataclass(frozen=True, slots=True)
+class Seam:
+    """Two edges sewn together.
+
+    By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
+    starts meet. Unequal lengths are gathered.
+    """
+
+    left: EdgeRef
+    right: EdgeRef
+    right_wrong: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern(Record):
+    """Panels and the seams between them; panels stand in the order that numbers the vertices of its mesh."""
+
+    name: str
+    panels: tuple[Panel, ...]
+    seams: tuple[Seam, ...]
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    """What else a specification file held (``parameters``, ``properties``, …), carried along unread."""
+
+    def panel(self, name: str) -> Panel:
+        """The panel of that name. Raises ``PatternError`` with the names there are."""
+        for panel in self.panels:
+            if panel.name == name:
+                return panel
+        raise PatternError(f"no panel named {name}: there are {', '.join(p.name for p in self.panels)}")
+
+
+# ---------------------------------------------------------------------------------------------------------------- mesh
+
+
+@dataclass(frozen=True, eq=False)
+class BoxMesh(Record):
+    """A pattern as a triangle mesh: panels flat and in place, seams already merged, ready to be drawn together.
+
+    Vertices of seams come first, in the order of the seams, then the rest panel by panel. The rest shape is flat:
+    ``uv[corners]`` holds every face's corners in the plane of its panel.
+    """
+
+    vertices: Float[np.ndarray, "v 3"]
+    """Start positions [cm]; a seam vertex stands in the middle of the points it joins."""
+    faces: Int[np.ndarray, "f 3"]
+    """Triangles, counter-clockwise on the cloth's right side."""
+    uv: Float[np.ndarray, "c 2"]
+    """Panel-plane coordinates [cm] of the seam-split vertices."""
+    corners: Int[np.ndarray, "f 3"]
+    """Rows of ``uv`` at each face's corners."""
+    uv_vertex: Int[np.ndarray, " c"]
+    """The vertex each row of ``uv`` belongs to."""
+    panel_id: Int[np.ndarray, " f"]
+    """Row of ``panel_names`` for each face."""
+    panel_names: tuple[str, ...]
+    panel_labels: tuple[str, ...]
+    """``body``, ``arm``, ``leg`` or empty, beside ``panel_names``."""
+    seams: Int[np.ndarray, "s 2"]
+    """Pairs (vertex, row of the pattern's seams); a vertex stands once for every seam that runs through it."""
+    labels: Mapping[str, Int[np.ndarray, " n"]] = field(default_factory=dict)
+    """Edge label to the ids of the vertices on such edges."""
+
+    @property
+    def n_seam_vertices(self) -> int:
+        """Vertices 0 … n-1 lie on seams."""
+        return int(self.seams[:, 0].max()) + 1 if len(self.seams) else 0
+
+
+# --------------------------------------------------------------------------------------------------------------- drape
+
+
+class Outcome(Enum):
+    """How a drape ended; the value is the text for people, with what to try."""
+
+    SETTLED = "hangs still, within the limits for crossings"
+    NOT_SETTLED = "still moving at the last frame: allow more frames, or look for a garment that slides"
+    THROUGH_BODY = "too many edges cross the body: a looser fit, or a body with arms and legs further apart"
+    THROUGH_ITSELF = "too many edges cross other cloth: panels start tangled; place them further apart"
+    SLID_OFF = "slid off the body: nothing holds it up; narrow the waist, or label the edge that should be held"
+    OVERFULL = "more contacts than there was room for: raise the contact capacity"
+    DIVERGED = "positions stopped being numbers: the mesh holds a degenerate triangle, or the time step is too long"
+
+
+@dataclass(frozen=True, eq=False)
+class Drape(Record):
+    """A garment at rest on a body."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    """Positions [cm], in the order of the box mesh."""
+    outcome: Outcome
+    frames: int
+    """Frames simulated until it hung still, or the limit."""
+    self_crossings: int
+    """Cloth edges that cross a cloth triangle."""
+    body_crossings: int
+    """Cloth edges that cross the body."""
+    stretch_median: float
+    """Median over the edges of length against flat length; 1 is unstretched."""
+    stretch_p99: float
+    """99th percentile of the same."""
+
+
+# -------------------------------------------------------------------------------------------------------------- sample
+
+
+@dataclass(frozen=True, eq=False)
+class Provenance(Record):
+    """Where a sample comes from: enough to make it again."""
+
+    seed: int
+    index: int
+    attempts: int = 1
+    rejects: tuple[str, ...] = ()
+    """Why earlier attempts at this index were turned down, in order."""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    recipe: Mapping[str, Any] = field(default_factory=dict)
+    """The options it was made with."""
+    body_name: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample(Record):
+    """A made-to-measure garment with everything that led to it. Steps not taken (``--stage``) are ``None``."""
+
+    key: str
+    """``gcd_000000012``: the name in a shard."""
+    provenance: Provenance
+    pattern: Pattern
+    measurements: Measurements
+    design: Mapping[str, Any]
+    shape: BodyShape | None = None
+    box_mesh: BoxMesh | None = None
+    drape: Drape | None = None
+    points: Float[np.ndarray, "n 6"] | None = None
+    """Surface points and normals [cm, 1]."""
+    front: bytes | None = None
+    """JPEG of the front."""
+    back: bytes | None = None
+    """JPEG of the back."""

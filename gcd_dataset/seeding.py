@@ -1,0 +1,37 @@
+"""Random numbers by name: every stage of every sample has a stream of its own.
+
+>>> rng(seed=7, index=12, stage=Stage.DESIGN, attempt=1).integers(100, size=3)
+array([49, 76, 71])
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+__all__ = ["Stage", "rng"]
+
+
+class Stage(IntEnum):
+    """The steps of making a sample that draw random numbers."""
+
+    BODY = 1
+    DESIGN = 2
+    FABRIC = 3
+    POINTS = 4
+    AUGMENT = 5
+
+
+def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:
+    """The generator of one stage of one sample, the same in any process, order or number of workers.
+
+    The stream is Philox (Salmon et al., SC 2011), keyed by a ``SeedSequence`` over the four numbers, so that
+    neighbouring samples and attempts are independent.
+    """
+    entropy = (_natural(seed, "seed"), _natural(index, "index"), int(stage), _natural(attempt, "attempt"))
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence(entropy)))
+
+
+def _natural(number: int, name: str) -> int:
+    if number < 0:
+        raise ValueError(f"{name} is {number}: random streams are named by numbers of 0 and more")
+    return int(number)

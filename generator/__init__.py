@@ -1,0 +1,1 @@
+"""Make garments: body, measures, design, pattern, box mesh, drape."""

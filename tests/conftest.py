@@ -1,0 +1,15 @@
+"""Fixtures that every folder of tests shares."""
+
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parent.parent.parent / "shared" / "examples"
+
+
+@pytest.fixture(scope="session")
+def examples() -> Path:
+    """Patterns, meshes and bodies by the reference system, which live outside this tree."""
+    if not EXAMPLES.is_dir():
+        pytest.skip("the reference examples are not beside this checkout")
+    return EXAMPLES
