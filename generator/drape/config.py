@@ -1,0 +1,99 @@
+"""What a drape can be told: the cloth's fabric and the solver's options. Fabrics in SI, the solver in cm, g and s."""
+
+from dataclasses import dataclass
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.records import Body, BoxMesh, Measurements
+
+__all__ = ["DrapeConfig", "DrapeJob", "Fabric"]
+
+GRAMS_PER_CM2 = 0.1  # one kg/m²
+DYNES_PER_CM = 1e3  # one N/m
+DYNE_CM = 1e7  # one N·m
+GRAVITY = 981.0  # cm/s²
+
+
+@dataclass(frozen=True, slots=True)
+class Fabric:
+    """A cloth's mechanics. The default is a light, soft plain weave, the paper's middle one.
+
+    Stiffness that stands for the weight it carries (the paper's springs at its effective stiffness, divided by its
+    weight): ``reference`` is Korosteleva et al., ECCV 2024, as converted in DESIGN.
+    """
+
+    density: float = 0.2
+    """Mass per area [kg/m²]."""
+    tensile: float = 100.0
+    """Membrane stiffness: force per width at unit strain [N/m]."""
+    bending: float = 1.4e-5
+    """Plate rigidity [N·m]."""
+    friction: float = 0.5
+    """Coulomb coefficient against the body."""
+    thickness: float = 0.2
+    """Distance kept between two layers [cm]."""
+
+    def __post_init__(self) -> None:
+        for name in ("density", "tensile", "bending", "thickness"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"fabric {name} is {getattr(self, name)}: it must be above 0")
+        if not self.friction >= 0:
+            raise ConfigError(f"fabric friction is {self.friction}: it must be 0 or more")
+
+    @property
+    def mass(self) -> float:
+        """Mass per area [g/cm²]."""
+        return self.density * GRAMS_PER_CM2
+
+    @property
+    def membrane(self) -> float:
+        """Membrane stiffness [g/s²]."""
+        return self.tensile * DYNES_PER_CM
+
+    @property
+    def rigidity(self) -> float:
+        """Plate rigidity [g cm²/s²]."""
+        return self.bending * DYNE_CM
+
+
+@dataclass(frozen=True, slots=True)
+class DrapeConfig:
+    """Options of the solver. Times are simulated seconds; every limit is a count of frames, never a clock's time."""
+
+    substeps: int = 40
+    """Time steps in a frame; their length follows from the mesh and the fabric."""
+    detect_every: int = 8
+    """Time steps from one search for contacts to the next."""
+    max_frames: int = 400
+    """Frames after which a garment that still moves is given up."""
+    sewing_time: float = 0.2
+    """Panels are drawn together over this time, without gravity [s]."""
+    held_time: float = 0.4
+    """After sewing, waist and collar stay held for this time [s]."""
+    damping: float = 6.0
+    """Drag on the cloth [1/s]: near critical for a skirt that swings."""
+    sewing_damping: float = 12.0
+    """The same while sewing [1/s]."""
+    max_speed: float = 200.0
+    """[cm/s]"""
+    body_gap: float = 0.35
+    """Distance kept from the skin [cm]."""
+    contact_margin: float = 0.45
+    """Pairs nearer than this are watched until the next search [cm]."""
+    contact_capacity: int = 12
+    """Room for contact pairs, for each vertex on average."""
+    still_speed: float = 4.0
+    """A vertex slower than this rests [cm/s]."""
+    moving_share: float = 0.015
+    """A garment rests when no more than this share of its vertices moves."""
+    max_body_crossings: int = 35
+    max_self_crossings: int = 300
+
+
+@dataclass(frozen=True, slots=True)
+class DrapeJob:
+    """One garment to be draped on one body."""
+
+    box_mesh: BoxMesh
+    body: Body
+    measurements: Measurements
+    fabric: Fabric = Fabric()

@@ -1,0 +1,63 @@
+"""What holds a garment while it falls into place, and which parts of the body do not stop it.
+
+Held edges are half-spaces, as in Korosteleva et al. (ECCV 2024): the waist may not sink below the body's waist, a
+strapless top not below the armpits, and the two halves of a neckline stay near the neck.
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gcd_dataset.generator.drape.config import DrapeJob
+from gcd_dataset.records import BodyPart, BoxMesh, Measurements
+
+__all__ = ["held_from_below", "holds", "unseen_parts"]
+
+COLLAR_SLACK = 2.0  # cm by which the collar may lie nearer to the middle than the neck is wide
+
+
+def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " v"]]:
+    """Normal and offset [cm] of each vertex's half-space ``x · normal >= offset``; a zero normal for none."""
+    normal = np.zeros((len(job.box_mesh.vertices), 3))
+    offset = np.zeros(len(job.box_mesh.vertices))
+    for label, (direction, level) in _half_spaces(job.measurements).items():
+        ids = job.box_mesh.labels.get(label)
+        if ids is not None and np.isfinite(level):
+            normal[ids] = direction
+            offset[ids] = level
+    return normal, offset
+
+
+def _half_spaces(size: Measurements) -> dict[str, tuple[tuple[float, float, float], float]]:
+    collar = -(size.neck_w - COLLAR_SLACK) / 2
+    return {
+        "right_collar": ((1.0, 0.0, 0.0), collar),
+        "left_collar": ((-1.0, 0.0, 0.0), collar),
+        "strapless_top": ((0.0, 1.0, 0.0), size.height - size.head_l - size.armscye_depth),
+        "lower_interface": ((0.0, 1.0, 0.0), size.waist_level),
+    }
+
+
+def held_from_below(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
+    """The vertices that keep the garment up, by label, and the level they are held at [cm]."""
+    spaces = _half_spaces(job.measurements)
+    for label in ("strapless_top", "lower_interface"):
+        if label in job.box_mesh.labels and np.isfinite(spaces[label][1]):
+            return np.asarray(job.box_mesh.labels[label]), spaces[label][1]
+    return np.zeros(0, int), 0.0
+
+
+def unseen_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
+    """Bit set of body parts each vertex passes through: sockets and mouth for all, the arms for what covers legs.
+
+    An A-pose hangs the arms where a skirt is drawn together. A seam vertex follows the panels that most of its faces
+    belong to.
+    """
+    on_leg = np.array([label == "leg" for label in mesh.panel_labels], float)
+    leg_faces = np.bincount(mesh.faces.ravel(), np.repeat(on_leg[mesh.panel_id], 3), minlength=len(mesh.vertices))
+    all_faces = np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices))
+    arms = _bits(BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS)
+    return _bits(BodyPart.INTERNAL) | np.where(leg_faces > 0.5 * all_faces, arms, 0)
+
+
+def _bits(*parts: BodyPart) -> int:
+    return sum(1 << part.value for part in parts)

@@ -1,0 +1,1 @@
+"""The drape's kernels, one constraint a file; their NumPy twins are in ``drape.reference``."""

@@ -1,0 +1,138 @@
+"""Cloth against the body, by its signed-distance field; and the half-spaces that hold waist and collar for a while."""
+
+import warp as wp
+
+from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD
+from gcd_dataset.generator.drape.kernels.push import take_push
+from gcd_dataset.generator.drape.kernels.world import RUNNING, World
+
+wp.set_module_options({"enable_backward": False})
+
+LEAVING_SPEED = 80.0  # cm/s at which cloth that is already inside the body comes out
+HOLDING_SPEED = 60.0  # cm/s at which a held edge returns to its half-space
+
+
+@wp.func
+def sample_field(world: World, field: wp.array(dtype=float), x: wp.vec3) -> wp.vec4:
+    """Gradient and value of the signed distance at ``x``, trilinear; far outside beyond the grid [1, cm]."""
+    g = (x - world.field_origin) / world.field_cell
+    nx = world.field_size[0]
+    ny = world.field_size[1]
+    nz = world.field_size[2]
+    i = int(wp.floor(g[0]))
+    j = int(wp.floor(g[1]))
+    k = int(wp.floor(g[2]))
+    if i < 0 or j < 0 or k < 0 or i >= nx - 1 or j >= ny - 1 or k >= nz - 1:
+        return wp.vec4(0.0, 1.0, 0.0, 1.0e3)
+    a = g[0] - float(i)
+    b = g[1] - float(j)
+    c = g[2] - float(k)
+    at = int(world.field_offset) + (i * ny + j) * nz + k
+    dy = nz
+    dx = ny * nz
+    f000 = field[at]
+    f001 = field[at + 1]
+    f010 = field[at + dy]
+    f011 = field[at + dy + 1]
+    f100 = field[at + dx]
+    f101 = field[at + dx + 1]
+    f110 = field[at + dx + dy]
+    f111 = field[at + dx + dy + 1]
+    f00 = wp.lerp(f000, f001, c)
+    f01 = wp.lerp(f010, f011, c)
+    f10 = wp.lerp(f100, f101, c)
+    f11 = wp.lerp(f110, f111, c)
+    f0 = wp.lerp(f00, f01, b)
+    f1 = wp.lerp(f10, f11, b)
+    gx = f1 - f0
+    gy = wp.lerp(f01 - f00, f11 - f10, a)
+    gz = wp.lerp(wp.lerp(f001 - f000, f011 - f010, b), wp.lerp(f101 - f100, f111 - f110, b), a)
+    slope = wp.vec3(gx, gy, gz) / world.field_cell
+    steep = wp.length(slope)
+    if steep > 1.0e-6:
+        slope = slope / steep
+    return wp.vec4(slope[0], slope[1], slope[2], wp.lerp(f0, f1, a))
+
+
+@wp.func
+def nearest_part(world: World, parts: wp.array(dtype=wp.uint8), x: wp.vec3) -> int:
+    """The body part nearest to ``x``, from the voxel it lies in."""
+    g = (x - world.field_origin) / world.field_cell
+    i = wp.clamp(int(wp.round(g[0])), 0, world.field_size[0] - 1)
+    j = wp.clamp(int(wp.round(g[1])), 0, world.field_size[1] - 1)
+    k = wp.clamp(int(wp.round(g[2])), 0, world.field_size[2] - 1)
+    return int(parts[int(world.field_offset) + (i * world.field_size[1] + j) * world.field_size[2] + k])
+
+
+@wp.func
+def leave_body(depth: float, normal: wp.vec3, step: wp.vec3, friction: float, max_leave: float) -> wp.vec3:
+    """Displacement that keeps a vertex off the skin [cm].
+
+    What it came nearer in this step is taken back at once, what was too near before at no more than ``max_leave``;
+    Coulomb friction takes back sliding of up to ``friction`` times that.
+    """
+    approach = wp.max(-wp.dot(step, normal), 0.0)
+    out = wp.min(depth, approach + max_leave)
+    sliding = step - wp.dot(step, normal) * normal
+    slid = wp.length(sliding)
+    back = wp.vec3(0.0)
+    if slid > 0.0:
+        back = -wp.min(friction * out / slid, 1.0) * sliding
+    return out * normal + back
+
+
+@wp.kernel
+def finish_step(
+    # model
+    worlds: wp.array(dtype=World),
+    vertex_world: wp.array(dtype=int),
+    unseen_parts: wp.array(dtype=int),
+    hold_normal: wp.array(dtype=wp.vec3),
+    hold_offset: wp.array(dtype=float),
+    field: wp.array(dtype=float),
+    field_parts: wp.array(dtype=wp.uint8),
+    # state in
+    status: wp.array(dtype=int),
+    time: wp.array(dtype=float),
+    x_new: wp.array(dtype=wp.vec3),
+    v_new: wp.array(dtype=wp.vec3),
+    # state in and out
+    push: wp.array2d(dtype=int),
+    # state out
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
+    ahead: wp.array(dtype=wp.vec3),
+):
+    """Apply the contacts' pushes, hold what is held, keep off the body, and end the step."""
+    i = wp.tid()
+    w = vertex_world[i]
+    if status[w] != RUNNING:
+        return
+    world = worlds[w]
+    moved = take_push(push, i)
+    here = x_new[i] + moved
+    normal = hold_normal[i]
+    if time[w] < world.sewing_time + world.held_time and wp.length_sq(normal) > 0.0:
+        short = hold_offset[i] - wp.dot(here, normal)
+        if short > 0.0:
+            approach = wp.max(-wp.dot(here - x[i], normal), 0.0)
+            back = wp.min(short, approach + HOLDING_SPEED * world.dt) * normal
+            moved += back
+            here += back
+    near = sample_field(world, field, here)
+    if near[3] < world.body_gap:
+        part = nearest_part(world, field_parts, here)
+        if ((unseen_parts[i] >> part) & 1) == 0:
+            skin_normal = wp.vec3(near[0], near[1], near[2])
+            out = leave_body(
+                world.body_gap - near[3], skin_normal, here - x[i], world.friction, LEAVING_SPEED * world.dt
+            )
+            moved += out
+            here += out
+    speed = v_new[i] + moved / world.dt
+    fast = wp.length(speed)
+    if fast > world.max_speed:
+        speed = speed * (world.max_speed / fast)
+    x[i] = here
+    v[i] = speed
+    ahead[i] = here + (LOOK_AHEAD * world.dt) * speed

@@ -1,0 +1,96 @@
+"""The drape's constraints in NumPy, straight from their definitions: what the kernels are tested against."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gcd_dataset.records import BoxMesh
+
+__all__ = ["bending_energy", "closest_on_triangle", "segment_crosses_triangle", "stretch_energy"]
+
+
+def stretch_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], membrane: float) -> float:
+    """Energy of one spring for every side of every triangle, stiffness ``membrane A / L²`` each [g cm²/s²].
+
+    A side shared by two triangles whose panels give it different lengths counts with the shorter for both.
+    """
+    flat = mesh.uv[mesh.corners]
+    area = 0.5 * np.abs(_cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]))
+    shortest: dict[tuple[int, int], float] = {}
+    for face, corners in zip(mesh.faces, flat, strict=True):
+        for k in range(3):
+            key = _side(face, k)
+            length = float(np.linalg.norm(corners[(k + 1) % 3] - corners[k]))
+            shortest[key] = min(shortest.get(key, np.inf), length)
+    energy = 0.0
+    for face, corners, a in zip(mesh.faces, flat, area, strict=True):
+        for k in range(3):
+            i, j = _side(face, k)
+            own = float(np.linalg.norm(corners[(k + 1) % 3] - corners[k]))
+            energy += 0.5 * membrane * a / own**2 * (float(np.linalg.norm(x[j] - x[i])) - shortest[i, j]) ** 2
+    return energy
+
+
+def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], rigidity: float) -> float:
+    """Quadratic bending energy of every hinge, from the heights of its two triangles [g cm²/s²].
+
+    With ``n0, n1`` the in-plane directions from the edge to the two opposite vertices, the bending vector is
+    ``L (n0 + n1)`` of the *deformed* triangles expressed by the *flat* foot points (Bergou et al. 2006).
+    """
+    sides: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for f, face in enumerate(mesh.faces):
+        for k in range(3):
+            sides.setdefault(_side(face, k), []).append((f, k))
+    flat = mesh.uv[mesh.corners]
+    energy = 0.0
+    for (i, j), faces in sides.items():
+        if len(faces) < 2:
+            continue
+        vector, area = np.zeros(3), 0.0
+        for f, k in faces[:2]:
+            a, b, c = flat[f, k], flat[f, (k + 1) % 3], flat[f, (k + 2) % 3]
+            along = (b - a) / np.linalg.norm(b - a)
+            foot = float((c - a) @ along) / float(np.linalg.norm(b - a))
+            height = abs(float(_cross(along, c - a)))
+            start, end = (i, j) if mesh.faces[f, k] == i else (j, i)
+            across = x[mesh.faces[f, (k + 2) % 3]] - ((1 - foot) * x[start] + foot * x[end])
+            vector += float(np.linalg.norm(b - a)) * across / height
+            area += 0.5 * height * float(np.linalg.norm(b - a))
+        energy += 0.5 * rigidity * 3.0 / area * float(vector @ vector)
+    return energy
+
+
+def closest_on_triangle(p: Float[np.ndarray, "3"], corners: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    """The point of a triangle nearest to ``p`` [cm], the best of its inside, its three sides and their ends."""
+    a, b, c = corners
+    inside, *_ = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), p - a, rcond=None)
+    candidates = []
+    if inside.min() >= 0 and inside.sum() <= 1:
+        candidates.append(a + inside[0] * (b - a) + inside[1] * (c - a))
+    for s, e in ((a, b), (b, c), (c, a)):
+        t = np.clip((p - s) @ (e - s) / ((e - s) @ (e - s)), 0, 1)
+        candidates.append(s + t * (e - s))
+    return min(candidates, key=lambda q: float(np.linalg.norm(p - q)))
+
+
+def segment_crosses_triangle(
+    p: Float[np.ndarray, "3"], q: Float[np.ndarray, "3"], corners: Float[np.ndarray, "3 3"]
+) -> bool:
+    """Whether the segment pq meets the triangle, by the signs of five volumes."""
+    a, b, c = corners
+
+    def volume(i: np.ndarray, j: np.ndarray, k: np.ndarray, m: np.ndarray) -> float:
+        return float(np.linalg.det(np.stack([j - i, k - i, m - i])))
+
+    if volume(p, a, b, c) * volume(q, a, b, c) > 0:
+        return False
+    around = [volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)]
+    return min(around) >= 0 or max(around) <= 0
+
+
+def _cross(a: Float[np.ndarray, "*n 2"], b: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _side(face: Int[np.ndarray, "3"], k: int) -> tuple[int, int]:
+    i, j = int(face[k]), int(face[(k + 1) % 3])
+    return (min(i, j), max(i, j))

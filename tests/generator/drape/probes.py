@@ -1,0 +1,20 @@
+"""Kernels that ask one device function for its answer."""
+
+import warp as wp
+
+from gcd_dataset.generator.drape.kernels.crossing import segment_crosses
+from gcd_dataset.generator.drape.kernels.self_contact import closest_on_triangle
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def nearest_kernel(points: wp.array2d(dtype=wp.vec3), weights: wp.array(dtype=wp.vec3)):
+    i = wp.tid()
+    weights[i] = closest_on_triangle(points[i, 0], points[i, 1], points[i, 2], points[i, 3])
+
+
+@wp.kernel
+def crossing_kernel(points: wp.array2d(dtype=wp.vec3), crosses: wp.array(dtype=wp.bool)):
+    i = wp.tid()
+    crosses[i] = segment_crosses(points[i, 0], points[i, 1], points[i, 2], points[i, 3], points[i, 4])

@@ -1,0 +1,128 @@
+"""Cloth on bodies and on cloth: what two things that touch may and may not do."""
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
+from gcd_dataset.generator.drape.body_field import body_field
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
+from gcd_dataset.generator.drape.solver import Solver
+from tests.generator.drape.probes import crossing_kernel, nearest_kernel
+from tests.helpers import SIZE, body_from, far_ball, joined, patch
+
+LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # the patch's right side looks up
+QUICK = DrapeConfig(sewing_time=0.002, held_time=0.0)
+
+
+def test_nearest_point_of_a_triangle() -> None:
+    points = np.random.default_rng(0).standard_normal((500, 4, 3)).astype(np.float32)
+    weights = wp.zeros(len(points), dtype=wp.vec3, device="cpu")
+    wp.launch(nearest_kernel, len(points), [wp.array(points, dtype=wp.vec3, device="cpu"), weights], device="cpu")
+    found = np.einsum("nk,nkd->nd", weights.numpy(), points[:, 1:])
+    expected = np.array([closest_on_triangle(p[0].astype(float), p[1:].astype(float)) for p in points])
+    assert np.abs(found - expected).max() < 1e-3
+
+
+def test_segment_through_a_triangle() -> None:
+    points = np.random.default_rng(1).standard_normal((500, 5, 3)).astype(np.float32)
+    crosses = wp.zeros(len(points), dtype=wp.bool, device="cpu")
+    wp.launch(crossing_kernel, len(points), [wp.array(points, dtype=wp.vec3, device="cpu"), crosses], device="cpu")
+    expected = [segment_crosses_triangle(p[0], p[1], p[2:]) for p in points.astype(float)]
+    assert 20 < sum(expected) < 480
+    assert list(crosses.numpy()) == expected
+
+
+@settings(max_examples=5, deadline=None)
+@given(radius=st.floats(6.0, 15.0))
+def test_the_field_of_a_ball_is_the_distance_to_it(radius: float) -> None:
+    field = body_field(body_from(trimesh.creation.icosphere(subdivisions=4, radius=radius)), "cpu")
+    values = field.distance.numpy()
+    voxels = np.stack(np.meshgrid(*(np.arange(n) for n in values.shape), indexing="ij"), axis=-1)
+    expected = np.linalg.norm(voxels * field.cell + field.origin, axis=-1) - radius
+    near = expected < 3.0
+    assert np.abs(values - expected)[near].max() < 0.02 * radius
+    assert (values[~near] > 2.5).all()
+
+
+@pytest.mark.parametrize(("friction", "stays"), [(0.7, True), (0.1, False)])
+def test_cloth_on_a_slope_slides_where_friction_is_too_small(friction: float, stays: bool) -> None:
+    """On a slope of 25° cloth stays for friction above tan 25° = 0.47."""
+    slope = trimesh.creation.box(extents=[60.0, 10.0, 60.0])
+    turn = trimesh.transformations.rotation_matrix(np.radians(25.0), [0, 0, 1])
+    slope.apply_transform(turn)
+    slope.apply_translation([0.0, 50.0, 0.0])
+    along = turn[:3, :3]
+    origin = along @ np.array([-4.0, 5.4, 4.0]) + [0.0, 50.0, 0.0]
+    mesh = patch(8, 8, place=along @ LYING, origin=tuple(origin))
+    job = DrapeJob(mesh, body_from(slope), SIZE, Fabric(friction=friction))
+    solver = Solver(build_model([job], QUICK, "cpu"), QUICK)
+    while solver.state.time.numpy()[0] < 0.4:
+        solver.frame()
+    travel = float((mesh.vertices.mean(axis=0) - solver.state.x.numpy().mean(axis=0)) @ along[:, 0])
+    acceleration = 981.0 * (np.sin(np.radians(25.0)) - friction * np.cos(np.radians(25.0)))
+    assert (travel < 0.5) if stays else (travel > 0.15 * acceleration * 0.4**2)
+
+
+def test_cloth_keeps_its_gap_from_the_skin() -> None:
+    table = trimesh.creation.box(extents=[40.0, 20.0, 40.0])
+    table.apply_translation([0.0, 10.0, 0.0])
+    mesh = patch(10, 10, place=LYING, origin=(-5.0, 22.0, 5.0))
+    solver = Solver(build_model([DrapeJob(mesh, body_from(table), SIZE)], QUICK, "cpu"), QUICK)
+    while solver.state.time.numpy()[0] < 0.5:
+        solver.frame()
+    heights = solver.state.x.numpy()[:, 1] - 20.0
+    assert np.abs(heights - QUICK.body_gap).max() < 0.05
+    assert solver.body_crossings()[0] == 0
+
+
+def test_cloth_lies_on_cloth_at_its_thickness() -> None:
+    table = trimesh.creation.box(extents=[40.0, 20.0, 40.0])
+    table.apply_translation([0.0, 10.0, 0.0])
+    lower = patch(10, 10, place=LYING, origin=(-5.0, 20.4, 5.0))
+    upper = patch(6, 6, spacing=1.1, place=LYING, origin=(-3.2, 22.5, 3.1))
+    fabric = Fabric(thickness=0.3)
+    job = DrapeJob(joined(lower, upper), body_from(table), SIZE, fabric)
+    solver = Solver(build_model([job], QUICK, "cpu"), QUICK)
+    while solver.state.time.numpy()[0] < 0.6:
+        solver.frame()
+    heights = solver.state.x.numpy()[:, 1]
+    between = heights[len(lower.vertices) :].mean() - heights[: len(lower.vertices)].mean()
+    assert between == pytest.approx(fabric.thickness, abs=0.05)
+    assert solver.self_crossings()[0] == 0
+
+
+def test_layers_that_touch_exchange_momentum() -> None:
+    """Two sheets that meet in the air keep the speed of their common centre of mass."""
+    lower = patch(8, 8, place=LYING, origin=(-4.0, 100.0, 4.0))
+    upper = patch(7, 7, spacing=1.05, place=LYING, origin=(-3.7, 100.25, 3.6))
+    config = DrapeConfig(sewing_time=1e6, sewing_damping=0.0)
+    solver = Solver(build_model([DrapeJob(joined(lower, upper), far_ball(), SIZE)], config, "cpu"), config)
+    speed = np.zeros((len(solver.model.start), 3), np.float32)
+    speed[len(lower.vertices) :, 1] = -40.0
+    solver.state.v.assign(speed)
+    inertia = solver.model.inertia.numpy()[:, None]
+    before = (inertia * speed).sum(axis=0)
+    for _ in range(3):
+        solver.frame()
+    after = (inertia * solver.state.v.numpy()).sum(axis=0)
+    first = (inertia * solver.state.v.numpy())[: len(lower.vertices)].sum(axis=0)
+    assert first[1] < 0.2 * before[1] < 0, "the lower sheet was not met"
+    assert np.abs(after - before).max() < 0.02 * abs(before[1])
+
+
+def test_crossed_sheets_come_apart() -> None:
+    """A corner that pokes through a sheet is drawn back by the shortening of the crossing curve."""
+    sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))
+    corner_first = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])
+    other = patch(6, 6, place=corner_first, origin=(0.0, 100.0, -1.7))
+    config = DrapeConfig(sewing_time=1e6)
+    solver = Solver(build_model([DrapeJob(joined(sheet, other), far_ball(), SIZE)], config, "cpu"), config)
+    assert solver.self_crossings()[0] > 3
+    for _ in range(60):
+        solver.frame()
+    assert solver.self_crossings()[0] == 0

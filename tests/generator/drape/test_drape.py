@@ -1,0 +1,87 @@
+"""Whole drapes: outcomes, and that nothing but the garment decides them."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from gcd_dataset.errors import ConfigError, DrapeError
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
+from gcd_dataset.records import BoxMesh, Outcome
+from tests.helpers import SIZE, body_from, patch
+
+LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
+
+
+def on_a_ball(columns: int, *, labels: dict[str, np.ndarray] | None = None) -> DrapeJob:
+    """A cloth to be thrown over a ball whose top is at the waist of ``SIZE``."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=12.0)
+    ball.apply_translation([0.0, SIZE.waist_level - 12.0, 0.0])
+    half = 2.0 * columns / 2
+    mesh: BoxMesh = patch(
+        columns, columns, spacing=2.0, place=LYING, origin=(-half, SIZE.waist_level + 1.0, half), labels=labels
+    )
+    return DrapeJob(mesh, body_from(ball), SIZE)
+
+
+def test_a_cloth_over_a_ball_settles_on_it() -> None:
+    [drape] = drape_batch([on_a_ball(8)], device="cpu")
+    assert drape.outcome is Outcome.SETTLED
+    assert (drape.self_crossings, drape.body_crossings) == (0, 0)
+    distance = np.linalg.norm(drape.vertices - [0.0, SIZE.waist_level - 12.0, 0.0], axis=1)
+    assert distance.min() > 12.0
+    assert drape.vertices[:, 1].min() < SIZE.waist_level - 2.0
+
+
+def test_a_garment_drapes_alike_alone_and_in_any_batch() -> None:
+    jobs = [on_a_ball(5), on_a_ball(8), on_a_ball(6)]
+    config = DrapeConfig(max_frames=25)
+    together = drape_batch(jobs, config, device="cpu")
+    for job, drape in zip(jobs, together, strict=True):
+        assert drape_batch([job], config, device="cpu") == [drape]
+    assert drape_batch(jobs[::-1], config, device="cpu") == together[::-1]
+
+
+def test_too_few_frames_are_reported() -> None:
+    [drape] = drape_batch([on_a_ball(5)], DrapeConfig(max_frames=5), device="cpu")
+    assert drape.outcome is Outcome.NOT_SETTLED
+    assert drape.frames == 5
+
+
+def test_what_nothing_holds_up_slides_off() -> None:
+    job = on_a_ball(4)
+    mesh = job.box_mesh
+    aside = BoxMesh(
+        **{
+            **{name: getattr(mesh, name) for name in mesh.__dataclass_fields__},
+            "vertices": mesh.vertices + [60.0, 0.0, 0.0],
+            "labels": {"lower_interface": np.arange(len(mesh.vertices))},
+        }
+    )
+    [drape] = drape_batch([DrapeJob(aside, job.body, SIZE)], DrapeConfig(held_time=0.1), device="cpu")
+    assert drape.outcome is Outcome.SLID_OFF
+    assert drape.frames < DrapeConfig().max_frames
+
+
+def test_contacts_without_room_are_reported() -> None:
+    job = on_a_ball(6)
+    folded = np.array(job.box_mesh.vertices)
+    folded[:, 1] = SIZE.waist_level + 5.0 + 0.001 * folded[:, 0]
+    folded[:, [0, 2]] *= 0.05
+    mesh = BoxMesh(**{**{n: getattr(job.box_mesh, n) for n in job.box_mesh.__dataclass_fields__}, "vertices": folded})
+    config = DrapeConfig(contact_capacity=1, max_frames=2)
+    [drape] = drape_batch([DrapeJob(mesh, job.body, SIZE)], config, device="cpu")
+    assert drape.outcome is Outcome.OVERFULL
+
+
+def test_no_jobs_give_no_drapes() -> None:
+    assert drape_batch([], device="cpu") == []
+
+
+def test_a_device_that_is_not_there_is_named() -> None:
+    with pytest.raises(DrapeError, match=r"device cuda:7: there is .*cpu"):
+        drape_batch([on_a_ball(4)], device="cuda:7")
+
+
+def test_a_fabric_without_weight_is_refused() -> None:
+    with pytest.raises(ConfigError, match="density"):
+        Fabric(density=0.0)

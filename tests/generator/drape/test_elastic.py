@@ -1,0 +1,101 @@
+"""Stretch and bending against their definitions and the laws they come from."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
+from gcd_dataset.generator.drape.kernels.elastic import advance
+from gcd_dataset.generator.drape.model import ClothModel, build_model
+from gcd_dataset.generator.drape.reference import bending_energy, stretch_energy
+from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.records import BoxMesh
+from tests.helpers import SIZE, far_ball, patch
+
+FABRIC = Fabric(tensile=50.0, bending=2e-5)
+STILL_AIR = DrapeConfig(sewing_time=1e6, damping=0.0, sewing_damping=0.0, max_speed=1e9)
+
+
+def irregular_patch(rng: np.random.Generator) -> BoxMesh:
+    """A patch whose inner vertices lie off the grid, in the flat as in space."""
+    mesh = patch(4, 3, spacing=1.3)
+    uv = mesh.uv + 0.2 * rng.standard_normal(mesh.uv.shape)
+    return replace(mesh, uv=uv, vertices=np.pad(uv, ((0, 0), (0, 1))))
+
+
+def force_on(model: ClothModel, x: np.ndarray) -> np.ndarray:
+    """What the kernel makes of positions ``x``, as a force [g cm/s²]."""
+    n = len(x)
+    at = wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu")
+    still, x_out, v_out = (wp.zeros(n, dtype=wp.vec3, device="cpu") for _ in range(3))
+    zero = wp.zeros(1, dtype=int, device="cpu")
+    wp.launch(
+        advance,
+        dim=n,
+        inputs=[model.worlds, model.vertex_world, model.mass, model.inertia, model.row_start, model.row_vertex]
+        + [model.row_weight, model.bend_diagonal, zero, wp.zeros(1, dtype=float, device="cpu"), at, still, at],
+        outputs=[x_out, v_out],
+        device="cpu",
+    )
+    dt = model.worlds.numpy()["dt"][0]
+    return np.asarray(v_out.numpy() * (model.inertia.numpy() / dt)[:, None])
+
+
+def test_force_is_the_slope_of_the_energy() -> None:
+    rng = np.random.default_rng(1)
+    mesh = irregular_patch(rng)
+    model = build_model([DrapeJob(mesh, far_ball(), SIZE, FABRIC)], STILL_AIR, "cpu")
+    x = np.asarray(mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape))
+
+    def energy(at: np.ndarray) -> float:
+        return stretch_energy(mesh, at, FABRIC.membrane) + bending_energy(mesh, at, FABRIC.rigidity)
+
+    slope, step = np.zeros_like(x), 1e-5
+    for i in range(len(x)):
+        for axis in range(3):
+            ahead, behind = x.copy(), x.copy()
+            ahead[i, axis] += step
+            behind[i, axis] -= step
+            slope[i, axis] = (energy(ahead) - energy(behind)) / (2 * step)
+    force = force_on(model, x)
+    assert np.linalg.norm(force + slope) < 2e-3 * np.linalg.norm(slope)
+
+
+def test_inner_forces_keep_momentum_and_spin() -> None:
+    rng = np.random.default_rng(2)
+    mesh = irregular_patch(rng)
+    model = build_model([DrapeJob(mesh, far_ball(), SIZE, FABRIC)], STILL_AIR, "cpu")
+    x = np.asarray(mesh.vertices + 0.3 * rng.standard_normal(mesh.vertices.shape))
+    force = force_on(model, x)
+    scale = np.abs(force).sum()
+    assert np.abs(force.sum(axis=0)).max() < 1e-5 * scale
+    assert np.abs(np.cross(x, force).sum(axis=0)).max() < 1e-4 * scale
+
+
+def test_flat_cloth_is_at_rest_wherever_it_lies() -> None:
+    mesh = irregular_patch(np.random.default_rng(3))
+    turned, _ = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))
+    model = build_model([DrapeJob(mesh, far_ball(), SIZE, FABRIC)], STILL_AIR, "cpu")
+    at_rest = force_on(model, mesh.vertices @ turned.T)
+    stretched = force_on(model, 1.05 * mesh.vertices @ turned.T)
+    assert np.abs(at_rest).max() < 1e-2 * np.abs(stretched).max()
+
+
+@pytest.mark.parametrize("spacing", [1.0, 2.0])
+def test_a_hanging_strip_stretches_by_its_own_weight(spacing: float) -> None:
+    """A strip of length L held at its top grows by rho g L² / (2 E), whatever the mesh."""
+    length, level = 40.0, SIZE.waist_level
+    rows, columns = int(length / spacing), int(4 / spacing)
+    top = np.arange(columns + 1) + rows * (columns + 1)
+    mesh = patch(columns, rows, spacing=spacing, origin=(0, level - length, 0), labels={"lower_interface": top})
+    fabric = Fabric(density=0.2, tensile=20.0)
+    config = DrapeConfig(sewing_time=0.01, held_time=100.0, damping=12.0)
+    solver = Solver(build_model([DrapeJob(mesh, far_ball(), SIZE, fabric)], config, "cpu"), config)
+    while solver.state.time.numpy()[0] < 1.2:
+        solver.frame()
+    x = solver.state.x.numpy()
+    grown = x[top, 1].mean() - x[: columns + 1, 1].mean() - length
+    expected = fabric.mass * 981.0 * length**2 / (2 * fabric.membrane)
+    assert grown == pytest.approx(expected, rel=0.12)

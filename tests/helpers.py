@@ -1,0 +1,71 @@
+"""Shapes with known answers."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import trimesh
+
+from gcd_dataset.records import Body, BoxMesh, Measurements
+
+SIZE = Measurements(height=170.0, head_l=26.0, waist_line=37.0, neck_w=19.0, armscye_depth=13.0)
+
+
+def body_from(shape: trimesh.Trimesh) -> Body:
+    """A body of any closed shape, all trunk."""
+    vertices = np.asarray(shape.vertices, float)
+    return Body(vertices, np.asarray(shape.faces), np.zeros(len(vertices), np.uint8))
+
+
+def far_ball() -> Body:
+    """A body that nothing touches."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=5.0)
+    ball.apply_translation([0.0, 5.0, 200.0])
+    return body_from(ball)
+
+
+def patch(
+    columns: int,
+    rows: int,
+    *,
+    spacing: float = 1.0,
+    place: np.ndarray | None = None,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    labels: Mapping[str, np.ndarray] | None = None,
+) -> BoxMesh:
+    """A rectangle of cloth, ``columns`` × ``rows`` cells of two triangles; ``place`` (3, 2) turns it in space."""
+    u, v = np.meshgrid(np.arange(columns + 1), np.arange(rows + 1))
+    uv = spacing * np.stack([u.ravel(), v.ravel()], axis=1).astype(float)
+    cell = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
+    lower = np.stack([cell, cell + 1, cell + columns + 2], axis=1)
+    upper = np.stack([cell, cell + columns + 2, cell + columns + 1], axis=1)
+    faces = np.concatenate([lower, upper])
+    frame = np.eye(3)[:, :2] if place is None else place
+    return BoxMesh(
+        vertices=uv @ frame.T + np.asarray(origin),
+        faces=faces,
+        uv=uv,
+        corners=faces,
+        uv_vertex=np.arange(len(uv)),
+        panel_id=np.zeros(len(faces), int),
+        panel_names=("patch",),
+        panel_labels=("body",),
+        seams=np.zeros((0, 2), int),
+        labels=labels or {},
+    )
+
+
+def joined(first: BoxMesh, second: BoxMesh) -> BoxMesh:
+    """Two pieces of cloth as one garment of two panels, not sewn together."""
+    n, c, p = len(first.vertices), len(first.uv), len(first.panel_names)
+    return BoxMesh(
+        vertices=np.concatenate([first.vertices, second.vertices]),
+        faces=np.concatenate([first.faces, second.faces + n]),
+        uv=np.concatenate([first.uv, second.uv]),
+        corners=np.concatenate([first.corners, second.corners + c]),
+        uv_vertex=np.concatenate([first.uv_vertex, second.uv_vertex + n]),
+        panel_id=np.concatenate([first.panel_id, second.panel_id + p]),
+        panel_names=first.panel_names + second.panel_names,
+        panel_labels=first.panel_labels + second.panel_labels,
+        seams=np.zeros((0, 2), int),
+        labels={**first.labels, **{k: v + n for k, v in second.labels.items()}},
+    )
