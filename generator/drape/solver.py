@@ -191,6 +191,13 @@ class Solver:
                 + [s.status, s.edge_pairs, s.edge_normals, s.edge_count, s.x, s.x_new],
                 [s.push],
             )
+            self._launch(
+                body_contact.push_long_edges,
+                m.edges.shape[0],
+                [m.worlds, m.vertex_world, m.edges, m.unseen_parts, m.field, m.field_parts, announce]
+                + [s.status, s.x, s.x_new],
+                [s.push],
+            )
         self._launch(
             crossing.part_crossings,
             stride,

@@ -3,12 +3,14 @@
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD
-from gcd_dataset.generator.drape.kernels.push import take_push
+from gcd_dataset.generator.drape.kernels.push import add_push, add_weight, crowd, take_push
 from gcd_dataset.generator.drape.kernels.world import RUNNING, World
 
 wp.set_module_options({"enable_backward": False})
 
 LEAVING_SPEED = 80.0  # cm/s at which cloth that is already inside the body comes out
+SHORT_EDGE = 1.5  # cm: of longer edges the middle keeps off the body too
+MIDDLE_SHARE = 0.5  # of the gap from the skin, that the middle of an edge keeps
 HOLDING_SPEED = 60.0  # cm/s at which a held edge returns to its half-space
 
 
@@ -79,6 +81,55 @@ def leave_body(depth: float, normal: wp.vec3, step: wp.vec3, friction: float, ma
     if slid > 0.0:
         back = -wp.min(friction * out / slid, 1.0) * sliding
     return out * normal + back
+
+
+@wp.kernel
+def push_long_edges(
+    # model
+    worlds: wp.array(dtype=World),
+    vertex_world: wp.array(dtype=int),
+    edges: wp.array(dtype=wp.vec2i),
+    unseen_parts: wp.array(dtype=int),
+    field: wp.array(dtype=float),
+    field_parts: wp.array(dtype=wp.uint8),
+    announce: bool,
+    # state in
+    status: wp.array(dtype=int),
+    x_old: wp.array(dtype=wp.vec3),
+    x_new: wp.array(dtype=wp.vec3),
+    # state out
+    push: wp.array2d(dtype=int),
+):
+    """Keep the inside of long edges off the body: of coarse cloth, and of seams that are still being drawn together."""
+    e = wp.tid()
+    i = edges[e][0]
+    j = edges[e][1]
+    w = vertex_world[i]
+    p = x_new[i]
+    q = x_new[j]
+    if status[w] != RUNNING or wp.length_sq(q - p) < SHORT_EDGE * SHORT_EDGE:
+        return
+    world = worlds[w]
+    for quarter in range(1, 4):
+        t = 0.25 * float(quarter)
+        here = wp.lerp(p, q, t)
+        near = sample_field(world, field, here)
+        depth = MIDDLE_SHARE * world.body_gap - near[3]
+        if depth <= 0.0:
+            continue
+        part = nearest_part(world, field_parts, here)
+        if ((unseen_parts[i] & unseen_parts[j]) >> part) & 1 != 0:
+            continue
+        if announce:
+            add_weight(push, i, 1.0 - t)
+            add_weight(push, j, t)
+            continue
+        normal = wp.vec3(near[0], near[1], near[2])
+        step = here - wp.lerp(x_old[i], x_old[j], t)
+        out = leave_body(depth, normal, step, world.friction, LEAVING_SPEED * world.dt)
+        share = 1.0 / (((1.0 - t) * (1.0 - t) + t * t) * wp.max(crowd(push, i), crowd(push, j)))
+        add_push(push, i, ((1.0 - t) * share) * out)
+        add_push(push, j, (t * share) * out)
 
 
 @wp.kernel

@@ -1,0 +1,52 @@
+"""Files written whole or not at all."""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from gcd_dataset.errors import OutputError
+
+__all__ = ["make_folder", "open_whole", "write_whole"]
+
+
+def write_whole(path: Path | str, content: bytes) -> None:
+    """``content`` in ``path``. Raises ``OutputError`` where that fails; what stood there before then still does."""
+    with open_whole(path) as file:
+        file.write(content)
+
+
+@contextlib.contextmanager
+def open_whole(path: Path | str) -> Iterator[BinaryIO]:
+    """A file open for writing that takes the name ``path`` when the block ends well, and vanishes when it does not.
+
+    Raises ``OutputError`` with the file, the system's reason and a remedy.
+    """
+    path = Path(path)
+    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with draft.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
+
+
+def make_folder(path: Path | str) -> Path:
+    """The folder, made with its parents if it was not there. Raises ``OutputError``."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    return path
+
+
+def _cannot_write(path: Path, error: OSError) -> OutputError:
+    return OutputError(f"{path}: cannot be written ({error.strerror}): make room there, or choose another folder")

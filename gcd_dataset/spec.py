@@ -1,0 +1,416 @@
+"""Patterns as GarmentCode specification files (``<name>_specification.json``), read and written.
+
+Files are in degrees, and in any length unit that they name; in memory it is centimetres and radians. Older files, with
+absolute control points, other units or loops that start anywhere, are brought to today's form as they are read.
+
+>>> from gcd_dataset.records import Panel, Pattern, Placement, Edge
+>>> square = Panel("square", np.array([[0, 0], [9, 0], [9, 9], [0, 9]]), tuple(Edge(i, (i + 1) % 4) for i in range(4)),
+...                Placement(np.zeros(3), np.zeros(3)))
+>>> pattern = Pattern("napkin", (square,), ())
+>>> pattern_from_spec(spec_from_pattern(pattern), "napkin").panels == pattern.panels
+True
+"""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, mirrored, to_frame
+from gcd_dataset.errors import PatternError, SpecError
+from gcd_dataset.files import write_whole
+from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+
+__all__ = ["panel_order", "pattern_from_spec", "read_pattern", "spec_from_pattern", "write_pattern"]
+
+UNITS_IN_METER = 100  # ours: centimetres
+NEIGHBOURS = 10.0  # cm: panels that close in x, or in y, stand in one row of the panel order (pattern-format)
+NAMELESS = frozenset({"specification", "template", "prediction"})  # file names that leave the name to the folder
+
+
+def read_pattern(path: Path | str) -> Pattern:
+    """The pattern in a specification file, named after the file; after its folder for a plain ``specification.json``.
+
+    Raises ``SpecError`` for a file that is missing or is no specification. What only makes the pattern impossible to
+    sew is left to ``validate``.
+    """
+    path = Path(path)
+    try:
+        spec = json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_constant)
+    except FileNotFoundError as error:
+        raise SpecError(f"{path}: no such file: give the path of a specification JSON") from error
+    except OSError as error:
+        raise SpecError(f"{path}: cannot be read ({error.strerror})") from error
+    except json.JSONDecodeError as error:
+        raise SpecError(f"{path}: line {error.lineno}, column {error.colno}: {error.msg}: mend the JSON") from error
+    except ValueError as error:
+        raise SpecError(f"{path}: {error}: mend the JSON") from error
+    return pattern_from_spec(spec, _name_of(path), source=str(path))
+
+
+def write_pattern(pattern: Pattern, path: Path | str) -> None:
+    """The pattern in a specification file. Raises ``OutputError`` where it cannot be written."""
+    write_whole(path, (json.dumps(spec_from_pattern(pattern), indent=2) + "\n").encode())
+
+
+def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
+    """The pattern of a parsed specification; ``source`` names it in errors.
+
+    Raises ``SpecError`` with the panel and edge where the content is not of the format.
+    """
+    at = _Place(source or name)
+    body = at.mapping(at.mapping(spec, "").get("pattern"), "pattern")
+    form = _Form.of(at.mapping(spec.get("properties", {}), "properties"), at)
+    panels = {
+        key: _panel(key, at.mapping(entry, f"panel {key}"), form, at.within(f"panel {key}"))
+        for key, entry in at.mapping(body.get("panels"), "pattern.panels").items()
+    }
+    seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(at.list_of(body, "stitches")))
+    if not form.loops_normalised:
+        panels, seams = _normalise_loops(panels, seams, at)
+    order = _given_order(body, panels, at) if "panel_order" in body else panel_order(panels.values())
+    return Pattern(name, tuple(panels[key] for key in order), seams, _extra(spec, form))
+
+
+def spec_from_pattern(pattern: Pattern) -> dict[str, Any]:
+    """The specification of a pattern, ready for ``json.dumps``; numbers keep all their digits."""
+    return {
+        "pattern": {
+            "panels": {panel.name: _panel_entry(panel) for panel in pattern.panels},
+            "stitches": [_seam_entry(seam) for seam in pattern.seams],
+            "panel_order": [panel.name for panel in pattern.panels],
+        },
+        "parameters": {},
+        "parameter_order": [],
+        **{key: value for key, value in pattern.extra.items() if key != "properties"},
+        "properties": {
+            **pattern.extra.get("properties", {}),
+            "curvature_coords": "relative",
+            "normalize_panel_translation": False,
+            "normalized_edge_loops": True,
+            "units_in_meter": UNITS_IN_METER,
+        },
+    }
+
+
+def panel_order(panels: Iterable[Panel]) -> tuple[str, ...]:
+    """Names in the order that numbers a mesh: from the wearer's right to left, in a column upward, then to the front.
+
+    A panel stands where the middle of its bounding box's highest side hangs. Panels within 10 cm of the first of a
+    column, or of a row in it, are one column or row (pattern-format, section 6).
+    """
+    hung = sorted((_hanging_point(panel), panel.name) for panel in panels)
+    ordered = []
+    for column in _runs(hung, axis=0):
+        for row in _runs(sorted(column, key=lambda item: (item[0][1], item[1])), axis=1):
+            ordered += sorted(row, key=lambda item: (item[0][2], item[1]))
+    return tuple(name for _, name in ordered)
+
+
+# ------------------------------------------------------------------------------------------------------------- reading
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where the reading stands, for errors; and the checks that need it."""
+
+    source: str
+    path: str = ""
+
+    def within(self, part: str) -> "_Place":
+        return replace(self, path=f"{self.path}, {part}" if self.path else part)
+
+    def error(self, what: str) -> SpecError:
+        return SpecError(f"{self.source}: {self.path + ': ' if self.path else ''}{what}")
+
+    def mapping(self, value: Any, what: str) -> Mapping[str, Any]:
+        if not isinstance(value, Mapping):
+            raise self.error(f"{what or 'the file'} must be a JSON object, found {_found(value)}")
+        return value
+
+    def list_of(self, holder: Mapping[str, Any], key: str) -> Sequence[Any]:
+        value = holder.get(key)
+        if not isinstance(value, list):
+            raise self.error(f"{key} must be a list, found {_found(value)}")
+        return value
+
+    def numbers(self, value: Any, count: int, what: str) -> tuple[float, ...]:
+        if not (isinstance(value, list | tuple) and len(value) == count and all(_is_number(n) for n in value)):
+            raise self.error(f"{what} must be {count} numbers, found {_found(value)}")
+        return tuple(float(n) for n in value)
+
+    def number(self, value: Any, what: str) -> float:
+        if not _is_number(value):
+            raise self.error(f"{what} must be a number, found {_found(value)}")
+        return float(value)
+
+    def index(self, value: Any, what: str) -> int:
+        if not isinstance(value, int) or isinstance(value, bool):
+            raise self.error(f"{what} must be a whole number, found {_found(value)}")
+        return value
+
+    def text(self, value: Any, what: str) -> str:
+        if not isinstance(value, str):
+            raise self.error(f"{what} must be a string, found {_found(value)}")
+        return value
+
+
+@dataclass(frozen=True)
+class _Form:
+    """How a file writes its numbers."""
+
+    scale: float
+    """Centimetres in the file's unit."""
+    absolute_controls: bool
+    centre_panels: bool
+    loops_normalised: bool
+
+    @staticmethod
+    def of(properties: Mapping[str, Any], at: _Place) -> "_Form":
+        units = at.number(properties.get("units_in_meter", UNITS_IN_METER), "properties.units_in_meter")
+        if not 0 < units < np.inf:
+            raise at.error(f"properties.units_in_meter is {units}: give the number of length units in a metre")
+        controls = properties.get("curvature_coords", "relative")
+        if controls not in ("relative", "absolute"):
+            raise at.error(f"properties.curvature_coords is {controls!r}: known are 'relative' and 'absolute'")
+        return _Form(
+            scale=UNITS_IN_METER / units,
+            absolute_controls=controls == "absolute",
+            centre_panels=bool(properties.get("normalize_panel_translation", False)),
+            loops_normalised=bool(properties.get("normalized_edge_loops", False)),
+        )
+
+
+def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: _Place) -> Panel:
+    translation = form.scale * np.array(at.numbers(entry.get("translation"), 3, "translation"))
+    rotation = np.radians(at.numbers(entry.get("rotation"), 3, "rotation"))
+    points = [at.numbers(point, 2, f"vertex {i}") for i, point in enumerate(at.list_of(entry, "vertices"))]
+    vertices = form.scale * np.array(points, float).reshape(-1, 2)
+    edges = tuple(
+        _edge(at.mapping(edge, f"edge {i}"), vertices, form, at.within(f"edge {i}"))
+        for i, edge in enumerate(at.list_of(entry, "edges"))
+    )
+    if form.centre_panels and len(vertices):
+        centre = vertices.mean(axis=0)
+        vertices = vertices - centre
+        translation = translation + np.append(centre, 0.0)
+    label = at.text(entry.get("label", ""), "label")
+    return Panel(name, vertices, edges, Placement(translation, rotation), label)
+
+
+def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _Form, at: _Place) -> Edge:
+    ends = entry.get("endpoints")
+    if not (isinstance(ends, list) and len(ends) == 2):
+        raise at.error(f"endpoints must be two vertex numbers, found {_found(ends)}")
+    start, end = (at.index(vertex, "endpoint") for vertex in ends)
+    label = at.text(entry.get("label", ""), "label")
+    if "curvature" not in entry:
+        return Edge(start, end, label=label)
+    curve = _curve(entry["curvature"], form.scale, at)
+    if form.absolute_controls and not isinstance(curve, Arc):
+        if not (0 <= start < len(vertices) and 0 <= end < len(vertices)):
+            raise at.error(f"endpoints {start}, {end} of {len(vertices)} vertices, numbered from 0: mend the endpoints")
+        curve = _relative(curve, vertices[start], vertices[end], form.scale, at)
+    return Edge(start, end, curve, label)
+
+
+def _curve(entry: Any, scale: float, at: _Place) -> Curve:
+    if isinstance(entry, list):  # the first version of the format: one control point
+        return Quadratic(_pair(entry, at))
+    kind, params = at.mapping(entry, "curvature").get("type"), at.list_of(entry, "params")
+    expected = {"quadratic": 1, "cubic": 2, "circle": 3}
+    if kind not in expected:
+        raise at.error(f"curvature type {kind!r}: known are {', '.join(expected)}")
+    if len(params) != expected[kind]:
+        raise at.error(f"a {kind} curvature has {expected[kind]} params, found {len(params)}")
+    if kind == "circle":
+        radius = at.number(params[0], "arc radius")
+        return Arc(scale * radius, *(bool(at.number(flag, "arc flag")) for flag in params[1:]))
+    controls = [_pair(point, at) for point in params]
+    return Quadratic(*controls) if kind == "quadratic" else Cubic(*controls)
+
+
+def _pair(value: Any, at: _Place) -> Point:
+    a, b = at.numbers(value, 2, "control point")
+    return (a, b)
+
+
+def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at: _Place) -> Curve:
+    """A curve whose control points stood in the panel's plane, in the file's unit."""
+
+    def framed(control: Point) -> Point:
+        return to_frame((start[0], start[1]), (end[0], end[1]), (scale * control[0], scale * control[1]))
+
+    try:
+        match curve:
+            case Quadratic(control):
+                return Quadratic(framed(control))
+            case Cubic(control0, control1):
+                return Cubic(framed(control0), framed(control1))
+            case _:
+                return curve
+    except PatternError as error:
+        raise at.error(str(error)) from error
+
+
+def _seam(entry: Any, at: _Place) -> Seam:
+    if not isinstance(entry, list) or len(entry) not in (2, 3):
+        raise at.error(f"a stitch is two edges, and at most the word right_wrong; found {_found(entry)}")
+    if len(entry) == 3 and entry[2] != "right_wrong":
+        raise at.error(f"the third word of a stitch is right_wrong, found {_found(entry[2])}")
+    sides = [at.mapping(side, "a side of the stitch") for side in entry[:2]]
+    left, right = (
+        EdgeRef(at.text(side.get("panel"), "panel"), at.index(side.get("edge"), "edge number")) for side in sides
+    )
+    return Seam(left, right, right_wrong=len(entry) == 3)
+
+
+def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: _Place) -> tuple[str, ...]:
+    order = tuple(at.text(name, "a name in panel_order") for name in at.list_of(body, "panel_order"))
+    odd = sorted(set(order) ^ set(panels))
+    if odd or len(order) != len(panels):
+        named = f": look at {', '.join(odd)}" if odd else ""
+        raise at.error(f"panel_order must name each of the {len(panels)} panels once{named}")
+    return order
+
+
+def _extra(spec: Mapping[str, Any], form: _Form) -> dict[str, Any]:
+    """What the file says beside the pattern; a change of units is noted as the reference system does."""
+    extra = {key: value for key, value in spec.items() if key != "pattern"}
+    if form.scale != 1.0:
+        units = spec["properties"]["units_in_meter"]
+        extra["properties"] = {"original_units_in_meter": units, **spec["properties"], "units_in_meter": UNITS_IN_METER}
+    return extra
+
+
+def _normalise_loops(
+    panels: Mapping[str, Panel], seams: Iterable[Seam], at: _Place
+) -> tuple[dict[str, Panel], tuple[Seam, ...]]:
+    """Loops that start at the lower left and run counter-clockwise in their plane; every panel stays where it hangs."""
+    shifts, changed = {}, {}
+    for name, panel in panels.items():
+        if not panel.edges or any(not 0 <= edge.start < len(panel.vertices) for edge in panel.edges):
+            shifts[name], changed[name] = 0, panel  # for ``validate`` to tell
+            continue
+        facing = panel if _signed_area(panel) >= 0 else _turned_over(panel)
+        corners = facing.vertices[[edge.start for edge in facing.edges]]
+        first = int(np.argmin(np.linalg.norm(corners - corners.min(axis=0), axis=1)))
+        shifts[name] = first
+        changed[name] = replace(facing, edges=facing.edges[first:] + facing.edges[:first])
+
+    def renumbered(ref: EdgeRef) -> EdgeRef:
+        if ref.panel not in changed or not 0 <= ref.edge < len(changed[ref.panel].edges):
+            return ref
+        return EdgeRef(ref.panel, (ref.edge - shifts[ref.panel]) % len(changed[ref.panel].edges))
+
+    return changed, tuple(replace(s, left=renumbered(s.left), right=renumbered(s.right)) for s in seams)
+
+
+def _signed_area(panel: Panel) -> float:
+    """Area of the polygon of the corners, positive for a counter-clockwise loop [cm²]."""
+    x, y = panel.vertices[[edge.start for edge in panel.edges]].T
+    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def _turned_over(panel: Panel) -> Panel:
+    """The same panel in space, drawn from its other side: mirrored in its plane and turned by half a turn about y."""
+    placement = panel.placement
+    turned = placement.matrix @ np.diag([-1.0, 1.0, -1.0])
+    edges = tuple(replace(edge, curve=mirrored(edge.curve)) for edge in panel.edges)
+    return replace(
+        panel,
+        vertices=panel.vertices * [-1.0, 1.0],
+        edges=edges,
+        placement=Placement(placement.translation, euler_angles(turned)),
+    )
+
+
+def euler_angles(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    """Angles (x, y, z) [rad] with ``Rz Ry Rx`` equal to the rotation matrix; x is 0 where only x ± z is determined."""
+    sine = -matrix[2, 0]
+    if abs(sine) < 1 - 1e-12:
+        x, z = np.arctan2(matrix[2, 1], matrix[2, 2]), np.arctan2(matrix[1, 0], matrix[0, 0])
+        return np.array([x, np.arctan2(sine, np.hypot(matrix[0, 0], matrix[1, 0])), z])
+    return np.array([0.0, np.copysign(np.pi / 2, sine), np.arctan2(-matrix[0, 1], matrix[1, 1])])
+
+
+# ------------------------------------------------------------------------------------------------------------- writing
+
+
+def _panel_entry(panel: Panel) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "translation": panel.placement.translation.tolist(),
+        "rotation": np.degrees(panel.placement.rotation).tolist(),
+        "vertices": panel.vertices.tolist(),
+        "edges": [_edge_entry(edge) for edge in panel.edges],
+    }
+    return {**entry, "label": panel.label} if panel.label else entry
+
+
+def _edge_entry(edge: Edge) -> dict[str, Any]:
+    entry: dict[str, Any] = {"endpoints": [edge.start, edge.end]}
+    match edge.curve:
+        case Quadratic(control):
+            entry["curvature"] = {"type": "quadratic", "params": [list(control)]}
+        case Cubic(control0, control1):
+            entry["curvature"] = {"type": "cubic", "params": [list(control0), list(control1)]}
+        case Arc(radius, large, right):
+            entry["curvature"] = {"type": "circle", "params": [radius, int(large), int(right)]}
+        case _:
+            assert edge.curve == LINE
+    return {**entry, "label": edge.label} if edge.label else entry
+
+
+def _seam_entry(seam: Seam) -> list[Any]:
+    sides: list[Any] = [{"panel": side.panel, "edge": side.edge} for side in (seam.left, seam.right)]
+    return sides + ["right_wrong"] if seam.right_wrong else sides
+
+
+# -------------------------------------------------------------------------------------------------------------- helpers
+
+
+def _hanging_point(panel: Panel) -> tuple[float, float, float]:
+    """The middle of that side of the panel's bounding box which hangs highest [cm]."""
+    if not len(panel.vertices):  # for ``validate`` to tell
+        return (0.0, 0.0, 0.0)
+    (x0, y0), (x1, y1) = panel.vertices.min(axis=0), panel.vertices.max(axis=0)
+    x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    middles = panel.placement.apply(np.array([[x, y0], [x, y1], [x0, y], [x1, y]]))
+    highest = middles[int(np.argmax(middles[:, 1]))]
+    return (float(highest[0]), float(highest[1]), float(highest[2]))
+
+
+def _runs(
+    items: Sequence[tuple[tuple[float, float, float], str]], axis: int
+) -> list[list[tuple[tuple[float, float, float], str]]]:
+    """Sorted items, cut where one is further than ``NEIGHBOURS`` from the first of its run."""
+    runs: list[list[tuple[tuple[float, float, float], str]]] = []
+    for item in items:
+        if runs and item[0][axis] - runs[-1][0][0][axis] < NEIGHBOURS:
+            runs[-1].append(item)
+        else:
+            runs.append([item])
+    return runs
+
+
+def _name_of(path: Path) -> str:
+    if path.stem in NAMELESS:
+        return path.resolve().parent.name
+    return path.stem.removesuffix("_specification")
+
+
+def _no_constant(text: str) -> float:
+    raise ValueError(f"{text} is no number")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _found(value: Any) -> str:
+    text = json.dumps(value, default=str) if value is not None else "nothing"
+    return text if len(text) < 60 else text[:57] + "..."

@@ -1,0 +1,224 @@
+"""What is wrong with a pattern: every fault with its panel, edge, rule and figure.
+
+An *error* makes a pattern impossible to sew: it would not mesh, or not as drawn. A *warning* can be meshed and may be
+meant (gathers), but is what broken patterns are found by.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+
+from gcd_dataset.curves import LINE, Arc, curve_length, sample_curve
+from gcd_dataset.errors import PatternError
+from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
+
+__all__ = ["Fault", "Rule", "Severity", "check_pattern", "require_valid"]
+
+SHORTEST_EDGE = 0.5  # cm: an edge under it has defeated cloth simulators (a fifth of published patterns hold one)
+TOUCH = 0.01  # cm: how far from a corner two edges of it may still touch; further off they cross
+SAMPLING = 0.25  # cm between the points that stand for a curve when crossings are looked for
+GATHER = 1.05  # ratio of two lengths sewn together, from which cloth gathers visibly
+SLACK = 0.5  # cm: a difference of two lengths that any seam takes
+
+
+class Severity(Enum):
+    """Whether a fault forbids sewing."""
+
+    ERROR = "error"
+    WARNING = "warning"
+
+
+class Rule(Enum):
+    """What a pattern can break; the value is the text for people."""
+
+    NO_PANEL = "no panels"
+    FEW_EDGES = "too few edges"
+    VERTEX_RANGE = "vertex out of range"
+    OPEN_LOOP = "open loop"
+    NO_LENGTH = "edge without length"
+    ARC_RADIUS = "arc radius under half its chord"
+    SELF_CROSSING = "outline crosses itself"
+    NO_SUCH_EDGE = "stitch to nothing"
+    STITCHED_TWICE = "edge stitched twice"
+    LABELS_DIFFER = "stitched edges have different labels"
+    SHORT_EDGE = "edge under 0.5 cm"
+    SEAM_LENGTHS = "seam lengths differ"
+
+    @property
+    def severity(self) -> Severity:
+        """Warning for what can be sewn all the same."""
+        return Severity.WARNING if self in (Rule.SHORT_EDGE, Rule.SEAM_LENGTHS) else Severity.ERROR
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One broken rule."""
+
+    rule: Rule
+    panel: str
+    """Empty where the fault is of the whole pattern."""
+    edge: int | None
+    """Place in the panel's loop; none where the fault is of the whole panel."""
+    figure: str
+    """What was met, with numbers, and what to do."""
+
+    @property
+    def severity(self) -> Severity:
+        """Of the rule."""
+        return self.rule.severity
+
+    def __str__(self) -> str:
+        place = [f"panel {self.panel}"] if self.panel else []
+        place += [f"edge {self.edge}"] if self.edge is not None else []
+        return f"{', '.join(place) or 'pattern'}: {self.severity.value}: {self.rule.value}: {self.figure}"
+
+
+def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
+    """Every fault of a pattern, panel by panel, then seam by seam; empty for one that can be sewn as it is."""
+    if not pattern.panels:
+        return (Fault(Rule.NO_PANEL, "", None, "there is nothing to sew: draw one"),)
+    faults: list[Fault] = []
+    lengths: dict[EdgeRef, float] = {}
+    for panel in pattern.panels:
+        broken = tuple(_loop_faults(panel))
+        faults += broken
+        if not broken:
+            shaped = [curve_length(*panel.edge_ends(i), edge.curve) for i, edge in enumerate(panel.edges)]
+            lengths.update({EdgeRef(panel.name, i): length for i, length in enumerate(shaped)})
+            faults += _short_edges(panel, shaped)
+            faults += _crossings(panel, shaped)
+    return (*faults, *_seam_faults(pattern, lengths))
+
+
+def require_valid(pattern: Pattern, source: str = "") -> Pattern:
+    """The pattern, if nothing forbids sewing it; ``source`` names its file in the error.
+
+    Raises ``PatternError`` with the first error and the number of the others.
+    """
+    errors = [fault for fault in check_pattern(pattern) if fault.severity is Severity.ERROR]
+    if errors:
+        more = f" (and {len(errors) - 1} more: gcd validate lists them)" if len(errors) > 1 else ""
+        raise PatternError(f"{source or pattern.name}: {errors[0]}{more}")
+    return pattern
+
+
+# ------------------------------------------------------------------------------------------------------------- outlines
+
+
+def _loop_faults(panel: Panel) -> Iterator[Fault]:
+    """What keeps the outline from being a closed curve at all."""
+    count, corners = len(panel.edges), len(panel.vertices)
+    straight = all(edge.curve == LINE for edge in panel.edges)
+    if count < (3 if straight else 2):
+        kind = "straight" if straight else "curved"
+        yield Fault(Rule.FEW_EDGES, panel.name, None, f"{count} {kind}: close the outline")
+    for index, edge in enumerate(panel.edges):
+        outside = [vertex for vertex in (edge.start, edge.end) if not 0 <= vertex < corners]
+        if outside:
+            figure = f"vertex {outside[0]} of {corners}, numbered from 0: mend its endpoints"
+            yield Fault(Rule.VERTEX_RANGE, panel.name, index, figure)
+            continue
+        before = panel.edges[index - 1]
+        if before.end != edge.start and 0 <= before.end < corners:
+            figure = f"it starts at vertex {edge.start}, edge {(index - 1) % count} ends at {before.end}: join them"
+            yield Fault(Rule.OPEN_LOOP, panel.name, index, figure)
+        chord = float(np.hypot(*(panel.vertices[edge.end] - panel.vertices[edge.start])))
+        if chord == 0.0:
+            yield Fault(Rule.NO_LENGTH, panel.name, index, "its ends are one point: take it out, or move a vertex")
+        elif isinstance(edge.curve, Arc):
+            try:
+                curve_length(*panel.edge_ends(index), edge.curve)
+            except PatternError:
+                figure = f"radius {edge.curve.radius:.4g} cm, chord {chord:.4g} cm: {chord / 2:.4g} cm or more will do"
+                yield Fault(Rule.ARC_RADIUS, panel.name, index, figure)
+
+
+def _short_edges(panel: Panel, lengths: list[float]) -> Iterator[Fault]:
+    for index, length in enumerate(lengths):
+        if length < SHORTEST_EDGE:
+            yield Fault(Rule.SHORT_EDGE, panel.name, index, f"it is {length:.3g} cm: join it to its neighbour")
+
+
+def _crossings(panel: Panel, lengths: list[float]) -> Iterator[Fault]:
+    """Where an edge crosses or touches itself or another, other than in a corner they share."""
+    lines = _polylines(panel, lengths)
+    for index in np.flatnonzero(~shapely.is_simple(lines)):
+        yield Fault(Rule.SELF_CROSSING, panel.name, int(index), "it crosses itself: bend it less")
+    one, other = np.triu_indices(len(lines), k=1)
+    meet = shapely.intersects(lines[one], lines[other])
+    for i, j in zip(one[meet].tolist(), other[meet].tolist(), strict=True):
+        points = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
+        far = points[_distance_to(points, _shared_corners(panel, i, j)) > TOUCH]
+        if len(far):
+            x, y = far[0]
+            yield Fault(Rule.SELF_CROSSING, panel.name, i, f"it meets edge {j} at ({x:.2f}, {y:.2f}) cm: part them")
+
+
+def _polylines(panel: Panel, lengths: list[float]) -> np.ndarray:
+    """The edges as shapely lines, finely enough for ``TOUCH``."""
+    lines = []
+    for index, (edge, length) in enumerate(zip(panel.edges, lengths, strict=True)):
+        count = 2 if edge.curve == LINE else max(9, int(np.ceil(length / SAMPLING)) + 1)
+        lines.append(shapely.LineString(sample_curve(*panel.edge_ends(index), edge.curve, count)))
+    return np.array(lines)
+
+
+def _shared_corners(panel: Panel, i: int, j: int) -> Float[np.ndarray, "n 2"]:
+    one, other = panel.edges[i], panel.edges[j]
+    return panel.vertices[sorted({one.start, one.end} & {other.start, other.end})]
+
+
+def _distance_to(points: Float[np.ndarray, "n 2"], corners: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " n"]:
+    """Distance of each point to the nearest corner [cm]; infinite without corners."""
+    if not len(corners):
+        return np.full(len(points), np.inf)
+    return np.linalg.norm(points[:, None] - corners[None], axis=2).min(axis=1)
+
+
+# ---------------------------------------------------------------------------------------------------------------- seams
+
+
+def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fault]:
+    labels = {EdgeRef(p.name, i): edge.label for p in pattern.panels for i, edge in enumerate(p.edges)}
+    edges_of = {panel.name: len(panel.edges) for panel in pattern.panels}
+    uses = Counter(side for seam in pattern.seams for side in (seam.left, seam.right))
+    told: set[EdgeRef] = set()
+    for number, seam in enumerate(pattern.seams):
+        missing = [side for side in (seam.left, seam.right) if side not in labels]
+        for side in missing:
+            yield _no_such_edge(number, side, edges_of)
+        for side in (seam.left, seam.right):
+            if uses[side] > 1 and side not in told:
+                told.add(side)
+                figure = f"stitch {number} is one of {uses[side]}: split the edge, or drop a stitch"
+                yield Fault(Rule.STITCHED_TWICE, side.panel, side.edge, figure)
+        if not missing:
+            yield from _unlike_sides(number, seam, labels, lengths)
+
+
+def _no_such_edge(number: int, side: EdgeRef, edges_of: dict[str, int]) -> Fault:
+    if side.panel not in edges_of:
+        figure = f"stitch {number}: there is no panel of that name: known are {', '.join(edges_of)}"
+    else:
+        figure = f"stitch {number}: the panel has {edges_of[side.panel]} edges, numbered from 0: mend the stitch"
+    return Fault(Rule.NO_SUCH_EDGE, side.panel, side.edge, figure)
+
+
+def _unlike_sides(
+    number: int, seam: Seam, labels: dict[EdgeRef, str], lengths: dict[EdgeRef, float]
+) -> Iterator[Fault]:
+    left, right = seam.left, seam.right
+    partner = f"stitch {number} with panel {right.panel}, edge {right.edge}"
+    if labels[left] and labels[right] and labels[left] != labels[right]:
+        figure = f"{partner}: {labels[left]} and {labels[right]}: take one away"
+        yield Fault(Rule.LABELS_DIFFER, left.panel, left.edge, figure)
+    if left in lengths and right in lengths:
+        shorter, longer = sorted((lengths[left], lengths[right]))
+        if longer > GATHER * shorter and longer - shorter > SLACK:
+            figure = f"{partner}: {lengths[left]:.2f} and {lengths[right]:.2f} cm, ratio {longer / shorter:.3f}"
+            yield Fault(Rule.SEAM_LENGTHS, left.panel, left.edge, figure)

@@ -1,0 +1,232 @@
+"""A specification read and written is the pattern it was."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_points
+from gcd_dataset.errors import OutputError, SpecError
+from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.spec import (
+    euler_angles,
+    panel_order,
+    pattern_from_spec,
+    read_pattern,
+    spec_from_pattern,
+    write_pattern,
+)
+
+
+def square(name: str, *, x: float = 0.0, z: float = 0.0, curves: tuple[Curve, ...] = (LINE,) * 4) -> Panel:
+    corners = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 30.0], [0.0, 30.0]])
+    edges = tuple(Edge(i, (i + 1) % 4, curve) for i, curve in enumerate(curves))
+    return Panel(name, corners, edges, Placement(np.array([x, 60.0, z]), np.zeros(3)), "leg")
+
+
+def tube() -> Pattern:
+    """Two panels with every kind of curve and label, one seam turned over."""
+    curves = (Quadratic((0.5, -0.1)), Cubic((0.3, 0.02), (0.7, -0.03)), Arc(25.0, False, True), LINE)
+    front = square("front", z=12.0, curves=curves)
+    front = replace(front, edges=(replace(front.edges[0], label="lower_interface"), *front.edges[1:]))
+    seams = (Seam(EdgeRef("front", 1), EdgeRef("back", 3)), Seam(EdgeRef("front", 3), EdgeRef("back", 1), True))
+    return Pattern("tube", (square("back", z=-12.0), front), seams, {"parameters": {"a": 1}, "parameter_order": ["a"]})
+
+
+def outline(panel: Panel) -> np.ndarray:
+    """Points of the edges as they hang in space."""
+    t = np.linspace(0, 1, 7)
+    flat = [curve_points(*panel.edge_ends(i), edge.curve, t) for i, edge in enumerate(panel.edges)]
+    return panel.placement.apply(np.concatenate(flat))
+
+
+def parsed(pattern: Pattern) -> dict[str, Any]:
+    spec: dict[str, Any] = json.loads(json.dumps(spec_from_pattern(pattern)))
+    return spec
+
+
+def test_written_and_read_is_the_same(tmp_path: Path) -> None:
+    write_pattern(tube(), tmp_path / "tube_specification.json")
+    back = read_pattern(tmp_path / "tube_specification.json")
+    assert back.name == "tube"
+    assert back.panels == tube().panels
+    assert back.seams == tube().seams
+    assert back.extra["parameters"] == {"a": 1}
+
+
+finite = st.floats(-200, 200, allow_nan=False)
+
+
+@given(st.lists(st.tuples(finite, finite), min_size=3, max_size=8), st.tuples(finite, finite, finite), st.booleans())
+def test_any_polygon_survives(corners: list[tuple[float, float]], place: tuple[float, ...], turned: bool) -> None:
+    edges = tuple(Edge(i, (i + 1) % len(corners)) for i in range(len(corners)))
+    placement = Placement(np.array(place), np.radians(place) * 0.9)
+    pattern = Pattern("p", (Panel("one", np.array(corners), edges, placement),), ())
+    back = pattern_from_spec(parsed(pattern), "p")
+    assert np.allclose(back.panels[0].vertices, pattern.panels[0].vertices, atol=1e-12)
+    assert np.allclose(back.panels[0].placement.rotation, placement.rotation, atol=1e-12)
+
+
+def test_real_patterns_survive(examples: Path) -> None:
+    for path in sorted((examples / "patterns").rglob("*_specification.json")):
+        spec = json.loads(path.read_text())
+        again = parsed(read_pattern(path))
+        assert again["pattern"]["stitches"] == spec["pattern"]["stitches"]
+        for name, panel in spec["pattern"]["panels"].items():
+            ours = again["pattern"]["panels"][name]
+            assert np.allclose(ours["vertices"], panel["vertices"], atol=1e-9)
+            assert np.allclose(ours["translation"], panel["translation"], atol=1e-9)
+            assert np.allclose(ours["rotation"], panel["rotation"], atol=1e-9)
+            assert ours["edges"] == panel["edges"]
+            assert ours.get("label") == panel.get("label")
+
+
+def test_panel_order_is_that_of_the_reference(examples: Path) -> None:
+    for path in sorted((examples / "patterns").glob("*/default_body/*_specification.json")):
+        written = json.loads(path.read_text())["pattern"]["panel_order"]
+        assert list(panel_order(read_pattern(path).panels)) == written
+
+
+def test_panels_are_ordered_from_right_to_left_and_back_to_front() -> None:
+    panels = [square("left", x=40.0), square("front", z=12.0), square("back", z=-12.0), square("right", x=-40.0)]
+    assert panel_order(panels) == ("right", "back", "front", "left")
+
+
+def test_metres_become_centimetres() -> None:
+    spec = parsed(tube())
+    for panel in spec["pattern"]["panels"].values():
+        panel["vertices"] = (np.array(panel["vertices"]) / 100).tolist()
+        panel["translation"] = (np.array(panel["translation"]) / 100).tolist()
+    spec["pattern"]["panels"]["front"]["edges"][2]["curvature"]["params"][0] /= 100
+    spec["properties"]["units_in_meter"] = 1
+    read = pattern_from_spec(spec, "tube")
+    for panel in tube().panels:
+        assert np.allclose(outline(read.panel(panel.name)), outline(panel))
+    assert read.extra["properties"]["original_units_in_meter"] == 1
+    assert spec_from_pattern(read)["properties"]["units_in_meter"] == 100
+
+
+def test_first_version_of_the_format_has_one_control_point() -> None:
+    spec = parsed(tube())
+    spec["pattern"]["panels"]["front"]["edges"][0]["curvature"] = [0.5, -0.1]
+    assert pattern_from_spec(spec, "tube").panel("front").edges[0].curve == Quadratic((0.5, -0.1))
+
+
+def test_absolute_control_points_draw_the_same_curve() -> None:
+    spec = parsed(tube())
+    edges = spec["pattern"]["panels"]["front"]["edges"]
+    edges[0]["curvature"]["params"] = [[10.0, -2.0]]  # (0, 0) to (20, 0): half way, a tenth of the length to the right
+    edges[1]["curvature"]["params"] = [[20 - 0.02 * 30, 9.0], [20 + 0.03 * 30, 21.0]]
+    spec["properties"]["curvature_coords"] = "absolute"
+    assert np.allclose(outline(pattern_from_spec(spec, "tube").panel("front")), outline(tube().panel("front")))
+
+
+def test_loops_that_start_anywhere_hang_where_they_hung() -> None:
+    """An old file: the loop starts at its third edge and runs clockwise; the seams still join the same points."""
+    clockwise = np.array([[20.0, 30.0], [20.0, 0.0], [0.0, 0.0], [0.0, 30.0]])
+    edges = tuple(Edge(i, (i + 1) % 4, Quadratic((0.5, 0.1 * i)), str(i)) for i in range(4))
+    panel = Panel("old", clockwise, edges, Placement(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3])))
+    spec = parsed(Pattern("old", (panel,), (Seam(EdgeRef("old", 1), EdgeRef("old", 3)),)))
+    spec["properties"]["normalized_edge_loops"] = False
+    read = pattern_from_spec(spec, "old")
+    new = read.panels[0]
+    x, y = new.vertices[[edge.start for edge in new.edges]].T
+    assert np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) > 0
+    assert new.edges[0].start == np.argmin(new.vertices.sum(axis=1))
+    assert [new.edges[side.edge].label for side in (read.seams[0].left, read.seams[0].right)] == ["1", "3"]
+    shift = next(i for i, edge in enumerate(new.edges) if edge.label == "0")
+    assert np.allclose(np.roll(outline(new).reshape(4, 7, 3), -shift, axis=0).reshape(-1, 3), outline(panel))
+
+
+def test_centred_panels_move_by_their_middle() -> None:
+    spec = parsed(tube())
+    spec["properties"]["normalize_panel_translation"] = True
+    read = pattern_from_spec(spec, "tube")
+    assert np.allclose(read.panel("back").vertices.mean(axis=0), 0)
+    assert np.allclose(outline(read.panel("front")), outline(tube().panel("front")))
+    assert spec_from_pattern(read)["properties"]["normalize_panel_translation"] is False
+
+
+@given(st.tuples(finite, finite, finite))
+def test_angles_give_their_matrix_back(angles: tuple[float, float, float]) -> None:
+    matrix = Placement(np.zeros(3), np.array(angles)).matrix
+    assert np.allclose(Placement(np.zeros(3), euler_angles(matrix)).matrix, matrix, atol=1e-6)
+
+
+def test_the_folder_names_a_file_without_a_name(tmp_path: Path) -> None:
+    (tmp_path / "skirt").mkdir()
+    write_pattern(tube(), tmp_path / "skirt" / "specification.json")
+    assert read_pattern(tmp_path / "skirt" / "specification.json").name == "skirt"
+
+
+def broken(change: str) -> Any:
+    spec: Any = parsed(tube())
+    front = spec["pattern"]["panels"]["front"]
+    match change:
+        case "no panels":
+            del spec["pattern"]["panels"]
+        case "text for a number":
+            front["vertices"][1] = ["20", 0]
+        case "two numbers for three":
+            front["translation"] = [0, 0]
+        case "unknown curve":
+            front["edges"][0]["curvature"]["type"] = "spline"
+        case "one control point for two":
+            front["edges"][1]["curvature"]["params"] = [[0, 0]]
+        case "endpoint":
+            front["edges"][2]["endpoints"] = [2]
+        case "stitch word":
+            spec["pattern"]["stitches"][1][2] = "wrong_right"
+        case "order":
+            spec["pattern"]["panel_order"] = ["front", "side"]
+        case "units":
+            spec["properties"]["units_in_meter"] = 0
+        case "list":
+            spec = []
+    return spec
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("no panels", "pattern.panels must be a JSON object, found nothing"),
+        ("text for a number", 'panel front: vertex 1 must be 2 numbers, found ["20", 0]'),
+        ("two numbers for three", "panel front: translation must be 3 numbers"),
+        ("unknown curve", "panel front, edge 0: curvature type 'spline'"),
+        ("one control point for two", "panel front, edge 1: a cubic curvature has 2 params, found 1"),
+        ("endpoint", "panel front, edge 2: endpoints must be two vertex numbers"),
+        ("stitch word", 'stitch 1: the third word of a stitch is right_wrong, found "wrong_right"'),
+        ("order", "panel_order must name each of the 2 panels once: look at back, side"),
+        ("units", "units_in_meter is 0"),
+        ("list", "the file must be a JSON object, found []"),
+    ],
+)
+def test_what_is_not_of_the_format_is_named(change: str, said: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        pattern_from_spec(broken(change), "tube", source="some/tube.json")
+    assert str(caught.value).startswith("some/tube.json: ")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_broken_json_is_named_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "half.json"
+    path.write_text('{"pattern": {\n"panels": ')
+    with pytest.raises(SpecError, match=r"half\.json: line 2, column"):
+        read_pattern(path)
+    path.write_text('{"pattern": NaN}')
+    with pytest.raises(SpecError, match="NaN is no number"):
+        read_pattern(path)
+    with pytest.raises(SpecError, match=r"nothing\.json: no such file"):
+        read_pattern(tmp_path / "nothing.json")
+
+
+def test_nothing_half_written(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_pattern(tube(), tmp_path / "no folder" / "tube.json")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,149 @@
+"""Each rule catches what breaks it, and says where."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, to_frame
+from gcd_dataset.errors import PatternError
+from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.spec import read_pattern
+from gcd_dataset.validate import Rule, Severity, check_pattern, require_valid
+
+HERE = Placement(np.zeros(3), np.zeros(3))
+
+
+def polygon(*corners: tuple[float, float], curves: Mapping[int, Curve] | None = None, name: str = "front") -> Panel:
+    count = len(corners)
+    edges = tuple(Edge(i, (i + 1) % count, (curves or {}).get(i, LINE)) for i in range(count))
+    return Panel(name, np.array(corners, float), edges, HERE)
+
+
+def square(name: str = "front", side: float = 10.0) -> Panel:
+    return polygon((0, 0), (side, 0), (side, side), (0, side), name=name)
+
+
+def with_edge(panel: Panel, index: int, edge: Edge) -> Panel:
+    return replace(panel, edges=panel.edges[:index] + (edge,) + panel.edges[index + 1 :])
+
+
+def without_edge(panel: Panel, index: int) -> Panel:
+    return replace(panel, edges=panel.edges[:index] + panel.edges[index + 1 :])
+
+
+def alone(panel: Panel) -> Pattern:
+    return Pattern("p", (panel,), ())
+
+
+def sewn(*seams: Seam, back: Panel | None = None) -> Pattern:
+    return Pattern("p", (square(), back or square("back")), seams)
+
+
+def labelled(panel: Panel, index: int, label: str) -> Panel:
+    return with_edge(panel, index, replace(panel.edges[index], label=label))
+
+
+BROKEN: dict[Rule, tuple[Callable[[], Pattern], str, int | None, str]] = {
+    Rule.NO_PANEL: (lambda: Pattern("p", (), ()), "", None, "nothing"),
+    Rule.FEW_EDGES: (lambda: alone(polygon((0, 0), (9, 0))), "front", None, "2 straight"),
+    Rule.VERTEX_RANGE: (lambda: alone(with_edge(square(), 1, Edge(1, 7))), "front", 1, "vertex 7 of 4"),
+    Rule.OPEN_LOOP: (lambda: alone(without_edge(square(), 2)), "front", 2, "edge 1 ends at 2"),
+    Rule.NO_LENGTH: (lambda: alone(polygon((0, 0), (9, 0), (9, 0), (0, 9))), "front", 1, "one point"),
+    Rule.ARC_RADIUS: (
+        lambda: alone(polygon((0, 0), (10, 0), (5, 9), curves={0: Arc(4.9, False, True)})),
+        "front",
+        0,
+        "radius 4.9 cm, chord 10 cm",
+    ),
+    Rule.SELF_CROSSING: (lambda: alone(polygon((0, 0), (10, 10), (10, 0), (0, 10))), "front", 0, "edge 2 at (5.00, 5"),
+    Rule.NO_SUCH_EDGE: (lambda: sewn(Seam(EdgeRef("front", 1), EdgeRef("side", 3))), "side", 3, "stitch 0: there is"),
+    Rule.STITCHED_TWICE: (
+        lambda: sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3)), Seam(EdgeRef("front", 1), EdgeRef("back", 1))),
+        "front",
+        1,
+        "one of 2",
+    ),
+    Rule.LABELS_DIFFER: (
+        lambda: Pattern(
+            "p",
+            (labelled(square(), 1, "left_collar"), labelled(square("back"), 3, "right_collar")),
+            (Seam(EdgeRef("front", 1), EdgeRef("back", 3)),),
+        ),
+        "front",
+        1,
+        "left_collar and right_collar",
+    ),
+    Rule.SHORT_EDGE: (lambda: alone(polygon((0, 0), (10, 0), (10, 0.3), (0, 9))), "front", 1, "0.3 cm"),
+    Rule.SEAM_LENGTHS: (
+        lambda: sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3)), back=square("back", side=15.0)),
+        "front",
+        1,
+        "10.00 and 15.00 cm, ratio 1.500",
+    ),
+}
+
+
+@pytest.mark.parametrize("rule", Rule)
+def test_each_rule_names_its_place_and_figure(rule: Rule) -> None:
+    make, panel, edge, figure = BROKEN[rule]
+    faults = check_pattern(make())
+    assert [fault.rule for fault in faults] == [rule]
+    assert (faults[0].panel, faults[0].edge) == (panel, edge)
+    assert figure in faults[0].figure
+    assert "\n" not in str(faults[0])
+
+
+def test_a_good_pattern_has_no_faults() -> None:
+    assert check_pattern(sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3)))) == ()
+    lens = polygon((0, 0), (10, 0), curves={0: Arc(8.0, False, True), 1: Arc(8.0, False, True)})
+    assert check_pattern(alone(lens)) == ()
+
+
+def test_curves_cross_where_their_chords_do_not() -> None:
+    bulge = {0: Quadratic((0.5, 1.2))}  # rises 6 cm at its middle, through the roof of a panel 4 cm high
+    faults = check_pattern(alone(polygon((0, 0), (10, 0), (10, 4), (0, 4), curves=bulge)))
+    assert {fault.rule for fault in faults} == {Rule.SELF_CROSSING}
+    assert {fault.edge for fault in faults} == {0}
+
+
+def test_a_loop_within_one_edge_is_a_crossing() -> None:
+    loop = {0: Cubic((1.6, 0.8), (-0.6, 0.8))}
+    faults = check_pattern(alone(polygon((0, 0), (10, 0), (10, -10), (0, -10), curves=loop)))
+    assert [(fault.rule, fault.edge) for fault in faults] == [(Rule.SELF_CROSSING, 0)]
+
+
+def dipping(depth: float) -> Pattern:
+    """A triangle whose slanting edge dips ``depth`` [cm] under the base and rises through it near the corner."""
+    start, end = (50.0, 0.0), (-10.0, 30.0)
+    dip = {1: Quadratic(to_frame(start, end, (40.0, -depth)))}
+    return alone(polygon((0, 0), start, end, curves=dip))
+
+
+def test_crossings_are_told_by_distance_not_by_curve_parameter() -> None:
+    """The base is crossed 0.6 cm from the corner, at a hundredth of its length; and then 0.003 cm from it."""
+    (fault,) = check_pattern(dipping(0.45))
+    assert (fault.rule, fault.edge) == (Rule.SELF_CROSSING, 0)
+    assert "edge 1 at (49.4" in fault.figure
+    assert check_pattern(dipping(0.002)) == ()
+
+
+def test_touching_is_crossing() -> None:
+    """The neck of an hourglass that is drawn shut."""
+    faults = check_pattern(alone(polygon((0, 0), (10, 0), (5, 5), (10, 10), (0, 10), (5, 5))))
+    assert Rule.SELF_CROSSING in {fault.rule for fault in faults}
+
+
+def test_only_errors_forbid_sewing() -> None:
+    gathered = sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3)), back=square("back", side=15.0))
+    assert require_valid(gathered) is gathered
+    with pytest.raises(PatternError, match=r"a\.json: panel front, edge 1: error: vertex out of range: vertex 7 of 4"):
+        require_valid(alone(with_edge(square(), 1, Edge(1, 7))), source="a.json")
+
+
+def test_the_reference_patterns_can_be_sewn(examples: Path) -> None:
+    for path in sorted((examples / "patterns").rglob("*_specification.json")):
+        faults = check_pattern(read_pattern(path))
+        assert all(fault.severity is Severity.WARNING for fault in faults), path
