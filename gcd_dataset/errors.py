@@ -6,9 +6,9 @@
     │   └── FitError        a curve that cannot meet its length or tangent
     ├── BodyError           a body that cannot be used or measured
     ├── MeshError           a panel that cannot be meshed, a seam that cannot be merged
-    ├── DrapeError          a drape that cannot start (no such device, not one garment)
+    ├── DrapeError          a drape that cannot start (a garment without faces)
     ├── ShardError          a data set on disk that is broken, foreign or too new
-    ├── ConfigError         options that do not fit together
+    ├── ConfigError         options that do not fit together, or that this machine cannot serve
     └── OutputError         a place that cannot be written
 
 Messages are one line and say what was met, where, and what to do about it: ``gcd`` prints them as they are.

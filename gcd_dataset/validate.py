@@ -7,7 +7,7 @@ meant (gathers), but is what broken patterns are found by.
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, StrEnum
 
 import numpy as np
 import shapely
@@ -26,7 +26,7 @@ GATHER = 1.05  # ratio of two lengths sewn together, from which cloth gathers vi
 SLACK = 0.5  # cm: a difference of two lengths that any seam takes
 
 
-class Severity(Enum):
+class Severity(StrEnum):
     """Whether a fault forbids sewing."""
 
     ERROR = "error"
@@ -75,7 +75,7 @@ class Fault:
     def __str__(self) -> str:
         place = [f"panel {self.panel}"] if self.panel else []
         place += [f"edge {self.edge}"] if self.edge is not None else []
-        return f"{', '.join(place) or 'pattern'}: {self.severity.value}: {self.rule.value}: {self.figure}"
+        return f"{', '.join(place) or 'pattern'}: {self.severity}: {self.rule.value}: {self.figure}"
 
 
 def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:

@@ -23,7 +23,7 @@ def drape_batch(jobs: Sequence[DrapeJob], config: DrapeConfig = DEFAULT, *, devi
 
     All jobs are simulated at the same time; each gives the same result alone as in any batch. A garment that does not
     come to rest, or comes to rest badly, is returned with the ``Outcome`` that says so.
-    Raises ``DrapeError`` for a device that is not there, or a box mesh without faces.
+    Raises ``ConfigError`` for a device that is not there, ``DrapeError`` for a box mesh without faces.
     """
     if not jobs:
         return []

@@ -1,0 +1,216 @@
+"""The ``gcd`` command: reads the options, calls one function of the library, prints what came back.
+
+Errors are one line on stderr. Exit 2 for wrong usage, 1 for bad input, 130 after Ctrl-C.
+"""
+
+import argparse
+import logging
+import os
+import sys
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from gcd_dataset import __version__
+from gcd_dataset.errors import ConfigError, GcdError
+
+__all__ = ["main"]
+
+INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``gcd`` with ``arguments`` and return its exit code."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    logging.getLogger("gcd_dataset").setLevel(logging.INFO)
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except KeyboardInterrupt:
+        print(f"gcd {options.verb}: stopped; what was finished is kept", file=sys.stderr)
+        return INTERRUPTED
+    except ConfigError as error:
+        print(f"gcd {options.verb}: {error}", file=sys.stderr)
+        return 2
+    except GcdError as error:
+        print(f"gcd {options.verb}: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # the reader of our output has gone: nobody is left to be told
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+# -------------------------------------------------------------------------------------------------------------- verbs
+
+
+def _generate(options: argparse.Namespace) -> int:
+    from tqdm import tqdm
+
+    from gcd_dataset.generator.generate import generate, plan
+    from gcd_dataset.generator.pipeline import MakeConfig
+
+    given = _read_config(options.config, {field.name for field in fields(MakeConfig)}) if options.config else {}
+    named = {name: getattr(options, name) for name in ("bodies", "stage", "resolution", "device", "on_fail")}
+    config = MakeConfig(**{**given, **{name: value for name, value in named.items() if value is not None}})
+    task = plan(options.out, options.count, seed=options.seed, config=config)
+    made = rejected = 0
+    samples = generate(task, workers=options.workers)
+    try:
+        with tqdm(samples, total=task.count, initial=task.there, unit="garment", disable=options.quiet) as bar:
+            for sample in bar:
+                made, rejected = made + 1, rejected + len(sample.provenance.rejects)
+                bar.set_postfix(rejected=rejected, refresh=False)
+    except KeyboardInterrupt:
+        samples.close()
+        there = f"{task.there + made} of {task.count}"
+        print(f"gcd generate: stopped at {there}: the same command goes on from there", file=sys.stderr)
+        return INTERRUPTED
+    print(f"{options.out}: {task.count} garments, {made} of them made now, {rejected} designs or drapes turned down")
+    return 0
+
+
+def _drape(options: argparse.Namespace) -> int:
+    from tqdm import tqdm
+
+    from gcd_dataset.files import make_folder
+    from gcd_dataset.generator.body import named_body
+    from gcd_dataset.generator.fitting import fit, needs_legs_apart, write_fitting, write_report
+    from gcd_dataset.records import Body, Measurements, Pattern
+
+    folder = make_folder(options.out)
+    bodies: dict[bool, tuple[Body, Measurements]] = {}
+
+    def body_for(pattern: Pattern) -> tuple[Body, Measurements]:
+        apart = needs_legs_apart(pattern)
+        if apart not in bodies:
+            found = named_body(
+                options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=apart
+            )
+            bodies[apart] = found[:2]
+        return bodies[apart]
+
+    fittings = []
+    done = fit(options.spec, body_for, resolution=options.resolution, device=options.device)
+    for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet):
+        write_fitting(fitting, body_for(fitting.pattern)[0], folder, device=options.device)
+        fittings.append(fitting)
+    write_report(
+        fittings, folder / "report.json", body=options.body, resolution=options.resolution, device=options.device
+    )
+    for fitting in fittings:
+        drape = fitting.drape
+        print(
+            f"{fitting.pattern.name}: {drape.outcome.name}, {len(drape.vertices)} vertices, "
+            f"{drape.self_crossings} self and {drape.body_crossings} body crossings, {fitting.drape_seconds:.1f} s"
+        )
+        if drape.outcome.name != "SETTLED":
+            print(f"  {drape.outcome.value}")
+    print(f"{folder}: meshes, pictures and report.json")
+    return 0
+
+
+def _validate(options: argparse.Namespace) -> int:
+    from gcd_dataset.spec import read_pattern
+    from gcd_dataset.validate import check_pattern
+
+    found = 0
+    for path in options.spec:
+        try:
+            faults = [str(fault) for fault in check_pattern(read_pattern(path))]
+        except GcdError as error:
+            faults = [str(error).removeprefix(f"{path}: ")]
+        for fault in faults:
+            print(f"{path}: {fault}")
+        found += len(faults)
+    if not found:
+        print(f"{len(options.spec)} pattern{'s' if len(options.spec) > 1 else ''}: no fault found")
+    return 1 if found else 0
+
+
+def _show(options: argparse.Namespace) -> int:
+    from gcd_dataset.files import write_whole
+    from gcd_dataset.generator.render import draw_pattern, png_bytes, sample_sheet
+    from gcd_dataset.spec import read_pattern
+
+    if options.png is None:
+        raise ConfigError("give --png FILE: there is no interactive viewer yet")
+    if options.what.is_dir():
+        from gcd_dataset.shards import read_sample
+
+        picture = sample_sheet(read_sample(options.what, options.index))
+    else:
+        picture = draw_pattern(read_pattern(options.what))
+    write_whole(options.png, png_bytes(picture))
+    print(options.png)
+    return 0
+
+
+# ------------------------------------------------------------------------------------------------------------- options
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="gcd", description="Made-to-measure garments with their sewing patterns.")
+    parser.add_argument("--version", action="version", version=f"gcd_dataset {__version__}")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+
+    generate = _verb(verbs, "generate", _generate, "make a data set")
+    generate.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; made if it is not there")
+    generate.add_argument("--count", type=_natural, required=True, help="number of garments")
+    generate.add_argument("--seed", type=_natural, default=0, help="names the data set (default: 0)")
+    generate.add_argument("--bodies", choices=("neutral", "random", "both"), help="who wears them (default: random)")
+    generate.add_argument("--stage", choices=("pattern", "mesh", "drape"), help="last step taken (default: drape)")
+    generate.add_argument("--resolution", type=float, metavar="CM", help="length of mesh edges [cm] (default: 1.0)")
+    generate.add_argument("--device", help="auto, cpu or cuda:0 (default: auto)")
+    generate.add_argument("--on-fail", choices=("retry", "keep"), help="a drape that fails (default: retry)")
+    generate.add_argument("--workers", type=_natural, default=0, help="processes on a CPU (default: this one)")
+    generate.add_argument("--config", type=Path, metavar="FILE.toml", help="the same options, and more, in a file")
+
+    drape = _verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
+    drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
+    drape.add_argument("--body", default="neutral", help="neutral, female, male, random:SEED or a mesh file")
+    drape.add_argument("--measurements", type=Path, metavar="YAML", help="of a body from a mesh file [cm, degrees]")
+    drape.add_argument("--segmentation", type=Path, metavar="JSON", help="vertex ids by body part, for a mesh file")
+    drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")
+    drape.add_argument("--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (1.0)")
+    drape.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
+
+    validate = _verb(verbs, "validate", _validate, "what is wrong with a pattern; exit 1 if anything")
+    validate.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
+
+    show = _verb(verbs, "show", _show, "a picture of a sample or a pattern")
+    show.add_argument("what", type=Path, metavar="DATASET|SPEC", help="folder of shards, or specification JSON")
+    show.add_argument("--index", type=_natural, default=0, help="which sample of the data set (default: 0)")
+    show.add_argument("--png", type=Path, metavar="FILE", help="where the picture goes")
+    return parser
+
+
+def _verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        name, help=text, description=f"{text[0].upper()}{text[1:]}.", formatter_class=argparse.HelpFormatter
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _natural(text: str) -> int:
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"{text} is less than 0")
+    return number
+
+
+def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
+    """The options in a TOML file. Raises ``ConfigError`` with the line, or the name that is not known."""
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: {error}: mend the TOML") from error
+    values = {name.replace("-", "_"): value for name, value in values.items()}
+    if unknown := sorted(set(values) - known):
+        raise ConfigError(f"{path}: no option is called {unknown[0]}: there are {', '.join(sorted(known))}")
+    return values

@@ -1,0 +1,130 @@
+"""Fittings: patterns from files, draped on a body, with pictures and mesh files of what comes out."""
+
+import json
+import platform
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gcd_dataset import __version__
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import make_folder, write_whole
+from gcd_dataset.generator.drape import DrapeJob, drape_batch, resolve_device
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.generator.render import draw_pattern, png_bytes, render_garment
+from gcd_dataset.meshfiles import glb_bytes, obj_bytes, ply_bytes
+from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Pattern
+from gcd_dataset.spec import read_pattern
+from gcd_dataset.validate import require_valid
+
+__all__ = ["Fitting", "fit", "needs_legs_apart", "write_fitting", "write_report"]
+
+BATCH = {"cpu": 1, "cuda": 16}  # garments draped at a time
+PICTURE = 800  # pixels
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """One pattern draped on one body."""
+
+    pattern: Pattern
+    box_mesh: BoxMesh
+    drape: Drape
+    mesh_seconds: float
+    drape_seconds: float
+    """Of its batch, divided by the garments in it."""
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The line of a report."""
+        return {
+            "pattern": self.pattern.name,
+            "vertices": len(self.box_mesh.vertices),
+            "outcome": self.drape.outcome.name,
+            "frames": self.drape.frames,
+            "self_crossings": self.drape.self_crossings,
+            "body_crossings": self.drape.body_crossings,
+            "stretch_median": round(self.drape.stretch_median, 4),
+            "stretch_p99": round(self.drape.stretch_p99, 4),
+            "mesh_seconds": round(self.mesh_seconds, 3),
+            "drape_seconds": round(self.drape_seconds, 3),
+        }
+
+
+def fit(
+    paths: Sequence[Path | str],
+    body_for: Callable[[Pattern], tuple[Body, Measurements]],
+    *,
+    resolution: float = 1.0,
+    device: str = "auto",
+    batch: int | None = None,
+) -> Iterator[Fitting]:
+    """Each pattern of ``paths`` on the body that ``body_for`` gives it, in order; several at a time on a GPU.
+
+    All patterns are read and checked before the first is draped. Raises ``SpecError`` and ``PatternError`` with the
+    file, ``MeshError``, and ``ConfigError`` for a device that is not there.
+    """
+    device = resolve_device(device)
+    patterns = [require_valid(read_pattern(path), source=str(path)) for path in paths]
+    _require_different(patterns)
+    rest = iter(patterns)
+    while load := list(islice(rest, batch or BATCH[device.split(":")[0]])):
+        meshes, seconds = [], []
+        for pattern in load:
+            start = time.perf_counter()
+            meshes.append(build_box_mesh(pattern, spacing=resolution))
+            seconds.append(time.perf_counter() - start)
+        start = time.perf_counter()
+        jobs = [DrapeJob(mesh, *body_for(pattern)) for pattern, mesh in zip(load, meshes, strict=True)]
+        drapes = drape_batch(jobs, device=device)
+        each = (time.perf_counter() - start) / len(load)
+        for pattern, mesh, drape, spent in zip(load, meshes, drapes, seconds, strict=True):
+            yield Fitting(pattern, mesh, drape, spent, each)
+
+
+def needs_legs_apart(pattern: Pattern) -> bool:
+    """Whether a garment has legs, so that its wearer's must not touch."""
+    return any(panel.name.startswith("pant_") for panel in pattern.panels)
+
+
+def write_fitting(fitting: Fitting, body: Body, folder: Path, *, device: str = "auto") -> None:
+    """OBJ, PLY, GLB and pictures of a fitting in ``folder``. Raises ``OutputError``."""
+    name, mesh, vertices = fitting.pattern.name, fitting.box_mesh, fitting.drape.vertices
+    make_folder(folder)
+    front, back = render_garment(vertices, mesh, body, size=PICTURE, device=device)
+    for ending, content in {
+        ".obj": obj_bytes(vertices, mesh),
+        ".ply": ply_bytes(vertices, mesh),
+        ".glb": glb_bytes(vertices, mesh, body),
+        "_front.png": png_bytes(front),
+        "_back.png": png_bytes(back),
+        "_pattern.png": png_bytes(draw_pattern(fitting.pattern)),
+    }.items():
+        write_whole(folder / f"{name}{ending}", content)
+
+
+def write_report(fittings: Iterable[Fitting], path: Path, *, body: str, resolution: float, device: str) -> None:
+    """What came out of each pattern, with what it was made by, as JSON. Raises ``OutputError``."""
+    report = {
+        "gcd_dataset": __version__,
+        "numpy": np.__version__,
+        "machine": platform.processor() or platform.machine(),
+        "device": device,
+        "body": body,
+        "resolution_cm": resolution,
+        "garments": [fitting.row for fitting in fittings],
+    }
+    write_whole(path, (json.dumps(report, indent=2) + "\n").encode())
+
+
+def _require_different(patterns: Iterable[Pattern]) -> None:
+    seen: set[str] = set()
+    for pattern in patterns:
+        if pattern.name in seen:
+            raise ConfigError(f"two patterns are called {pattern.name}: their files would overwrite each other")
+        seen.add(pattern.name)

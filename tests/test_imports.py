@@ -1,0 +1,79 @@
+"""Imports are cheap, and point one way."""
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "gcd_dataset"
+HEAVY = ("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset")
+
+
+def loaded_by(module: str) -> set[str]:
+    """Which of the heavy packages a fresh interpreter has after importing ``module``."""
+    code = f"import {module}, json, sys; print(json.dumps([m for m in {HEAVY!r} if m in sys.modules]))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    return set(json.loads(out))
+
+
+@pytest.mark.parametrize("module", ["gcd_dataset", "gcd_dataset.spec", "gcd_dataset.cli"])
+def test_the_front_door_brings_numpy_alone(module: str) -> None:
+    assert loaded_by(module) == set()
+
+
+def test_loaders_bring_torch_but_no_simulator() -> None:
+    loaded = loaded_by("gcd_dataset.loaders")
+    assert "torch" in loaded
+    assert not loaded & {"warp", "h5py"}
+
+
+def sources() -> list[Path]:
+    """Every source file of the package, through the links too."""
+    folders = os.walk(PACKAGE, followlinks=True)
+    return sorted(Path(folder) / name for folder, _, names in folders for name in names if name.endswith(".py"))
+
+
+def imports_of(path: Path) -> set[str]:
+    """Modules a file imports at any depth."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module}
+    return found
+
+
+def test_warp_is_imported_by_drape_and_render_alone() -> None:
+    users = {str(p.relative_to(PACKAGE)) for p in sources() if any(m.split(".")[0] == "warp" for m in imports_of(p))}
+    assert users
+    assert all(user.startswith(("generator/drape/", "generator/render")) for user in users), users
+
+
+LAYERS = {
+    "records": {"errors", "curves"},
+    "spec": {"errors", "curves", "records", "files"},
+    "validate": {"errors", "curves", "records"},
+    "tensors": {"errors", "curves", "records"},
+    "seeding": set(),
+    "curves": {"errors"},
+}
+
+
+@pytest.mark.parametrize("module", LAYERS)
+def test_imports_point_one_way(module: str) -> None:
+    own = {name.removeprefix("gcd_dataset.") for name in imports_of(PACKAGE / f"{module}.py") if "gcd_dataset" in name}
+    assert own <= LAYERS[module]
+
+
+def test_shards_know_nothing_of_the_generator() -> None:
+    for path in sources():
+        if path.relative_to(PACKAGE).parts[0] == "shards":
+            assert not any(
+                name.startswith(("gcd_dataset.generator", "gcd_dataset.loaders")) for name in imports_of(path)
+            )

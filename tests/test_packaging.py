@@ -1,0 +1,48 @@
+"""What is installed is what the tree holds."""
+
+import os
+import tomllib
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import gcd_dataset
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_the_package_list_is_the_folders() -> None:
+    """Setuptools' list is by hand: a folder left out would be missing from the wheel, and from nowhere else."""
+    folders = set()
+    for folder, _, names in os.walk(ROOT / "gcd_dataset", followlinks=True):
+        if any(name.endswith(".py") for name in names):
+            folders.add(".".join(Path(folder).relative_to(ROOT).parts))
+    assert folders == set(project()["tool"]["setuptools"]["packages"])
+
+
+def test_the_links_lead_to_the_mapped_folders() -> None:
+    for name, folder in project()["tool"]["setuptools"]["package-dir"].items():
+        assert (ROOT / name.replace(".", "/")).resolve() == (ROOT / folder).resolve()
+
+
+def test_data_files_are_packed() -> None:
+    packed = project()["tool"]["setuptools"]["package-data"]["gcd_dataset.generator"]
+    data = [path for path in (ROOT / "generator" / "data").iterdir() if not path.name.startswith((".", "__"))]
+    assert data
+    assert all(path.match(pattern) for path in data for pattern in packed)
+    assert sum(path.stat().st_size for path in data) < 2_500_000
+
+
+def test_one_version() -> None:
+    assert gcd_dataset.__version__ == project()["project"]["version"] == version("gcd-dataset")
+
+
+def test_constraints_pin_every_dependency() -> None:
+    pins = {line.split("==")[0].lower() for line in (ROOT / "constraints.txt").read_text().splitlines() if "==" in line}
+    wanted = project()["project"]["dependencies"] + project()["project"]["optional-dependencies"]["dev"]
+    names = {requirement.split(">")[0].split("=")[0].strip().lower() for requirement in wanted}
+    assert names <= pins
