@@ -1,12 +1,20 @@
-"""Which device a drape runs on, and Warp's quiet start there."""
+"""Which device Warp runs on, and its kernels loaded there."""
+
+import logging
+from types import ModuleType
 
 import warp as wp
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["resolve_device"]
+__all__ = ["load_kernels", "resolve_device"]
 
-wp.config.quiet = True
+logger = logging.getLogger("gcd_dataset")
+
+# Warp announces every module it loads; in a data loader's workers that drowns what the user prints.
+wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)
+
+_loaded: set[tuple[str, str]] = set()
 
 
 def resolve_device(name: str) -> str:
@@ -18,5 +26,15 @@ def resolve_device(name: str) -> str:
     if wp.is_cuda_available():
         known["cuda"] = "cuda:0"
     if name not in known:
-        raise ConfigError(f"device {name}: there is {', '.join(sorted(known))}; use --device auto or cpu")
+        raise ConfigError(f"device {name}: there is {', '.join(sorted(known))}: use --device auto or cpu")
     return known[name]
+
+
+def load_kernels(task: str, *modules: ModuleType, device: str) -> None:
+    """Have the kernels of ``modules`` ready on a device; says so, since compiling them takes time."""
+    missing = [module for module in modules if (module.__name__, device) not in _loaded]
+    if missing:
+        logger.info("loading the kernels of the %s for %s: compiled if they are new here, in about 10 s", task, device)
+    for module in missing:
+        wp.load_module(module, device=device)
+        _loaded.add((module.__name__, device))

@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from gcd_dataset.generator.drape.config import DrapeConfig
+from gcd_dataset.generator.drape.device import load_kernels
 from gcd_dataset.generator.drape.kernels import body_contact, crossing, elastic, self_contact, stillness, world
 from gcd_dataset.generator.drape.model import ClothModel
 
@@ -107,8 +108,7 @@ class Solver:
             self._bound()
             self._bvh.rebuild()
         if self._graph is None:
-            for module in KERNELS:
-                wp.load_module(module, device=self.model.device)
+            load_kernels("drape", *KERNELS, device=self.model.device)
             with wp.ScopedCapture(device=self.model.device) as capture:
                 self._record_frame()
             self._graph = capture.graph

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gcd_dataset.errors import ConfigError, DrapeError
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
 from gcd_dataset.records import BoxMesh, Outcome
 from tests.helpers import SIZE, body_from, patch
@@ -78,7 +78,7 @@ def test_no_jobs_give_no_drapes() -> None:
 
 
 def test_a_device_that_is_not_there_is_named() -> None:
-    with pytest.raises(DrapeError, match=r"device cuda:7: there is .*cpu"):
+    with pytest.raises(ConfigError, match=r"device cuda:7: there is .*cpu"):
         drape_batch([on_a_ball(4)], device="cuda:7")
 
 

@@ -1,0 +1,128 @@
+"""Pictures show what is there."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from gcd_dataset.curves import LINE
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.render import (
+    DISTANCE,
+    MARGIN,
+    PAPER,
+    Painted,
+    contact_sheet,
+    draw_pattern,
+    jpeg_bytes,
+    painted_garment,
+    picture_of,
+    png_bytes,
+    render_view,
+)
+from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from tests.helpers import body_from, patch
+
+RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9)
+
+
+def painted(shape: trimesh.Trimesh, paint: np.ndarray, *colours: tuple[float, float, float]) -> Painted:
+    return Painted(np.asarray(shape.vertices, float), np.asarray(shape.faces), paint, np.array(colours))
+
+
+def is_paper(picture: np.ndarray) -> np.ndarray:
+    return np.abs(picture.astype(int) - PAPER).max(axis=2) <= 1
+
+
+def test_a_ball_fills_its_circle() -> None:
+    """Seen from a distance d, a ball of radius r is a disc under the angle asin(r / d)."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
+    picture = render_view(painted(ball, np.zeros(len(ball.faces), int), RED), size=128, device="cpu")
+    share = 1 - is_paper(picture).mean()
+    radius = np.tan(np.arcsin(20.0 / DISTANCE)) * (DISTANCE - 20.0) / (MARGIN * 20.0)  # of half the picture
+    assert share == pytest.approx(np.pi / 4 * radius**2, abs=0.01)
+
+
+def test_front_and_back_show_their_own_sides() -> None:
+    box = trimesh.creation.box(extents=(20.0, 20.0, 4.0))
+    at_back = np.asarray(box.triangles_center)[:, 2] < -1.0
+    shown = painted(box, at_back.astype(int), RED, BLUE)
+    front, back = (render_view(shown, size=64, view=view, device="cpu")[32, 32] for view in ("front", "back"))
+    assert front[0] > 2 * front[2]
+    assert back[2] > 2 * back[0]
+
+
+def test_left_is_the_wearers_left() -> None:
+    """The wearer's left, +x, is on the right of a picture from the front, and on the left of one from behind."""
+    box = trimesh.creation.box(extents=(20.0, 20.0, 4.0))
+    left = trimesh.creation.box(extents=(4.0, 4.0, 6.0))
+    left.apply_translation([8.0, 0.0, 0.0])
+    both = trimesh.util.concatenate([box, left])
+    shown = painted(both, np.repeat([0, 1], [len(box.faces), len(left.faces)]), RED, BLUE)
+    front, back = (render_view(shown, size=96, view=view, device="cpu").astype(int) for view in ("front", "back"))
+    assert np.nonzero(front[..., 2] > front[..., 0] + 40)[1].mean() > 64
+    assert np.nonzero(back[..., 2] > back[..., 0] + 40)[1].mean() < 32
+
+
+def test_cloth_hides_the_body_and_is_darker_inside() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
+    cloth = patch(12, 12, spacing=2.0, origin=(-12.0, -12.0, 8.0))
+    shown = painted_garment(cloth.vertices, cloth, body_from(ball))
+    front = render_view(shown, size=64, view="front", device="cpu")[32, 32].astype(int)
+    inside = render_view(replace(shown, vertices=shown.vertices - [0, 0, 16.0]), size=64, view="back", device="cpu")
+    assert front[2] > front[0]  # the first panel is blue, skin is not
+    assert inside[8, 8].sum() < 0.8 * front.sum()
+
+
+def test_the_same_pixels_on_every_run() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
+    shown = painted(ball, np.arange(len(ball.faces)) % 2, RED, BLUE)
+    first, second = (render_view(shown, size=48, device="cpu") for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_outlines_are_smooth() -> None:
+    """Along the edge of a ball there are pixels between its colour and the paper."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
+    row = render_view(painted(ball, np.zeros(len(ball.faces), int), RED), size=64, device="cpu")[20].astype(int)
+    green = row[:, 1]
+    assert ((green > 60) & (green < 230)).any()
+
+
+def napkins() -> Pattern:
+    corners = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0]])
+    edges = tuple(Edge(i, (i + 1) % 4, LINE) for i in range(4))
+    panels = tuple(Panel(name, corners, edges, Placement(np.zeros(3), np.zeros(3))) for name in ("one", "two"))
+    return Pattern("napkins", panels, (Seam(EdgeRef("one", 1), EdgeRef("two", 3)),))
+
+
+def test_a_pattern_is_drawn_to_scale() -> None:
+    """Two panels of 20 × 10 cm cover the same area, side by side, without touching."""
+    picture = draw_pattern(napkins(), size=200)
+    columns = (~is_paper(picture)).any(axis=0)
+    rows = (~is_paper(picture)).any(axis=1)
+    runs = np.diff(np.flatnonzero(np.diff(np.r_[0, columns.astype(int), 0])))[::2]
+    height = np.diff(np.flatnonzero(np.diff(np.r_[0, rows.astype(int), 0])))[::2]
+    widest = max(runs.max(), height.max())
+    assert widest > 80
+    assert sorted([len(runs), len(height)]) == [1, 2]
+
+
+def test_sheets_and_files() -> None:
+    pictures = [np.full((4, 6, 3), shade, np.uint8) for shade in (10, 20, 30)]
+    sheet = contact_sheet(pictures, columns=2, gap=2)
+    assert sheet.shape == (10, 14, 3)
+    assert [sheet[1, 1, 0], sheet[1, 9, 0], sheet[7, 1, 0], sheet[7, 9, 0]] == [10, 20, 30, 255]
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(png_bytes(sheet)))), sheet)
+    assert picture_of(jpeg_bytes(sheet), 5).shape == (5, 5, 3)
+    with pytest.raises(ConfigError, match="pictures of one size"):
+        contact_sheet([pictures[0], sheet], columns=1)
+
+
+def test_a_picture_has_pixels() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=20.0)
+    with pytest.raises(ConfigError, match="0 pixels"):
+        render_view(painted(ball, np.zeros(len(ball.faces), int), RED), size=0, device="cpu")
