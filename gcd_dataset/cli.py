@@ -76,10 +76,11 @@ def _drape(options: argparse.Namespace) -> int:
 
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.body import named_body
-    from gcd_dataset.generator.fitting import fit, needs_legs_apart, write_fitting, write_report
+    from gcd_dataset.generator.drape import resolve_device
+    from gcd_dataset.generator.fitting import fit, needs_legs_apart, read_patterns, write_fitting, write_report
     from gcd_dataset.records import Body, Measurements, Pattern
 
-    folder = make_folder(options.out)
+    patterns = read_patterns(options.spec)
     bodies: dict[bool, tuple[Body, Measurements]] = {}
 
     def body_for(pattern: Pattern) -> tuple[Body, Measurements]:
@@ -91,14 +92,15 @@ def _drape(options: argparse.Namespace) -> int:
             bodies[apart] = found[:2]
         return bodies[apart]
 
-    fittings = []
-    done = fit(options.spec, body_for, resolution=options.resolution, device=options.device)
-    for fitting in tqdm(done, total=len(options.spec), unit="garment", disable=options.quiet):
-        write_fitting(fitting, body_for(fitting.pattern)[0], folder, device=options.device)
+    device = resolve_device(options.device)
+    for pattern in patterns:  # whatever is wrong with a body is said before anything is draped
+        body_for(pattern)
+    folder, fittings = make_folder(options.out), []
+    done = fit(patterns, body_for, resolution=options.resolution, device=device)
+    for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):
+        write_fitting(fitting, body_for(fitting.pattern)[0], folder, device=device)
         fittings.append(fitting)
-    write_report(
-        fittings, folder / "report.json", body=options.body, resolution=options.resolution, device=options.device
-    )
+    write_report(fittings, folder / "report.json", body=options.body, resolution=options.resolution, device=device)
     for fitting in fittings:
         drape = fitting.drape
         print(
@@ -137,9 +139,12 @@ def _show(options: argparse.Namespace) -> int:
     if options.png is None:
         raise ConfigError("give --png FILE: there is no interactive viewer yet")
     if options.what.is_dir():
-        from gcd_dataset.shards import read_sample
+        from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
 
-        picture = sample_sheet(read_sample(options.what, options.index))
+        reader = ShardReader(options.what)
+        if options.index >= len(reader):
+            raise ConfigError(f"{options.what}: sample {options.index} of {len(reader)}, counted from 0")
+        picture = sample_sheet(decode_sample(reader.read(options.index, MEMBERS)))
     else:
         picture = draw_pattern(read_pattern(options.what))
     write_whole(options.png, png_bytes(picture))

@@ -365,6 +365,7 @@ class Outcome(Enum):
     NOT_SETTLED = "still moving at the last frame: allow more frames, or look for a garment that slides"
     THROUGH_BODY = "too many edges cross the body: a looser fit, or a body with arms and legs further apart"
     THROUGH_ITSELF = "too many edges cross other cloth: panels start tangled; place them further apart"
+    OVERSTRETCHED = "cloth is stretched out of shape: it is caught on the body, or cut too small for it"
     SLID_OFF = "slid off the body: nothing holds it up; narrow the waist, or label the edge that should be held"
     OVERFULL = "more contacts than there was room for: raise the contact capacity"
     DIVERGED = "positions stopped being numbers: the mesh holds a degenerate triangle, or the time step is too long"

@@ -3,7 +3,7 @@
 import json
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -22,7 +22,7 @@ from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Pattern
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.validate import require_valid
 
-__all__ = ["Fitting", "fit", "needs_legs_apart", "write_fitting", "write_report"]
+__all__ = ["Fitting", "fit", "needs_legs_apart", "read_patterns", "write_fitting", "write_report"]
 
 BATCH = {"cpu": 1, "cuda": 16}  # garments draped at a time
 PICTURE = 800  # pixels
@@ -56,22 +56,33 @@ class Fitting:
         }
 
 
+def read_patterns(paths: Iterable[Path | str]) -> tuple[Pattern, ...]:
+    """The patterns in specification files, all of them fit to be sewn.
+
+    Raises ``SpecError`` or ``PatternError`` with the file, and ``ConfigError`` for two patterns of one name.
+    """
+    patterns = tuple(require_valid(read_pattern(path), source=str(path)) for path in paths)
+    for number, pattern in enumerate(patterns):
+        if pattern.name in {other.name for other in patterns[:number]}:
+            raise ConfigError(
+                f"two patterns are called {pattern.name}: rename a file, what they give would be mixed up"
+            )
+    return patterns
+
+
 def fit(
-    paths: Sequence[Path | str],
+    patterns: Iterable[Pattern],
     body_for: Callable[[Pattern], tuple[Body, Measurements]],
     *,
     resolution: float = 1.0,
     device: str = "auto",
     batch: int | None = None,
 ) -> Iterator[Fitting]:
-    """Each pattern of ``paths`` on the body that ``body_for`` gives it, in order; several at a time on a GPU.
+    """Each pattern on the body that ``body_for`` gives it, in order; ``batch`` at a time (1 on a CPU, 16 on a GPU).
 
-    All patterns are read and checked before the first is draped. Raises ``SpecError`` and ``PatternError`` with the
-    file, ``MeshError``, and ``ConfigError`` for a device that is not there.
+    Raises ``MeshError`` with the panel or seam, and ``ConfigError`` for a device that is not there.
     """
     device = resolve_device(device)
-    patterns = [require_valid(read_pattern(path), source=str(path)) for path in paths]
-    _require_different(patterns)
     rest = iter(patterns)
     while load := list(islice(rest, batch or BATCH[device.split(":")[0]])):
         meshes, seconds = [], []
@@ -120,11 +131,3 @@ def write_report(fittings: Iterable[Fitting], path: Path, *, body: str, resoluti
         "garments": [fitting.row for fitting in fittings],
     }
     write_whole(path, (json.dumps(report, indent=2) + "\n").encode())
-
-
-def _require_different(patterns: Iterable[Pattern]) -> None:
-    seen: set[str] = set()
-    for pattern in patterns:
-        if pattern.name in seen:
-            raise ConfigError(f"two patterns are called {pattern.name}: their files would overwrite each other")
-        seen.add(pattern.name)

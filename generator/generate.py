@@ -2,7 +2,7 @@
 
 import multiprocessing
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from pathlib import Path
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.pipeline import MakeConfig, device_kind, make, make_many, recipe_of
 from gcd_dataset.records import Sample
-from gcd_dataset.shards import ShardWriter, finished
+from gcd_dataset.shards import ShardWriter
 
 __all__ = ["Plan", "generate", "plan"]
 
@@ -39,16 +39,18 @@ class Plan:
 def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | None = None) -> Plan:
     """What it takes to have samples 0 … ``count`` - 1 of ``seed`` in ``out``.
 
-    Raises ``ConfigError`` where ``out`` holds a data set of another recipe or seed.
+    What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError`` where ``out`` holds a data
+    set of another recipe or seed, ``OutputError`` where it cannot be written.
     """
     config = config or MakeConfig()
     if count < 1:
         raise ConfigError(f"count is {count}: give 1 or more")
-    done = finished(out, seed=seed, recipe=recipe_of(config))
+    with ShardWriter(out, seed=seed, recipe=recipe_of(config)) as writer:
+        done = writer.done
     return Plan(Path(out), count, seed, config, tuple(index for index in range(count) if index not in done))
 
 
-def generate(plan: Plan, *, workers: int = 0) -> Iterator[Sample]:
+def generate(plan: Plan, *, workers: int = 0) -> Generator[Sample, None, None]:
     """Make and store what is missing, yielding each sample as it is stored.
 
     Stopped at any moment and planned again it goes on; the shards come out as the same bytes. ``workers`` processes

@@ -26,6 +26,11 @@ LastStage = Literal["pattern", "mesh", "drape"]
 BATCH = {"cpu": 1, "cuda": 32}  # garments draped at a time
 
 
+def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ConfigError(f"{name} is {value!r}: known are {', '.join(known)}")
+
+
 @dataclass(frozen=True, slots=True)
 class MakeConfig:
     """What samples are made of, beside their seed and index."""
@@ -228,8 +233,3 @@ def device_kind(config: MakeConfig) -> str:
     from gcd_dataset.generator.drape import resolve_device
 
     return "cuda" if resolve_device(config.device).startswith("cuda") else "cpu"
-
-
-def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ConfigError(f"{name} is {value!r}: known are {', '.join(known)}")

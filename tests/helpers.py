@@ -1,6 +1,7 @@
 """Shapes with known answers."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import trimesh
@@ -69,3 +70,15 @@ def joined(first: BoxMesh, second: BoxMesh) -> BoxMesh:
         seams=np.zeros((0, 2), int),
         labels={**first.labels, **{k: v + n for k, v in second.labels.items()}},
     )
+
+
+def tube(columns: int, rows: int, *, radius: float, spacing: float = 1.0, height: float = 0.0) -> BoxMesh:
+    """A ring of cloth, cut ``columns * spacing`` round, hung on a circle of ``radius`` round the y axis."""
+    sheet = patch(columns, rows, spacing=spacing)
+    column, row = np.arange(len(sheet.uv)) % (columns + 1), np.arange(len(sheet.uv)) // (columns + 1)
+    vertex = row * columns + column % columns  # the last column is the first
+    angle = 2 * np.pi * (column % columns) / columns
+    points = np.stack([radius * np.sin(angle), height + sheet.uv[:, 1], radius * np.cos(angle)], axis=1)
+    placed = np.zeros((columns * (rows + 1), 3))
+    placed[vertex] = points
+    return replace(sheet, vertices=placed, faces=vertex[sheet.corners], uv_vertex=vertex)

@@ -85,6 +85,7 @@ def _collect(solver: Solver, jobs: Sequence[DrapeJob], frames: np.ndarray) -> li
             overfull=bool(overfull[world]),
             self_crossings=int(self_crossings[world]),
             body_crossings=int(body_crossings[world]),
+            stretch_p99=p99,
         )
         drapes.append(
             Drape(

@@ -23,6 +23,7 @@ def judge(
     overfull: bool,
     self_crossings: int,
     body_crossings: int,
+    stretch_p99: float,
 ) -> Outcome:
     """The first of the failures that applies, gravest first; else settled."""
     if diverged or not np.isfinite(vertices).all():
@@ -37,6 +38,8 @@ def judge(
         return Outcome.THROUGH_BODY
     if self_crossings > config.max_self_crossings:
         return Outcome.THROUGH_ITSELF
+    if stretch_p99 > config.max_stretch:
+        return Outcome.OVERSTRETCHED
     return Outcome.SETTLED
 
 

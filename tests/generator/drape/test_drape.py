@@ -7,7 +7,7 @@ import trimesh
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
 from gcd_dataset.records import BoxMesh, Outcome
-from tests.helpers import SIZE, body_from, patch
+from tests.helpers import SIZE, body_from, patch, tube
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
 
@@ -71,6 +71,19 @@ def test_contacts_without_room_are_reported() -> None:
     config = DrapeConfig(contact_capacity=1, max_frames=2)
     [drape] = drape_batch([DrapeJob(mesh, job.body, SIZE)], config, device="cpu")
     assert drape.outcome is Outcome.OVERFULL
+
+
+def test_a_band_cut_too_small_is_overstretched() -> None:
+    """A ring cut for half the girth that it is put round is stretched to twice its length."""
+    barrel = trimesh.creation.cylinder(radius=12.0, height=60.0, sections=48)
+    barrel.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    barrel.apply_translation([0.0, 30.0, 0.0])
+    body = body_from(barrel.subdivide().subdivide())
+    for share, outcome in ((0.5, Outcome.OVERSTRETCHED), (0.97, Outcome.SETTLED)):
+        columns = round(share * 2 * np.pi * 12.5 / 2.0)
+        band = tube(columns, 4, radius=13.0, spacing=2.0, height=30.0)
+        [drape] = drape_batch([DrapeJob(band, body, SIZE, Fabric(friction=3.0))], device="cpu")
+        assert drape.outcome is outcome
 
 
 def test_no_jobs_give_no_drapes() -> None:

@@ -1,0 +1,29 @@
+"""Data sets on disk: tars of plain arrays, JSON and pictures, with an index for random access.
+
+The same tars are read by ``webdataset`` and by ``datasets.load_dataset("webdataset", …)``.
+"""
+
+from gcd_dataset.shards.codec import decode_fields, decode_sample, encode_sample
+from gcd_dataset.shards.index import ShardIndex, read_index, rebuild_index
+from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMA
+from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, read_manifest
+from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.writer import ShardWriter
+
+__all__ = [
+    "FIELDS",
+    "MEMBERS",
+    "SCHEMA",
+    "Manifest",
+    "ShardIndex",
+    "ShardReader",
+    "ShardRecord",
+    "ShardWriter",
+    "SplitRecord",
+    "decode_fields",
+    "decode_sample",
+    "encode_sample",
+    "read_index",
+    "read_manifest",
+    "rebuild_index",
+]

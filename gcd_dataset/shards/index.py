@@ -1,0 +1,219 @@
+"""Where every member of every sample lies: what turns a tar into a file with random access.
+
+``index-train.npz`` can always be made again from the shards; a shard that it does not know, or knows in another
+length, is read anew.
+"""
+
+import io
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from jaxtyping import Int, UInt32
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.files import write_whole
+from gcd_dataset.records import Record
+from gcd_dataset.shards.layout import MEMBERS, SCHEMA, index_name, member_name, shards_in
+from gcd_dataset.shards.tar import Entry, tar_entries
+
+__all__ = ["ShardIndex", "ShardTable", "read_index", "rebuild_index", "scan_shard", "tables_of", "whole_samples"]
+
+META = MEMBERS[0]
+
+
+@dataclass(frozen=True, eq=False)
+class ShardTable(Record):
+    """The contents of one shard; ``n`` samples in the order of the file, ``m`` members."""
+
+    sample: Int[np.ndarray, " n"]
+    """Index of each sample in the data set."""
+    offset: Int[np.ndarray, "n m"]
+    """First byte of each member's content."""
+    size: UInt32[np.ndarray, "n m"]
+    """Bytes of it."""
+    crc: UInt32[np.ndarray, "n m"]
+    """CRC-32 of it."""
+
+    @classmethod
+    def of(cls, rows: Iterable["ShardTable"]) -> Self:
+        """Several tables as one."""
+        parts = [empty_table(), *rows]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
+
+    def __getitem__(self, rows: Any) -> "ShardTable":
+        return ShardTable(*(getattr(self, name)[rows] for name in _COLUMNS))
+
+    def __len__(self) -> int:
+        return len(self.sample)
+
+
+_COLUMNS = ("sample", "offset", "size", "crc")
+
+
+def empty_table() -> ShardTable:
+    """The contents of a shard without samples."""
+    none = np.zeros((0, len(MEMBERS)), np.uint32)
+    return ShardTable(np.zeros(0, np.int64), none.astype(np.int64), none, none)
+
+
+@dataclass(frozen=True, eq=False)
+class ShardIndex(Record):
+    """The contents of a split: the tables of its shards, one below the other."""
+
+    shards: tuple[str, ...]
+    """File names."""
+    length: Int[np.ndarray, " k"]
+    """Bytes of each shard."""
+    shard: Int[np.ndarray, " n"]
+    """Row of ``shards`` for each sample."""
+    table: ShardTable
+
+    @classmethod
+    def of(cls, folder: Path, tables: Mapping[str, ShardTable]) -> Self:
+        """The index of shards that lie in ``folder``, from file name to contents."""
+        counts = [len(table) for table in tables.values()]
+        length = np.array([(folder / name).stat().st_size for name in tables], np.int64)
+        shard = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+        return cls(tuple(tables), length, shard, ShardTable.of(tables.values()))
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def write(self, path: Path) -> None:
+        """Keep the index as ``path``, whole or not at all. Raises ``OutputError``."""
+        file = io.BytesIO()
+        arrays: dict[str, Any] = {name: getattr(self.table, name) for name in _COLUMNS}
+        arrays |= {"shards": np.array(self.shards, np.str_), "length": self.length, "shard": self.shard}
+        np.savez(file, schema=np.array(SCHEMA), members=np.array(MEMBERS), **arrays)
+        write_whole(path, file.getvalue())
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """The index in ``path``. Raises ``ShardError`` for a file that is broken or of another schema."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = dict(file)
+            schema, members = int(arrays["schema"]), tuple(arrays["members"].tolist())
+            table = ShardTable(*(arrays[name] for name in _COLUMNS))
+            index = cls(tuple(arrays["shards"].tolist()), arrays["length"], arrays["shard"], table)
+        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise ShardError(f"{path}: not an index ({error}): delete it, it is made again from the shards") from error
+        if schema != SCHEMA or members != MEMBERS:
+            raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {SCHEMA}: delete it")
+        return index
+
+    def tables(self) -> dict[str, ShardTable]:
+        """File name to contents."""
+        first = np.searchsorted(self.shard, np.arange(len(self.shards) + 1))
+        return {name: self.table[first[i] : first[i + 1]] for i, name in enumerate(self.shards)}
+
+
+def read_index(folder: Path | str, split: str = "train") -> ShardIndex:
+    """The index of a split, brought up to date with the shards that are there; nothing is written.
+
+    Raises ``ShardError`` for a broken index or shard.
+    """
+    folder = Path(folder)
+    return ShardIndex.of(folder, tables_of(folder, split))
+
+
+def rebuild_index(folder: Path | str, split: str = "train") -> ShardIndex:
+    """The index of a split, made anew from its shards and kept in the folder.
+
+    Raises ``ShardError`` for a broken shard and ``OutputError`` where the folder cannot be written.
+    """
+    folder = Path(folder)
+    index = ShardIndex.of(folder, {path.name: scan_shard(path) for path in shards_in(folder, split)})
+    index.write(folder / index_name(split))
+    return index
+
+
+def tables_of(folder: Path, split: str) -> dict[str, ShardTable]:
+    """The contents of each whole shard of a split, from the index where that knows the shard."""
+    known: dict[tuple[str, int], ShardTable] = {}
+    if (path := folder / index_name(split)).exists():
+        index = ShardIndex.read(path)
+        known = dict(zip(zip(index.shards, index.length.tolist(), strict=True), index.tables().values(), strict=True))
+    tables = {}
+    for shard in shards_in(folder, split):
+        table = known.get((shard.name, shard.stat().st_size))
+        tables[shard.name] = scan_shard(shard) if table is None else table
+    return tables
+
+
+def scan_shard(path: Path) -> ShardTable:
+    """The contents of a shard, read from its tar headers and the hashes in each sample's ``meta.json``.
+
+    Raises ``ShardError`` for a damaged archive, or samples that are not of this schema.
+    """
+    file = os.open(path, os.O_RDONLY)
+    try:
+        return ShardTable.of(_row(file, entries) for entries in _by_sample(tar_entries(file)))
+    except ShardError as error:
+        raise ShardError(f"{path}: {error}: download or make this shard again") from error
+    finally:
+        os.close(file)
+
+
+def whole_samples(path: Path) -> ShardTable:
+    """The contents of a shard whose writing was broken off: every sample up to the first that is not whole."""
+    rows: list[ShardTable] = []
+    file = os.open(path, os.O_RDONLY)
+    try:
+        for entries in _by_sample(tar_entries(file)):
+            row = _row(file, entries)
+            if any(_crc(file, entry) != crc for entry, crc in zip(entries, row.crc[0].tolist(), strict=True)):
+                break
+            rows.append(row)
+    except ShardError:
+        pass  # the sample that was being written when the end came
+    finally:
+        os.close(file)
+    return ShardTable.of(rows)
+
+
+def _by_sample(entries: Iterator[Entry]) -> Iterator[list[Entry]]:
+    # By number, not by key: to see that a key has changed, one would read into the next sample, which may be torn.
+    while sample := list(islice(entries, len(MEMBERS))):
+        yield sample
+
+
+def _row(file: int, entries: list[Entry]) -> ShardTable:
+    """The table of one sample."""
+    key = entries[0].name.partition(".")[0]
+    meta = _read_meta(file, entries[0], key)
+    if [entry.name for entry in entries] != [member_name(meta["index"], member) for member in MEMBERS]:
+        raise ShardError(f"sample {key} does not have the members of schema {SCHEMA}")
+    crc = [_crc(file, entries[0])] + [meta["crc32"][member] for member in MEMBERS[1:]]
+    return ShardTable(
+        sample=np.array([meta["index"]], np.int64),
+        offset=np.array([[entry.offset for entry in entries]], np.int64),
+        size=np.array([[entry.size for entry in entries]], np.uint32),
+        crc=np.array([crc], np.uint32),
+    )
+
+
+def _read_meta(file: int, entry: Entry, key: str) -> dict[str, Any]:
+    try:
+        meta = json.loads(_content(file, entry))
+        if meta["schema"] != SCHEMA:
+            raise ShardError(f"sample {key} is of schema {meta['schema']}, and this reader knows schema {SCHEMA}")
+        return {"index": int(meta["index"]), "crc32": {member: int(meta["crc32"][member]) for member in MEMBERS[1:]}}
+    except (ValueError, KeyError, TypeError) as error:
+        raise ShardError(f"sample {key} does not begin with a {META} of this data set") from error
+
+
+def _content(file: int, entry: Entry) -> bytes:
+    return os.pread(file, entry.size, entry.offset)
+
+
+def _crc(file: int, entry: Entry) -> int:
+    return zlib.crc32(_content(file, entry))

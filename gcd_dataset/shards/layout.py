@@ -1,0 +1,108 @@
+"""How a data set's folder is laid out: names of files, of samples, of the members of a sample.
+
+    manifest.json         schema, recipe and seed of each split; count, size and sha256 of each shard
+    index-train.npz       where each member of each sample lies
+    train-00000.tar       samples 0 … shard_size-1, each as the files of ``MEMBERS``
+
+>>> member_name(12, "verts.npy"), shard_name("train", 3)
+('gcd_000000012.verts.npy', 'train-00003.tar')
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from gcd_dataset.errors import ConfigError
+
+__all__ = [
+    "FIELDS",
+    "MEMBERS",
+    "SCHEMA",
+    "Bytes",
+    "index_name",
+    "key_of",
+    "known_fields",
+    "member_name",
+    "part_path",
+    "recipe_hash",
+    "shard_name",
+    "shard_number",
+    "shards_in",
+]
+
+Bytes: TypeAlias = bytes | bytearray | memoryview
+
+SCHEMA = 1
+"""Raised by one whenever a reader of today's shards would misread tomorrow's."""
+
+MEMBERS: tuple[str, ...] = (
+    "meta.json", "spec.json", "design.json", "measures.json", "panels.npy", "edges.npy", "stitches.npy", "body.npy",
+    "faces.npy", "uv.npy", "panel_id.npy", "labels.npy", "seams.npy", "corners.npy", "uv_vertex.npy", "box.npy",
+    "verts.npy", "points.npy", "front.jpg", "back.jpg",
+)  # fmt: skip
+"""The members of every sample, in the order of the file: what is small, or read together, stands together."""
+
+FIELDS: Mapping[str, str] = {member.split(".")[0]: member for member in MEMBERS}
+"""Field of a loaded sample to the member it comes from."""
+
+
+def key_of(index: int) -> str:
+    """The name of a sample in a shard; no dots, since readers take the first dot for the key's end."""
+    return f"gcd_{index:09d}"
+
+
+def member_name(index: int, member: str) -> str:
+    """The name of a member's file in a shard."""
+    return f"{key_of(index)}.{member}"
+
+
+def shard_name(split: str, number: int) -> str:
+    """The name of a shard. It does not say how many there are, so that a data set can grow."""
+    return f"{split}-{number:05d}.tar"
+
+
+def index_name(split: str) -> str:
+    """The name of a split's index."""
+    return f"index-{split}.npz"
+
+
+def part_path(path: Path) -> Path:
+    """The name a shard has while it is written."""
+    return path.with_name(path.name + ".part")
+
+
+def shard_number(name: str, split: str) -> int | None:
+    """Which shard of the split a file is; ``None`` for any other file.
+
+    >>> shard_number("train-00003.tar", "train"), shard_number("val-00003.tar", "train")
+    (3, None)
+    """
+    match = re.fullmatch(rf"{re.escape(split)}-(\d{{5,}})\.tar", name)
+    return int(match[1]) if match else None
+
+
+def shards_in(folder: Path, split: str) -> tuple[Path, ...]:
+    """The whole shards of a split, in the order of their numbers."""
+    numbered = {number: path for path in folder.glob("*.tar") if (number := shard_number(path.name, split)) is not None}
+    return tuple(numbered[number] for number in sorted(numbered))
+
+
+def known_fields(fields: Iterable[str] | None) -> tuple[str, ...]:
+    """The fields asked for, in the order of ``MEMBERS``; all of them for ``None``.
+
+    Raises ``ConfigError`` with the fields there are.
+    """
+    if fields is None:
+        return tuple(FIELDS)
+    asked = {fields} if isinstance(fields, str) else set(fields)
+    if unknown := sorted(asked - set(FIELDS)):
+        raise ConfigError(f"no field {', '.join(unknown)}: there are {', '.join(FIELDS)}")
+    return tuple(field for field in FIELDS if field in asked)
+
+
+def recipe_hash(recipe: Mapping[str, Any]) -> str:
+    """SHA-256 of a recipe, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(recipe, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

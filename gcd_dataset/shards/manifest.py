@@ -1,0 +1,83 @@
+"""What a data set is made of: the recipe and the shards of each split, kept in ``manifest.json``."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+import gcd_dataset
+from gcd_dataset.errors import ShardError
+from gcd_dataset.files import write_whole
+from gcd_dataset.shards.layout import SCHEMA
+
+__all__ = ["MANIFEST", "Manifest", "ShardRecord", "SplitRecord", "read_manifest"]
+
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True)
+class ShardRecord:
+    """One whole shard."""
+
+    name: str
+    count: int
+    """Samples in it."""
+    size: int
+    """Bytes of it."""
+    sha256: str
+
+
+@dataclass(frozen=True)
+class SplitRecord:
+    """How the samples of a split are made, and the shards that hold them."""
+
+    seed: int
+    recipe: Mapping[str, Any]
+    shard_size: int
+    """Shard k holds the samples from ``k * shard_size`` to ``(k + 1) * shard_size - 1``."""
+    shards: tuple[ShardRecord, ...] = ()
+
+    @classmethod
+    def from_json(cls, entry: Mapping[str, Any]) -> Self:
+        """From an entry of the file. Raises ``KeyError`` or ``TypeError`` for one that is not whole."""
+        return cls(**{**entry, "shards": tuple(ShardRecord(**shard) for shard in entry["shards"])})
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The contents of ``manifest.json``."""
+
+    splits: Mapping[str, SplitRecord] = field(default_factory=dict)
+    generator: str = gcd_dataset.__version__
+    """Version of this package that began the data set."""
+    schema: int = SCHEMA
+
+    def with_split(self, name: str, record: SplitRecord) -> "Manifest":
+        """The manifest with one split put in or replaced."""
+        return replace(self, splits=dict(sorted({**self.splits, name: record}.items())))
+
+    def write(self, folder: Path) -> None:
+        """Keep the manifest in the folder, whole or not at all. Raises ``OutputError``."""
+        write_whole(folder / MANIFEST, (json.dumps(asdict(self), indent=1, sort_keys=True) + "\n").encode())
+
+
+def read_manifest(folder: Path) -> Manifest | None:
+    """The manifest of a folder; ``None`` if there is none.
+
+    Raises ``ShardError`` for a broken file, and for another schema with both versions.
+    """
+    path = folder / MANIFEST
+    if not path.exists():
+        return None
+    try:
+        entry = json.loads(path.read_bytes())
+        if (schema := entry["schema"]) != SCHEMA:
+            raise ShardError(
+                f"{path}: written as schema {schema} by gcd_dataset {entry.get('generator')}; gcd_dataset "
+                f"{gcd_dataset.__version__} reads schema {SCHEMA}: install the version that wrote it"
+            )
+        splits = {name: SplitRecord.from_json(split) for name, split in entry["splits"].items()}
+        return Manifest(splits, entry["generator"], schema)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ShardError(f"{path}: not a manifest ({error}): download the data set again") from error

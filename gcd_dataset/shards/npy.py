@@ -1,0 +1,52 @@
+"""Arrays as ``.npy`` files of version 1.0: plain numbers, C order, little-endian, data aligned to 64 bytes.
+
+NumPy's own writer pads headers differently from release to release; shards must not change with it. The format is
+that of the NumPy Enhancement Proposal 1.
+
+>>> read_npy(write_npy(np.array([[1, 2], [3, 4]], np.uint16)))
+array([[1, 2],
+       [3, 4]], dtype=uint16)
+"""
+
+import math
+import re
+import struct
+
+import numpy as np
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.shards.layout import Bytes
+
+__all__ = ["read_npy", "write_npy"]
+
+MAGIC = b"\x93NUMPY\x01\x00"
+ALIGNMENT = 64
+KINDS = "biuf"  # NumPy's letters for booleans, integers and floats: never objects, which would need pickle
+HEADER = re.compile(rb"\{'descr': '([<|][biuf]\d)', 'fortran_order': False, 'shape': \(([\d, ]*)\), \} *\n")
+
+
+def write_npy(array: np.ndarray) -> bytes:
+    """The array as a ``.npy`` file. Raises ``ShardError`` for anything but plain numbers."""
+    if array.dtype.kind not in KINDS:
+        raise ShardError(f"an array of {array.dtype} cannot be stored: only numbers can")
+    dtype = array.dtype.newbyteorder("<")
+    shape = ", ".join(str(n) for n in array.shape) + ("," if array.ndim == 1 else "")
+    text = f"{{'descr': '{dtype.str}', 'fortran_order': False, 'shape': ({shape}), }}".encode()
+    padding = -(len(MAGIC) + 2 + len(text) + 1) % ALIGNMENT
+    header = text + b" " * padding + b"\n"
+    return MAGIC + struct.pack("<H", len(header)) + header + np.ascontiguousarray(array, dtype).tobytes()
+
+
+def read_npy(file: Bytes) -> np.ndarray:
+    """The array in a ``.npy`` file, as a view of it. Raises ``ShardError`` for a file of another writer."""
+    data = memoryview(file)
+    if bytes(data[: len(MAGIC)]) != MAGIC or len(data) < len(MAGIC) + 2:
+        raise ShardError("not a .npy file of version 1.0")
+    start = len(MAGIC) + 2 + struct.unpack_from("<H", data, len(MAGIC))[0]
+    match = HEADER.fullmatch(bytes(data[len(MAGIC) + 2 : start]))
+    if match is None:
+        raise ShardError("a .npy header of another writer: only plain C-ordered, little-endian numbers are read")
+    dtype, shape = np.dtype(match[1].decode()), tuple(int(n) for n in match[2].split(b",") if n.strip())
+    if len(data) - start != dtype.itemsize * math.prod(shape):
+        raise ShardError(f"a .npy file of {len(data) - start} bytes for {dtype} of shape {shape}")
+    return np.frombuffer(data, dtype, offset=start).reshape(shape)

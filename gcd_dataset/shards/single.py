@@ -1,0 +1,34 @@
+"""One sample in a tar of its own: how samples wait until there are enough for a shard."""
+
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.files import write_whole
+from gcd_dataset.shards.index import scan_shard
+from gcd_dataset.shards.layout import MEMBERS, Bytes, member_name
+from gcd_dataset.shards.tar import END, tar_entry
+
+__all__ = ["read_single", "write_single"]
+
+
+def write_single(path: Path, index: int, members: Mapping[str, Bytes]) -> None:
+    """Keep the members of a sample as a tar, whole or not at all. Raises ``OutputError``."""
+    entries = [tar_entry(member_name(index, member), members[member]) for member in MEMBERS]
+    write_whole(path, b"".join([*entries, bytes(END)]))
+
+
+def read_single(path: Path) -> dict[str, memoryview]:
+    """The members of the sample in a tar, each checked against its CRC-32. Raises ``ShardError``."""
+    table = scan_shard(path)
+    if len(table) != 1:
+        raise ShardError(f"{path}: {len(table)} samples where there should be one: delete it, it is made again")
+    data = memoryview(bytearray(path.read_bytes()))
+    places = zip(MEMBERS, table.offset[0].tolist(), table.size[0].tolist(), table.crc[0].tolist(), strict=True)
+    members = {}
+    for member, offset, size, crc in places:
+        members[member] = data[offset : offset + size]
+        if zlib.crc32(members[member]) != crc:
+            raise ShardError(f"{path}: member {member}: bytes differ from those written: delete it, it is made again")
+    return members

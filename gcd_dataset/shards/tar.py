@@ -1,0 +1,80 @@
+"""USTAR archives (POSIX.1-1988): the same members give the same bytes, on any machine and on any day."""
+
+import os
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.shards.layout import Bytes
+
+__all__ = ["BLOCK", "END", "Entry", "padded", "tar_entries", "tar_entry"]
+
+BLOCK = 512
+END = 2 * BLOCK  # zeros that end an archive
+LONGEST_NAME = 100
+LARGEST = 8**11 - 1  # bytes: eleven octal digits
+CHECKSUM = slice(148, 156)
+
+
+class Entry(NamedTuple):
+    """Where a member's content lies in an archive."""
+
+    name: str
+    offset: int
+    size: int
+
+
+def padded(size: int) -> int:
+    """``size`` rounded up to whole blocks."""
+    return -(-size // BLOCK) * BLOCK
+
+
+def tar_entry(name: str, data: Bytes) -> bytes:
+    """A member as it stands in the archive: header, content, zeros up to the next block.
+
+    Owner 0, mode 0644 and the first second of 1970. Raises ``ShardError`` for a name or content too long for USTAR.
+    """
+    encoded = name.encode()
+    if len(encoded) > LONGEST_NAME or len(data) > LARGEST:
+        raise ShardError(f"{name}: {len(data)} bytes under a name of {len(encoded)} do not fit into a tar header")
+    header = b"".join(
+        (
+            encoded.ljust(LONGEST_NAME, b"\0"),
+            b"0000644\0" + 2 * b"0000000\0",  # mode, user, group
+            b"%011o\0" % len(data) + b"00000000000\0",  # size, time
+            8 * b" ",  # the checksum counts its own field as spaces
+            b"0" + bytes(100) + b"ustar\x0000",  # a plain file, no link, the format
+            bytes(32 + 32) + 2 * b"0000000\0",  # names of user and group, device
+            bytes(155 + 12),
+        )
+    )
+    return b"".join((_signed(header), data, bytes(padded(len(data)) - len(data))))
+
+
+def tar_entries(file: int, *, start: int = 0) -> Iterator[Entry]:
+    """The members of the archive open as descriptor ``file``, up to the zeros or the end of the file.
+
+    Raises ``ShardError`` where a header is damaged or a member is cut off.
+    """
+    end, position = os.fstat(file).st_size, start
+    while position < end:
+        header = os.pread(file, BLOCK, position)
+        if header == bytes(BLOCK):
+            return
+        name, size = _parse(header, position)
+        if position + BLOCK + padded(size) > end:
+            raise ShardError(f"member {name} is cut off at byte {end}")
+        yield Entry(name, position + BLOCK, size)
+        position += BLOCK + padded(size)
+
+
+def _signed(header: bytes) -> bytes:
+    return header[: CHECKSUM.start] + b"%06o\0 " % sum(header) + header[CHECKSUM.stop :]
+
+
+def _parse(header: bytes, position: int) -> tuple[str, int]:
+    """Name and size of a member."""
+    blank = header[: CHECKSUM.start] + 8 * b" " + header[CHECKSUM.stop :]
+    if len(header) < BLOCK or _signed(blank) != header:
+        raise ShardError(f"no tar header at byte {position}")
+    return header[:LONGEST_NAME].rstrip(b"\0").decode(), int(header[124:135], 8)

@@ -1,0 +1,356 @@
+"""A pattern as three plain arrays, and back: for networks, and to store.
+
+One row a panel, an edge, a seam, in the order of the pattern; edges stand panel by panel, in the order of each loop.
+``PanelColumn``, ``EdgeColumn`` and ``StitchColumn`` name the columns:
+
+>>> from gcd_dataset.records import Edge, Panel, Pattern, Placement
+>>> square = Panel("square", np.array([[0, 0], [9, 0], [9, 9], [0, 9]]), tuple(Edge(i, (i + 1) % 4) for i in range(4)),
+...                Placement(np.array([1.0, 2.0, 3.0]), np.zeros(3)), label="body")
+>>> tensor = encode_pattern(Pattern("napkin", (square,), ()))
+>>> tensor.panels[0, [PanelColumn.X, PanelColumn.Y, PanelColumn.Z]].tolist()
+[5.5, 6.5, 3.0]
+>>> decode_pattern(tensor).panels == (square,)
+True
+
+What a row says does not depend on where a panel's local origin lies: points of the plane count from the centroid of its
+area, and the placement is that of the centroid. Numbers are float64: a small error in the ends of a nearly closed arc
+turns the whole circle about them, and float32 would move its far side by millimetres.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_points, curve_tangents, from_frame, to_frame
+from gcd_dataset.errors import PatternError
+from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Record, Seam
+
+__all__ = [
+    "EDGE_LABELS",
+    "PANEL_LABELS",
+    "CurveKind",
+    "EdgeColumn",
+    "PanelColumn",
+    "PatternTensor",
+    "StitchColumn",
+    "area_centroid",
+    "decode_pattern",
+    "encode_pattern",
+    "require_closed",
+]
+
+PANEL_LABELS = ("", "body", "leg", "arm")
+"""Panel labels that have the same number in every tensor; others are numbered after them."""
+EDGE_LABELS = (
+    "", "lower_interface", "left_collar", "right_collar", "left_armhole", "right_armhole", "strapless_top",
+)  # fmt: skip
+"""Edge labels that have the same number in every tensor; others are numbered after them."""
+
+NO_AREA = 1e-6  # share of the squared extent: a flatter panel has no centroid of area worth the name
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # exact to degree 31: a cubic's moments need 8
+
+
+class PanelColumn(IntEnum):
+    """Columns of ``PatternTensor.panels``."""
+
+    X = 0
+    """Where the centroid of the panel's area hangs [cm]: X, Y, Z."""
+    Y = 1
+    Z = 2
+    QUATERNION_W = 3
+    """The panel's rotation as a unit quaternion, W ≥ 0."""
+    QUATERNION_X = 4
+    QUATERNION_Y = 5
+    QUATERNION_Z = 6
+    ANGLE_X = 7
+    """The same rotation as ``Placement`` and specification files have it [rad]."""
+    ANGLE_Y = 8
+    ANGLE_Z = 9
+    CENTROID_X = 10
+    """The centroid in the panel's own coordinates [cm]: what brings the local origin back."""
+    CENTROID_Y = 11
+    N_EDGES = 12
+    LABEL = 13
+    """Row of ``panel_labels``."""
+
+
+class EdgeColumn(IntEnum):
+    """Columns of ``PatternTensor.edges``; points lie in the panel's plane and count from its centroid [cm]."""
+
+    PANEL = 0
+    """Row of ``panels``."""
+    VERTEX = 1
+    """The start's place among the panel's vertices; the edge ends where the next of the loop starts."""
+    START_X = 2
+    START_Y = 3
+    KIND = 4
+    """``CurveKind``."""
+    CONTROL0_X = 5
+    """First control point; of an arc the point half-way; of a line 0."""
+    CONTROL0_Y = 6
+    CONTROL1_X = 7
+    """Second control point of a cubic; else 0."""
+    CONTROL1_Y = 8
+    RADIUS = 9
+    """Radius of an arc [cm]; else 0."""
+    LARGE = 10
+    """1 for an arc longer than half a circle."""
+    RIGHT = 11
+    """1 for an arc that bulges to the right of the travel."""
+    LABEL = 12
+    """Row of ``edge_labels``."""
+
+
+class StitchColumn(IntEnum):
+    """Columns of ``PatternTensor.stitches``."""
+
+    LEFT = 0
+    """Row of ``edges``."""
+    RIGHT = 1
+    """Row of ``edges``."""
+    RIGHT_WRONG = 2
+    """1 where the starts of the two edges meet."""
+
+
+class CurveKind(IntEnum):
+    """Kinds of edge in ``EdgeColumn.KIND``."""
+
+    LINE = 0
+    QUADRATIC = 1
+    CUBIC = 2
+    ARC = 3
+
+
+PLACE = slice(PanelColumn.X, PanelColumn.Z + 1)
+QUATERNION = slice(PanelColumn.QUATERNION_W, PanelColumn.QUATERNION_Z + 1)
+ANGLES = slice(PanelColumn.ANGLE_X, PanelColumn.ANGLE_Z + 1)
+CENTROID = slice(PanelColumn.CENTROID_X, PanelColumn.CENTROID_Y + 1)
+START = slice(EdgeColumn.START_X, EdgeColumn.START_Y + 1)
+CONTROL0 = slice(EdgeColumn.CONTROL0_X, EdgeColumn.CONTROL0_Y + 1)
+CONTROL1 = slice(EdgeColumn.CONTROL1_X, EdgeColumn.CONTROL1_Y + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class PatternTensor(Record):
+    """A pattern as arrays, with the words that its numbers stand for."""
+
+    panels: Float[np.ndarray, "p 14"]
+    """Columns of ``PanelColumn``."""
+    edges: Float[np.ndarray, "e 13"]
+    """Columns of ``EdgeColumn``."""
+    stitches: Int[np.ndarray, "s 3"]
+    """Columns of ``StitchColumn``."""
+    panel_names: tuple[str, ...]
+    """Beside ``panels``."""
+    panel_labels: tuple[str, ...] = PANEL_LABELS
+    edge_labels: tuple[str, ...] = EDGE_LABELS
+    name: str = ""
+
+    @property
+    def loops(self) -> Int[np.ndarray, "p+1"]:
+        """Rows of ``edges`` where each panel's loop starts; the last is the number of edges."""
+        return np.concatenate([[0], np.cumsum(self.panels[:, PanelColumn.N_EDGES].astype(int))])
+
+
+def encode_pattern(pattern: Pattern) -> PatternTensor:
+    """The pattern as arrays. Not kept: ``extra``, names of edges, and vertices that no edge uses.
+
+    Raises ``PatternError`` for a loop that is not closed, an arc that does not span its chord, a seam to no edge.
+    """
+    panel_labels = _table(PANEL_LABELS, (panel.label for panel in pattern.panels))
+    edge_labels = _table(EDGE_LABELS, (edge.label for panel in pattern.panels for edge in panel.edges))
+    panels = np.zeros((len(pattern.panels), len(PanelColumn)))
+    loops = []
+    for row, panel in enumerate(pattern.panels):
+        require_closed(panel)
+        centroid = area_centroid(panel)
+        panels[row, PLACE] = panel.placement.apply(centroid)
+        panels[row, QUATERNION] = _quaternion(panel.placement.rotation)
+        panels[row, ANGLES] = panel.placement.rotation
+        panels[row, CENTROID] = centroid
+        panels[row, PanelColumn.N_EDGES] = len(panel.edges)
+        panels[row, PanelColumn.LABEL] = panel_labels.index(panel.label)
+        loops.append(_edge_rows(row, panel, centroid, edge_labels))
+    return PatternTensor(
+        panels=panels,
+        edges=np.concatenate([np.zeros((0, len(EdgeColumn))), *loops]),
+        stitches=_stitch_rows(pattern),
+        panel_names=tuple(panel.name for panel in pattern.panels),
+        panel_labels=panel_labels,
+        edge_labels=edge_labels,
+        name=pattern.name,
+    )
+
+
+def decode_pattern(tensor: PatternTensor) -> Pattern:
+    """The pattern of the arrays; ``decode_pattern(encode_pattern(pattern))`` has its outlines within 1e-4 cm.
+
+    Raises ``PatternError`` for arrays of other columns, or rows that name what is not there.
+    """
+    _require_sound(tensor)
+    bounds = [(int(a), int(b)) for a, b in pairwise(tensor.loops)]
+    panels = tuple(_panel(tensor, row, tensor.edges[first:last]) for row, (first, last) in enumerate(bounds))
+    refs = [EdgeRef(panel.name, i) for panel in panels for i in range(len(panel.edges))]
+    seams = tuple(Seam(refs[left], refs[right], bool(turned)) for left, right, turned in tensor.stitches.tolist())
+    return Pattern(tensor.name, panels, seams)
+
+
+def area_centroid(panel: Panel) -> Float[np.ndarray, "2"]:
+    """Centroid of the panel's area in its own coordinates [cm]; of its corners where it encloses none.
+
+    By Green's theorem: A = ∮ x dy, A x̄ = ∮ x²/2 dy, A ȳ = -∮ y²/2 dx, by quadrature edge by edge.
+    """
+    starts, ends = (panel.vertices[[getattr(edge, end) for edge in panel.edges]] for end in ("start", "end"))
+    middle = starts.mean(axis=0)
+    nodes = 0.5 * (NODES + 1)
+    straight = np.array([edge.curve == LINE for edge in panel.edges])
+    chords = (ends - starts)[straight, None]
+    points = [(starts[straight, None] + nodes[:, None] * chords).reshape(-1, 2)]
+    tangents = [np.repeat(chords, len(nodes), axis=1).reshape(-1, 2)]
+    for index in np.flatnonzero(~straight).tolist():
+        ends_of, curve = panel.edge_ends(index), panel.edges[index].curve
+        points.append(curve_points(*ends_of, curve, nodes))
+        tangents.append(curve_tangents(*ends_of, curve, nodes))
+    x, y = (np.concatenate(points) - middle).T
+    dx, dy = np.tile(0.5 * WEIGHTS, len(panel.edges)) * np.concatenate(tangents).T
+    area, moment = x @ dy, 0.5 * np.array([(x * x) @ dy, -(y * y) @ dx])
+    flat = abs(area) <= NO_AREA * np.ptp(starts, axis=0).max() ** 2
+    return middle if flat else middle + moment / area
+
+
+def require_closed(panel: Panel) -> None:
+    """Raises ``PatternError`` with the first edge that does not go on where the one before ends."""
+    if not panel.edges:
+        raise PatternError(f"panel {panel.name}: no edges: draw its outline")
+    for index, edge in enumerate(panel.edges):
+        if min(edge.start, edge.end) < 0 or max(edge.start, edge.end) >= len(panel.vertices):
+            raise PatternError(f"panel {panel.name}, edge {index}: no vertex {edge.start} or {edge.end}: mend its ends")
+        if panel.edges[index - 1].end != edge.start:
+            raise PatternError(
+                f"panel {panel.name}, edge {index}: does not start where the edge before ends: join them"
+            )
+
+
+# ------------------------------------------------------------------------------------------------------------- encoding
+
+
+def _table(known: tuple[str, ...], labels: Iterable[str]) -> tuple[str, ...]:
+    """The known labels, and behind them the others that occur, in order of their first use."""
+    return tuple(dict.fromkeys((*known, *labels)))
+
+
+def _edge_rows(row: int, panel: Panel, centroid: np.ndarray, labels: tuple[str, ...]) -> Float[np.ndarray, "e 13"]:
+    used = sorted({edge.start for edge in panel.edges})
+    rows = np.zeros((len(panel.edges), len(EdgeColumn)))
+    for index, edge in enumerate(panel.edges):
+        start, end = panel.edge_ends(index)
+        rows[index, EdgeColumn.PANEL] = row
+        rows[index, EdgeColumn.VERTEX] = used.index(edge.start)
+        rows[index, START] = start - centroid
+        rows[index, EdgeColumn.LABEL] = labels.index(edge.label)
+        match edge.curve:
+            case Quadratic(control):
+                rows[index, EdgeColumn.KIND] = CurveKind.QUADRATIC
+                rows[index, CONTROL0] = from_frame(start, end, control) - centroid
+            case Cubic(control0, control1):
+                rows[index, EdgeColumn.KIND] = CurveKind.CUBIC
+                rows[index, CONTROL0] = from_frame(start, end, control0) - centroid
+                rows[index, CONTROL1] = from_frame(start, end, control1) - centroid
+            case Arc(radius, large, right):
+                rows[index, EdgeColumn.KIND] = CurveKind.ARC
+                rows[index, CONTROL0] = curve_points(start, end, edge.curve, np.array([0.5]))[0] - centroid
+                rows[index, EdgeColumn.RADIUS : EdgeColumn.RIGHT + 1] = radius, large, right
+            case _:
+                assert edge.curve == LINE
+    return rows
+
+
+def _stitch_rows(pattern: Pattern) -> Int[np.ndarray, "s 3"]:
+    refs = [EdgeRef(panel.name, i) for panel in pattern.panels for i in range(len(panel.edges))]
+    row_of = {ref: row for row, ref in enumerate(refs)}
+    for number, seam in enumerate(pattern.seams):
+        for side in (seam.left, seam.right):
+            if side not in row_of:
+                raise PatternError(f"seam {number} joins {side.panel}, edge {side.edge}, which is not there: mend it")
+    rows = [(row_of[seam.left], row_of[seam.right], seam.right_wrong) for seam in pattern.seams]
+    return np.array(rows, int).reshape(-1, len(StitchColumn))
+
+
+def _quaternion(rotation: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
+    """(w, x, y, z) of ``Rz Ry Rx``, w ≥ 0."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(np.asarray(rotation) / 2), np.sin(np.asarray(rotation) / 2)
+    quaternion = np.array(
+        [
+            cz * cy * cx + sz * sy * sx,
+            cz * cy * sx - sz * sy * cx,
+            cz * sy * cx + sz * cy * sx,
+            sz * cy * cx - cz * sy * sx,
+        ]
+    )
+    return -quaternion if quaternion[0] < 0 else quaternion
+
+
+# ------------------------------------------------------------------------------------------------------------- decoding
+
+
+def _require_sound(tensor: PatternTensor) -> None:
+    for name, columns in (("panels", PanelColumn), ("edges", EdgeColumn), ("stitches", StitchColumn)):
+        shape = getattr(tensor, name).shape
+        if len(shape) != 2 or shape[1] != len(columns):
+            raise PatternError(f"{name} has shape {shape}, not (n, {len(columns)}): see {columns.__name__}")
+    if len(tensor.panel_names) != len(tensor.panels):
+        raise PatternError(f"{len(tensor.panel_names)} panel names for {len(tensor.panels)} panels: give one each")
+    if tensor.loops[-1] != len(tensor.edges):
+        raise PatternError(f"panels count {tensor.loops[-1]} edges, there are {len(tensor.edges)}: mend N_EDGES")
+    numbered = (
+        (tensor.stitches[:, : StitchColumn.RIGHT + 1], len(tensor.edges), "stitches name edges"),
+        (tensor.panels[:, PanelColumn.LABEL], len(tensor.panel_labels), "panels name labels"),
+        (tensor.edges[:, EdgeColumn.LABEL], len(tensor.edge_labels), "edges name labels"),
+        (tensor.edges[:, EdgeColumn.KIND], len(CurveKind), "edges name kinds"),
+        (tensor.edges[:, EdgeColumn.VERTEX], len(tensor.edges), "edges name vertices"),
+    )
+    for numbers, count, what in numbered:
+        if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
+            raise PatternError(f"{what} {numbers.min():g} to {numbers.max():g}, of {count} from 0: mend the rows")
+
+
+def _panel(tensor: PatternTensor, row: int, loop: Float[np.ndarray, "n 13"]) -> Panel:
+    numbers = tensor.panels[row].astype(float)
+    placement = Placement(np.zeros(3), numbers[ANGLES])
+    placement = Placement(numbers[PLACE] - placement.apply(numbers[CENTROID]), numbers[ANGLES])
+    corner = loop[:, EdgeColumn.VERTEX].astype(int).tolist()
+    vertices = np.zeros((max(corner, default=-1) + 1, 2))
+    vertices[corner] = loop[:, START] + numbers[CENTROID]
+    edges = tuple(
+        Edge(start, end, _curve(entry, vertices[start], vertices[end], numbers[CENTROID]), _label(tensor, entry))
+        for entry, start, end in zip(loop, corner, corner[1:] + corner[:1], strict=True)
+    )
+    label = tensor.panel_labels[int(numbers[PanelColumn.LABEL])]
+    return Panel(tensor.panel_names[row], vertices, edges, placement, label)
+
+
+def _label(tensor: PatternTensor, entry: Float[np.ndarray, "13"]) -> str:
+    return tensor.edge_labels[int(entry[EdgeColumn.LABEL])]
+
+
+def _curve(entry: Float[np.ndarray, "13"], start: np.ndarray, end: np.ndarray, centroid: np.ndarray) -> Curve:
+    def framed(columns: slice) -> tuple[float, float]:
+        return to_frame(_point(start), _point(end), _point(entry[columns] + centroid))
+
+    match CurveKind(int(entry[EdgeColumn.KIND])):
+        case CurveKind.QUADRATIC:
+            return Quadratic(framed(CONTROL0))
+        case CurveKind.CUBIC:
+            return Cubic(framed(CONTROL0), framed(CONTROL1))
+        case CurveKind.ARC:
+            return Arc(float(entry[EdgeColumn.RADIUS]), bool(entry[EdgeColumn.LARGE]), bool(entry[EdgeColumn.RIGHT]))
+        case _:
+            return LINE
+
+
+def _point(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])

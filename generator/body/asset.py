@@ -1,0 +1,128 @@
+"""The body model as it lies in ``generator/data``: template, shape components, joints, skinning, landmarks.
+
+``body.npz`` holds one half of a body that is mirrored to the other; ``bake.py`` made it. ``landmarks.json`` names
+vertices and rings of vertices, which keep their numbers when the mesh is refined.
+"""
+
+import functools
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from scipy.sparse import csr_matrix
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body.subdivide import refine
+from gcd_dataset.records import BodyPart, Record
+
+__all__ = ["MIRROR", "BodyModel", "Landmarks", "body_model", "landmarks", "mirrored", "own_half", "refinement"]
+
+MIRROR = np.array([-1.0, 1.0, 1.0])
+COARSE_PARTS = (BodyPart.HEAD, BodyPart.HANDS, BodyPart.FEET, BodyPart.INTERNAL)  # dense enough as they are
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModel(Record):
+    """Bodies as ``mean + weights · components``, in the A-pose with legs straight."""
+
+    mean: Float[np.ndarray, "v 3"]
+    """[cm]"""
+    components: Float[np.ndarray, "k v 3"]
+    """One standard deviation of the population each [cm]."""
+    joints: Float[np.ndarray, "n 3"]
+    """Joints of the mean body [cm]: left upper arm, thigh, foot, then right."""
+    joint_components: Float[np.ndarray, "k n 3"]
+    skin: Float[np.ndarray, "v n"]
+    """How much of each joint's turn a vertex follows, 0 to 1."""
+    faces: Int[np.ndarray, "f 3"]
+    parts: UInt8[np.ndarray, " v"]
+    named: Mapping[str, Float[np.ndarray, " k"]]
+    """Weights of the bodies that have a name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks(Record):
+    """Vertices with an anatomical meaning, by name."""
+
+    points: Mapping[str, int]
+    rings: Mapping[str, Int[np.ndarray, " n"]]
+    """Vertices along closed rings and open lines, in order."""
+
+
+@functools.cache
+def body_model() -> BodyModel:
+    """The model, refined to the mesh that cloth meets. Raises ``BodyError`` where the file is damaged."""
+    with np.load(io.BytesIO(_checked("body.npz"))) as file:
+        half = {name: file[name] for name in file.files}
+    return _model_from(half)
+
+
+def _model_from(half: Mapping[str, Any]) -> BodyModel:
+    """The model from the arrays of the file: mirrored, then one level finer where cloth touches."""
+    mirror = half["mirror"].astype(int)
+    finer, faces, parts = refinement(half["faces"].astype(int), half["parts"])
+    steps = half["component_steps"][:, None, None].astype(float)
+    components = mirrored(half["components"] * steps, mirror)
+    joints = np.concatenate([half["joints"], half["joints"] * MIRROR], axis=1).astype(float)
+    skin = np.concatenate([half["skin"], half["skin"][mirror]], axis=1).astype(float)
+    return BodyModel(
+        mean=finer @ mirrored(half["mean"].astype(float), mirror),
+        components=np.stack([finer @ component for component in components]),
+        joints=joints[0],
+        joint_components=joints[1:],
+        skin=finer @ skin,
+        faces=faces,
+        parts=parts,
+        named={name: half[name] for name in ("neutral", "female", "male")},
+    )
+
+
+@functools.cache
+def landmarks() -> Landmarks:
+    """The landmarks of our own mesh."""
+    table = json.loads(_data("landmarks.json"))
+    rings = {name: np.array(ids) for name, ids in table["rings"].items()}
+    return Landmarks({name: entry["vertex"] for name, entry in table["points"].items()}, rings)
+
+
+def refinement(
+    faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]
+) -> tuple[csr_matrix, Int[np.ndarray, "g 3"], UInt8[np.ndarray, " w"]]:
+    """One level finer where cloth touches: the matrix from coarse vertices to fine ones, and those' faces and parts."""
+    coarse = np.isin(parts, [part.value for part in COARSE_PARTS])
+    finer, fine_faces = refine(faces, ~coarse[faces].any(axis=1), len(parts))
+    shares = finer @ (parts[:, None] == np.arange(len(BodyPart)))
+    return finer, fine_faces, shares.argmax(axis=1).astype(np.uint8)
+
+
+def own_half(mirror: Int[np.ndarray, " v"]) -> Int[np.ndarray, " h"]:
+    """The vertices that are stored: those that come before their mirror images, or are their own."""
+    return np.flatnonzero(np.arange(len(mirror)) <= mirror)
+
+
+def mirrored(half: Float[np.ndarray, "*k h 3"], mirror: Int[np.ndarray, " v"]) -> Float[np.ndarray, "*k v 3"]:
+    """Both halves from the one that is stored."""
+    own = own_half(mirror)
+    whole = np.empty((*half.shape[:-2], len(mirror), 3))
+    whole[..., mirror[own], :] = half * MIRROR
+    whole[..., own, :] = half
+    return whole
+
+
+def _checked(name: str) -> bytes:
+    content = _data(name)
+    expected = _data(f"{name}.sha256").split()[0].decode()
+    found = hashlib.sha256(content).hexdigest()
+    if found != expected:
+        raise BodyError(f"{name}: damaged (SHA-256 {found[:12]}…, not {expected[:12]}…): install gcd-dataset again")
+    return content
+
+
+def _data(name: str) -> bytes:
+    return (files("gcd_dataset.generator") / "data" / name).read_bytes()

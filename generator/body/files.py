@@ -1,0 +1,188 @@
+"""Bodies and measures from files: OBJ and PLY meshes, part segmentations, GarmentCode's measurement YAML."""
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+import yaml
+from jaxtyping import Float, UInt8
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.files import write_whole
+from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.generator.body.pose import stand
+from gcd_dataset.generator.body.tailor import measure
+from gcd_dataset.records import MEASURES, Body, BodyPart, Measurements
+
+__all__ = ["read_body", "read_measurements", "write_measurements"]
+
+log = logging.getLogger(__name__)
+
+TALLEST = 300.0  # cm; between this and SHORTEST a body's extent in y says its unit
+SHORTEST = 30.0
+UNITS = {"centimetres": 1.0, "metres": 100.0, "millimetres": 0.1}
+
+OPTIONAL = frozenset({"underbust", "vert_bust_line"})
+"""No pattern needs them, and GarmentCode's SMPL bodies lack the second."""
+
+SEGMENTS = {
+    "body": BodyPart.TRUNK,
+    "left_arm": BodyPart.LEFT_ARM,
+    "right_arm": BodyPart.RIGHT_ARM,
+    "left_leg": BodyPart.LEFT_LEG,
+    "right_leg": BodyPart.RIGHT_LEG,
+    "head": BodyPart.HEAD,
+    "hands": BodyPart.HANDS,
+    "feet": BodyPart.FEET,
+    "face_internal": BodyPart.INTERNAL,
+}
+"""Names in a segmentation file; those without a part of their own here count as trunk, as do unlisted vertices."""
+
+
+def read_body(
+    mesh: Path | str, measurements: Path | str | None = None, segmentation: Path | str | None = None
+) -> tuple[Body, Measurements]:
+    """The body in a mesh file and its measures.
+
+    The mesh stands upright along y and faces +z, in metres, centimetres or millimetres; its vertices keep their order.
+    ``measurements`` (YAML) and ``segmentation`` (JSON: part name to vertex ids) may be left out only for a mesh of our
+    own, whose landmarks are known. Raises ``BodyError`` with the file and a remedy.
+    """
+    path = Path(mesh)
+    vertices, faces = _read_mesh(path)
+    ours = np.array_equal(faces, body_model().faces)
+    if segmentation is None and not ours:
+        raise BodyError(
+            f"{path}: which vertices are arms and legs is not known: give a part segmentation (--segmentation)"
+        )
+    if measurements is None and not ours:
+        raise BodyError(f"{path}: its landmarks are not known: give its measures (--measurements)")
+    parts = body_model().parts if segmentation is None else _read_parts(Path(segmentation), len(vertices), path)
+    body = Body(vertices, faces, parts, path.stem)
+    return body, measure(body) if measurements is None else read_measurements(measurements)
+
+
+def read_measurements(path: Path | str) -> Measurements:
+    """The measures in a YAML file with a ``body:`` map. Raises ``BodyError`` with the file, the key and a remedy."""
+    path = Path(path)
+    values = _read_yaml(path).get("body")
+    if not isinstance(values, dict):
+        raise BodyError(f"{path}: no map named body: a measurement file begins with 'body:' and one 'key: cm' a line")
+    for key in MEASURES:
+        if key in values and not _is_number(values[key]):
+            raise BodyError(f"{path}: body.{key} is {values[key]!r}: give a number in cm, or in degrees for an angle")
+    missing = [key for key in MEASURES if key not in values and key not in OPTIONAL]
+    if missing:
+        raise BodyError(f"{path}: body lacks {', '.join(missing)}: add {'it' if len(missing) == 1 else 'them'}")
+    return Measurements.from_file_values(values)
+
+
+def write_measurements(measurements: Measurements, path: Path | str) -> None:
+    """The measures and what GarmentCode derives from them, as YAML with every digit. Raises ``OutputError``."""
+    values = measurements.to_file_values() | _derived(measurements)
+    write_whole(path, yaml.safe_dump({"body": values}).encode())
+
+
+def _derived(size: Measurements) -> dict[str, float]:
+    """The keys with a leading underscore that GarmentCode's files hold beside the measures."""
+    derived = {
+        "_armscye_depth": size.eased_armscye_depth,
+        "_base_sleeve_balance": size.sleeve_balance,
+        "_bust_line": size.drawn_bust_line,
+        "_hip_inclination": np.degrees(size.drawn_hip_inclination),
+        "_leg_length": size.leg_length,
+        "_shoulder_incl": np.degrees(size.shoulder_incl),
+        "_waist_level": size.waist_level,
+    }
+    return {key: float(value) for key, value in derived.items() if not np.isnan(value)}
+
+
+# ---------------------------------------------------------------------------------------------------------------- mesh
+
+
+def _read_mesh(path: Path) -> tuple[Float[np.ndarray, "v 3"], np.ndarray]:
+    """Vertices [cm] standing at y = 0, and faces seen counter-clockwise from outside."""
+    content = _read(path)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("obj", "ply"):
+        raise BodyError(f"{path}: a body is read from .obj or .ply: convert it")
+    try:
+        mesh = trimesh.load(
+            trimesh.util.wrap_as_stream(content), file_type=kind, force="mesh", process=False, maintain_order=True
+        )
+    except (ValueError, IndexError, KeyError, TypeError, UnicodeDecodeError) as error:
+        raise BodyError(f"{path}: cannot be read as {kind.upper()} ({error}): export the mesh again") from error
+    vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, int)
+    if not len(faces) or not np.isfinite(vertices).all():
+        raise BodyError(f"{path}: holds no triangles, or positions that are no numbers: export the mesh again")
+    if not mesh.is_watertight:
+        raise BodyError(f"{path}: the skin is not closed, so inside and outside are not known: fill its holes")
+    if mesh.volume < 0:
+        log.info("%s: its faces look inwards and were turned", path)
+        faces = faces[:, ::-1]
+    return stand(vertices * _unit(path, vertices)), faces
+
+
+def _unit(path: Path, vertices: np.ndarray) -> float:
+    """The factor to centimetres, by the height of a person."""
+    height = np.ptp(vertices[:, 1])
+    for name, factor in UNITS.items():
+        if SHORTEST < height * factor < TALLEST:
+            log.info("%s: taken to be in %s, %.1f cm tall", path, name, height * factor)
+            return factor
+    raise BodyError(
+        f"{path}: {height:.4g} tall along y, which is a person's height in no unit: turn y up, scale it to cm"
+    )
+
+
+def _read_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray, " v"]:
+    """``BodyPart`` of each vertex."""
+    try:
+        lists = json.loads(_read(path))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise BodyError(f"{path}: not JSON ({error}): give a map from part names to vertex ids") from error
+    if not isinstance(lists, dict):
+        raise BodyError(f"{path}: a {type(lists).__name__}: give a map from part names to lists of vertex ids")
+    if not {"left_arm", "right_arm", "left_leg", "right_leg"} <= lists.keys():
+        raise BodyError(f"{path}: names {', '.join(lists)}: name left_arm, right_arm, left_leg and right_leg")
+    parts = np.full(n_vertices, BodyPart.TRUNK.value, np.uint8)
+    for name, ids in lists.items():
+        vertices = _vertex_ids(path, name, ids)
+        if len(vertices) and vertices.max() >= n_vertices:
+            raise BodyError(
+                f"{path}: {name} names vertex {vertices.max()}, {mesh} has {n_vertices}: "
+                "give the segmentation of this mesh"
+            )
+        parts[vertices] = SEGMENTS.get(name, BodyPart.TRUNK).value
+    return parts
+
+
+def _vertex_ids(path: Path, name: str, ids: Any) -> np.ndarray:
+    if not isinstance(ids, list) or not all(isinstance(i, int) and i >= 0 for i in ids):
+        raise BodyError(f"{path}: {name} is no list of vertex ids: give whole numbers of 0 and more")
+    return np.array(ids, int)
+
+
+# --------------------------------------------------------------------------------------------------------------- files
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        table = yaml.safe_load(_read(path))
+    except yaml.YAMLError as error:
+        raise BodyError(f"{path}: not YAML ({' '.join(str(error).split())}): mend that line") from error
+    return table if isinstance(table, dict) else {}
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise BodyError(f"{path}: cannot be read ({error.strerror}): check the path") from error

@@ -1,0 +1,53 @@
+"""A body by the name that a person types."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.generator.body.files import read_body, read_measurements
+from gcd_dataset.generator.body.shape import build_body, draw_shape, named_shape
+from gcd_dataset.generator.body.tailor import measure
+from gcd_dataset.records import Body, BodyShape, Measurements
+from gcd_dataset.seeding import Stage, rng
+
+__all__ = ["named_body"]
+
+
+def named_body(
+    name_or_path: str | Path,
+    *,
+    measurements: Path | str | None = None,
+    segmentation: Path | str | None = None,
+    legs_apart: bool = False,
+) -> tuple[Body, Measurements, BodyShape | None]:
+    """A body, its measures, and its shape where it is one of ours.
+
+    ``name_or_path`` is ``neutral``, ``female``, ``male``, ``random:SEED`` or a mesh file (see ``read_body``), which
+    stands as it stands. Measures are taken with the legs straight, as GarmentCode takes them. Raises ``BodyError``.
+    """
+    shape = _named(str(name_or_path), legs_apart=legs_apart)
+    if shape is None:
+        return *read_body(name_or_path, measurements, segmentation), None
+    if segmentation is not None:
+        raise BodyError(f"{name_or_path}: its parts are known: leave the segmentation out")
+    body = build_body(shape, name=str(name_or_path))
+    if measurements is not None:
+        return body, read_measurements(measurements), shape
+    return body, measure(build_body(replace(shape, legs_apart=False))), shape
+
+
+def _named(name: str, *, legs_apart: bool) -> BodyShape | None:
+    """The shape of that name, or ``None`` for what can only be a file."""
+    if name.startswith("random:"):
+        return draw_shape(rng(_seed(name), 0, Stage.BODY), legs_apart=legs_apart)
+    if name in body_model().named or not Path(name).suffix:
+        return named_shape(name, legs_apart=legs_apart)
+    return None
+
+
+def _seed(name: str) -> int:
+    text = name.removeprefix("random:")
+    if not text.isdecimal():
+        raise BodyError(f"{name}: the seed is {text!r}: give a whole number of 0 or more, such as random:7")
+    return int(text)

@@ -1,0 +1,96 @@
+"""Plane sections of a mesh and the tape laid round them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+
+__all__ = ["clipped", "girth", "outline", "rough_girths", "section", "section_points", "tape"]
+
+DIRECTIONS = 48  # widths a rough girth is averaged over: within 1e-6 of the tape on an oval
+
+
+def section(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], axis: int, level: float) -> np.ndarray:
+    """Where the plane ``coordinate[axis] = level`` cuts the faces: segments (s, 2, 3).
+
+    Segments run the same way round, so the first points of a closed section are all of its points.
+    """
+    starts, ends, at = _crossed_sides(vertices, faces, axis, np.array([level]))
+    return np.stack([_between(vertices, side, axis, at) for side in (starts, ends)], axis=1)
+
+
+def section_points(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], axis: int, levels: Float[np.ndarray, " l"]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """The points of several parallel sections and the level of each, level by level; sections are closed."""
+    starts, _, at = _crossed_sides(vertices, faces, axis, levels)
+    return _between(vertices, starts, axis, at), at
+
+
+_Sides = tuple[np.ndarray, np.ndarray]  # the vertices at their two ends
+
+
+def _crossed_sides(
+    vertices: np.ndarray, faces: np.ndarray, axis: int, levels: np.ndarray
+) -> tuple[_Sides, _Sides, Float[np.ndarray, " s"]]:
+    """For every level and face it cuts: the two sides of the face that it crosses, and the level."""
+    heights = vertices[:, axis][faces.T]
+    low = np.minimum(np.minimum(heights[0], heights[1]), heights[2])
+    high = np.maximum(np.maximum(heights[0], heights[1]), heights[2])
+    near = np.flatnonzero((low <= levels.max()) & (high > levels.min()))
+    row, hit = np.nonzero((low[near] <= levels[:, None]) & (high[near] > levels[:, None]))
+    face, at = near[hit], levels[row]
+    above = heights[:, face] > at
+    peak = above.sum(axis=0) == 1  # one corner above the plane, else one below
+    lone = np.where(peak, above, ~above).argmax(axis=0)
+    tip, left, right = (faces[face, (lone + turn) % 3] for turn in range(3))
+    return (tip, np.where(peak, left, right)), (tip, np.where(peak, right, left)), at
+
+
+def _between(vertices: np.ndarray, side: _Sides, axis: int, level: np.ndarray) -> Float[np.ndarray, "s 3"]:
+    a, b = vertices[side[0]], vertices[side[1]]
+    share = (level - a[:, axis]) / (b[:, axis] - a[:, axis])
+    return a + share[:, None] * (b - a)
+
+
+def clipped(
+    segments: Float[np.ndarray, "s 2 3"], normal: Sequence[float] | np.ndarray, origin: np.ndarray
+) -> Float[np.ndarray, "t 2 3"]:
+    """What lies of the segments on the side of a plane that ``normal`` points to."""
+    side = (segments - origin) @ np.asarray(normal)
+    crossing = (side[:, 0] >= 0) != (side[:, 1] >= 0)
+    drop = np.where(crossing, side[:, 0] - side[:, 1], 1.0)
+    on_plane = segments[:, 0] + (side[:, 0] / drop)[:, None] * (segments[:, 1] - segments[:, 0])
+    moved = np.where((side < 0)[:, :, None], on_plane[:, None], segments)
+    return moved[(side >= 0).any(axis=1)]
+
+
+def girth(points: Float[np.ndarray, "n 2"]) -> float:
+    """Length of a tape drawn tight round the points: the perimeter of their convex hull."""
+    return float(np.hypot(*_tight(points).T).sum())
+
+
+def tape(points: Float[np.ndarray, "n 2"], facing: tuple[float, float], *, over: float = 0.0) -> float:
+    """Length of that part of the tight tape whose outward normal · ``facing`` is greater than ``over``."""
+    sides = _tight(points)
+    lengths = np.hypot(*sides.T)
+    return float(lengths[sides @ [facing[1], -facing[0]] > over * lengths].sum())
+
+
+def _tight(points: np.ndarray) -> Float[np.ndarray, "h 2"]:
+    """The sides of the convex hull, clockwise: their outward normals are a quarter turn to the left."""
+    return np.diff(shapely.get_coordinates(shapely.convex_hull(shapely.linestrings(points))), axis=0)
+
+
+def outline(segments: Float[np.ndarray, "s 2 3"]) -> float:
+    """Length of a section as it is, hollows included."""
+    return float(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum())
+
+
+def rough_girths(points: Float[np.ndarray, "n 2"], group: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:
+    """Girth of every group of consecutive points by Cauchy's formula: π times the mean width. Quick, for a search."""
+    angle = (np.arange(DIRECTIONS) + 0.5) * 2 * np.pi / DIRECTIONS
+    reach = points @ np.stack([np.cos(angle), np.sin(angle)])
+    starts = np.flatnonzero(np.diff(group, prepend=np.inf))
+    return np.maximum.reduceat(reach, starts, axis=0).sum(axis=1) * 2 * np.pi / DIRECTIONS

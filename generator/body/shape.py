@@ -1,0 +1,54 @@
+"""Bodies from a few numbers: ``X = mean + components · w``, then the pose (Korosteleva et al., ECCV 2024)."""
+
+import numpy as np
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.generator.body.pose import LEGS_APART, set_pose, stand
+from gcd_dataset.records import Body, BodyShape
+
+__all__ = ["build_body", "draw_shape", "female_shape", "male_shape", "named_shape", "neutral_shape"]
+
+SPREAD = 0.7  # standard deviations of the drawn weights, GarmentCodeData's
+ARM_SWING = np.radians(15.0)  # largest raising or lowering of the drawn arms, GarmentCodeData's
+
+
+def neutral_shape(*, legs_apart: bool = False) -> BodyShape:
+    """The body between the mean woman and the mean man."""
+    return named_shape("neutral", legs_apart=legs_apart)
+
+
+def female_shape(*, legs_apart: bool = False) -> BodyShape:
+    """The mean woman."""
+    return named_shape("female", legs_apart=legs_apart)
+
+
+def male_shape(*, legs_apart: bool = False) -> BodyShape:
+    """The mean man."""
+    return named_shape("male", legs_apart=legs_apart)
+
+
+def named_shape(name: str, *, legs_apart: bool = False) -> BodyShape:
+    """The body of that name. Raises ``BodyError`` with the names there are."""
+    named = body_model().named
+    if name not in named:
+        raise BodyError(f"no body named {name}: there are {', '.join(named)}, random:SEED, or a mesh file")
+    return BodyShape(named[name], legs_apart=legs_apart)
+
+
+def draw_shape(rng: np.random.Generator, *, legs_apart: bool = False) -> BodyShape:
+    """A body drawn from the population, with its arms somewhere about the A-pose."""
+    weights = rng.normal(0.0, SPREAD, size=len(body_model().components))
+    return BodyShape(weights, float(rng.uniform(-ARM_SWING, ARM_SWING)), legs_apart)
+
+
+def build_body(shape: BodyShape, *, name: str = "body") -> Body:
+    """The body of a shape, standing at y = 0. Raises ``BodyError`` where the number of weights is not the model's."""
+    model = body_model()
+    if shape.weights.shape != (len(model.components),):
+        raise BodyError(f"{name}: {shape.weights.size} shape weights, the body model takes {len(model.components)}")
+    # einsum and not a matrix product: the sums of BLAS depend on its threads, and a sample is to be the same anywhere.
+    vertices = model.mean + np.einsum("k,kvi->vi", shape.weights, model.components)
+    joints = model.joints + np.einsum("k,kni->ni", shape.weights, model.joint_components)
+    posed = set_pose(vertices, joints, model.skin, arm=shape.arm_angle, leg=LEGS_APART if shape.legs_apart else 0.0)
+    return Body(stand(posed), model.faces, model.parts, name)

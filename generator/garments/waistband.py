@@ -1,0 +1,63 @@
+"""Waistbands: ``wb_front`` and ``wb_back``, between what hangs from the shoulders and what hangs from the waist."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from gcd_dataset.generator.garments.ring import band, sector
+from gcd_dataset.generator.garments.space import Design, real
+from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_back, waist_front
+from gcd_dataset.generator.pattern import Component, Piece
+from gcd_dataset.records import Measurements
+
+__all__ = ["Waistband", "WaistbandDesign", "band_rise", "waistband"]
+
+FRONT, BACK = 20.0, -15.0  # cm before and behind the axis, GarmentCode
+
+
+class Waistband(Enum):
+    """The waistbands there are."""
+
+    STRAIGHT = "StraightWB"
+    FITTED = "FittedWB"
+
+
+@dataclass(frozen=True)
+class WaistbandDesign(Design):
+    """Girth and height of the band."""
+
+    waist: float = real(1.0, 1.0, 2.0, keep=0.7)
+    """Girth, as a fraction of the body's."""
+    width: float = real(0.2, 0.1, 1.0, keep=0.5)
+    """Height, as a fraction of waist to hips."""
+
+
+def waistband(size: Measurements, design: WaistbandDesign, kind: Waistband, *, rise: float) -> Component:
+    """A band whose lower edge sits at ``rise`` (0 hips, 1 waist); offers ``top`` and ``bottom`` [rings]."""
+    low, height = band_rise(design, rise), design.width * size.hips_line
+    top, bottom = (design.waist * girth_at_rise(size, at) for at in (low + design.width, low))
+    top_back, bottom_back = top * back_share(size, low + design.width), bottom * back_share(size, low)
+    front = _half("wb_front", kind, top - top_back, bottom - bottom_back, height)
+    back = _half("wb_back", kind, top_back, bottom_back, height)
+    front, back = front.at(0, size.waist_level, FRONT), back.at(0, size.waist_level, BACK)
+    return (
+        Component.of(front, back)
+        .sewn(front.along("right"), back.along("right"))
+        .sewn(front.along("left"), back.along("left"))
+        .offering(
+            top=front.against("top", ruffle=front.outline.length("top") / waist_front(size))
+            + back.along("top", ruffle=back.outline.length("top") / waist_back(size)),
+            bottom=front.along("bottom", ruffle=front.outline.length("bottom") / waist_front(size))
+            + back.against("bottom", ruffle=back.outline.length("bottom") / waist_back(size)),
+        )
+    )  # fmt: skip
+
+
+def band_rise(design: WaistbandDesign, rise: float) -> float:
+    """Where the lower edge sits: as low as the height of the band asks for, so that it ends at the waist."""
+    return min(rise, 1.0 - design.width)
+
+
+def _half(name: str, kind: Waistband, top: float, bottom: float, height: float) -> Piece:
+    if kind is Waistband.STRAIGHT:
+        return band(name, top, height)
+    return sector(name, top, (bottom - top) / height, height)

@@ -1,0 +1,166 @@
+"""The inside of a panel as a hexagonal lattice, which needs no search for its triangles.
+
+Row ``j`` of the lattice is half a pitch further along for odd ``j``. Between rows ``j`` and ``j + 1`` the triangle
+``(j, i, 0)`` points up from the base (j, i), (j, i + 1), and ``(j, i, 1)`` points down to (j, i).
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+__all__ = ["Lattice", "build_lattice"]
+
+PITCH = 0.97  # of the border's spacing: the median edge of GarmentCode's meshes
+CLEAR_OF_POINT = 0.60  # pitches a seed keeps away from the border's points
+CLEAR_OF_MIDDLE = 0.60  # and from the middles between them
+FAR = 1.27  # pitches from the border at which all six triangles are certain: see _certain
+CIRCLE = (1 + 1e-6) / 3  # square pitches: the square of the circumradius
+ROW = np.sqrt(0.75)  # pitches from row to row
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Seeds inside a border, and the triangles between them that no other point disturbs."""
+
+    number: Int[np.ndarray, "row column"]
+    """The seed at each place of the lattice; -1 for none."""
+    filled: Bool[np.ndarray, "row column 2"]
+    """The triangles that are Delaunay whatever lies around."""
+    origin: Float[np.ndarray, "2"]
+    pitch: float
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, "n 2"]:
+        """The seeds [cm]."""
+        j, i = np.nonzero(self.number >= 0)
+        return self.origin + self.pitch * np.stack([i + 0.5 * (j % 2), ROW * j], axis=1)
+
+    @cached_property
+    def faces(self) -> Int[np.ndarray, "f 3"]:
+        """The filled triangles, counter-clockwise."""
+        j, i, down = np.nonzero(self.filled)
+        columns = self.number.shape[1]
+        first = j * columns + i
+        third = first + columns + j % 2
+        second, third = np.where(down, (third, third - 1), (first + 1, third))
+        return self.number.ravel()[np.stack([first, second, third], axis=1)]
+
+    @cached_property
+    def rim(self) -> Int[np.ndarray, " r"]:
+        """The seeds that belong to other triangles too."""
+        return np.flatnonzero(np.bincount(self.faces.ravel(), minlength=self.number.max(initial=-1) + 1) < 6)
+
+    def covers(self, points: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
+        """Which points lie in a filled triangle."""
+        row, column = _coordinates(points, self.origin, self.pitch)
+        j = np.floor(row).astype(int)
+        slant = 0.5 * (row - j)
+        along = column - 0.5 * (j % 2)
+        left, right = np.floor(along - slant).astype(int), np.floor(along + slant).astype(int)
+        rows, columns = self.filled.shape[:2]
+        within = (j >= 0) & (j < rows) & (left >= 0) & (right < columns)
+        return within & self.filled[j % rows, right % columns, (left != right).astype(int)]
+
+    def without(self, points: Float[np.ndarray, "m 2"]) -> Self:
+        """The lattice less the triangles with one of these points in their circumcircle."""
+        row, column = _coordinates(points, self.origin, self.pitch)
+        j = np.floor(row).astype(int)[:, None, None] + np.arange(-1, 2)[:, None]
+        shift = 0.5 * (j % 2)
+        i = np.floor(column[:, None, None] - shift).astype(int) + np.arange(-1, 2)
+        filled = self.filled.copy()
+        for down, (along, up) in enumerate(((1 / 2, 1 / 3), (0, 2 / 3))):
+            square = (i + along + shift - column[:, None, None]) ** 2 + (ROW * (j + up - row[:, None, None])) ** 2
+            held = square < CIRCLE
+            filled[np.broadcast_to(j, i.shape)[held], i[held], down] = False
+        return replace(self, filled=filled)
+
+
+def build_lattice(border: Float[np.ndarray, "n 2"], spacing: float) -> Lattice:
+    """The seeds inside a counter-clockwise loop of points at most ``spacing`` [cm] apart."""
+    pitch = PITCH * spacing
+    origin, shape = _grid(border, pitch)
+    inside = _inside(border, origin, pitch, shape)
+    clear, far = _clearances(border, origin, pitch, shape)
+    kept = inside & clear
+    number = np.where(kept, np.cumsum(kept).reshape(shape) - 1, -1)
+    return Lattice(number, _certain(kept, far), origin, pitch)
+
+
+def _grid(border: Float[np.ndarray, "n 2"], pitch: float) -> tuple[Float[np.ndarray, "2"], tuple[int, int]]:
+    """Origin [cm] and (rows, columns) of a lattice over the border, symmetric about the middle of its width."""
+    low, high = border.min(axis=0), border.max(axis=0)
+    columns, rows = np.ceil(0.5 * (high - low) / pitch / (1.0, ROW)).astype(int) + 2
+    origin = 0.5 * (low + high) - pitch * np.array([columns, ROW * rows])
+    return origin, (2 * int(rows) + 1, 2 * int(columns) + 1)
+
+
+def _coordinates(
+    points: Float[np.ndarray, "n 2"], origin: Float[np.ndarray, "2"], pitch: float
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Row and (unshifted) column of points, as fractions."""
+    column, row = ((points - origin) / pitch / (1.0, ROW)).T
+    return row, column
+
+
+def _inside(
+    border: Float[np.ndarray, "n 2"], origin: Float[np.ndarray, "2"], pitch: float, shape: tuple[int, int]
+) -> Bool[np.ndarray, "row column"]:
+    """Which lattice points lie inside the loop: each row counts the segments it has crossed."""
+    row, column = _coordinates(border, origin, pitch)
+    row_next, column_next = np.roll(row, -1), np.roll(column, -1)
+    first = np.ceil(np.minimum(row, row_next)).astype(int)
+    crossed = np.ceil(np.maximum(row, row_next)).astype(int) - first
+    segment = np.repeat(np.arange(len(border)), crossed)
+    j = first[segment] + np.arange(len(segment)) - np.repeat(np.cumsum(crossed) - crossed, crossed)
+    share = (j - row[segment]) / (row_next[segment] - row[segment])
+    at = column[segment] + share * (column_next[segment] - column[segment])
+    cell = j * shape[1] + np.ceil(at - 0.5 * (j % 2)).astype(int)
+    passed = np.bincount(cell, minlength=shape[0] * shape[1]).reshape(shape) % 2 == 1
+    return np.logical_xor.accumulate(passed, axis=1)
+
+
+def _clearances(
+    border: Float[np.ndarray, "n 2"], origin: Float[np.ndarray, "2"], pitch: float, shape: tuple[int, int]
+) -> tuple[Bool[np.ndarray, "row column"], Bool[np.ndarray, "row column"]]:
+    """Which lattice points keep their distance from the border, and which are far from it."""
+    middles = 0.5 * (border + np.roll(border, -1, axis=0))
+    row, column = _coordinates(np.concatenate([border, middles]), origin, pitch)
+    radius = np.repeat([CLEAR_OF_POINT, CLEAR_OF_MIDDLE], len(border))
+    # The nearest row and column and their neighbours: nothing beyond them is nearer than 1.299 pitches.
+    j = np.rint(row).astype(int)[:, None, None] + np.arange(-1, 2)[:, None]
+    shift = 0.5 * (j % 2)
+    i = np.rint(column[:, None, None] - shift).astype(int) + np.arange(-1, 2)
+    square = (i + shift - column[:, None, None]) ** 2 + (ROW * (j - row[:, None, None])) ** 2
+    j = np.broadcast_to(j, i.shape)
+    clear, far = np.ones(shape, bool), np.ones(shape, bool)
+    near = square < radius[:, None, None] ** 2
+    clear[j[near], i[near]] = False
+    near = square < FAR**2
+    far[j[near], i[near]] = False
+    return clear, far
+
+
+def _certain(
+    kept: Bool[np.ndarray, "row column"], far: Bool[np.ndarray, "row column"]
+) -> Bool[np.ndarray, "row column 2"]:
+    """Which triangles of the lattice no border can disturb.
+
+    A border point in the circumcircle of a triangle is within 1.155 pitches of all its corners, and a border segment
+    that passes through it has an end or its middle within 1.26. So one far corner is enough.
+    """
+    here, right, above, before = _neighbours(kept)
+    filled = np.stack([here & right & above, here & above & before], axis=2)
+    here, right, above, before = _neighbours(far)
+    return filled & np.stack([here | right | above, here | above | before], axis=2)
+
+
+def _neighbours(flag: Bool[np.ndarray, "row column"]) -> tuple[Bool[np.ndarray, "_ _"], ...]:
+    """A flag of the lattice's points, at each point, the next in its row, and the two above: right, then left."""
+    upper = flag[1:]
+    before = np.roll(upper, 1, axis=1)  # what wraps round is outside every border
+    odd = np.arange(len(upper))[:, None] % 2 == 1
+    above, before = (np.where(odd, a, b)[:, :-1] for a, b in ((np.roll(upper, -1, axis=1), upper), (upper, before)))
+    return flag[:-1, :-1], flag[:-1, 1:], above, before

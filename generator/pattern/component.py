@@ -1,0 +1,138 @@
+"""Components: pieces sewn to each other, with the interfaces at which they can be sewn to others."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.pattern.panel import Piece, Vector
+from gcd_dataset.generator.pattern.seam import Interface, Join
+
+__all__ = ["Component"]
+
+
+@dataclass(frozen=True)
+class Component:
+    """A part of a garment. All methods return a new component."""
+
+    pieces: tuple[Piece, ...]
+    joins: tuple[Join, ...] = ()
+    interfaces: Mapping[str, Interface] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, *parts: "Piece | Component") -> Self:
+        """Pieces and components put together, keeping their seams; interfaces are not passed on.
+
+        Raises ``PatternError`` where two pieces have one name.
+        """
+        whole = [part if isinstance(part, Component) else Component((part,)) for part in parts]
+        pieces = tuple(piece for part in whole for piece in part.pieces)
+        names = [piece.name for piece in pieces]
+        if twice := {name for name in names if names.count(name) > 1}:
+            raise PatternError(f"panels {', '.join(sorted(twice))} stand twice in one component")
+        return cls(pieces, tuple(join for part in whole for join in part.joins))
+
+    def sewn(self, left: Interface, right: Interface) -> Self:
+        """With one more seam, between interfaces walked the same way."""
+        return replace(self, joins=(*self.joins, Join(left, right)))
+
+    def offering(self, **interfaces: Interface) -> Self:
+        """With named interfaces for others to be sewn to."""
+        return replace(self, interfaces={**self.interfaces, **interfaces})
+
+    def interface(self, name: str) -> Interface:
+        """The interface of that name. Raises ``PatternError`` with the names there are."""
+        if name not in self.interfaces:
+            raise PatternError(f"no interface named {name}: there are {', '.join(self.interfaces)}")
+        return self.interfaces[name]
+
+    def piece(self, name: str) -> Piece:
+        """The piece of that name. Raises ``PatternError`` with the names there are."""
+        for piece in self.pieces:
+            if piece.name == name:
+                return piece
+        raise PatternError(f"no panel named {name}: there are {', '.join(piece.name for piece in self.pieces)}")
+
+    def moved(self, by: Vector) -> Self:
+        """Shifted in space [cm]."""
+        return replace(self, pieces=tuple(piece.moved(by) for piece in self.pieces))
+
+    def turned(self, angle: float) -> Self:
+        """Turned about the z axis through the world's origin [rad]."""
+        return replace(self, pieces=tuple(piece.turned(angle) for piece in self.pieces))
+
+    def labelled(self, label: str) -> Self:
+        """With the part of the body written on every piece that has none."""
+        return replace(self, pieces=tuple(replace(p, label=p.label or label) for p in self.pieces))
+
+    def with_edge_label(self, interface: Interface, label: str) -> Self:
+        """With a label on the edges of an interface; it stays on every piece they are divided into."""
+        edges = {(section.panel, section.edge) for section in interface}
+        return replace(self, pieces=tuple(_labelled(piece, edges, label) for piece in self.pieces))
+
+    def mirrored(self, old: str, new: str) -> Self:
+        """The mirror image about x = 0, with ``old`` exchanged for ``new`` in the names and labels.
+
+        >>> from gcd_dataset.generator.pattern.outline import Outline
+        >>> sleeve = Piece("right_sleeve", Outline.start(0, 0).line(10, 0).line(10, 20).close()).at(-30, 120, 0)
+        >>> left = Component.of(sleeve).mirrored("right", "left")
+        >>> left.piece("left_sleeve").translation
+        (30, 120, 0)
+        """
+        return replace(
+            self,
+            pieces=tuple(_renamed_labels(p.mirrored(p.name.replace(old, new)), old, new) for p in self.pieces),
+            joins=tuple(Join(_renamed(j.left, old, new), _renamed(j.right, old, new)) for j in self.joins),
+            interfaces={name: _renamed(interface, old, new) for name, interface in self.interfaces.items()},
+        )
+
+    def points(self, interface: str | None = None) -> Float[np.ndarray, "n 3"]:
+        """Points along all contours, or along one interface, in space [cm]."""
+        if interface is None:
+            return np.concatenate([piece.points() for piece in self.pieces])
+        return np.concatenate([self.piece(s.panel).points(s.edge) for s in self.interface(interface)])
+
+    def placed_by(self, own: str, other: "Component", theirs: str, *, gap: float, top: bool = False) -> Self:
+        """Moved so that its interface ``own`` lies before the interface ``theirs`` of another, ``gap`` cm off.
+
+        The middles of the two bounding boxes meet (with ``top``, at the height of their upper sides); the gap points
+        from the middle of the whole component to its interface, so the component stands off on its own side.
+        Raises ``PatternError`` where those two middles coincide, which leaves no side.
+        """
+        edge = self.points(own)
+        mine, target = _middle(edge, top), _middle(other.points(theirs), top)
+        away = _middle(edge, False) - _middle(self.points(), False)
+        distance = float(np.linalg.norm(away))
+        if distance == 0.0:
+            raise PatternError(f"interface {own} lies in the middle of its component: there is no side to stand off on")
+        shift = target - (mine + gap / distance * away)
+        return self.moved((float(shift[0]), float(shift[1]), float(shift[2])))
+
+
+def _middle(points: Float[np.ndarray, "n 3"], top: bool) -> Float[np.ndarray, "3"]:
+    """Middle of the bounding box, or of its upper side."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = 0.5 * (low + high)
+    if top:
+        middle[1] = high[1]
+    return middle
+
+
+def _renamed(interface: Interface, old: str, new: str) -> Interface:
+    return tuple(replace(section, panel=section.panel.replace(old, new)) for section in interface)
+
+
+def _renamed_labels(piece: Piece, old: str, new: str) -> Piece:
+    strokes = tuple(replace(stroke, label=stroke.label.replace(old, new)) for stroke in piece.outline.strokes)
+    return replace(piece, outline=replace(piece.outline, strokes=strokes))
+
+
+def _labelled(piece: Piece, edges: set[tuple[str, str]], label: str) -> Piece:
+    strokes = tuple(
+        replace(stroke, label=label) if (piece.name, stroke.name) in edges else stroke
+        for stroke in piece.outline.strokes
+    )
+    return replace(piece, outline=replace(piece.outline, strokes=strokes))

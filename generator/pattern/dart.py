@@ -1,0 +1,128 @@
+"""What is cut into an outline: darts, notches and corners.
+
+>>> from gcd_dataset.generator.pattern.outline import Outline
+>>> skirt = Outline.start(0, 0).line(0, -40).line(60, -40, name="hem").line(60, 0).close(name="waist")
+>>> cut = cut_into(skirt, "hem", notch(4.0, 10.0), at=30.0)
+>>> [round(piece.length, 3) for piece in cut.run("hem")], cut.area
+([28.0, 28.0], 2380.0)
+"""
+
+from math import atan2, hypot, pi, sqrt
+
+from gcd_dataset.curves import Point
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.pattern.edge import Stroke, chain_from
+from gcd_dataset.generator.pattern.outline import Outline
+
+__all__ = ["cut_corner", "cut_into", "dart", "notch"]
+
+MOUTH_TOLERANCE = 1e-9  # cm²
+MOUTH_STEPS = 20
+
+
+def dart(width: float, leg: float, *, name: str = "dart") -> tuple[Stroke, Stroke]:
+    """A dart open by ``width``, with two legs of length ``leg`` [cm].
+
+    Raises ``PatternError`` for legs that do not meet.
+    """
+    if leg <= 0.5 * width:
+        raise PatternError(f"dart {name}: legs of {leg:.2f} cm do not meet over an opening of {width:.2f} cm")
+    return notch(width, sqrt(leg**2 - 0.25 * width**2), name=name)
+
+
+def notch(width: float, depth: float, *, name: str = "notch") -> tuple[Stroke, Stroke]:
+    """An isosceles notch, ``width`` wide at the edge and ``depth`` deep [cm], of sides ``name.0`` and ``name.1``."""
+    tip = (0.5 * width, depth)
+    return Stroke((0.0, 0.0), tip, name=f"{name}.0"), Stroke(tip, (width, 0.0), name=f"{name}.1")
+
+
+def cut_into(outline: Outline, edge: str, shape: tuple[Stroke, ...], *, at: float) -> Outline:
+    """The outline with a shape cut into an edge, its mouth centred ``at`` cm along it, its depth pointing inside.
+
+    The shape runs from the origin along the x axis and dips to positive y. The rest of the edge keeps its name.
+    Raises ``PatternError`` where the mouth does not fit between the ends of the edge.
+    """
+    stroke = outline.edge(edge)
+    mouth = hypot(shape[-1].end[0], shape[-1].end[1])
+    first, last = _mouth(stroke, at, mouth)
+    before, under, after = stroke.split_at([first, last])
+    if outline.area < 0:  # the inside lies to the right of the travel
+        shape = tuple(_upside_down(piece) for piece in shape)
+    turned = _aligned(shape, under)
+    return outline.with_strokes((stroke,), (before, *turned, after))
+
+
+def cut_corner(outline: Outline, low: str, high: str, shape: tuple[Stroke, ...]) -> Outline:
+    """The outline with the corner between two straight edges exchanged for a shape, which keeps size and direction.
+
+    ``low`` ends at the corner and ``high`` begins there. The shape's ends come to lie on the two edges, which are
+    shortened: with ``a`` and ``b`` the parameters of its ends, ``low(a) + chord = high(b)``, two linear equations.
+    Raises ``PatternError`` where the shape does not fit between the edges.
+    """
+    below, above = outline.edge(low), outline.edge(high)
+    chord = (shape[-1].end[0] - shape[0].start[0], shape[-1].end[1] - shape[0].start[1])
+    a, b = _corner_parameters(below, above, chord)
+    kept_below, _ = below.split_at([a])
+    _, kept_above = above.split_at([b])
+    placed = chain_from(kept_below.end, *shape)
+    return outline.with_strokes((below, above), (kept_below, *placed, kept_above))
+
+
+def _corner_parameters(low: Stroke, high: Stroke, chord: Point) -> tuple[float, float]:
+    """Parameters on the two edges between which the chord fits."""
+    (ux, uy), (vx, vy) = low.chord, high.chord
+    rx, ry = high.start[0] - low.start[0] - chord[0], high.start[1] - low.start[1] - chord[1]
+    determinant = vx * uy - ux * vy
+    if determinant == 0.0:
+        raise PatternError(f"edges {low.name} and {high.name} are parallel: there is no corner to cut")
+    a, b = (vx * ry - vy * rx) / determinant, (ux * ry - uy * rx) / determinant
+    if not all(0.0 < share < 1.0 for share in (a, b)):
+        raise PatternError(
+            f"a cut from {low.name} to {high.name} does not fit the corner: it would end at {a:.2f} and {b:.2f} of them"
+        )
+    return a, b
+
+
+def _mouth(stroke: Stroke, at: float, width: float) -> tuple[float, float]:
+    """Curve parameters ``width`` cm apart, both at the same straight distance from the point ``at`` cm along."""
+    length = stroke.length
+    if not 0.5 * width < at < length - 0.5 * width:
+        raise PatternError(
+            f"edge {stroke.name} of {length:.2f} cm: an opening of {width:.2f} cm centred at {at:.2f} cm does not fit"
+        )
+    middle = stroke.parameter(at / length)
+    centre, half = stroke.at(middle), 0.5 * width / hypot(*stroke.velocity(middle))
+    low, high = middle - half, middle + half
+    for _ in range(MOUTH_STEPS):
+        residual, step = _mouth_step(stroke, centre, low, high, width)
+        if residual <= MOUTH_TOLERANCE:
+            break
+        low, high = low + step[0], high + step[1]
+    if residual > MOUTH_TOLERANCE or not 0.0 < low < high < 1.0:
+        raise PatternError(f"edge {stroke.name}: an opening of {width:.2f} cm at {at:.2f} cm runs past its end")
+    return low, high
+
+
+def _mouth_step(stroke: Stroke, centre: Point, low: float, high: float, width: float) -> tuple[float, Point]:
+    """Residual [cm²] and Newton step of: both ends equally far from the centre, and ``width`` apart."""
+    (px, py), (qx, qy) = stroke.at(low), stroke.at(high)
+    (dpx, dpy), (dqx, dqy) = stroke.velocity(low), stroke.velocity(high)
+    ax, ay, bx, by = px - centre[0], py - centre[1], qx - centre[0], qy - centre[1]
+    uneven = ax * ax + ay * ay - bx * bx - by * by
+    wide = (qx - px) ** 2 + (qy - py) ** 2 - width * width
+    j00, j01 = 2 * (ax * dpx + ay * dpy), -2 * (bx * dqx + by * dqy)
+    j10, j11 = -2 * ((qx - px) * dpx + (qy - py) * dpy), 2 * ((qx - px) * dqx + (qy - py) * dqy)
+    determinant = j00 * j11 - j01 * j10
+    step = ((j01 * wide - j11 * uneven) / determinant, (j10 * uneven - j00 * wide) / determinant)
+    return max(abs(uneven), abs(wide)), step
+
+
+def _aligned(shape: tuple[Stroke, ...], under: Stroke) -> tuple[Stroke, ...]:
+    """The shape turned and moved onto the stretch of edge that it replaces."""
+    angle = atan2(under.chord[1], under.chord[0])
+    return chain_from(under.start, *(piece.rotated(angle) for piece in shape))
+
+
+def _upside_down(stroke: Stroke) -> Stroke:
+    """The mirror image about the x axis."""
+    return stroke.mirrored().rotated(pi)

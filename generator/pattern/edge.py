@@ -1,0 +1,187 @@
+"""Strokes: edges as they are drawn, each with its own two end points, before they share the corners of a panel.
+
+>>> side = Stroke((0.0, 0.0), (0.0, 30.0), name="side")
+>>> [round(piece.length, 3) for piece in side.split([0.25])]
+[7.5, 22.5]
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import cos, hypot, pi, sin
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.curves import (
+    LINE,
+    QUADRATURE_NODES,
+    QUADRATURE_WEIGHTS,
+    Arc,
+    Cubic,
+    Curve,
+    Line,
+    Point,
+    Quadratic,
+    curve_length,
+    curve_points,
+    curve_tangents,
+    from_frame,
+    mirrored,
+    reversed_curve,
+    to_frame,
+)
+from gcd_dataset.errors import PatternError
+
+__all__ = ["Stroke", "chain_from", "rotate"]
+
+OUTLINE_SAMPLES = np.linspace(0.0, 1.0, 17)  # along a curve, where an outline's extent is asked for
+ARC_LENGTH_TOLERANCE = 1e-9  # of the stroke's length
+ARC_LENGTH_STEPS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Stroke:
+    """An edge in the plane of its piece [cm], walked from ``start`` to ``end``."""
+
+    start: Point
+    end: Point
+    curve: Curve = LINE
+    name: str = ""
+    """What the drawing calls it; pieces of a divided stroke keep the name."""
+    label: str = ""
+    """What it is to a drape (``lower_interface``, ``left_collar``, …); empty for none."""
+
+    @property
+    def length(self) -> float:
+        """Arc length [cm]."""
+        return curve_length(self.start, self.end, self.curve)
+
+    @property
+    def chord(self) -> Point:
+        """From start to end [cm]."""
+        return (self.end[0] - self.start[0], self.end[1] - self.start[1])
+
+    def points(self) -> Float[np.ndarray, "n 2"]:
+        """Points along the stroke, ends included, close enough to tell its extent [cm]."""
+        if isinstance(self.curve, Line):
+            return np.array([self.start, self.end])
+        return curve_points(self.start, self.end, self.curve, OUTLINE_SAMPLES)
+
+    def at(self, t: float) -> Point:
+        """The point at curve parameter ``t`` [cm]."""
+        x, y = curve_points(self.start, self.end, self.curve, np.array([t]))[0]
+        return (float(x), float(y))
+
+    def velocity(self, t: float) -> Point:
+        """Derivative with respect to the curve parameter at ``t`` [cm]."""
+        x, y = curve_tangents(self.start, self.end, self.curve, np.array([t]))[0]
+        return (float(x), float(y))
+
+    def parameter(self, share: float) -> float:
+        """The curve parameter where ``share`` of the arc length is reached; Newton's method on the arc length."""
+        if share in (0.0, 1.0) or isinstance(self.curve, Line | Arc):
+            return share
+        total, t = self.length, share
+        for _ in range(ARC_LENGTH_STEPS):
+            missing = share * total - self._length_to(t)
+            if abs(missing) <= ARC_LENGTH_TOLERANCE * total:
+                return t
+            t = min(max(t + missing / hypot(*self.velocity(t)), 0.0), 1.0)
+        raise PatternError(f"edge {self.name}: no point at {share:.3f} of its length: the curve stops or turns back")
+
+    def _length_to(self, t: float) -> float:
+        nodes = 0.5 * t * (QUADRATURE_NODES + 1)
+        speed = np.linalg.norm(curve_tangents(self.start, self.end, self.curve, nodes), axis=1)
+        return float(0.5 * t * QUADRATURE_WEIGHTS @ speed)
+
+    def split(self, shares: Sequence[float]) -> tuple[Self, ...]:
+        """The pieces between the given shares of the arc length, in order of travel; name and label are kept."""
+        return self.split_at([self.parameter(share) for share in shares])
+
+    def split_at(self, parameters: Sequence[float]) -> tuple[Self, ...]:
+        """The pieces between the given curve parameters, in order of travel; name and label are kept."""
+        pieces, rest, done = [], self, 0.0
+        for t in parameters:
+            piece, rest = rest._divided((t - done) / (1 - done))
+            pieces.append(piece)
+            done = t
+        return (*pieces, rest)
+
+    def _divided(self, t: float) -> tuple[Self, Self]:
+        middle = self.at(t)
+        if isinstance(self.curve, Arc):
+            turn = self.length / self.curve.radius
+            first, second = (replace(self.curve, large=turn * share > pi) for share in (t, 1 - t))
+            return replace(self, end=middle, curve=first), replace(self, start=middle, curve=second)
+        points = self.control_points()
+        head, tail = [points[0]], [points[-1]]
+        while len(points) > 1:  # de Casteljau
+            points = [((1 - t) * p[0] + t * q[0], (1 - t) * p[1] + t * q[1]) for p, q in pairwise(points)]
+            head.append(points[0])
+            tail.append(points[-1])
+        return self.through(head), self.through(tail[::-1])
+
+    def control_points(self) -> list[Point]:
+        """Ends and control points [cm]. Raises ``PatternError`` for an arc, which has none."""
+        match self.curve:
+            case Line():
+                inner: list[Point] = []
+            case Quadratic(control):
+                inner = [from_frame(self.start, self.end, control)]
+            case Cubic(control0, control1):
+                inner = [from_frame(self.start, self.end, control0), from_frame(self.start, self.end, control1)]
+            case Arc():
+                raise PatternError(f"edge {self.name}: an arc has no control points")
+        return [self.start, *inner, self.end]
+
+    def through(self, points: Sequence[Point]) -> Self:
+        """The same edge as the line or Bézier curve with these ends and control points [cm]."""
+        start, end = points[0], points[-1]
+        inner = [to_frame(start, end, point) for point in points[1:-1]]
+        match inner:
+            case []:
+                curve: Curve = LINE
+            case [control]:
+                curve = Quadratic(control)
+            case [control0, control1]:
+                curve = Cubic(control0, control1)
+            case _:
+                raise PatternError(f"edge {self.name}: {len(points)} control points are more than a cubic's four")
+        return replace(self, start=start, end=end, curve=curve)
+
+    def reversed(self) -> Self:
+        """The same stroke walked from its end to its start."""
+        return replace(self, start=self.end, end=self.start, curve=reversed_curve(self.curve))
+
+    def mirrored(self) -> Self:
+        """The mirror image about the y axis, walked in the same order."""
+        start, end = (-self.start[0], self.start[1]), (-self.end[0], self.end[1])
+        return replace(self, start=start, end=end, curve=mirrored(self.curve))
+
+    def moved(self, by: Point) -> Self:
+        """Shifted by a vector [cm]."""
+        start, end = _shift(self.start, by), _shift(self.end, by)
+        return replace(self, start=start, end=end)
+
+    def rotated(self, angle: float, about: Point = (0.0, 0.0)) -> Self:
+        """Turned counter-clockwise about a point [rad]."""
+        start, end = rotate(self.start, angle, about), rotate(self.end, angle, about)
+        return replace(self, start=start, end=end)
+
+
+def chain_from(start: Point, *strokes: Stroke) -> tuple[Stroke, ...]:
+    """The strokes, in their order, shifted together so that the first begins at ``start``."""
+    by = (start[0] - strokes[0].start[0], start[1] - strokes[0].start[1])
+    return tuple(stroke.moved(by) for stroke in strokes)
+
+
+def rotate(point: Point, angle: float, about: Point = (0.0, 0.0)) -> Point:
+    """A point turned counter-clockwise about another [rad]."""
+    x, y = point[0] - about[0], point[1] - about[1]
+    return (about[0] + cos(angle) * x - sin(angle) * y, about[1] + sin(angle) * x + cos(angle) * y)
+
+
+def _shift(point: Point, by: Point) -> Point:
+    return (point[0] + by[0], point[1] + by[1])

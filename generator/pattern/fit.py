@@ -1,0 +1,138 @@
+"""Curves fitted to what they must meet: tangents at both ends, and a length."""
+
+from dataclasses import dataclass
+from math import hypot
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.curves import QUADRATURE_NODES, QUADRATURE_WEIGHTS, Point
+from gcd_dataset.errors import FitError
+from gcd_dataset.generator.pattern.edge import Stroke
+
+__all__ = ["smooth_cubic"]
+
+SLIDE_WEIGHT = 1e-3  # cm⁻⁴: squared slide of the end against squared curvature, GarmentCode
+CURVATURE_NORM = 16  # the mean of this power stands for the peak, and has derivatives
+FIRST_GUESS = (0.5, 0.35, 0.08)  # arms and slide of a usual armhole's sleeve, in chords
+SHORTEST_ARM = 0.02  # of the chord
+NEWTON_STEPS = 40
+STEP_TOLERANCE = 1e-4  # of the chord
+LENGTH_TOLERANCE = 1e-6  # of the chord
+STEP_SHARES = 0.5 ** np.arange(11)  # of a Newton step, tried in this order
+SOFTEST = 1e-2  # least curvature of the model along which a step is computed
+PROBE = 1e-3  # of the chord, for differences
+
+SAMPLES = np.linspace(0.0, 1.0, 49)[:, None]
+LENGTH_NODES = 0.5 * (QUADRATURE_NODES[:, None] + 1)
+LENGTH_WEIGHTS = 0.5 * QUADRATURE_WEIGHTS
+PAIRS = ((0, 1), (0, 2), (1, 2))
+AXES = np.eye(3)
+STENCIL = np.array([0 * AXES[0], *AXES, *-AXES, *(AXES[i] + AXES[j] for i, j in PAIRS)])
+
+Batch: TypeAlias = Float[np.ndarray, "n 2"]
+
+
+def smooth_cubic(start: Point, end: Point, *, start_tangent: Point, end_tangent: Point, length: float) -> Stroke:
+    """The smoothest cubic with these unit tangents and this length [cm], its end free to slide along the chord.
+
+    Smoothest: least ``curvature² + SLIDE_WEIGHT slide²``, the curvature taken at its peak, which is how GarmentCode
+    shapes the opening of a sleeve. Unknown are the lengths of the two control arms and the slide; the length is a
+    constraint. Damped Newton steps on the Lagrangian, with derivatives by differences: about seven.
+
+    Raises ``FitError`` with the residual where no such curve is found.
+    """
+    fit = _Fit(start, end, start_tangent, end_tangent, length)
+    unknowns, multiplier = np.array(FIRST_GUESS), 0.0
+    for _ in range(NEWTON_STEPS):
+        step, multiplier = fit.newton_step(unknowns, multiplier)
+        step = fit.damped(unknowns, step, multiplier)
+        unknowns = unknowns + step
+        if np.abs(step).max() < STEP_TOLERANCE:
+            break
+    fitted = fit.stroke(unknowns)
+    missing = length - fitted.length
+    if abs(missing) > LENGTH_TOLERANCE * fit.chord:
+        raise FitError(
+            f"a smooth curve of {length:.2f} cm over {fit.chord:.2f} cm: {missing:+.3g} cm are missing after "
+            f"{NEWTON_STEPS} steps: bring length or tangents nearer to the chord"
+        )
+    return fitted
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """The problem in units of the chord, for batches of unknowns (start arm, end arm, slide)."""
+
+    start: Point
+    end: Point
+    start_tangent: Point
+    end_tangent: Point
+    length: float
+
+    @property
+    def chord(self) -> float:
+        """[cm]"""
+        return hypot(self.end[0] - self.start[0], self.end[1] - self.start[1])
+
+    def controls(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Batch, Batch, Batch]:
+        """The legs of the control polygon [chords]."""
+        along = (np.array(self.end) - np.array(self.start)) / self.chord
+        first, last = unknowns[:, :1] * self.start_tangent, unknowns[:, 1:2] * self.end_tangent
+        return first, (1 + unknowns[:, 2:]) * along - first - last, last
+
+    def evaluate(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Cost [chord⁻²] and excess of length [chords]."""
+        legs = [leg[:, None, :] for leg in self.controls(unknowns)]
+        speed = np.linalg.norm(_velocity(legs, LENGTH_NODES), axis=2)
+        velocity, change = _velocity(legs, SAMPLES), _acceleration(legs, SAMPLES)
+        cross = velocity[..., 0] * change[..., 1] - velocity[..., 1] * change[..., 0]
+        curvature = np.abs(cross) / np.linalg.norm(velocity, axis=2) ** 3
+        peak = np.mean(curvature**CURVATURE_NORM, axis=1) ** (1 / CURVATURE_NORM)
+        slide = unknowns[:, 2]
+        return peak**2 + SLIDE_WEIGHT * self.chord**4 * slide**2, speed @ LENGTH_WEIGHTS - self.length / self.chord
+
+    def newton_step(self, unknowns: Float[np.ndarray, "3"], multiplier: float) -> tuple[Float[np.ndarray, "3"], float]:
+        """Step towards a stationary point of the Lagrangian, and its multiplier."""
+        cost, excess = self.evaluate(unknowns + PROBE * STENCIL)
+        (cost_slope, cost_bend), (excess_slope, excess_bend) = _derivatives(cost), _derivatives(excess)
+        values, axes = np.linalg.eigh(cost_bend + multiplier * excess_bend)
+        system = np.zeros((4, 4))
+        system[:3, :3] = axes * np.maximum(np.abs(values), SOFTEST) @ axes.T  # downhill even off the valley's floor
+        system[:3, 3] = system[3, :3] = excess_slope
+        solved = np.linalg.solve(system, -np.array([*cost_slope, excess[0]]))
+        return solved[:3], float(solved[3])
+
+    def damped(
+        self, unknowns: Float[np.ndarray, "3"], step: Float[np.ndarray, "3"], multiplier: float
+    ) -> Float[np.ndarray, "3"]:
+        """The step, halved until cost and excess together fall and both arms stay arms."""
+        trials = unknowns + np.outer([0.0, *STEP_SHARES], step)
+        cost, excess = self.evaluate(np.maximum(trials, [SHORTEST_ARM, SHORTEST_ARM, -np.inf]))
+        merit = cost + (2 * abs(multiplier) + 1) * np.abs(excess)
+        better = (merit[1:] < merit[0] + 1e-12) & (trials[1:, :2].min(axis=1) > SHORTEST_ARM)
+        return step * STEP_SHARES[int(np.argmax(better)) if better.any() else -1]
+
+    def stroke(self, unknowns: Float[np.ndarray, "3"]) -> Stroke:
+        """The curve of these unknowns, in the plane [cm]."""
+        legs = [leg[0] * self.chord for leg in self.controls(unknowns[None])]
+        points = np.array(self.start) + np.cumsum([np.zeros(2), *legs], axis=0)
+        return Stroke(self.start, self.end).through([(float(x), float(y)) for x, y in points])
+
+
+def _velocity(legs: list[Float[np.ndarray, "n 1 2"]], t: Float[np.ndarray, "k 1"]) -> Float[np.ndarray, "n k 2"]:
+    return 3 * ((1 - t) ** 2 * legs[0] + 2 * t * (1 - t) * legs[1] + t**2 * legs[2])
+
+
+def _acceleration(legs: list[Float[np.ndarray, "n 1 2"]], t: Float[np.ndarray, "k 1"]) -> Float[np.ndarray, "n k 2"]:
+    return 6 * ((1 - t) * (legs[1] - legs[0]) + t * (legs[2] - legs[1]))
+
+
+def _derivatives(values: Float[np.ndarray, "10"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """Gradient and Hessian from values at the points of ``STENCIL``."""
+    middle, up, down, pairs = values[0], values[1:4], values[4:7], values[7:]
+    hessian = np.diag(up + down - 2 * middle)
+    for (i, j), both in zip(PAIRS, pairs, strict=True):
+        hessian[i, j] = hessian[j, i] = both - up[i] - up[j] + middle
+    return (up - down) / (2 * PROBE), hessian / PROBE**2

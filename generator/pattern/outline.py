@@ -1,0 +1,119 @@
+"""Outlines: the contour of a piece, drawn edge by edge with named edges.
+
+>>> square = Outline.start(0, 0).line(10, 0, name="hem").line(10, 10).line(0, 10, name="top").close()
+>>> square.edge("hem").length
+10.0
+>>> square.area
+100.0
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.curves import LINE, Curve, Point
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.pattern.edge import Stroke
+
+__all__ = ["Outline"]
+
+CLOSED = 1e-6  # cm, between the last point and the first
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """Strokes, each beginning where the one before ended; drawing returns a new outline."""
+
+    origin: Point
+    strokes: tuple[Stroke, ...] = ()
+
+    @classmethod
+    def start(cls, x: float, y: float) -> Self:
+        """A pen set down [cm]."""
+        return cls((float(x), float(y)))
+
+    @property
+    def pen(self) -> Point:
+        """Where the drawing has got to [cm]."""
+        return self.strokes[-1].end if self.strokes else self.origin
+
+    def line(self, x: float, y: float, *, name: str = "", label: str = "") -> Self:
+        """Drawn on, straight to a point [cm]."""
+        return self.curve(x, y, LINE, name=name, label=label)
+
+    def curve(self, x: float, y: float, curve: Curve, *, name: str = "", label: str = "") -> Self:
+        """Drawn on, to a point [cm] along a curve in the edge frame."""
+        return self.then(Stroke(self.pen, (float(x), float(y)), curve, name, label))
+
+    def then(self, *strokes: Stroke) -> Self:
+        """Drawn on along strokes. Raises ``PatternError`` where one does not begin at the end of the one before."""
+        pen = self.pen
+        for stroke in strokes:
+            if not _meet(pen, stroke.start):
+                raise PatternError(
+                    f"edge {stroke.name} begins at {_text(stroke.start)}, but the pen is at {_text(pen)}"
+                )
+            pen = stroke.end
+        return type(self)(self.origin, (*self.strokes, *strokes))
+
+    def close(self, *, name: str = "", label: str = "") -> Self:
+        """Closed, with a straight edge back to the origin unless the pen is there already."""
+        if _meet(self.pen, self.origin):
+            return self
+        return self.line(*self.origin, name=name, label=label)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the pen is back at the origin."""
+        return bool(self.strokes) and _meet(self.pen, self.origin)
+
+    def run(self, name: str) -> tuple[Stroke, ...]:
+        """All pieces of the edge of that name, in drawing order. Raises ``PatternError`` with the names there are."""
+        found = tuple(stroke for stroke in self.strokes if stroke.name == name)
+        if not found:
+            names = dict.fromkeys(stroke.name for stroke in self.strokes if stroke.name)
+            raise PatternError(f"no edge named {name}: there are {', '.join(names)}")
+        return found
+
+    def edge(self, name: str) -> Stroke:
+        """The edge of that name. Raises ``PatternError`` where it is missing, or was divided."""
+        found = self.run(name)
+        if len(found) > 1:
+            raise PatternError(f"edge {name} was divided into {len(found)} pieces: ask for the run")
+        return found[0]
+
+    def length(self, name: str) -> float:
+        """Length of the edge of that name, over all its pieces [cm]."""
+        return sum(stroke.length for stroke in self.run(name))
+
+    def with_strokes(self, old: tuple[Stroke, ...], new: tuple[Stroke, ...]) -> Self:
+        """With neighbouring strokes exchanged for a chain between the same two points (the pen's start may move)."""
+        first = self.strokes.index(old[0])
+        if self.strokes[first : first + len(old)] != old:
+            raise PatternError(f"edges {', '.join(stroke.name for stroke in old)} do not follow one another")
+        strokes = (*self.strokes[:first], *new, *self.strokes[first + len(old) :])
+        return type(self)(strokes[0].start).then(*strokes)
+
+    def mirrored(self) -> Self:
+        """The mirror image about the y axis, drawn in the same order."""
+        return type(self)((-self.origin[0], self.origin[1]), tuple(stroke.mirrored() for stroke in self.strokes))
+
+    def points(self) -> Float[np.ndarray, "n 2"]:
+        """Points along the contour, close enough to tell its extent [cm]."""
+        return np.concatenate([stroke.points() for stroke in self.strokes])
+
+    @property
+    def area(self) -> float:
+        """Area of the polygon through ``points`` [cm²]; positive for a contour drawn counter-clockwise."""
+        x, y = self.points().T
+        return float(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+
+
+def _meet(a: Point, b: Point) -> bool:
+    return abs(a[0] - b[0]) <= CLOSED and abs(a[1] - b[1]) <= CLOSED
+
+
+def _text(point: Point) -> str:
+    return f"({point[0]:.2f}, {point[1]:.2f})"

@@ -1,0 +1,91 @@
+"""Pieces: panels while they are being made, with named edges and a place around the body.
+
+A piece becomes a ``records.Panel`` when its component is assembled (``assemble.py``): only then are edges divided
+where seams need it, loops turned counter-clockwise as seen from outside, and corners numbered.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.pattern.edge import rotate
+from gcd_dataset.generator.pattern.outline import Outline
+from gcd_dataset.generator.pattern.seam import Interface, Section
+from gcd_dataset.records import Placement
+
+__all__ = ["Piece", "Vector"]
+
+Vector: TypeAlias = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A closed outline, where it hangs before sewing, and the part of the body it covers."""
+
+    name: str
+    outline: Outline
+    translation: Vector = (0.0, 0.0, 0.0)
+    """Where the origin of the drawing hangs [cm]."""
+    rotation: Vector = (0.0, 0.0, 0.0)
+    """Angles about the fixed x, y, z axes, applied in that order [rad]."""
+    label: str = ""
+    """``body``, ``arm``, ``leg``; empty if undecided."""
+
+    def __post_init__(self) -> None:
+        if not self.outline.closed:
+            raise PatternError(f"panel {self.name}: the outline is not closed")
+
+    def at(self, x: float, y: float, z: float) -> Self:
+        """Hung with the origin of its drawing at a point [cm]."""
+        return replace(self, translation=(x, y, z))
+
+    def moved(self, by: Vector) -> Self:
+        """Shifted in space [cm]."""
+        x, y, z = self.translation
+        return replace(self, translation=(x + by[0], y + by[1], z + by[2]))
+
+    def turned(self, angle: float) -> Self:
+        """Turned about the z axis through the world's origin [rad]."""
+        x, y = rotate(self.translation[:2], angle)
+        about_x, about_y, about_z = self.rotation
+        turned = (about_x, about_y, about_z + angle)  # z is the last axis applied, so turns about it add up
+        return replace(self, translation=(x, y, self.translation[2]), rotation=turned)
+
+    def mirrored(self, name: str) -> Self:
+        """The mirror image about the plane x = 0, under another name."""
+        (x, y, z), (a, b, c) = self.translation, self.rotation
+        return replace(self, name=name, outline=self.outline.mirrored(), translation=(-x, y, z), rotation=(a, -b, -c))
+
+    def along(self, *edges: str, ruffle: float = 1.0) -> Interface:
+        """These edges one after the other, each walked as it was drawn; ``ruffle`` gathers them (see ``Section``)."""
+        return tuple(Section(self.name, edge, ruffle=ruffle) for edge in edges)
+
+    def against(self, *edges: str, ruffle: float = 1.0) -> Interface:
+        """These edges one after the other, each walked against its drawing."""
+        return tuple(Section(self.name, edge, backward=True, ruffle=ruffle) for edge in edges)
+
+    @property
+    def placement(self) -> Placement:
+        """Where the plane of the piece lies in space."""
+        return Placement(np.array(self.translation), np.array(self.rotation))
+
+    def points(self, edge: str | None = None) -> Float[np.ndarray, "n 3"]:
+        """Points along the contour, or along one edge, in space [cm]."""
+        flat = self.outline.points() if edge is None else np.concatenate([s.points() for s in self.outline.run(edge)])
+        return self.placement.apply(flat)
+
+    @property
+    def faces_out(self) -> bool:
+        """Whether the drawing runs counter-clockwise as seen from outside the wearer.
+
+        Outside is away from the vertical axis through the wearer. Raises ``PatternError`` for a panel seen edge-on
+        from there.
+        """
+        centre, normal = self.points().mean(axis=0), self.placement.matrix[:, 2]
+        outward = float(normal[0] * centre[0] + normal[2] * centre[2])
+        if outward == 0.0:
+            raise PatternError(f"panel {self.name} has no outer side: turn it, or move it off the wearer's axis")
+        return (outward > 0) == (self.outline.area > 0)

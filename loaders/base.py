@@ -1,0 +1,72 @@
+"""What every data set of garments has in common."""
+
+import operator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from gcd_dataset.shards.codec import decode_fields
+from gcd_dataset.shards.layout import FIELDS, Bytes, known_fields
+
+__all__ = ["Garments", "Item", "Transform", "as_item"]
+
+Item: TypeAlias = dict[str, Any]
+"""A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
+Transform: TypeAlias = Callable[[Item], Any]
+
+
+class Garments(Dataset[Item], ABC):
+    """Garments by number; ``fields`` chooses what an item holds, ``transform`` changes it on the way out."""
+
+    def __init__(self, fields: Iterable[str] | None, transform: Transform | None) -> None:
+        self.fields = known_fields(fields)
+        """Names of what an item holds; see ``gcd_dataset.shards.codec`` for shapes, types and units."""
+        self.transform = transform
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @abstractmethod
+    def recipe(self, index: int) -> dict[str, Any]:
+        """Seed, index, options and versions that garment ``index`` was made with: enough to make it again."""
+
+    @abstractmethod
+    def verify(self, index: int) -> None:
+        """Raise ``ShardError`` unless garment ``index`` is, byte for byte, what it should be."""
+
+    @abstractmethod
+    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
+        """The encoded content of at least the members asked for."""
+
+    def __getitem__(self, index: int) -> Any:
+        """Garment ``index``; negative ones count from the end. Raises ``IndexError``."""
+        return self._item(self._members(self._position(index), tuple(FIELDS[field] for field in self.fields)))
+
+    def __iter__(self) -> Iterator[Any]:
+        """All garments in order."""
+        return (self[index] for index in range(len(self)))
+
+    def _item(self, members: Mapping[str, Bytes]) -> Any:
+        item = as_item(members, self.fields)
+        return item if self.transform is None else self.transform(item)
+
+    def _position(self, index: int) -> int:
+        number = operator.index(index)
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"garment {number} of {len(self)}")
+        return number % len(self)
+
+
+def as_item(members: Mapping[str, Bytes], fields: Iterable[str]) -> Item:
+    """Encoded members as tensors, parsed JSON and pictures."""
+    values = decode_fields(members, fields)
+    return {field: _tensor(value) if isinstance(value, np.ndarray) else value for field, value in values.items()}
+
+
+def _tensor(array: np.ndarray) -> torch.Tensor:
+    # Views of ``bytes`` are read-only, which no tensor can be.
+    return torch.from_numpy(array if array.flags.writeable else array.copy())

@@ -1,0 +1,198 @@
+"""Bodies and measures in files, and bodies by name."""
+
+import json
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from gcd_dataset.errors import BodyError, OutputError
+from gcd_dataset.generator.body import (
+    build_body,
+    draw_shape,
+    measure,
+    named_body,
+    neutral_shape,
+    read_body,
+    read_measurements,
+    write_measurements,
+)
+from gcd_dataset.records import MEASURES, BodyPart, Measurements
+from gcd_dataset.seeding import Stage, rng
+
+SIZE = measure(build_body(neutral_shape()))
+
+
+@pytest.fixture
+def mannequin(tmp_path: Path) -> dict[str, Path]:
+    """A box of 1.7 m with four limbs by name, its measures, and its files."""
+    box = trimesh.creation.box((0.5, 1.7, 0.3))
+    box.export(tmp_path / "box.obj")
+    parts = {"body": [0, 1, 2, 3], "left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [7]}
+    (tmp_path / "parts.json").write_text(json.dumps(parts))
+    write_measurements(SIZE, tmp_path / "size.yaml")
+    return {name: tmp_path / f for name, f in {"mesh": "box.obj", "parts": "parts.json", "size": "size.yaml"}.items()}
+
+
+def test_measures_survive_a_file(tmp_path: Path) -> None:
+    write_measurements(SIZE, tmp_path / "size.yaml")
+    again = read_measurements(tmp_path / "size.yaml")
+    assert again.to_file_values() == pytest.approx(SIZE.to_file_values(), rel=1e-15)
+    lengths = [key for key in MEASURES if key not in ("shoulder_incl", "arm_pose_angle", "hip_inclination")]
+    assert all(getattr(again, key) == getattr(SIZE, key) for key in lengths)
+
+
+def test_a_measurement_file_holds_every_digit_in_degrees_with_derived_keys(tmp_path: Path) -> None:
+    write_measurements(Measurements(height=171.99, shoulder_w=0.1 + 0.2, shoulder_incl=np.pi / 6), tmp_path / "a.yaml")
+    body = yaml.safe_load((tmp_path / "a.yaml").read_text())["body"]
+    assert body["shoulder_w"] == 0.1 + 0.2
+    assert body["shoulder_incl"] == pytest.approx(30.0)
+    assert body["_base_sleeve_balance"] == pytest.approx(0.3 - 2.0)
+    assert "waist" not in body
+    assert "_waist_level" not in body
+
+
+def test_derived_keys_are_those_of_the_reference(examples: Path, tmp_path: Path) -> None:
+    reference = next((examples / "patterns").glob("*/random_body/body_measurements.yaml"))
+    write_measurements(read_measurements(reference), tmp_path / "again.yaml")
+    theirs = yaml.safe_load(reference.read_text())["body"]
+    theirs.pop("body_sample")
+    assert yaml.safe_load((tmp_path / "again.yaml").read_text())["body"] == pytest.approx(theirs)
+
+
+@pytest.mark.parametrize("name", ["all", "female", "male"])
+def test_published_mean_bodies(name: str, examples: Path) -> None:
+    folder = examples / "bodies"
+    body, size = read_body(
+        folder / f"mean_{name}.obj", folder / f"mean_{name}.yaml", folder / "ggg_body_segmentation.json"
+    )
+    table = yaml.safe_load((folder / f"mean_{name}.yaml").read_text())["body"]
+    assert size.to_file_values() == pytest.approx(table, rel=1e-14)
+    assert (len(body.vertices), len(body.faces)) == (23752, 47500)
+    assert np.ptp(body.vertices[:, 1]) == pytest.approx(table["height"], abs=0.01)
+    assert body.vertices[:, 1].min() == 0.0
+    segments = json.loads((folder / "ggg_body_segmentation.json").read_text())
+    assert set(np.flatnonzero(body.parts == BodyPart.LEFT_ARM.value)) == set(segments["left_arm"])
+    assert body.vertices[body.parts == BodyPart.LEFT_ARM.value, 0].mean() > 20.0
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+@pytest.mark.parametrize(("factor", "unit"), [(1.0, "centimetres"), (0.01, "metres"), (10.0, "millimetres")])
+def test_our_own_mesh_is_known_again(
+    kind: str, factor: float, unit: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    body = build_body(draw_shape(rng(0, 1, Stage.BODY)))
+    path = tmp_path / f"me.{kind}"
+    trimesh.Trimesh(body.vertices * factor, body.faces, process=False).export(path)
+    with caplog.at_level(logging.INFO):
+        again, size = read_body(path)
+    assert f"taken to be in {unit}" in caplog.text
+    assert again.vertices == pytest.approx(body.vertices, abs=1e-3)
+    assert np.array_equal(again.faces, body.faces)
+    assert np.array_equal(again.parts, body.parts)
+    assert size.waist == pytest.approx(measure(body).waist, abs=0.01)
+    assert again.name == "me"
+
+
+def test_inward_faces_are_turned(mannequin: dict[str, Path]) -> None:
+    box = trimesh.load(mannequin["mesh"], process=False)
+    trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False).export(mannequin["mesh"])
+    body, _ = read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
+    assert trimesh.Trimesh(body.vertices, body.faces, process=False).volume > 0
+    assert body.parts.tolist() == [0, 0, 0, 0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("parts", '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [8]}', "right_leg names vertex 8"),
+        ("parts", '{"left_arm": 4, "right_arm": [5], "left_leg": [6], "right_leg": [7]}', "left_arm is no list"),
+        ("parts", '{"body": [0]}', "name left_arm, right_arm, left_leg and right_leg"),
+        ("parts", "[1, 2]", "a list: give a map"),
+        ("parts", "{", "not JSON"),
+        ("size", "body: {height: 170", "not YAML"),
+        ("size", "height: 170", "no map named body"),
+        ("size", "body: {height: 170}", "body lacks head_l, neck_w"),
+        ("size", "body: {height: tall}", "body.height is 'tall': give a number"),
+        ("size", "body: {waist: .nan}", "body.waist is nan: give a number"),
+        ("mesh", "v 0 0\nf 1 2 9\n", "box.obj"),
+        ("mesh", "", "box.obj"),
+        ("mesh", "v 0 0 0\nv 1 0 0\nv 0 170 0\nf 1 2 3\n", "not closed"),
+    ],
+)
+def test_broken_files_are_named_with_place_and_remedy(
+    name: str, content: str, said: str, mannequin: dict[str, Path]
+) -> None:
+    mannequin[name].write_text(content)
+    with pytest.raises(BodyError) as caught:
+        read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
+    message = str(caught.value)
+    assert message.startswith(str(mannequin[name]))
+    assert said in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("mesh", "parts"), "--measurements"),
+        (("mesh", "size"), "--segmentation"),
+    ],
+)
+def test_a_foreign_mesh_needs_measures_and_parts(given: tuple[str, ...], said: str, mannequin: dict[str, Path]) -> None:
+    files = {key: mannequin[key] for key in given}
+    with pytest.raises(BodyError, match=said):
+        read_body(files["mesh"], files.get("size"), files.get("parts"))
+
+
+def test_a_body_of_no_persons_height_is_turned_down(mannequin: dict[str, Path]) -> None:
+    trimesh.creation.box((1.0, 20.0, 1.0)).export(mannequin["mesh"])
+    with pytest.raises(BodyError, match="20 tall along y"):
+        read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
+
+
+def test_bodies_by_name() -> None:
+    body, size, shape = named_body("neutral")
+    assert shape == neutral_shape()
+    assert size == SIZE
+    assert body.name == "neutral"
+    _, _, drawn = named_body("random:7")
+    assert drawn == draw_shape(rng(7, 0, Stage.BODY))
+
+
+def test_a_named_body_with_legs_apart_is_measured_with_legs_straight() -> None:
+    body, size, shape = named_body("neutral", legs_apart=True)
+    assert shape is not None
+    assert shape.legs_apart
+    assert size == SIZE
+    assert not np.array_equal(body.vertices, build_body(neutral_shape()).vertices)
+
+
+def test_a_mesh_file_by_its_path(mannequin: dict[str, Path]) -> None:
+    body, size, shape = named_body(mannequin["mesh"], measurements=mannequin["size"], segmentation=mannequin["parts"])
+    assert shape is None
+    assert len(body.vertices) == 8
+    assert size.to_file_values() == pytest.approx(SIZE.to_file_values())
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("giant", "no body named giant"),
+        ("random:", "the seed is ''"),
+        ("random:-1", "the seed is '-1'"),
+        ("nowhere.obj", "nowhere.obj: cannot be read"),
+        (__file__, "a body is read from .obj or .ply"),
+    ],
+)
+def test_names_that_are_none(name: str, said: str) -> None:
+    with pytest.raises(BodyError, match=said):
+        named_body(name)
+
+
+def test_measures_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_measurements(SIZE, tmp_path / "no" / "such" / "folder.yaml")

@@ -1,0 +1,161 @@
+"""The tailor's measures: geometry, invariances, and the means of the published bodies."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body import (
+    build_body,
+    draw_shape,
+    female_shape,
+    male_shape,
+    measure,
+    neutral_shape,
+    read_body,
+    read_measurements,
+)
+from gcd_dataset.generator.body.section import clipped, girth, outline, section, tape
+from gcd_dataset.generator.body.tailor import _own_sites, take_measures
+from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements
+from gcd_dataset.seeding import Stage, rng
+from tests.helpers import body_from
+
+POPULATION = 50
+LENGTHS = [key for key in MEASURES if key not in ANGLES]
+
+
+@pytest.fixture(scope="module")
+def sizes() -> list[Measurements]:
+    return [measure(build_body(draw_shape(rng(11, index, Stage.BODY)))) for index in range(POPULATION)]
+
+
+def values(size: Measurements, keys: tuple[str, ...] | list[str] = MEASURES) -> np.ndarray:
+    return np.array([getattr(size, key) for key in keys])
+
+
+def test_measures_grow_with_the_body() -> None:
+    """A mesh scaled by s has s times the lengths and the same angles.
+
+    The search for the level of a girth goes in fixed steps, so only a body whose levels scale too is exactly similar:
+    the step is scaled by hand.
+    """
+    body = build_body(neutral_shape())
+    larger = replace(body, vertices=body.vertices * 1.05)
+    small, large = measure(body), measure(larger)
+    assert values(large, LENGTHS) / values(small, LENGTHS) == pytest.approx(np.full(len(LENGTHS), 1.05), rel=0.02)
+    assert large.height == pytest.approx(1.05 * small.height)
+    assert large.underbust == pytest.approx(1.05 * small.underbust)
+    assert large.arm_length == pytest.approx(1.05 * small.arm_length)
+    assert large.neck_w == pytest.approx(1.05 * small.neck_w)
+
+
+def test_measures_do_not_depend_on_where_the_body_stands() -> None:
+    body = build_body(draw_shape(rng(0, 4, Stage.BODY)))
+    raised = replace(body, vertices=body.vertices + [0.0, 31.7, -12.3])
+    assert values(measure(raised)) == pytest.approx(values(measure(body)), abs=1e-6)
+
+
+def test_bands_of_faces_lose_nothing() -> None:
+    """Girths of unusual bodies are those that the whole trunk gives."""
+    arms = [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value]
+    own = _own_sites()
+    for index in range(8):
+        drawn = draw_shape(rng(5, index, Stage.BODY))
+        body = build_body(BodyShape(2 * drawn.weights, drawn.arm_angle))
+        trunk = body.faces[~np.isin(body.parts, arms)[body.faces].any(axis=1)]
+        whole = replace(own, rings=dict.fromkeys(own.rings, trunk), thighs=trunk, spine=_middle(body, trunk))
+        assert values(take_measures(body.vertices, own)) == pytest.approx(values(take_measures(body.vertices, whole)))
+
+
+def _middle(body: Body, trunk: np.ndarray) -> np.ndarray:
+    """The back half of the trunk."""
+    return trunk[body.vertices[trunk, 2].mean(axis=1) < 0.0]
+
+
+def test_nothing_is_left_out_of_fifty_bodies(sizes: list[Measurements]) -> None:
+    assert all(np.isfinite(values(size)).all() for size in sizes)
+    assert all((values(size) > 0).all() for size in sizes)
+
+
+def test_the_population_is_one_of_adults(sizes: list[Measurements]) -> None:
+    """Ranges hold for nearly all adults of ANSUR II, and for all here, which vary by 0.7 of a population."""
+    for size in sizes:
+        assert 145 < size.height < 205
+        assert 70 < size.bust < 140
+        assert 55 < size.waist < 130
+        assert 80 < size.hips < 140
+        assert 0.55 < size.waist / size.hips < 1.1
+        assert 0.4 < size.leg_length / size.height < 0.56
+        assert 0.27 < size.arm_length / size.height < 0.36
+        assert size.underbust < size.bust
+        assert size.waist_back_width < 0.6 * size.waist
+        assert size.bust_points < size.back_width
+    assert 168 < np.mean([size.height for size in sizes]) < 177
+    assert 4 < np.std([size.height for size in sizes]) < 10
+
+
+def test_heights_follow_each_other(sizes: list[Measurements]) -> None:
+    for size in sizes:
+        crotch = size.leg_length - size.crotch_hip_diff
+        assert 0 < crotch < size.leg_length < size.waist_level < size.height - size.head_l
+
+
+def test_legs_apart_leave_the_trunk_as_it_is() -> None:
+    straight, apart = measure(build_body(neutral_shape())), measure(build_body(neutral_shape(legs_apart=True)))
+    keys = ["bust", "underbust", "waist", "shoulder_w", "arm_length", "neck_w", "waist_line", "bust_points", "head_l"]
+    assert values(apart, keys) == pytest.approx(values(straight, keys), abs=0.05)
+    assert apart.leg_circ == pytest.approx(straight.leg_circ, rel=0.05)
+
+
+@pytest.mark.parametrize(("shape", "name"), [(neutral_shape, "all"), (female_shape, "female"), (male_shape, "male")])
+def test_our_means_have_the_published_measures(shape: type, name: str, examples: Path) -> None:
+    """The body model was calibrated to them; what is left is the model's."""
+    ours = measure(build_body(shape())).to_file_values()
+    theirs = read_measurements(examples / "bodies" / f"mean_{name}.yaml").to_file_values()
+    miss = {key: abs(ours[key] - theirs[key]) for key in MEASURES}
+    assert max(miss[key] for key in ("height", "bust", "waist", "hips", "leg_circ", "shoulder_w", "arm_length")) < 1.5
+    assert np.mean(list(miss.values())) < 1.1
+
+
+@pytest.fixture(scope="module")
+def published(examples: Path) -> tuple[Body, Measurements, np.ndarray]:
+    """The published mean body, its measures, and the faces of its trunk and legs."""
+    folder = examples / "bodies"
+    body, size = read_body(folder / "mean_all.obj", folder / "mean_all.yaml", folder / "ggg_body_segmentation.json")
+    arms = [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value]
+    return body, size, body.faces[~np.isin(body.parts, arms)[body.faces].any(axis=1)]
+
+
+@pytest.mark.parametrize(
+    ("key", "level"), [("bust", 124.53), ("underbust", 117.07), ("waist", 110.05), ("hips", 86.57)]
+)
+def test_girths_of_the_published_body(key: str, level: float, published: tuple[Body, Measurements, np.ndarray]) -> None:
+    """Sections at the published levels have the published girths: the same tape on another mesh."""
+    body, size, trunk = published
+    found = girth(section(body.vertices, trunk, 1, level)[:, 0][:, [0, 2]])
+    assert found == pytest.approx(getattr(size, key), abs=0.1)
+
+
+def test_back_length_of_the_published_body(published: tuple[Body, Measurements, np.ndarray]) -> None:
+    """The tape down the spine, from the nape to the waist."""
+    body, size, trunk = published
+    nape, waist = (np.array([0.0, level, 0.0]) for level in (size.height - size.head_l, 110.05))
+    cut = clipped(clipped(section(body.vertices, trunk, 0, 0.15), (0, 1, 0), waist), (0, -1, 0), nape)
+    back = cut[cut[:, :, 2].mean(axis=1) < 2.0].reshape(-1, 3)
+    assert tape(back[:, [2, 1]], (-1.0, 0.0)) == pytest.approx(size.waist_line, abs=0.1)
+
+
+def test_thigh_of_the_published_body(published: tuple[Body, Measurements, np.ndarray]) -> None:
+    """The right thigh's outline at its published level."""
+    body, size, trunk = published
+    cut = section(body.vertices, trunk, 1, 76.77)
+    assert outline(cut[cut[:, :, 0].mean(axis=1) < 0]) == pytest.approx(size.leg_circ, abs=0.1)
+
+
+def test_a_foreign_mesh_is_turned_down_with_a_remedy() -> None:
+    with pytest.raises(BodyError, match=r"42 vertices.*--measurements"):
+        measure(body_from(trimesh.creation.icosphere(subdivisions=1)))

@@ -1,0 +1,126 @@
+"""Bodies from the shape space."""
+
+import hashlib
+from importlib.resources import files
+
+import numpy as np
+import pytest
+import trimesh
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body import (
+    build_body,
+    draw_shape,
+    female_shape,
+    male_shape,
+    measure,
+    named_shape,
+    neutral_shape,
+)
+from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.records import Body, BodyPart, BodyShape
+from gcd_dataset.seeding import Stage, rng
+
+
+def mesh_of(body: Body) -> trimesh.Trimesh:
+    return trimesh.Trimesh(body.vertices, body.faces, process=False)
+
+
+def feet_distance(body: Body) -> float:
+    feet = body.vertices[body.parts == BodyPart.FEET.value]
+    return float(feet[feet[:, 0] > 0, 0].mean() - feet[feet[:, 0] < 0, 0].mean())
+
+
+def test_the_asset_is_small_and_whole() -> None:
+    folder = files("gcd_dataset.generator") / "data"
+    content = (folder / "body.npz").read_bytes()
+    assert len(content) < 2e6
+    assert hashlib.sha256(content).hexdigest() == (folder / "body.npz.sha256").read_text().split()[0]
+
+
+@pytest.mark.parametrize("shape", [neutral_shape(), female_shape(legs_apart=True), draw_shape(rng(1, 0, Stage.BODY))])
+def test_skin_is_closed_and_faces_outwards(shape: BodyShape) -> None:
+    mesh = mesh_of(build_body(shape))
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert 40e3 < mesh.volume < 150e3  # cm³: litres of a person
+    assert mesh.body_count == 1
+
+
+@pytest.mark.parametrize("legs_apart", [False, True])
+def test_bodies_stand_on_the_floor_and_look_ahead(legs_apart: bool) -> None:
+    body = build_body(neutral_shape(legs_apart=legs_apart))
+    assert body.vertices[:, 1].min() == pytest.approx(0.0, abs=1e-12)
+    feet = body.vertices[body.parts == BodyPart.FEET.value]
+    assert feet[:, 2].max() > 10.0  # toes in front of the ankles
+    assert body.vertices[body.parts == BodyPart.LEFT_ARM.value, 0].min() > 0
+    assert body.vertices[body.parts == BodyPart.RIGHT_LEG.value, 0].max() < 1.0
+    for side in (1, -1):  # both soles on the floor
+        assert feet[side * feet[:, 0] > 0, 1].min() < 0.3
+
+
+def test_left_is_the_mirror_image_of_right() -> None:
+    vertices = build_body(neutral_shape()).vertices
+    order = np.lexsort(vertices.round(4).T)
+    mirrored = (vertices * [-1, 1, 1]) + 0.0
+    assert vertices[order] == pytest.approx(mirrored[np.lexsort((mirrored.round(4) + 0.0).T)], abs=1e-3)
+
+
+def test_legs_apart_are_apart_and_change_nothing_above() -> None:
+    straight, apart = build_body(neutral_shape()), build_body(neutral_shape(legs_apart=True))
+    assert feet_distance(apart) > feet_distance(straight) + 6.0
+    head = straight.parts == BodyPart.HEAD.value
+    moved = apart.vertices[head] - straight.vertices[head]
+    assert np.abs(moved - moved[0]).max() < 1e-9  # as a whole, down to the floor
+    assert -1.5 < moved[0, 1] <= 0.0
+
+
+def test_raising_the_arms_lifts_the_hands() -> None:
+    weights = neutral_shape().weights
+    angles = [measure(build_body(BodyShape(weights, angle))).arm_pose_angle for angle in (-0.2, 0.0, 0.2)]
+    assert np.diff(angles) == pytest.approx([-0.2, -0.2], abs=0.01)
+
+
+def test_same_generator_same_body_and_another_one_another() -> None:
+    first, again, other = (draw_shape(rng(3, index, Stage.BODY)) for index in (5, 5, 6))
+    assert first == again
+    assert np.array_equal(build_body(first).vertices, build_body(again).vertices)
+    assert first != other
+
+
+def test_drawn_weights_have_the_papers_spread() -> None:
+    shapes = [draw_shape(rng(0, index, Stage.BODY)) for index in range(300)]
+    weights = np.array([shape.weights for shape in shapes])
+    assert weights.std() == pytest.approx(0.7, abs=0.03)
+    assert max(abs(shape.arm_angle) for shape in shapes) <= np.radians(15.0)
+
+
+def test_a_body_is_linear_in_its_weights() -> None:
+    a, b = (draw_shape(rng(0, index, Stage.BODY)).weights for index in (1, 2))
+    bodies = [build_body(BodyShape(weights)).vertices for weights in (a, b, (a + b) / 2)]
+    middle = (bodies[0] + bodies[1]) / 2
+    assert bodies[2] - bodies[2][0] == pytest.approx(middle - middle[0], abs=1e-9)
+
+
+def test_parts_lie_where_they_belong() -> None:
+    body = build_body(neutral_shape())
+    height = {part: body.vertices[body.parts == part.value, 1] for part in BodyPart}
+    assert all(len(levels) for levels in height.values())
+    assert height[BodyPart.FEET].max() < 15.0
+    assert height[BodyPart.HEAD].min() > 140.0
+    assert height[BodyPart.INTERNAL].min() > height[BodyPart.HEAD].min() - 5.0
+    assert height[BodyPart.LEFT_LEG].max() < height[BodyPart.LEFT_ARM].max()
+
+
+def test_unknown_names_and_foreign_weights_are_told() -> None:
+    with pytest.raises(BodyError, match="no body named giant: there are neutral, female, male"):
+        named_shape("giant")
+    with pytest.raises(BodyError, match=f"3 shape weights, the body model takes {len(body_model().components)}"):
+        build_body(BodyShape(np.zeros(3)))
+
+
+def test_men_are_taller_and_women_have_wider_hips_than_waists() -> None:
+    woman, man = measure(build_body(female_shape())), measure(build_body(male_shape()))
+    assert man.height > woman.height + 8.0
+    assert man.shoulder_w > woman.shoulder_w
+    assert woman.hips - woman.waist > man.hips - man.waist + 5.0

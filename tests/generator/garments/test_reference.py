@@ -1,0 +1,157 @@
+"""Patterns against those that the reference system drew for the same design and the same body."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from jaxtyping import Float
+
+from gcd_dataset.curves import curve_length, sample_curve
+from gcd_dataset.generator.garments import OutfitDesign, design_from_dict, design_to_dict, outfit
+from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign, waistband
+from gcd_dataset.generator.pattern import assemble
+from gcd_dataset.records import Measurements, Panel, Pattern
+from gcd_dataset.spec import read_pattern
+
+EXACT = 0.01  # cm: figures of the reference's own solvers
+PLACED = 1.0  # cm: it hangs a panel off by the fraction of its first corner (a truncated pivot)
+SLEEVE = 0.6  # cm: its fit of a sleeve's opening stops short of the minimum, up to a third of a centimetre from it
+
+BODIES = pytest.mark.parametrize("body", ["default_body", "random_body"])
+ROUND = {"collar": {"f_collar": "CircleNeckHalf", "b_collar": "CircleNeckHalf"}}
+SLEEVES = ("right_sleeve_f", "right_sleeve_b", "left_sleeve_f", "left_sleeve_b")
+
+RISES = {  # where the top of the bottom sits; 1 under a fitted shirt
+    "circle_skirt": ("flare-skirt",),
+    "godet_skirt": ("pencil-skirt",),
+    "levels_skirt": ("levels-skirt",),
+    "pants_cuff": ("pants",),
+    "dress": (),
+    "jumpsuit": (),
+}
+
+
+def plain(tree: Any) -> Any:
+    """The values of a design file of the reference, without ranges and probabilities."""
+    if not isinstance(tree, dict):
+        return tree
+    return tree["v"] if "v" in tree else {key: plain(value) for key, value in tree.items()}
+
+
+def known(tree: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
+    """The values of those parameters that our designs have."""
+    return {key: known(old, values[key]) if isinstance(old, dict) else values[key] for key, old in tree.items()}
+
+
+def read(folder: Path) -> tuple[Measurements, dict[str, Any], Pattern]:
+    """Measures, plain design and the reference's pattern in a folder of the examples."""
+    size = Measurements.from_file_values(yaml.safe_load((folder / "body_measurements.yaml").read_text())["body"])
+    (path,) = folder.glob("*_specification.json")
+    return size, plain(yaml.safe_load((folder / "design_params.yaml").read_text())["design"]), read_pattern(path)
+
+
+def load(folder: Path, changes: dict[str, dict[str, Any]]) -> tuple[Measurements, OutfitDesign, Pattern]:
+    """The same with our design; some of its values changed, where the reference draws something else than it says."""
+    size, values, reference = read(folder)
+    for section, changed in changes.items():
+        values[section] |= changed
+    return size, design_from_dict(known(design_to_dict(OutfitDesign()), values)), reference
+
+
+def contour(panel: Panel, *, placed: bool = False) -> Float[np.ndarray, "n k"]:
+    points = np.concatenate([sample_curve(*panel.edge_ends(i), edge.curve, 60) for i, edge in enumerate(panel.edges)])
+    return panel.placement.apply(points) if placed else points - panel.vertices[0]
+
+
+def distance(a: Float[np.ndarray, "n k"], b: Float[np.ndarray, "m k"]) -> float:
+    """Largest distance of a point of one to the nearest of the other, both ways [cm]."""
+    gaps = np.linalg.norm(a[:, None] - b[None], axis=-1)
+    return float(max(gaps.min(axis=0).max(), gaps.min(axis=1).max()))
+
+
+def lengths(panel: Panel) -> list[float]:
+    return [curve_length(*panel.edge_ends(i), edge.curve) for i, edge in enumerate(panel.edges)]
+
+
+def seams(pattern: Pattern, panels: set[str]) -> set[frozenset[tuple[str, int]]]:
+    return {
+        frozenset({(seam.left.panel, seam.left.edge), (seam.right.panel, seam.right.edge)})
+        for seam in pattern.seams
+        if {seam.left.panel, seam.right.panel} <= panels
+    }
+
+
+@BODIES
+def test_circle_skirt_with_fitted_waistband(examples: Path, body: str) -> None:
+    size, design, reference = load(examples / "patterns" / "circle_skirt" / body, ROUND)
+    ours = outfit(size, design)
+    assert [panel.name for panel in ours.panels] == [panel.name for panel in reference.panels]
+    assert seams(ours, {p.name for p in ours.panels}) == seams(reference, {p.name for p in reference.panels})
+    assert not any(seam.right_wrong for seam in (*ours.seams, *reference.seams))
+    for panel in ours.panels:
+        theirs = reference.panel(panel.name)
+        assert distance(contour(panel), contour(theirs)) < EXACT
+        assert lengths(panel) == pytest.approx(lengths(theirs), abs=EXACT)
+        assert distance(contour(panel, placed=True), contour(theirs, placed=True)) < PLACED
+        assert [edge.label for edge in panel.edges] == [edge.label for edge in theirs.edges]
+        assert panel.label == theirs.label
+
+
+@BODIES
+@pytest.mark.parametrize("example", RISES)
+def test_waistbands(examples: Path, example: str, body: str) -> None:
+    size, values, reference = read(examples / "patterns" / example / body)
+    rise = min([values[section]["rise"] for section in RISES[example]], default=1.0)
+    band = waistband(size, WaistbandDesign(**values["waistband"]), Waistband(values["meta"]["wb"]), rise=rise)
+    for panel in assemble(band, "band").panels:
+        assert distance(contour(panel), contour(reference.panel(panel.name))) < EXACT
+
+
+@BODIES
+def test_shirt_with_sleeves(examples: Path, body: str) -> None:
+    # Under a hood the reference cuts a round neck whatever the design says.
+    size, design, reference = load(examples / "patterns" / "shirt_sleeves_hood" / body, ROUND)
+    ours = outfit(size, design)
+    names = {panel.name for panel in ours.panels}
+    assert names == {panel.name for panel in reference.panels if "hood" not in panel.name and "cuff" not in panel.name}
+    assert seams(ours, names) == seams(reference, names)
+    for name in names:
+        panel, theirs = ours.panel(name), reference.panel(name)
+        assert len(panel.edges) == len(theirs.edges)
+        assert panel.label == theirs.label
+        if "torso" in name:
+            assert distance(contour(panel), contour(theirs)) < 0.2  # the division of the armhole follows the sleeve
+            assert distance(contour(panel, placed=True), contour(theirs, placed=True)) < PLACED
+
+
+@BODIES
+def test_right_half_of_an_asymmetric_shirt(examples: Path, body: str) -> None:
+    size, design, reference = load(examples / "patterns" / "asymmetric_top" / body, {})
+    ours = outfit(size, design)
+    for name in ("right_ftorso", "right_btorso"):
+        assert distance(contour(ours.panel(name)), contour(reference.panel(name))) < 0.2
+    for name in ("right_sleeve_f", "right_sleeve_b"):
+        assert distance(opening(ours.panel(name)), opening(reference.panel(name))) < SLEEVE
+
+
+@BODIES
+def test_the_opening_of_a_sleeve(examples: Path, body: str) -> None:
+    size, design, reference = load(examples / "patterns" / "shirt_sleeves_hood" / body, ROUND)
+    ours = outfit(size, design)
+    for name in SLEEVES:
+        assert distance(opening(ours.panel(name)), opening(reference.panel(name))) < SLEEVE
+    totals = [sum(opening_length(pattern.panel(name)) for name in SLEEVES) for pattern in (ours, reference)]
+    assert totals[0] == pytest.approx(totals[1], rel=1e-3)
+
+
+def opening(panel: Panel) -> Float[np.ndarray, "n 2"]:
+    """The curved edges of a sleeve, from its upper tip; the rest depends on the cuff, which ours has not."""
+    curved = [i for i, edge in enumerate(panel.edges) if edge.curve.kind == "cubic"]
+    points = np.concatenate([sample_curve(*panel.edge_ends(i), panel.edges[i].curve, 60) for i in curved])
+    return points - points[np.argmax(np.abs(points[:, 0]))]
+
+
+def opening_length(panel: Panel) -> float:
+    return sum(length for edge, length in zip(panel.edges, lengths(panel), strict=True) if edge.curve.kind == "cubic")

@@ -1,0 +1,75 @@
+"""Designs say what their parameters may be, and are drawn from that."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.garments import OutfitDesign, design_from_dict, design_to_dict
+from gcd_dataset.generator.garments.neckline import Neckline
+from gcd_dataset.generator.garments.space import Design, choice, draw, flag, integer, real, to_dict
+
+
+@dataclass(frozen=True)
+class HemDesign(Design):
+    depth: float = real(2.0, 1.0, 5.0, keep=0.7)
+    rows: int = integer(2, 1, 4, keep=0.5)
+    stitched: bool = flag(True, keep=0.8)
+    shape: Neckline | None = choice(None, *Neckline, None)
+
+
+def many(count: int = 4000) -> list[HemDesign]:
+    rng = np.random.default_rng(3)
+    return [draw(HemDesign, rng) for _ in range(count)]
+
+
+def test_the_default_is_kept_as_often_as_asked() -> None:
+    drawn = many()
+    assert np.mean([d.depth == 2.0 for d in drawn]) == pytest.approx(0.7, abs=0.03)
+    assert np.mean([d.rows == 2 for d in drawn]) == pytest.approx(0.5, abs=0.03)
+    assert np.mean([d.stitched for d in drawn]) == pytest.approx(0.8, abs=0.03)
+
+
+def test_the_others_are_equally_likely() -> None:
+    rows = [d.rows for d in many() if d.rows != 2]
+    assert [rows.count(n) / len(rows) for n in (1, 3, 4)] == pytest.approx([1 / 3] * 3, abs=0.04)
+    shapes = [d.shape for d in many()]
+    assert [shapes.count(s) / len(shapes) for s in (None, *Neckline)] == pytest.approx([1 / 3] * 3, abs=0.03)
+
+
+def test_the_same_seed_draws_the_same_design() -> None:
+    first, second = (draw(OutfitDesign, np.random.default_rng(7)) for _ in range(2))
+    assert first == second
+
+
+def test_narrowed_ranges_hold() -> None:
+    rng = np.random.default_rng(0)
+    drawn = [draw(HemDesign, rng, within={"depth": (3.0, 4.0), "rows": (-np.inf, 1.0)}) for _ in range(50)]
+    assert all(3.0 <= d.depth <= 4.0 and d.rows == 1 for d in drawn)
+
+
+def test_a_value_out_of_range_is_refused() -> None:
+    with pytest.raises(ConfigError, match="HemDesign: depth is 9.0, not a number from 1 to 5"):
+        HemDesign(depth=9.0)
+    with pytest.raises(ConfigError, match="rows is 1.5, not a whole number from 1 to 4"):
+        replace(HemDesign(), rows=1.5)
+
+
+def test_a_file_speaks_of_paths() -> None:
+    with pytest.raises(ConfigError, match="no design parameter is called shirt.lenght: there are length, width, flare"):
+        design_from_dict({"shirt": {"lenght": 1.0}})
+    with pytest.raises(ConfigError, match="flare-skirt.cut.depth is 3, not a number from 0.05 to 0.95"):
+        design_from_dict({"flare-skirt": {"cut": {"depth": 3}}})
+    with pytest.raises(ConfigError, match="collar is 'VNeckHalf', not a table of parameters"):
+        design_from_dict({"collar": "VNeckHalf"})
+    with pytest.raises(ConfigError, match="meta.upper is 'Cape', not one of Shirt, None"):
+        design_from_dict({"meta": {"upper": "Cape"}})
+
+
+def test_a_file_holds_plain_values_under_the_reference_names() -> None:
+    values = design_to_dict(OutfitDesign())
+    assert values["meta"] == {"upper": "Shirt", "wb": None, "bottom": None}
+    assert values["flare-skirt"]["suns"] == 0.75
+    assert values["collar"]["f_collar"] == "CircleNeckHalf"
+    assert to_dict(HemDesign()) == {"depth": 2.0, "rows": 2, "stitched": True, "shape": None}

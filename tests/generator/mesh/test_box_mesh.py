@@ -1,0 +1,291 @@
+"""Patterns as meshes: nothing lost, nothing twice, everything in its place."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcd_dataset.curves import Arc
+from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.records import Panel, Pattern
+from tests.generator.mesh.shapes import (
+    areas,
+    directed_edges,
+    euler_characteristic,
+    panel,
+    rectangle,
+    seam,
+    sewn,
+    sides,
+    tube,
+    undirected_edges,
+)
+
+DART = [(0.0, 0.0), (8.0, 0.0), (10.0, 9.0), (12.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
+"""Edges 1 and 2 are the legs of a dart from the hem."""
+
+
+def darted() -> Pattern:
+    return sewn(panel("a", DART), seams=(seam(("a", 1), ("a", 2)),))
+
+
+def patchwork() -> Pattern:
+    """Two squares over two squares, all four sewn to their neighbours: edges 0 bottom, 1 right, 2 top, 3 left."""
+    places = {"south_west": (0, 0), "south_east": (10, 0), "north_west": (0, 10), "north_east": (10, 10)}
+    panels = [panel(name, rectangle(10.0, 10.0), at=(x, y, 0.0)) for name, (x, y) in places.items()]
+    return sewn(
+        *panels,
+        seams=(
+            seam(("south_west", 1), ("south_east", 3)),
+            seam(("north_west", 1), ("north_east", 3)),
+            seam(("south_west", 2), ("north_west", 0)),
+            seam(("south_east", 2), ("north_east", 0)),
+        ),
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------- one panel
+
+
+def test_a_disc_has_its_area() -> None:
+    """Two half circles: πr² less what the chords of the border cut off."""
+    half = Arc(15.0, large=False, right=True)
+    disc = panel("disc", [(15.0, 0.0), (-15.0, 0.0)], curves={0: half, 1: half})
+    mesh = build_box_mesh(sewn(disc), spacing=0.5)
+    n = 2 * np.ceil(np.pi * 15.0 / 0.5)
+    assert areas(mesh.uv, mesh.corners).sum() == pytest.approx(n / 2 * 15.0**2 * np.sin(2 * np.pi / n))
+    assert areas(mesh.uv, mesh.corners).sum() == pytest.approx(np.pi * 15.0**2, rel=2e-4)
+
+
+def test_a_flat_panel_starts_unstretched_where_it_is_placed() -> None:
+    turned = panel("a", rectangle(12.0, 9.0), at=(1.0, 2.0, 3.0), turned=0.7)
+    mesh = build_box_mesh(sewn(turned))
+    ahead = mesh.vertices[np.roll(mesh.faces, -1, axis=1)] - mesh.vertices[np.roll(mesh.faces, 1, axis=1)]
+    assert np.linalg.norm(ahead, axis=2) == pytest.approx(sides(mesh.uv, mesh.corners))
+    assert mesh.vertices.min(axis=0)[1] == 2.0
+    assert mesh.vertices[:, 0].max() == pytest.approx(1.0 + 12.0 * np.cos(0.7))
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+def test_faces_run_as_the_loop_does(clockwise: bool) -> None:
+    """The right side is where the loop runs counter-clockwise: towards +z for one, towards -z for the other."""
+    corners = rectangle(10.0, 10.0)[:: -1 if clockwise else 1]
+    mesh = build_box_mesh(sewn(panel("a", corners)))
+    assert (np.sign(areas(mesh.uv, mesh.corners)) == (-1 if clockwise else 1)).all()
+
+
+def test_a_mirrored_panel_has_the_mirrored_mesh() -> None:
+    """The same loop with x turned round, as a left front has from a right one: even the numbering is the same."""
+    right = build_box_mesh(darted())
+    left = build_box_mesh(sewn(panel("a", [(-x, y) for x, y in DART]), seams=(seam(("a", 1), ("a", 2)),)))
+    assert left.uv == pytest.approx(right.uv * [-1, 1])
+    assert np.array_equal(left.corners, right.corners)
+    assert np.array_equal(left.faces, right.faces)
+
+
+def test_a_coarser_spacing_makes_a_smaller_mesh() -> None:
+    fine, coarse = (len(build_box_mesh(darted(), spacing=spacing).faces) for spacing in (0.5, 1.0))
+    assert fine / coarse == pytest.approx(4.0, rel=0.1)
+
+
+# --------------------------------------------------------------------------------------------------------------- seams
+
+
+def test_a_tube_is_open_at_both_ends() -> None:
+    """Euler characteristic 0, and two rims: 22 points of the panels less 2 that are shared, each."""
+    mesh = build_box_mesh(tube())
+    assert euler_characteristic(mesh) == 0
+    _, faces_of_edge = undirected_edges(mesh.faces)
+    assert (faces_of_edge == 1).sum() == 2 * 20
+    assert faces_of_edge.max() == 2
+
+
+def test_a_seam_takes_away_as_many_vertices_as_it_joins() -> None:
+    """Points of the panels, less 21 on each of the tube's two seams."""
+    pattern = tube()
+    mesh = build_box_mesh(pattern)
+    alone = sum(len(build_box_mesh(sewn(each)).vertices) for each in pattern.panels)
+    assert len(mesh.uv) == alone
+    assert len(mesh.vertices) == alone - 2 * 21
+    assert mesh.n_seam_vertices == 2 * 21
+
+
+def test_a_seam_vertex_starts_in_the_middle() -> None:
+    """The tube's sides lie at z = 3 and -3; all that is sewn starts at 0, the rest where its panel hangs."""
+    mesh = build_box_mesh(tube())
+    assert mesh.vertices[: mesh.n_seam_vertices, 2] == pytest.approx(0.0, abs=1e-9)
+    assert np.abs(mesh.vertices[mesh.n_seam_vertices :, 2]) == pytest.approx(3.0)
+
+
+def test_neighbours_across_a_seam_run_against_each_other() -> None:
+    """So the right side of the cloth is outside everywhere: no directed edge is there twice."""
+    for pattern in (tube(), darted(), patchwork()):
+        edges = directed_edges(build_box_mesh(pattern).faces)
+        assert len(np.unique(edges, axis=0)) == len(edges)
+
+
+def test_a_dart_closes() -> None:
+    """No vertex is left of its mouth but one, and the rim has lost both legs."""
+    mesh = build_box_mesh(darted())
+    legs = 10  # √(2² + 9²) = 9.2 cm
+    assert mesh.n_seam_vertices == legs + 1
+    assert len(mesh.uv) - len(mesh.vertices) == legs
+    assert euler_characteristic(mesh) == 1
+    _, faces_of_edge = undirected_edges(mesh.faces)
+    assert (faces_of_edge == 1).sum() == 8 + 8 + 20 + 20 + 20
+    assert mesh.vertices[mesh.seams[0, 0]] == pytest.approx([10.0, 0.0, 0.0])
+    assert mesh.vertices[mesh.seams[legs, 0]] == pytest.approx([10.0, 9.0, 0.0])
+
+
+def cone(opening: float) -> Pattern:
+    """A triangle with an ``opening`` [degrees] at the origin, whose sides are sewn to each other."""
+    tip = np.radians(opening)
+    corners = [(0.0, 0.0), (20.0, 0.0), (20.0 * np.cos(tip), 20.0 * np.sin(tip))]
+    return sewn(panel("cone", corners), seams=(seam(("cone", 0), ("cone", 2)),))
+
+
+def test_a_cone_is_a_disc() -> None:
+    mesh = build_box_mesh(cone(150.0))
+    assert euler_characteristic(mesh) == 1
+    _, faces_of_edge = undirected_edges(mesh.faces)
+    assert (faces_of_edge == 1).sum() == 39  # its hem: 40 · sin 75° = 38.6 cm
+
+
+def test_a_cone_has_a_face_at_its_tip() -> None:
+    """The triangle across a sharp corner has its ends sewn together, and nothing would hold the tip."""
+    with pytest.raises(MeshError, match=r"panel cone: the corner at \(0.00, 0.00\) cm is sewn to itself"):
+        build_box_mesh(cone(35.0))
+
+
+def test_four_panels_meet_in_one_vertex() -> None:
+    mesh = build_box_mesh(patchwork())
+    middle = np.flatnonzero(np.bincount(mesh.uv_vertex) == 4)
+    assert mesh.vertices[middle] == pytest.approx(np.array([[10.0, 10.0, 0.0]]))
+    assert mesh.seams[mesh.seams[:, 0] == middle[0], 1].tolist() == [0, 1, 2, 3]
+    assert euler_characteristic(mesh) == 1
+    assert areas(mesh.vertices[:, :2], mesh.faces).sum() == pytest.approx(400.0)
+
+
+def test_a_seam_ends_in_the_middle_of_another() -> None:
+    """A yoke over two panels that are sewn to each other: the T-point is one vertex of three panels."""
+    yoke = panel("yoke", [(0.0, 0.0), (10.0, 0.0), (20.0, 0.0), (20.0, 5.0), (0.0, 5.0)], at=(0.0, 10.0, 0.0))
+    left, right = panel("left", rectangle(10.0, 10.0)), panel("right", rectangle(10.0, 10.0), at=(10.0, 0.0, 0.0))
+    seams = (seam(("yoke", 0), ("left", 2)), seam(("yoke", 1), ("right", 2)), seam(("left", 1), ("right", 3)))
+    mesh = build_box_mesh(sewn(yoke, left, right, seams=seams))
+    meeting = np.flatnonzero(np.bincount(mesh.uv_vertex) == 3)
+    assert mesh.vertices[meeting] == pytest.approx(np.array([[10.0, 10.0, 0.0]]))
+    assert euler_characteristic(mesh) == 1
+    assert areas(mesh.vertices[:, :2], mesh.faces).sum() == pytest.approx(300.0)
+
+
+def test_a_patch_sewn_on_with_its_wrong_side_stays_in_place() -> None:
+    """A copy of a panel, sewn to it start to start along an edge: nothing moves. End to start, the edge shrinks."""
+    a, b = panel("a", rectangle(10.0, 10.0)), panel("b", rectangle(10.0, 10.0))
+    on_top, twisted = (
+        build_box_mesh(sewn(a, b, seams=(seam(("a", 1), ("b", 1), right_wrong=flag),))) for flag in (True, False)
+    )
+    assert on_top.vertices[on_top.uv_vertex][:, :2] == pytest.approx(on_top.uv)
+    assert twisted.vertices[:11] == pytest.approx(np.tile([10.0, 5.0, 0.0], (11, 1)))
+
+
+def test_a_gathered_seam_joins_all_points_of_both_sides() -> None:
+    band = panel("band", rectangle(20.0, 3.0), at=(0.0, 20.0, 0.0))
+    skirt = panel("skirt", rectangle(44.0, 20.0))
+    mesh = build_box_mesh(sewn(band, skirt, seams=(seam(("band", 0), ("skirt", 2)),)))
+    assert mesh.n_seam_vertices == 45
+    assert euler_characteristic(mesh) == 1
+    rest = areas(mesh.uv, mesh.corners)
+    assert np.bincount(mesh.panel_id, rest) == pytest.approx([60.0, 880.0])
+
+
+def test_the_rest_shape_is_that_of_the_panels() -> None:
+    """Each face has its corners' coordinates in its own panel, and every row of ``uv`` belongs to one panel."""
+    mesh = build_box_mesh(patchwork())
+    assert np.array_equal(mesh.uv_vertex[mesh.corners], mesh.faces)
+    assert np.bincount(mesh.panel_id, areas(mesh.uv, mesh.corners)) == pytest.approx([100.0] * 4)
+    panel_of_row = np.full(len(mesh.uv), -1)
+    panel_of_row[mesh.corners.ravel()] = np.repeat(mesh.panel_id, 3)
+    assert np.array_equal(panel_of_row[mesh.corners], np.repeat(mesh.panel_id[:, None], 3, axis=1))
+    assert mesh.panel_names == ("south_west", "south_east", "north_west", "north_east")
+    assert (np.diff(mesh.panel_id) >= 0).all()
+
+
+def test_the_same_pattern_gives_the_same_bytes() -> None:
+    first, second = build_box_mesh(patchwork(), spacing=0.7), build_box_mesh(patchwork(), spacing=0.7)
+    assert first == second
+    assert first.vertices.tobytes() == second.vertices.tobytes()
+
+
+# -------------------------------------------------------------------------------------------------------------- labels
+
+
+def labelled(left: str, right: str, free: str) -> Pattern:
+    """Two squares side by side; the sides of their seam are labelled, and the top of the second."""
+    a = panel("a", rectangle(5.0, 5.0), labels={1: left})
+    b = panel("b", rectangle(5.0, 5.0), labels={3: right, 2: free}, at=(5.0, 0.0, 0.0))
+    return sewn(a, b, seams=(seam(("a", 1), ("b", 3)),))
+
+
+@pytest.mark.parametrize(("left", "right"), [("waist", ""), ("", "waist"), ("waist", "waist")])
+def test_a_labelled_seam_has_all_its_vertices_and_a_free_edge_those_inside(left: str, right: str) -> None:
+    mesh = build_box_mesh(labelled(left, right, "collar"))
+    assert set(mesh.labels) == {"waist", "collar"}
+    assert mesh.labels["waist"].tolist() == [0, 1, 2, 3, 4, 5]
+    collar = mesh.vertices[mesh.labels["collar"]]
+    assert collar[:, 1] == pytest.approx(5.0)
+    assert sorted(collar[:, 0].tolist()) == pytest.approx([6.0, 7.0, 8.0, 9.0])
+
+
+def test_edges_of_one_label_are_one_set() -> None:
+    """The collar is the seam and the free edge: the point that they share is there once."""
+    mesh = build_box_mesh(labelled("collar", "", "collar"))
+    assert len(mesh.labels["collar"]) == 6 + 4
+    assert (np.diff(mesh.labels["collar"]) > 0).all()
+
+
+def test_the_sides_of_a_seam_agree_on_its_label() -> None:
+    with pytest.raises(MeshError, match=r"seam 0 \(a edge 1 to b edge 3\) joins labels left_collar and waist"):
+        build_box_mesh(labelled("left_collar", "waist", ""))
+
+
+def test_what_panels_cover_is_kept() -> None:
+    pattern = tube()
+    front, back = pattern.panels
+    mesh = build_box_mesh(replace(pattern, panels=(replace(front, label="body"), back)))
+    assert mesh.panel_labels == ("body", "")
+
+
+# -------------------------------------------------------------------------------------------------------------- errors
+
+
+BOW_TIE = panel("bow", [(0.0, 0.0), (10.0, 10.0), (10.0, 0.0), (0.0, 10.0)])
+PINCHED = panel("pinched", [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (5.0, 0.0), (0.0, 10.0)])
+NEEDLE = panel("needle", [(0.0, 0.0), (30.0, 0.0), (30.0, 0.02)])
+LENS = panel("lens", [(0.0, 0.0), (0.4, 0.0)], curves={0: Arc(0.3, large=False, right=True)})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (BOW_TIE, r"panel bow crosses or touches itself at \(5.00, 5.00\) cm, edges 0 and 2: move its edges apart"),
+        (PINCHED, r"panel pinched crosses or touches itself at \(5.00, 0.00\) cm, edges 0 and 2 and 3"),
+        (NEEDLE, r"panel needle is nearly a line, 0.01 cm wide: widen it or use a finer spacing"),
+        (LENS, r"panel lens has 2 points at 1.0 cm: use a finer spacing"),
+    ],
+    ids=lambda value: value.name if isinstance(value, Panel) else "",
+)
+def test_a_panel_that_cannot_be_meshed(wrong: Panel, message: str) -> None:
+    with pytest.raises(MeshError, match=message):
+        build_box_mesh(sewn(panel("fine", rectangle(5.0, 5.0)), wrong))
+
+
+@pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan, np.inf])
+def test_a_spacing_is_a_length(spacing: float) -> None:
+    with pytest.raises(MeshError, match="give a positive one"):
+        build_box_mesh(tube(), spacing=spacing)
+
+
+def test_a_pattern_has_panels() -> None:
+    with pytest.raises(MeshError, match="pattern test has no panels"):
+        build_box_mesh(sewn())

@@ -1,0 +1,92 @@
+"""Edges as points."""
+
+import numpy as np
+import pytest
+
+from gcd_dataset.curves import Arc, Cubic, Curve
+from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.mesh.sample import edge_counts, sample_border
+from gcd_dataset.records import Edge, EdgeRef, Panel, Placement
+from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
+
+
+def test_as_many_points_as_the_spacing_asks() -> None:
+    """An edge of 10 cm has 11 points at 1 cm, one of 10.01 cm has 12."""
+    counts = edge_counts(sewn(panel("a", rectangle(10.0, 10.01))), 1.0)
+    assert [counts[EdgeRef("a", edge)] for edge in range(4)] == [11, 12, 11, 12]
+
+
+def test_an_edge_that_rounding_made_longer_keeps_its_points() -> None:
+    width = 0.1 + 0.2 + 0.7  # a little over 1
+    assert edge_counts(sewn(panel("a", rectangle(10 * width, 5.0))), width / 1.0)[EdgeRef("a", 0)] == 11
+
+
+@pytest.mark.parametrize("curve", [Arc(20.0, large=False, right=True), Cubic((0.1, 0.6), (0.3, -0.4))])
+def test_points_are_equally_spaced_along_a_curve(curve: Curve) -> None:
+    """To a thousandth: what arc length by quadrature, and chords in its place, are out by."""
+    bent = panel("a", rectangle(30.0, 30.0), curves={0: curve})
+    border = sample_border(bent, edge_counts(sewn(bent), 0.25))
+    steps = np.linalg.norm(np.diff(border.points[border.edge(0)], axis=0), axis=1)
+    assert steps == pytest.approx(steps.mean(), rel=2e-3)
+    assert steps.mean() <= 0.25
+
+
+def test_the_points_of_an_arc_lie_on_its_circle() -> None:
+    quarter = panel("a", [(10.0, 0.0), (0.0, 10.0), (0.0, 0.0)], curves={0: Arc(10.0, large=False, right=True)})
+    border = sample_border(quarter, edge_counts(sewn(quarter), 1.0))
+    arc = border.points[border.edge(0)]
+    assert len(arc) == 17  # a quarter of 2π · 10 cm is 15.7
+    assert np.linalg.norm(arc, axis=1) == pytest.approx(10.0)
+
+
+def test_corners_stand_once_and_edges_share_them() -> None:
+    square = panel("a", rectangle(10.0, 10.0))
+    border = sample_border(square, edge_counts(sewn(square), 1.0))
+    assert len(border.points) == 40
+    assert border.edge(0)[-1] == border.edge(1)[0] == 10
+    assert border.edge(3)[-1] == border.edge(0)[0] == 0
+
+
+def test_a_gathered_seam_has_the_points_of_its_longer_side() -> None:
+    pattern = sewn(
+        panel("a", rectangle(10.0, 5.0)), panel("b", rectangle(25.0, 5.0)), seams=(seam(("a", 0), ("b", 2)),)
+    )
+    counts = edge_counts(pattern, 1.0)
+    assert counts[EdgeRef("a", 0)] == counts[EdgeRef("b", 2)] == 26
+    assert counts[EdgeRef("a", 2)] == 11
+
+
+def test_an_edge_is_sewn_once() -> None:
+    a, b = panel("a", rectangle(10.0, 5.0)), panel("b", rectangle(10.0, 5.0))
+    pattern = sewn(a, b, seams=(seam(("a", 0), ("b", 0)), seam(("b", 0), ("a", 2))))
+    with pytest.raises(MeshError, match="panel b, edge 0 is in seams 0 and 1: split the edge"):
+        edge_counts(pattern, 1.0)
+
+
+def test_a_seam_needs_both_its_edges() -> None:
+    with pytest.raises(MeshError, match="seam 0: there is no edge 4 of panel a"):
+        edge_counts(sewn(panel("a", rectangle(10.0, 5.0)), seams=(seam(("a", 0), ("a", 4)),)), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("end", "length"), [((0.0, 0.0), "0.0"), ((np.nan, 0.0), "nan"), ((np.inf, 0.0), "inf")], ids=["0", "nan", "inf"]
+)
+def test_an_edge_has_a_length(end: tuple[float, float], length: str) -> None:
+    with pytest.raises(MeshError, match=f"panel a, edge 0 has a length of {length} cm"):
+        edge_counts(sewn(panel("a", [(0.0, 0.0), end, (5.0, 5.0)])), 1.0)
+
+
+def test_an_arc_spans_its_chord() -> None:
+    flat = panel("a", rectangle(10.0, 5.0), curves={2: Arc(3.0, large=False, right=True)})
+    with pytest.raises(MeshError, match="panel a, edge 2: arc of radius 3 cm cannot span a chord of 10 cm"):
+        edge_counts(sewn(flat), 1.0)
+
+
+def test_the_edges_of_a_panel_close() -> None:
+    corners = np.array(rectangle(10.0, 5.0))
+    placement = Placement(np.zeros(3), np.zeros(3))
+    gap = Panel("a", corners, (Edge(0, 1), Edge(2, 3), Edge(3, 0)), placement)
+    with pytest.raises(MeshError, match="panel a: edge 0 does not end where the next begins"):
+        sample_border(gap, edge_counts(sewn(gap), 1.0))
+    with pytest.raises(MeshError, match="panel a has no edges"):
+        sample_border(Panel("a", corners, (), placement), {})

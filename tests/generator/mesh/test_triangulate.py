@@ -1,0 +1,117 @@
+"""Triangles that fill an outline."""
+
+import numpy as np
+import pytest
+import shapely
+from scipy.spatial import cKDTree
+
+from gcd_dataset.generator.mesh.triangulate import LONGEST, triangulate
+from tests.generator.mesh.shapes import (
+    angles,
+    areas,
+    circle,
+    directed_edges,
+    loop,
+    rectangle,
+    sides,
+    star,
+    undirected_edges,
+)
+
+NARROW_SLIT = [(0.0, 0.0), (20.0, 0.0), (20.0, 8.0), (4.0, 8.05), (20.0, 8.1), (20.0, 16.0), (0.0, 16.0)]
+"""A slit that is narrower than the points along it are apart, from the right edge nearly to the left."""
+
+OUTLINES: dict[str, list[tuple[float, float]]] = {
+    "square": rectangle(12.0, 12.0),
+    "band": rectangle(40.0, 1.0),
+    "narrower than a spacing": rectangle(30.0, 0.4),
+    "L": [(0.0, 0.0), (15.0, 0.0), (15.0, 5.0), (5.0, 5.0), (5.0, 15.0), (0.0, 15.0)],
+    "dart": [(0.0, 0.0), (9.0, 0.0), (10.0, 12.0), (11.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)],
+    "slit": NARROW_SLIT,
+    "wedge": [(0.0, 0.0), (30.0, 0.0), (30.0, 6.0)],
+    "one triangle": [(0.0, 0.0), (1.0, 0.0), (0.5, 0.8)],
+    **{f"star {seed}": star(seed) for seed in range(12)},
+}
+
+
+@pytest.mark.parametrize("name", OUTLINES)
+def test_triangles_fill_the_outline_once(name: str) -> None:
+    """Counter-clockwise, of the outline's area, with exactly its segments for a border."""
+    border = loop(OUTLINES[name], 1.0)
+    seeds, faces = triangulate(border, 1.0)
+    points = np.concatenate([border, seeds])
+    assert (areas(points, faces) > 0).all()
+    assert areas(points, faces).sum() == pytest.approx(shapely.Polygon(border).area)
+    once = set(map(tuple, directed_edges(faces).tolist()))
+    assert len(once) == 3 * len(faces)
+    n = len(border)
+    assert {(u, v) for u, v in once if (v, u) not in once} == {(i, (i + 1) % n) for i in range(n)}
+    assert len(np.unique(faces)) == len(points)
+
+
+@pytest.mark.parametrize("name", OUTLINES)
+@pytest.mark.parametrize("spacing", [0.7, 1.6])
+def test_triangles_are_well_shaped(name: str, spacing: float) -> None:
+    """An angle under 20° stands over a short side between points of the outline: no seed could help it."""
+    border = loop(OUTLINES[name], spacing)
+    seeds, faces = triangulate(border, spacing)
+    points = np.concatenate([border, seeds])
+    over_border = (np.roll(faces, -1, axis=1) < len(border)) & (np.roll(faces, 1, axis=1) < len(border))
+    assert (angles(points, faces)[~over_border] > 20.0).all()
+    assert sides(points, faces).max() <= LONGEST * spacing
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_circle_of_a_triangle_holds_a_point(seed: int) -> None:
+    """Delaunay's criterion, which the border must not be asked for where the outline is convex."""
+    hull = shapely.MultiPoint(star(seed)).convex_hull
+    border = loop([(float(x), float(y)) for x, y in shapely.get_coordinates(hull)[:0:-1]], 1.0)
+    seeds, faces = triangulate(border, 1.0)
+    points = np.concatenate([border, seeds])
+    centres, radii = circumcircles(points, faces)
+    nearest, _ = cKDTree(points).query(centres)
+    assert (nearest > radii - 1e-4).all()
+
+
+def circumcircles(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centres as barycentric means, with weights sin 2α; radii a / 2 sin α."""
+    corner = np.radians(angles(points, faces))
+    weights = np.sin(2 * corner)
+    centres = (weights[..., None] * points[faces]).sum(axis=1) / weights.sum(axis=1)[:, None]
+    return centres, sides(points, faces)[:, 0] / (2 * np.sin(corner[:, 0]))
+
+
+def test_a_disc_is_meshed_as_regularly_as_its_inside() -> None:
+    border = circle(20.0, 1.0)
+    seeds, faces = triangulate(border, 1.0)
+    points = np.concatenate([border, seeds])
+    assert angles(points, faces).min() > 28.0
+    assert np.median(sides(points, faces)) == pytest.approx(0.97, abs=1e-6)
+    assert len(points) - len(undirected_edges(faces)[0]) + len(faces) == 1  # Euler
+
+
+@pytest.mark.parametrize("gathered", [1.5, 2.0, 3.0])
+def test_a_gathered_edge_is_graded(gathered: float) -> None:
+    """One side of a square has points ``gathered`` times as dense; triangles grow from it into the square."""
+    dense = loop(rectangle(20.0, 20.0), 1.0 / gathered)[: int(20 * gathered)]
+    border = np.concatenate([dense, loop(rectangle(20.0, 20.0), 1.0)[20:]])
+    seeds, faces = triangulate(border, 1.0)
+    points = np.concatenate([border, seeds])
+    assert angles(points, faces).min() > 20.0
+    assert sides(points, faces).max() <= LONGEST
+    assert areas(points, faces).sum() == pytest.approx(400.0)
+
+
+def test_a_slit_is_not_meshed_over() -> None:
+    border = loop(NARROW_SLIT, 1.0)
+    seeds, faces = triangulate(border, 1.0)
+    middles = np.concatenate([border, seeds])[faces].mean(axis=1)
+    assert shapely.contains_xy(shapely.Polygon(border), *middles.T).all()
+
+
+def test_the_mesh_grows_with_the_outline() -> None:
+    border = loop(star(4), 1.0)
+    seeds, faces = triangulate(border, 1.0)
+    larger, same = triangulate(2.0 * border, 2.0)
+    assert np.array_equal(faces, same)
+    assert larger == pytest.approx(2.0 * seeds, abs=1e-9)

@@ -1,0 +1,115 @@
+"""Components are moved, mirrored, placed by each other, and assembled to patterns."""
+
+import numpy as np
+import pytest
+
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.pattern import Component, Outline, Piece, assemble
+from gcd_dataset.records import Panel, Pattern
+
+
+def rectangle(name: str, width: float = 20.0, height: float = 30.0) -> Piece:
+    outline = (
+        Outline.start(0, 0)
+        .line(width, 0, name="hem")
+        .line(width, height, name="left")
+        .line(0, height, name="top")
+        .close(name="right")
+    )
+    return Piece(name, outline)
+
+
+def tube(name: str, y: float = 60.0) -> Component:
+    front, back = rectangle(f"{name}_f").at(-10, y, 12), rectangle(f"{name}_b").at(-10, y, -12)
+    return (
+        Component.of(front, back)
+        .sewn(front.along("left"), back.along("left"))
+        .sewn(front.along("right"), back.along("right"))
+        .offering(top=front.against("top") + back.along("top"), hem=front.along("hem") + back.against("hem"))
+    )
+
+
+def corner(panel: Panel, vertex: int) -> list[float]:
+    return [round(float(x), 6) for x in panel.placement.apply(panel.vertices[vertex])]
+
+
+def seam_ends(pattern: Pattern) -> list[tuple[list[float], list[float]]]:
+    """For every seam, the straight distances between the ends that meet."""
+    found = []
+    for seam in pattern.seams:
+        left, right = pattern.panel(seam.left.panel), pattern.panel(seam.right.panel)
+        a, b = left.edges[seam.left.edge], right.edges[seam.right.edge]
+        mate = b.start if seam.right_wrong else b.end
+        found.append((corner(left, a.start), corner(right, mate)))
+    return found
+
+
+def test_loops_run_counter_clockwise_as_seen_from_outside() -> None:
+    pattern = assemble(tube("tube"), "tube")
+    for panel in pattern.panels:
+        x, y = panel.vertices.T
+        area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
+        assert area * panel.placement.translation[2] > 0
+
+
+def test_seams_join_the_ends_that_face_each_other() -> None:
+    pattern = assemble(tube("tube"), "tube")
+    assert not any(seam.right_wrong for seam in pattern.seams)
+    for left, right in seam_ends(pattern):
+        assert left[:2] == right[:2]
+
+
+def test_a_panel_sewn_inside_out_is_right_to_wrong() -> None:
+    front, back = rectangle("f").at(-10, 0, 12), rectangle("b").at(-10, 0, 14)
+    pattern = assemble(Component.of(front, back).sewn(front.along("left"), back.along("left")), "lapel")
+    assert [seam.right_wrong for seam in pattern.seams] == [True]
+
+
+def test_a_divided_edge_keeps_its_label_on_every_piece() -> None:
+    skirt, belt = tube("skirt"), rectangle("belt", width=40.0, height=5.0).at(-20, 95, 20)
+    whole = Component.of(skirt, belt).sewn(belt.along("hem"), skirt.interface("top"))
+    pattern = assemble(whole.with_edge_label(belt.along("hem"), "lower_interface"), "skirt")
+    labelled = [edge.name for edge in pattern.panel("belt").edges if edge.label == "lower_interface"]
+    assert labelled == ["hem", "hem"]
+
+
+def test_the_first_corner_is_the_origin_and_stays_where_it_hung() -> None:
+    for panel in assemble(tube("tube"), "tube").panels:
+        assert panel.vertices[0].tolist() == [0.0, 0.0]
+        assert corner(panel, 0)[:2] == [-10.0, 60.0]
+
+
+def test_an_edge_is_sewn_once() -> None:
+    front, back = rectangle("f").at(0, 0, 12), rectangle("b").at(0, 0, -12)
+    twice = Component.of(front, back).sewn(front.along("left"), back.along("left"))
+    with pytest.raises(PatternError, match="edge left of panel f is sewn twice"):
+        assemble(twice.sewn(front.along("left"), back.along("right")), "twice")
+
+
+def test_names_are_unique() -> None:
+    with pytest.raises(PatternError, match="panels tube_b, tube_f stand twice"):
+        Component.of(tube("tube"), tube("tube"))
+
+
+def test_a_mirror_image_lies_on_the_other_side() -> None:
+    right = Component.of(rectangle("right_sleeve").at(-40, 100, 15)).turned(0.5).moved((-3, 0, 0))
+    left = right.mirrored("right", "left")
+    expected = right.points() * [-1, 1, 1]
+    assert left.pieces[0].name == "left_sleeve"
+    assert left.points() == pytest.approx(expected)
+
+
+def test_placed_by_an_interface_with_a_gap_on_its_own_side() -> None:
+    upper, lower = tube("upper", y=100.0), tube("lower", y=0.0)
+    placed = lower.placed_by("top", upper, "hem", gap=5.0)
+    assert placed.points("top")[:, 1] == pytest.approx(95.0)
+
+
+def test_placed_below() -> None:
+    placed = tube("lower", y=0.0).placed_below(tube("upper", y=100.0), gap=2.0)
+    assert placed.points()[:, 1].max() == pytest.approx(98.0)
+
+
+def test_turning_lifts_what_lies_on_the_turn() -> None:
+    turned = rectangle("arm").at(10, 0, 5).turned(0.5 * np.pi)
+    assert turned.points("hem") == pytest.approx(np.array([[0.0, 10.0, 5.0], [0.0, 30.0, 5.0]]), abs=1e-9)

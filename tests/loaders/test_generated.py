@@ -1,0 +1,132 @@
+"""Garments made on the spot are those that a shard would hold."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.generator.pipeline import make_many, recipe_of
+from gcd_dataset.loaders import GarmentDataset, GeneratedGarments, collate_packed
+from gcd_dataset.shards import ShardWriter
+from tests.loaders.test_shards import assert_all_same, same
+
+COUNT = 3
+
+
+def garments(**options: Any) -> GeneratedGarments:
+    """Box meshes at 5 cm: quick, and drawn, measured and meshed like any other."""
+    return GeneratedGarments(COUNT, seed=5, drape=None, resolution=5.0, **options)
+
+
+@pytest.fixture(scope="module")
+def items() -> list[dict[str, Any]]:
+    return [garments()[i] for i in range(COUNT)]
+
+
+def test_they_are_what_a_shard_gives(items: list[dict[str, Any]], tmp_path: Path) -> None:
+    config = garments().config
+    with ShardWriter(tmp_path, seed=5, recipe=recipe_of(config)) as writer:
+        for sample in make_many(5, range(COUNT), config):
+            writer.write(sample)
+    stored = GarmentDataset(tmp_path)
+    assert_all_same(items, [stored[i] for i in range(COUNT)])
+    assert garments().recipe(1) == stored.recipe(1)
+
+
+def test_a_batch_is_its_garments(items: list[dict[str, Any]]) -> None:
+    ds = garments()
+    assert len(ds) == COUNT
+    assert_all_same(ds.__getitems__([2, 0, -1]), [items[2], items[0], items[2]])
+    with pytest.raises(IndexError):
+        ds.__getitems__([0, COUNT])
+
+
+@pytest.mark.parametrize(("workers", "context"), [(2, "fork"), (1, "spawn")])
+def test_workers_change_nothing(items: list[dict[str, Any]], workers: int, context: str) -> None:
+    loader = DataLoader(
+        garments(), batch_size=2, num_workers=workers, multiprocessing_context=context, collate_fn=collate_packed
+    )
+    assert_all_same(loader, [collate_packed(items[:2]), collate_packed(items[2:])])
+
+
+def test_random_seeds_elsewhere_change_nothing(items: list[dict[str, Any]]) -> None:
+    torch.manual_seed(123)
+    assert same(garments()[1], items[1])
+
+
+def test_only_the_fields_asked_for_come() -> None:
+    assert set(garments(fields=("panels", "box"))[0]) == {"panels", "box"}
+
+
+def test_the_cache_is_read_and_not_made_again(
+    items: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ds = garments(cache_dir=tmp_path)
+    assert same(ds[1], items[1])
+    assert_all_same(ds.__getitems__([0, 1]), items[:2])
+    assert [path.name for path in sorted(tmp_path.glob("*/*"))] == ["gcd_000000000.tar", "gcd_000000001.tar"]
+    monkeypatch.setattr("gcd_dataset.loaders.generated.make_many", no_more)
+    assert same(garments(cache_dir=tmp_path)[1], items[1])
+
+
+def no_more(*_: Any) -> list[Any]:
+    raise AssertionError("made again")
+
+
+def test_another_recipe_has_another_cache(tmp_path: Path) -> None:
+    coarse = GeneratedGarments(COUNT, seed=5, drape=None, resolution=8.0, cache_dir=tmp_path, fields=["box"])
+    fine = garments(cache_dir=tmp_path, fields=["box"])
+    assert len(coarse[0]["box"]) < len(fine[0]["box"])
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_damage_in_the_cache_is_named(tmp_path: Path) -> None:
+    ds = garments(cache_dir=tmp_path)
+    ds[0]
+    ds.verify(0)
+    (path,) = tmp_path.glob("*/*.tar")
+    content = bytearray(path.read_bytes())
+    content[-1100 - len(content) // 3] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ShardError, match=r"gcd_000000000\.tar"):
+        ds[0]
+
+
+def test_verify_finds_what_does_not_come_out_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    ds = garments()
+    ds.verify(1)
+    made = ds._made
+    monkeypatch.setattr(ds, "_made", lambda positions: [{**made(positions)[0], "design.json": os.urandom(8)}])
+    with pytest.raises(ShardError, match=r"gcd_000000001, member design\.json"):
+        ds.verify(1)
+
+
+def test_cuda_after_a_fork_is_refused_with_the_way_out() -> None:
+    ds = GeneratedGarments(COUNT, drape="warp", device="cuda:0")
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            ds[0]
+        except ConfigError as error:
+            os.write(write, json.dumps(str(error)).encode())
+        finally:
+            os._exit(0)
+    os.waitpid(child, 0)
+    os.close(write)
+    told = json.loads(os.read(read, 1000))
+    os.close(read)
+    assert "device='cuda:0' in a forked worker" in told
+    assert "multiprocessing_context='spawn'" in told
+
+
+def test_options_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(ConfigError, match="drape='newton'"):
+        GeneratedGarments(1, drape="newton")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="bodies"):
+        GeneratedGarments(1, bodies="dolls")  # type: ignore[arg-type]

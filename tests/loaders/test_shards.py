@@ -1,0 +1,147 @@
+"""Garments from a folder, through the door that users take."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader, IterableDataset
+
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list, collate_packed
+from gcd_dataset.shards import FIELDS, MEMBERS, read_index
+from tests.shards.folders import RECIPE, fill
+
+COUNT = 10
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return fill(tmp_path_factory.mktemp("data"), range(COUNT))
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two items, or parts of them, agree in every value and data type."""
+    if isinstance(a, torch.Tensor):
+        return isinstance(b, torch.Tensor) and a.dtype == b.dtype and torch.equal(a, b)
+    if isinstance(a, Mapping):
+        return isinstance(b, Mapping) and a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    return bool(a == b)
+
+
+def assert_all_same(items: Iterable[Any], others: Iterable[Any]) -> None:
+    assert all(same(a, b) for a, b in zip(items, others, strict=True))
+
+
+def test_a_shard_gives_what_was_put_in(folder: Path) -> None:
+    ds = GarmentDataset(folder)
+    assert len(ds) == COUNT
+    assert_all_same([ds[i] for i in range(COUNT)], [FakeGarments(COUNT)[i] for i in range(COUNT)])
+
+
+def test_random_access_equals_reading_in_order(folder: Path) -> None:
+    in_order = [GarmentDataset(folder)[i] for i in range(COUNT)]
+    ds = GarmentDataset(folder)
+    for i in np.random.default_rng(0).permutation(COUNT):
+        assert same(ds[i], in_order[i])
+
+
+def test_only_the_fields_asked_for_come(folder: Path) -> None:
+    ds = GarmentDataset(folder, fields=("verts", "faces"))
+    assert set(ds[0]) == {"verts", "faces"}
+    assert ds[0]["verts"].dtype == torch.float32
+    assert ds[0]["faces"].dtype == torch.int32
+    with pytest.raises(ConfigError, match="no field vertices: there are meta"):
+        GarmentDataset(folder, fields=("vertices",))
+
+
+def test_indices_count_from_both_ends(folder: Path) -> None:
+    ds = GarmentDataset(folder, fields=["meta"])
+    assert ds[-1]["meta"]["index"] == COUNT - 1
+    for beyond in (COUNT, -COUNT - 1):
+        with pytest.raises(IndexError):
+            ds[beyond]
+
+
+def test_a_transform_sees_every_item(folder: Path) -> None:
+    ds = GarmentDataset(folder, fields=["verts"], transform=lambda item: len(item["verts"]))
+    assert ds[3] == len(FakeGarments(COUNT)[3]["verts"])
+
+
+def test_the_recipe_tells_how_to_make_it_again(folder: Path) -> None:
+    recipe = GarmentDataset(folder).recipe(7)
+    assert (recipe["seed"], recipe["index"], recipe["recipe"]) == (0, 7, RECIPE)
+    assert recipe == FakeGarments(COUNT).recipe(7)
+    assert same(FakeGarments(COUNT, seed=recipe["seed"])[recipe["index"]], GarmentDataset(folder)[7])
+
+
+@pytest.mark.parametrize(("workers", "context"), [(2, "fork"), (2, "spawn")])
+def test_workers_change_nothing(folder: Path, workers: int, context: str) -> None:
+    ds = GarmentDataset(folder)
+    alone = list(DataLoader(ds, batch_size=4, collate_fn=collate_packed))
+    shared = DataLoader(
+        ds, batch_size=4, collate_fn=collate_packed, num_workers=workers, multiprocessing_context=context
+    )
+    assert_all_same(alone, shared)
+
+
+def test_a_stream_holds_the_same_garments(folder: Path) -> None:
+    stream = GarmentDataset(folder, streaming=True)
+    assert isinstance(stream, IterableDataset)
+    ds = GarmentDataset(folder)
+    assert_all_same(stream, [ds[i] for i in range(COUNT)])
+    assert_all_same(stream, [ds[i] for i in range(COUNT)])  # a second epoch
+
+
+@pytest.mark.parametrize("count", [COUNT, 3])  # three shards for two workers, and one
+def test_workers_share_a_stream_out(tmp_path: Path, count: int) -> None:
+    stream = GarmentDataset(fill(tmp_path, range(count)), fields=("meta", "faces"), streaming=True)
+    loader = DataLoader(stream, batch_size=None, num_workers=2)
+    assert sorted(item["meta"]["index"] for item in loader) == list(range(count))
+
+
+def test_damage_in_a_stream_is_named(tmp_path: Path) -> None:
+    folder = fill(tmp_path, range(3))
+    index, shard = read_index(folder), tmp_path / "train-00000.tar"
+    content = bytearray(shard.read_bytes())
+    place = int(index.table.offset[1, MEMBERS.index("verts.npy")])
+    content[place + 200] ^= 1
+    shard.write_bytes(content)
+    with pytest.raises(ShardError, match=r"gcd_000000001, member verts\.npy"):
+        list(GarmentDataset(folder, fields=["verts"], streaming=True))
+    content[place - 500] ^= 1  # the header: to ``tarfile`` the archive ends here
+    shard.write_bytes(content)
+    with pytest.raises(ShardError, match="2 samples of 3 read"):
+        list(GarmentDataset(folder, fields=["faces"], streaming=True))
+    with pytest.raises(ShardError, match=r"gcd_000000001 has no verts\.npy"):
+        list(GarmentDataset(folder, fields=["verts"], streaming=True))
+
+
+def test_verify_finds_a_flipped_bit(tmp_path: Path) -> None:
+    ds = GarmentDataset(fill(tmp_path, range(3)), verify="off")
+    ds.verify(1)
+    shard = tmp_path / "train-00000.tar"
+    content = bytearray(shard.read_bytes())
+    content[int(read_index(tmp_path).table.offset[1, 0]) + 5] ^= 1
+    shard.write_bytes(content)
+    ds.verify(0)
+    with pytest.raises(ShardError, match=r"gcd_000000001, member meta\.json"):
+        ds.verify(1)
+
+
+def test_what_is_not_served_yet_is_refused(folder: Path) -> None:
+    with pytest.raises(ConfigError, match="only folders are read so far"):
+        GarmentDataset("org/garments")
+    with pytest.raises(ConfigError, match="revision='main' is for URLs and the Hub"):
+        GarmentDataset(folder, revision="main")
+
+
+def test_collate_list_leaves_items_alone() -> None:
+    ds = FakeGarments(3)
+    (batch,) = DataLoader(ds, batch_size=3, collate_fn=collate_list)
+    assert_all_same(batch, [ds[i] for i in range(3)])
+    assert set(batch[0]) == set(FIELDS)

@@ -1,0 +1,158 @@
+"""A sample as files, and back."""
+
+import io
+import json
+import zlib
+from collections.abc import Iterator
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import Outcome, Sample
+from gcd_dataset.shards import FIELDS, MEMBERS, decode_fields, decode_sample, encode_sample
+from gcd_dataset.shards.codec import NO_PICTURE
+from gcd_dataset.shards.npy import read_npy, write_npy
+
+
+@pytest.fixture
+def sample() -> Sample:
+    return fake_sample(seed=1, index=12)
+
+
+def stages(sample: Sample) -> Iterator[Sample]:
+    """The sample as ``--stage`` drape, mesh and pattern leave it."""
+    yield sample
+    yield replace(sample, drape=None, front=None, back=None)
+    yield replace(sample, shape=None, box_mesh=None, drape=None, points=None, front=None, back=None)
+
+
+def test_same_sample_same_bytes() -> None:
+    assert encode_sample(fake_sample(1, 12)) == encode_sample(fake_sample(1, 12))
+    assert encode_sample(fake_sample(1, 12)) != encode_sample(fake_sample(2, 12))
+
+
+def test_every_stage_has_the_same_members(sample: Sample) -> None:
+    for stage in stages(sample):
+        assert tuple(encode_sample(stage)) == MEMBERS
+
+
+def test_decoding_gives_the_record_back_to_the_stored_precision(sample: Sample) -> None:
+    assert sample.box_mesh is not None
+    assert sample.drape is not None
+    assert sample.points is not None
+    exact = replace(
+        sample,
+        box_mesh=replace(
+            sample.box_mesh,
+            vertices=sample.box_mesh.vertices.astype(np.float32),
+            uv=sample.box_mesh.uv.astype(np.float32),
+        ),
+        drape=replace(sample.drape, vertices=sample.drape.vertices.astype(np.float32)),
+        points=sample.points.astype(np.float16),
+    )
+    for stage in stages(exact):
+        again = decode_sample(encode_sample(stage))
+        assert [f.name for f in fields(stage) if not same(getattr(stage, f.name), getattr(again, f.name))] == []
+
+
+def same(a: object, b: object) -> bool:
+    return np.array_equal(a, b) if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) else a == b
+
+
+def test_a_second_round_trip_changes_no_byte(sample: Sample) -> None:
+    for stage in stages(sample):
+        members = encode_sample(stage)
+        assert encode_sample(decode_sample(members)) == members
+
+
+def test_a_drape_that_flew_apart_is_kept(sample: Sample) -> None:
+    assert sample.drape is not None
+    wrecked = replace(sample.drape, vertices=np.full((3, 3), np.nan), outcome=Outcome.DIVERGED, stretch_p99=np.nan)
+    again = decode_sample(encode_sample(replace(sample, drape=wrecked))).drape
+    assert again is not None
+    assert np.isnan(again.stretch_p99)
+    assert replace(again, stretch_p99=0.0) == replace(wrecked, stretch_p99=0.0)
+
+
+def test_meta_names_the_hash_of_every_other_member(sample: Sample) -> None:
+    members = encode_sample(sample)
+    crc = json.loads(members["meta.json"])["crc32"]
+    assert crc == {name: zlib.crc32(members[name]) for name in MEMBERS[1:]}
+
+
+def test_arrays_are_what_numpy_reads(sample: Sample) -> None:
+    members = encode_sample(sample)
+    loaded = decode_fields(members)
+    for field, member in FIELDS.items():
+        if member.endswith(".npy"):
+            assert np.array_equal(np.load(io.BytesIO(members[member]), allow_pickle=False), loaded[field])
+
+
+def test_faces_take_two_bytes_below_65536_vertices() -> None:
+    for count, dtype in ((65_536, np.uint16), (65_537, np.uint32)):
+        sample = fake_sample(0, 0)
+        assert sample.box_mesh is not None
+        padding = np.zeros((count - len(sample.box_mesh.vertices), 3))
+        mesh = replace(sample.box_mesh, vertices=np.concatenate([sample.box_mesh.vertices, padding]))
+        assert read_npy(encode_sample(replace(sample, box_mesh=mesh))["faces.npy"]).dtype == dtype
+
+
+def test_a_face_without_its_vertex_is_refused(sample: Sample) -> None:
+    assert sample.box_mesh is not None
+    for wrong in (-1, len(sample.box_mesh.vertices)):
+        faces = sample.box_mesh.faces.copy()
+        faces[0, 0] = wrong
+        with pytest.raises(ShardError, match=f"gcd_000000012.*faces holds row {wrong} of"):
+            encode_sample(replace(sample, box_mesh=replace(sample.box_mesh, faces=faces)))
+
+
+def test_numbers_that_json_cannot_hold_are_refused(sample: Sample) -> None:
+    with pytest.raises(ShardError, match="gcd_000000012 cannot be stored"):
+        encode_sample(replace(sample, design={"width": np.inf}))
+
+
+def test_a_missing_picture_is_one_that_other_readers_can_open(sample: Sample) -> None:
+    members = encode_sample(replace(sample, front=None))
+    with Image.open(io.BytesIO(members["front.jpg"])) as image:
+        assert image.size == (1, 1)
+    assert members["front.jpg"] == NO_PICTURE
+    assert decode_fields(members, ["front"])["front"].shape == (3, 0, 0)
+
+
+def test_pictures_are_channels_first(sample: Sample) -> None:
+    picture = Image.new("RGB", (24, 8), (250, 10, 10))
+    file = io.BytesIO()
+    picture.save(file, "JPEG", quality=95)
+    front = decode_fields(encode_sample(replace(sample, front=file.getvalue())), ["front"])["front"]
+    assert front.shape == (3, 8, 24)
+    assert front[0].mean() > 240 > 20 > front[1].mean()
+
+
+def test_unknown_fields_are_told_with_those_there_are(sample: Sample) -> None:
+    with pytest.raises(ConfigError, match=r"no field verst: there are meta, .*verts"):
+        decode_fields(encode_sample(sample), ["verst"])
+
+
+@pytest.mark.parametrize("dtype", ["u1", "<u2", ">f4", "f8", "?", "f2", "i8"])
+@pytest.mark.parametrize("shape", [(), (0,), (5,), (2, 3), (0, 3), (2, 3, 4)])
+def test_npy_round_trip(dtype: str, shape: tuple[int, ...]) -> None:
+    array = (np.arange(np.prod(shape)).reshape(shape) % 2).astype(dtype)
+    file = write_npy(array)
+    assert np.array_equal(read_npy(file), array)
+    assert np.array_equal(np.load(io.BytesIO(file), allow_pickle=False), array)
+    assert (len(file) - array.nbytes) % 64 == 0
+
+
+def test_npy_refuses_what_needs_pickle_and_what_is_cut_off() -> None:
+    with pytest.raises(ShardError, match="only numbers"):
+        write_npy(np.array([{}]))
+    with pytest.raises(ShardError, match="bytes for float64 of shape"):
+        read_npy(write_npy(np.zeros(4))[:-1])
+    pickled = io.BytesIO()
+    np.save(pickled, np.array([{}]), allow_pickle=True)
+    with pytest.raises(ShardError, match="another writer"):
+        read_npy(pickled.getvalue())

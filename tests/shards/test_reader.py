@@ -1,0 +1,138 @@
+"""Reading shards: random access, and every flipped byte found."""
+
+import json
+import multiprocessing
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_index, reader
+from tests.shards.folders import fill
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return fill(tmp_path / "data", range(10))
+
+
+def flip(folder: Path, sample: int, member: str) -> None:
+    """Change one bit in the middle of a member."""
+    index = read_index(folder)
+    column = MEMBERS.index(member)
+    place = int(index.table.offset[sample, column]) + int(index.table.size[sample, column]) // 2
+    path = folder / index.shards[index.shard[sample]]
+    content = bytearray(path.read_bytes())
+    content[place] ^= 4
+    path.write_bytes(content)
+
+
+def test_members_come_back_in_any_order(folder: Path) -> None:
+    shards = ShardReader(folder)
+    for position in np.random.default_rng(0).permutation(10).tolist():
+        assert shards.read(position, MEMBERS) == encode_sample(fake_sample(0, position))
+    assert shards.read(3, ["verts.npy", "faces.npy"]).keys() == {"faces.npy", "verts.npy"}
+
+
+def test_far_members_are_read_apart(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reader, "GAP", 0)
+    expected = encode_sample(fake_sample(0, 4))
+    read = ShardReader(folder).read(4, ["back.jpg", "meta.json", "verts.npy"])
+    assert read == {name: expected[name] for name in ("meta.json", "verts.npy", "back.jpg")}
+
+
+@pytest.mark.parametrize("member", ["meta.json", "verts.npy", "back.jpg"])
+def test_a_flipped_bit_is_named(folder: Path, member: str) -> None:
+    flip(folder, 5, member)
+    told = f"train-00001.tar: sample gcd_000000005, member {member}"
+    lazy = ShardReader(folder)
+    lazy.read(4, MEMBERS)
+    lazy.read(5, [name for name in MEMBERS if name != member])
+    with pytest.raises(ShardError, match=told):
+        lazy.read(5, [member])
+    with pytest.raises(ShardError, match=told):
+        ShardReader(folder, verify="full")
+    blind = ShardReader(folder, verify="off")
+    blind.read(5, MEMBERS)
+    with pytest.raises(ShardError, match=told):
+        blind.check(5)
+
+
+def test_a_flipped_bit_is_found_without_an_index(folder: Path) -> None:
+    (folder / "index-train.npz").unlink()
+    flip_at = read_index(folder).table.offset[5, MEMBERS.index("verts.npy")]
+    assert flip_at
+    flip(folder, 5, "verts.npy")
+    with pytest.raises(ShardError, match=r"gcd_000000005, member verts\.npy"):
+        ShardReader(folder).read(5, MEMBERS)
+
+
+def test_an_unknown_schema_is_told_with_both_versions(folder: Path) -> None:
+    path = folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    path.write_text(json.dumps({**manifest, "schema": 99, "generator": "7.2.0"}))
+    with pytest.raises(ShardError, match=r"schema 99 by gcd_dataset 7\.2\.0.*reads schema 1"):
+        ShardReader(folder)
+
+
+def test_a_cut_or_missing_shard_is_named(folder: Path) -> None:
+    path = folder / "train-00001.tar"
+    content = path.read_bytes()
+    path.write_bytes(content[:5000])
+    with pytest.raises(ShardError, match=rf"train-00001\.tar: 5000 of the {len(content)} bytes"):
+        ShardReader(folder)
+    path.unlink()
+    with pytest.raises(ShardError, match=r"train-00001\.tar: 0 of the"):
+        ShardReader(folder)
+
+
+def test_shards_alone_are_enough(folder: Path) -> None:
+    (folder / "index-train.npz").unlink()
+    (folder / "manifest.json").unlink()
+    assert len(ShardReader(folder, verify="full")) == 10
+
+
+@pytest.mark.parametrize("name", ["index-train.npz", "manifest.json"])
+def test_a_broken_side_file_is_named(folder: Path, name: str) -> None:
+    (folder / name).write_bytes(b"PK nonsense")
+    with pytest.raises(ShardError, match=name):
+        ShardReader(folder)
+
+
+def test_a_split_that_is_not_there(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(ShardError, match="no samples of split test: there is train"):
+        ShardReader(folder, "test")
+    with pytest.raises(ShardError, match="give a folder that gcd generate"):
+        ShardReader(tmp_path)
+    with pytest.raises(ConfigError, match="verify='sometimes'"):
+        ShardReader(folder, verify="sometimes")  # type: ignore[arg-type]
+
+
+def test_missing_samples_leave_positions_dense(tmp_path: Path) -> None:
+    shards = ShardReader(fill(tmp_path, [1, 7, 3]))
+    assert [shards.sample_index(position) for position in range(len(shards))] == [1, 3, 7]
+    assert shards.read(1, ["meta.json"])["meta.json"] == encode_sample(fake_sample(0, 3))["meta.json"]
+
+
+def test_it_may_be_pickled_forked_and_shared_by_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reader, "OPEN_FILES", 1)
+    shards = ShardReader(folder)
+    expected = [encode_sample(fake_sample(0, position))["verts.npy"] for position in range(10)]
+    assert shards.read(0, ["verts.npy"])["verts.npy"] == expected[0]
+    copy = pickle.loads(pickle.dumps(shards))
+    assert copy.read(9, ["verts.npy"])["verts.npy"] == expected[9]
+    order = np.random.default_rng(1).integers(10, size=200).tolist()
+    with ThreadPoolExecutor(4) as pool:
+        read = list(pool.map(lambda position: shards.read(position, ["verts.npy"])["verts.npy"], order))
+    assert all(data == expected[position] for position, data in zip(order, read, strict=True))
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(1) as processes:
+        assert processes.map(shards_length, [shards]) == [(10, len(expected[3]))]
+
+
+def shards_length(shards: ShardReader) -> tuple[int, int]:
+    return len(shards), len(shards.read(3, ["verts.npy"])["verts.npy"])

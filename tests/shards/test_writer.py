@@ -1,0 +1,213 @@
+"""Shards: the same bytes however they came about, and nothing finished is lost."""
+
+import errno
+import hashlib
+import json
+import os
+import random
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.errors import ConfigError, OutputError, ShardError
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, encode_sample, read_index, rebuild_index
+from tests.shards.folders import RECIPE, SHARD_SIZE, contents, fill, open_writer
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    """Ten samples in shards of four, written in one go."""
+    return fill(tmp_path / "whole", range(10))
+
+
+def test_a_shard_holds_its_own_indices(whole: Path) -> None:
+    index = read_index(whole)
+    assert index.shards == ("train-00000.tar", "train-00001.tar", "train-00002.tar")
+    assert index.table.sample.tolist() == list(range(10))
+    assert index.shard.tolist() == [0] * 4 + [1] * 4 + [2] * 2
+
+
+def test_same_samples_same_bytes(whole: Path, tmp_path: Path) -> None:
+    assert contents(fill(tmp_path / "again", range(10))) == contents(whole)
+
+
+def test_the_order_of_writing_leaves_no_trace(whole: Path, tmp_path: Path) -> None:
+    indices = list(range(10))
+    random.Random(3).shuffle(indices)
+    assert contents(fill(tmp_path / "shuffled", indices)) == contents(whole)
+
+
+@pytest.mark.parametrize("stop", [1, 4, 6, 9])
+def test_an_interrupted_run_goes_on_to_the_same_bytes(whole: Path, tmp_path: Path, stop: int) -> None:
+    folder = tmp_path / "interrupted"
+    with pytest.raises(KeyboardInterrupt), open_writer(folder) as writer:
+        for index in range(stop):
+            writer.write(fake_sample(0, index))
+        raise KeyboardInterrupt
+    assert len(ShardReader(folder, verify="full")) == stop
+    with open_writer(folder) as writer:
+        assert writer.done == frozenset(range(stop))
+    fill(folder, range(stop, 10))
+    assert contents(folder) == contents(whole)
+
+
+def test_a_killed_run_loses_only_the_sample_in_work(whole: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "killed"
+    writer = open_writer(folder)
+    for index in range(7):
+        writer.write(fake_sample(0, index))
+    part = folder / "train-00001.tar.part"
+    os.truncate(part, part.stat().st_size - 1000)
+    del writer  # nobody closes it, as after kill -9
+    assert list(ShardReader(folder).index.table.sample) == [0, 1, 2, 3]
+
+
+def test_what_a_kill_left_is_taken_up(whole: Path, tmp_path: Path) -> None:
+    folder = fill(tmp_path / "killed", range(4))
+    torn = (whole / "train-00001.tar").read_bytes()
+    second = int(read_index(whole).table.offset[5, 0])
+    (folder / "train-00001.tar.part").write_bytes(torn[: second + 100])
+    with open_writer(folder) as writer:
+        assert writer.done == frozenset(range(5))
+    fill(folder, range(5, 10))
+    assert contents(folder) == contents(whole)
+
+
+def test_a_broken_sample_in_what_a_kill_left_is_made_again(whole: Path, tmp_path: Path) -> None:
+    folder = fill(tmp_path / "killed", range(4))
+    torn = bytearray((whole / "train-00001.tar").read_bytes())
+    torn[int(read_index(whole).table.offset[6, MEMBERS.index("verts.npy")]) + 200] ^= 1
+    (folder / "train-00001.tar.part").write_bytes(torn)
+    with open_writer(folder) as writer:
+        assert writer.done == frozenset(range(6))
+
+
+def full_disk(monkeypatch: pytest.MonkeyPatch, *, room: int) -> None:
+    """Let ``os.pwrite`` take ``room`` more bytes and then no more."""
+    left, pwrite = [room], os.pwrite
+
+    def write(file: int, data: memoryview, offset: int) -> int:
+        if left[0] == 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        taken = data[: left[0]]
+        left[0] -= len(taken)
+        return pwrite(file, taken, offset)
+
+    monkeypatch.setattr(os, "pwrite", write)
+
+
+def test_a_full_disk_costs_no_finished_sample(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "full"
+    size = sum(read_index(whole).table.size[0].tolist())
+    full_disk(monkeypatch, room=6 * size + 15 * 1024 * 6)
+    with pytest.raises(OutputError, match=r"train-0000\d\.tar\.part.*No space left.*are kept.*make room"):
+        fill(folder, range(10))
+    monkeypatch.undo()
+    finished = len(ShardReader(folder, verify="full"))
+    assert 0 < finished < 10
+    assert not list(folder.glob("*.part"))
+    fill(folder, range(finished, 10))
+    assert contents(folder) == contents(whole)
+
+
+def test_a_disk_too_full_for_the_manifest_costs_nothing_either(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = fill(tmp_path / "full", range(4))
+    with pytest.raises(OutputError, match=r"train-00001\.tar\.part"), open_writer(folder) as writer:
+        writer.write(fake_sample(0, 4))
+        full_disk(monkeypatch, room=100)
+        monkeypatch.setattr(os, "fsync", refuse)
+        writer.write(fake_sample(0, 5))
+    monkeypatch.undo()
+    assert len(ShardReader(folder, verify="full")) == 4
+    with open_writer(folder) as writer:
+        assert writer.done == frozenset(range(5))
+    fill(folder, range(5, 10))
+    assert contents(folder) == contents(whole)
+
+
+def refuse(file: int) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_grown_data_set_is_that_of_the_larger_count(whole: Path, tmp_path: Path) -> None:
+    folder = fill(tmp_path / "grown", range(3))
+    fill(folder, range(3, 10))
+    assert contents(folder) == contents(whole)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"seed": 1}, "seed=0.*seed=1"),
+        ({"recipe": {"fake": False}}, "fake=True.*fake=False"),
+        ({"shard_size": 8}, "shard_size=4.*shard_size=8"),
+    ],
+)
+def test_another_recipe_is_refused_with_both(whole: Path, changed: dict[str, object], told: str) -> None:
+    options: dict[str, object] = {"seed": 0, "recipe": RECIPE, "shard_size": SHARD_SIZE, **changed}
+    with pytest.raises(ConfigError, match=told):
+        ShardWriter(whole, **options)  # type: ignore[arg-type]
+
+
+def test_a_sample_is_written_once(whole: Path) -> None:
+    with open_writer(whole) as writer:
+        for index in (0, 9):
+            with pytest.raises(ConfigError, match=f"gcd_00000000{index} is there already"):
+                writer.write(fake_sample(0, index))
+        writer.write(fake_sample(0, 10))
+        with pytest.raises(ConfigError, match="gcd_000000010 is there already"):
+            writer.write(fake_sample(0, 10))
+
+
+def test_two_writers_keep_out_of_each_others_way(tmp_path: Path) -> None:
+    with open_writer(tmp_path) as writer:
+        writer.write(fake_sample(0, 0))
+        with pytest.raises(OutputError, match="another process is writing it"):
+            open_writer(tmp_path)
+    assert len(ShardReader(tmp_path)) == 1
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="file/out: cannot be written"):
+        open_writer(tmp_path / "file" / "out")
+
+
+def test_the_manifest_lists_each_shard(whole: Path) -> None:
+    manifest = json.loads((whole / "manifest.json").read_text())
+    split = manifest["splits"]["train"]
+    assert (manifest["schema"], split["seed"], split["recipe"]) == (1, 0, RECIPE)
+    for shard in split["shards"]:
+        content = (whole / shard["name"]).read_bytes()
+        assert (shard["size"], shard["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
+    assert [shard["count"] for shard in split["shards"]] == [4, 4, 2]
+
+
+def test_splits_share_a_folder(tmp_path: Path) -> None:
+    fill(tmp_path, range(3))
+    with open_writer(tmp_path, seed=7, split="test") as writer:
+        writer.write(fake_sample(7, 0))
+    assert (len(ShardReader(tmp_path)), len(ShardReader(tmp_path, "test"))) == (3, 1)
+
+
+def test_the_index_comes_back_from_the_shards(whole: Path) -> None:
+    index = read_index(whole)
+    path = whole / "index-train.npz"
+    kept = path.read_bytes()
+    path.unlink()
+    assert read_index(whole) == index
+    assert not path.exists()
+    assert rebuild_index(whole) == index
+    assert path.read_bytes() == kept
+
+
+def test_encoded_samples_may_come_from_elsewhere(whole: Path, tmp_path: Path) -> None:
+    with open_writer(tmp_path / "encoded") as writer:
+        for index in range(10):
+            writer.write_members(index, encode_sample(fake_sample(0, index)))
+        with pytest.raises(ShardError, match="does not have the members"):
+            writer.write_members(10, {"meta.json": b"{}"})
+    assert contents(tmp_path / "encoded") == contents(whole)

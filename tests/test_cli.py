@@ -1,0 +1,184 @@
+"""The command line as a user meets it: what it leaves on disk, what it says, how it ends."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gcd_dataset.cli import main
+from gcd_dataset.generator.pipeline import MakeConfig, make
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.shards import read_index
+from gcd_dataset.spec import spec_from_pattern, write_pattern
+
+FLAT = ["--stage", "pattern", "--quiet"]
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    """A specification file of a skirt or shirt."""
+    path = tmp_path / "garment_specification.json"
+    write_pattern(make(1, 0, MakeConfig(stage="pattern")).pattern, path)
+    return path
+
+
+def one_line(text: str) -> str:
+    lines = text.strip().splitlines()
+    assert len(lines) == 1, text
+    return lines[0]
+
+
+def test_generate_makes_a_data_set_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "data"
+    assert main(["generate", str(out), "--count", "2", "--seed", "3", *FLAT]) == 0
+    assert main(["generate", str(out), "--count", "5", "--seed", "3", *FLAT]) == 0
+    assert "5 garments, 3 of them made now" in capsys.readouterr().out
+    at_once = tmp_path / "at_once"
+    assert main(["generate", str(at_once), "--count", "5", "--seed", "3", *FLAT]) == 0
+    for path in sorted(at_once.iterdir()):
+        assert path.read_bytes() == (out / path.name).read_bytes(), path.name
+    assert len(GarmentDataset(out)) == 5
+
+
+def test_workers_do_not_change_a_byte(tmp_path: Path) -> None:
+    for name, workers in (("alone", "0"), ("two", "2")):
+        assert main(["generate", str(tmp_path / name), "--count", "4", "--workers", workers, *FLAT]) == 0
+    shard = "train-00000.tar"
+    assert (tmp_path / "alone" / shard).read_bytes() == (tmp_path / "two" / shard).read_bytes()
+
+
+def test_another_recipe_in_the_same_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["generate", str(tmp_path), "--count", "1", *FLAT]) == 0
+    capsys.readouterr()
+    assert main(["generate", str(tmp_path), "--count", "2", "--bodies", "neutral", *FLAT]) == 2
+    assert "bodies='random'" in one_line(capsys.readouterr().err)
+    assert len(GarmentDataset(tmp_path)) == 1
+
+
+def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", *FLAT]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    part = tmp_path / "train-00000.tar.part"
+    deadline = time.monotonic() + 60
+    while not (part.exists() and part.stat().st_size > 200_000) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert "the same command goes on from there" in one_line(said)
+    there = len(read_index(tmp_path))
+    assert there > 1
+    assert not part.exists()
+    assert main(["generate", str(tmp_path), "--count", str(there + 2), *FLAT]) == 0
+    assert len(GarmentDataset(tmp_path)) == there + 2
+
+
+def test_a_full_disk_is_said_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["generate", str(tmp_path), "--count", "2", *FLAT]) == 0
+    capsys.readouterr()
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", full)
+        assert main(["generate", str(tmp_path), "--count", "9", *FLAT]) == 1
+    assert "No space left on device" in one_line(capsys.readouterr().err)
+    assert len(GarmentDataset(tmp_path)) == 2
+    assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0
+    assert len(GarmentDataset(tmp_path)) == 3
+
+
+def test_options_may_come_from_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "set.toml"
+    config.write_text('bodies = "neutral"\nstage = "mesh"\nresolution = 5.0\npoints = 16\n')
+    out = tmp_path / "data"
+    assert main(["generate", str(out), "--count", "1", "--config", str(config), "--quiet"]) == 0
+    assert GarmentDataset(out)[0]["points"].shape == (16, 6)
+    config.write_text("bodes = 1\n")
+    capsys.readouterr()
+    assert main(["generate", str(out), "--count", "1", "--config", str(config)]) == 2
+    assert "no option is called bodes" in one_line(capsys.readouterr().err)
+
+
+def test_validate_prints_every_fault(spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = json.loads(spec.read_text())
+    first = next(iter(content["pattern"]["panels"]))
+    content["pattern"]["panels"][first]["edges"][0]["endpoints"] = [0, 99]
+    bad, broken = tmp_path / "bad.json", tmp_path / "broken.json"
+    bad.write_text(json.dumps(content))
+    broken.write_text("{")
+    assert main(["validate", str(bad), str(broken), str(tmp_path / "missing.json")]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert any(f"bad.json: panel {first}, edge 0: error: vertex out of range: vertex 99" in line for line in lines)
+    assert any("broken.json: line 1, column 2" in line for line in lines)
+    assert any("missing.json: no such file" in line for line in lines)
+
+
+def test_validate_finds_nothing_in_a_plain_pattern(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from tests.generator.test_render import napkins
+
+    write_pattern(napkins(), tmp_path / "napkins.json")
+    assert main(["validate", str(tmp_path / "napkins.json")]) == 0
+    assert "no fault found" in capsys.readouterr().out
+
+
+def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(["drape", str(spec), "--out", str(out), "--resolution", "4", "--device", "cpu", "--quiet"]) == 0
+    for ending in (".obj", ".ply", ".glb", "_front.png", "_back.png", "_pattern.png"):
+        assert (out / f"garment{ending}").stat().st_size > 1000
+    [row] = json.loads((out / "report.json").read_text())["garments"]
+    lines = (out / "garment.obj").read_text().splitlines()
+    assert sum(line.startswith("v ") for line in lines) == row["vertices"]
+    assert row["outcome"] == "SETTLED"
+    assert np.asarray(Image.open(out / "garment_front.png")).std() > 10
+
+
+def test_what_cannot_be_draped_is_said_before_anything_is(
+    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ["--out", str(tmp_path / "out")]
+    assert main(["drape", str(tmp_path / "missing.json"), *out]) == 1
+    assert "missing.json: no such file" in one_line(capsys.readouterr().err)
+    assert main(["drape", str(spec), *out, "--device", "cuda:99"]) == 2
+    assert "device cuda:99" in one_line(capsys.readouterr().err)
+    assert main(["drape", str(spec), *out, "--body", "nobody"]) == 1
+    assert "nobody" in one_line(capsys.readouterr().err)
+    body = tmp_path / "body.obj"
+    body.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert main(["drape", str(spec), *out, "--body", str(body)]) == 1
+    assert "body.obj" in one_line(capsys.readouterr().err)
+
+
+def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in (["generate"], ["generate", "x", "--count", "-1"], ["sew"], []):
+        with pytest.raises(SystemExit) as caught:
+            main(arguments)
+        assert caught.value.code == 2
+
+
+def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["generate", str(tmp_path / "data"), "--count", "1", *FLAT]) == 0
+    for what in (spec, tmp_path / "data"):
+        picture = tmp_path / "picture.png"
+        assert main(["show", str(what), "--png", str(picture)]) == 0
+        assert np.asarray(Image.open(picture)).std() > 5
+    capsys.readouterr()
+    assert main(["show", str(tmp_path / "data"), "--index", "5", "--png", str(tmp_path / "x.png")]) == 2
+    assert "sample 5 of 1" in one_line(capsys.readouterr().err)
+
+
+def test_a_spec_of_the_pipeline_is_what_validate_reads(spec: Path) -> None:
+    written = json.loads(spec.read_text())
+    assert written == json.loads(json.dumps(spec_from_pattern(make(1, 0, MakeConfig(stage="pattern")).pattern)))

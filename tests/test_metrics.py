@@ -1,0 +1,225 @@
+"""The score of a garment is that of the garment, not of how it is written down."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcd_dataset.curves import LINE, Arc, Curve, Quadratic, mirrored
+from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, resample_loop, score_pattern
+from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.spec import euler_angles, read_pattern
+
+PERFECT = PatternScore(1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1)
+
+
+def panel(
+    name: str, corners: list[tuple[float, float]], place: tuple[float, float, float], curve: Curve = LINE
+) -> Panel:
+    edges = tuple(Edge(i, (i + 1) % len(corners), curve if i == 0 else LINE) for i in range(len(corners)))
+    return Panel(name, np.array(corners), edges, Placement(np.array(place), np.array([0.0, 0.3, 0.0])))
+
+
+def garment() -> Pattern:
+    """Front and back are one polygon, as in skirts: only their places tell them apart."""
+    skirt = [(0.0, 0.0), (44.0, 0.0), (38.0, 60.0), (6.0, 60.0)]
+    sleeve = [(0.0, 0.0), (30.0, 0.0), (33.0, 20.0), (15.0, 31.0), (-3.0, 20.0)]
+    panels = (
+        panel("front", skirt, (-22.0, 30.0, 18.0), Quadratic((0.5, -0.1))),
+        panel("back", skirt, (-22.0, 30.0, -18.0), Quadratic((0.5, -0.1))),
+        panel("sleeve", sleeve, (30.0, 100.0, 0.0), Arc(40.0, False, True)),
+    )
+    joins = (("front", 1, "back", 3), ("front", 3, "back", 1), ("sleeve", 1, "sleeve", 4))
+    return Pattern("garment", panels, tuple(Seam(EdgeRef(a, i), EdgeRef(b, j)) for a, i, b, j in joins))
+
+
+def each(change: Callable[[Panel], Panel]) -> Callable[[Pattern], Pattern]:
+    return lambda pattern: replace(pattern, panels=tuple(change(panel) for panel in pattern.panels))
+
+
+def shuffled(pattern: Pattern) -> Pattern:
+    return replace(pattern, panels=pattern.panels[::-1], seams=pattern.seams[::-1])
+
+
+def renamed(pattern: Pattern) -> Pattern:
+    """Every panel takes the name of another."""
+    names = [panel.name for panel in pattern.panels]
+    new = dict(zip(names, names[1:] + names[:1], strict=True))
+
+    def ref(old: EdgeRef) -> EdgeRef:
+        return EdgeRef(new[old.panel], old.edge)
+
+    seams = tuple(replace(seam, left=ref(seam.right), right=ref(seam.left)) for seam in pattern.seams)
+    return replace(each(lambda panel: replace(panel, name=new[panel.name]))(pattern), seams=seams)
+
+
+def started_elsewhere(pattern: Pattern) -> Pattern:
+    edges = {panel.name: len(panel.edges) for panel in pattern.panels}
+
+    def ref(old: EdgeRef) -> EdgeRef:
+        return EdgeRef(old.panel, (old.edge - 2) % edges[old.panel])
+
+    seams = tuple(replace(seam, left=ref(seam.left), right=ref(seam.right)) for seam in pattern.seams)
+    return replace(each(lambda panel: replace(panel, edges=panel.edges[2:] + panel.edges[:2]))(pattern), seams=seams)
+
+
+def moved_origin(panel: Panel) -> Panel:
+    away = np.array([7.0, -4.0])
+    there = panel.placement.translation - panel.placement.matrix[:, :2] @ away
+    return replace(panel, vertices=panel.vertices + away, placement=Placement(there, panel.placement.rotation))
+
+
+def drawn_from_behind(panel: Panel) -> Panel:
+    turned = euler_angles(panel.placement.matrix @ np.diag([-1.0, 1.0, -1.0]))
+    edges = tuple(replace(edge, curve=mirrored(edge.curve)) for edge in panel.edges)
+    placement = Placement(panel.placement.translation, turned)
+    return replace(panel, vertices=panel.vertices * [-1.0, 1.0], edges=edges, placement=placement)
+
+
+def split(pattern: Pattern, name: str) -> Pattern:
+    """The first edge of a panel, which must be straight, is cut in two; the outline stays."""
+    old = pattern.panel(name)
+    middle = old.vertices[:2].mean(axis=0)
+    corners = np.insert(old.vertices, 1, middle, axis=0)
+    edges = tuple(Edge(i, (i + 1) % len(corners)) for i in range(len(corners)))
+    new = replace(old, vertices=corners, edges=edges)
+    return replace(pattern, panels=tuple(new if p.name == name else p for p in pattern.panels), seams=())
+
+
+def assert_close(score: PatternScore, expected: PatternScore) -> None:
+    for name in PatternScore.__dataclass_fields__:
+        assert getattr(score, name) == pytest.approx(getattr(expected, name), abs=1e-6), name
+
+
+SAME: dict[str, Callable[[Pattern], Pattern]] = {
+    "copied": lambda pattern: pattern,
+    "shuffled": shuffled,
+    "renamed": renamed,
+    "started elsewhere": started_elsewhere,
+    "moved origins": each(moved_origin),
+    "drawn from behind": each(drawn_from_behind),
+    "all of it": lambda pattern: each(drawn_from_behind)(
+        each(moved_origin)(started_elsewhere(renamed(shuffled(pattern))))
+    ),
+}
+
+
+@pytest.mark.parametrize("change", SAME)
+def test_the_same_garment_is_perfect(change: str) -> None:
+    assert_close(score_pattern(SAME[change](garment()), garment()), PERFECT)
+
+
+@pytest.mark.parametrize("change", SAME)
+def test_the_same_real_garment_is_perfect(change: str, examples: Path) -> None:
+    for name in ("fitted_shirt", "godet_skirt", "jumpsuit"):
+        path = examples / "patterns" / name / "default_body"
+        pattern = read_pattern(next(path.glob("*_specification.json")))
+        score = score_pattern(SAME[change](pattern), pattern)
+        # Congruent neighbours may swap where they hang within a hair; all else is as in the perfect score.
+        assert_close(replace(score, valid=1.0), PERFECT)
+
+
+def test_a_missing_panel_is_punished() -> None:
+    whole = garment()
+    less = replace(whole, panels=whole.panels[:2], seams=whole.seams[:2])
+    score = score_pattern(less, whole)
+    assert (score.panel_count_acc, score.edge_count_acc, score.iou) == pytest.approx((0, 2 / 3, 2 / 3))
+    assert (score.stitch_p, score.stitch_r, score.stitch_f1) == pytest.approx((1, 2 / 3, 0.8))
+    assert score.panel_l2 == pytest.approx(0, abs=1e-9)
+    assert 3 < score.panel_l2_pen < 10  # a sleeve's mean radius of about 17 cm, over three panels
+
+
+def test_a_panel_too_many_is_punished() -> None:
+    whole = garment()
+    extra = replace(whole.panels[0], name="extra")
+    score = score_pattern(replace(whole, panels=(*whole.panels, extra)), whole)
+    assert (score.panel_count_acc, score.iou) == pytest.approx((0, 3 / 4))
+
+
+def test_a_shift_of_3_cm_is_3_cm() -> None:
+    step = 3 * np.array([2.0, -1.0, 2.0]) / 3
+
+    def moved(panel: Panel) -> Panel:
+        return replace(panel, placement=replace(panel.placement, translation=panel.placement.translation + step))
+
+    assert_close(score_pattern(each(moved)(garment()), garment()), replace(PERFECT, transl_cm=3.0))
+
+
+def test_a_turn_of_10_degrees_is_10_degrees() -> None:
+    c, s = np.cos(np.radians(10)), np.sin(np.radians(10))
+    about_y = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+    def turned(panel: Panel) -> Panel:
+        placement = panel.placement
+        turn = euler_angles(about_y @ placement.matrix)
+        return replace(panel, placement=Placement(about_y @ placement.translation, turn))
+
+    assert score_pattern(each(turned)(garment()), garment()).rot_deg == pytest.approx(10.0)
+
+
+def test_two_overlapping_squares() -> None:
+    """A square and its upper half, centroid on centroid: one half overlaps."""
+    whole = Pattern("p", (panel("p", [(0, 0), (20, 0), (20, 20), (0, 20)], (0, 0, 0)),), ())
+    half = Pattern("p", (panel("p", [(0, 0), (20, 0), (20, 10), (0, 10)], (0, 0, 0)),), ())
+    assert score_pattern(half, whole).iou == pytest.approx(0.5)
+
+
+def test_the_distance_of_a_square_and_a_larger_one() -> None:
+    """Every point of the outline moves by 10 % of its radius; the mean radius of a square of side 2 is 1.1478."""
+    small, large = (Pattern("p", (panel("p", [(0, 0), (a, 0), (a, a), (0, a)], (0, 0, 0)),), ()) for a in (20.0, 22.0))
+    mean_radius = (np.sqrt(2) + np.arcsinh(1)) / 2
+    assert score_pattern(large, small).panel_l2 == pytest.approx(mean_radius, rel=1e-3)
+
+
+def test_an_edge_cut_in_two_changes_the_edge_count_alone() -> None:
+    straight = replace(
+        garment(),
+        panels=tuple(replace(p, edges=tuple(Edge(e.start, e.end) for e in p.edges)) for p in garment().panels),
+        seams=(),
+    )
+    score = score_pattern(split(straight, "front"), straight)
+    assert_close(score, replace(PERFECT, edge_count_acc=2 / 3))
+
+
+def test_a_seam_that_is_not_there_costs_precision() -> None:
+    whole = garment()
+    wrong = (*whole.seams, Seam(EdgeRef("front", 2), EdgeRef("sleeve", 0)))
+    score = score_pattern(replace(whole, seams=wrong), whole)
+    assert (score.stitch_p, score.stitch_r) == pytest.approx((3 / 4, 1))
+
+
+def test_a_prediction_that_cannot_be_drawn_gets_the_worst() -> None:
+    whole = garment()
+    broken = each(lambda panel: replace(panel, edges=panel.edges[:-1]))(whole)
+    for nothing in (broken, Pattern("empty", (), ())):
+        score = score_pattern(nothing, whole)
+        assert (score.valid, score.iou, score.edge_count_acc, score.stitch_f1) == (0, 0, 0, 0)
+        assert (score.transl_cm, score.rot_deg) == (40.0, 180.0)
+        assert score.panel_l2 == score.panel_l2_pen > 10
+
+
+def test_an_outline_that_crosses_itself_is_not_valid() -> None:
+    bow = Pattern("p", (panel("p", [(0, 0), (20, 20), (20, 0), (0, 20)], (0, 0, 0)),), ())
+    square = Pattern("p", (panel("p", [(0, 0), (20, 0), (20, 20), (0, 20)], (0, 0, 0)),), ())
+    score = score_pattern(bow, square)
+    assert score.valid == 0
+    assert score.iou == pytest.approx(0.5)
+
+
+def test_means_leave_nobody_out() -> None:
+    whole = garment()
+    scores = [score_pattern(whole, whole), score_pattern(Pattern("empty", (), ()), whole)]
+    means = mean_scores(scores)
+    assert (means.iou, means.transl_cm) == pytest.approx((0.5, 20.0))
+    low, high = bootstrap_interval(scores * 50, np.random.default_rng(0))
+    assert low.iou < 0.5 < high.iou
+    assert high.iou - low.iou == pytest.approx(2 * 1.96 * 0.5 / 10, rel=0.2)
+
+
+def test_resampled_points_are_equally_spaced() -> None:
+    square = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]])
+    points = resample_loop(square, 8)
+    assert np.allclose(np.linalg.norm(np.diff(points, axis=0, append=points[:1]), axis=1), 2.0)
+    assert np.allclose(resample_loop(square, 8, 2.0), np.roll(points, -1, axis=0))

@@ -1,0 +1,203 @@
+"""A pattern as arrays is the pattern it was."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, sample_curve
+from gcd_dataset.errors import PatternError
+from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.spec import read_pattern
+from gcd_dataset.tensors import (
+    EdgeColumn,
+    PanelColumn,
+    PatternTensor,
+    StitchColumn,
+    area_centroid,
+    decode_pattern,
+    encode_pattern,
+)
+
+LOSSLESS = 1e-4  # cm
+
+
+def loop(name: str, corners: np.ndarray, curves: list[Curve], *, place: np.ndarray | None = None) -> Panel:
+    edges = tuple(Edge(i, (i + 1) % len(corners), curve) for i, curve in enumerate(curves))
+    numbers = np.zeros(6) if place is None else place
+    return Panel(name, corners, edges, Placement(numbers[:3], numbers[3:]), "body")
+
+
+def square(side: float = 20.0, curve: Curve = LINE) -> Panel:
+    corners = side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    return loop("square", corners, [curve, LINE, LINE, LINE])
+
+
+def outline(panel: Panel) -> np.ndarray:
+    """Points of every edge as it hangs in space [cm]."""
+    flat = [sample_curve(*panel.edge_ends(i), edge.curve, 9) for i, edge in enumerate(panel.edges)]
+    return panel.placement.apply(np.concatenate(flat))
+
+
+def again(pattern: Pattern) -> Pattern:
+    return decode_pattern(encode_pattern(pattern))
+
+
+def assert_same(ours: Pattern, theirs: Pattern) -> None:
+    assert ours.name == theirs.name
+    assert ours.seams == theirs.seams
+    assert [panel.name for panel in ours.panels] == [panel.name for panel in theirs.panels]
+    for a, b in zip(ours.panels, theirs.panels, strict=True):
+        assert a.label == b.label
+        assert [(e.start, e.end, e.label, e.curve.kind) for e in a.edges] == [
+            (e.start, e.end, e.label, e.curve.kind) for e in b.edges
+        ]
+        assert np.array_equal(a.placement.rotation, b.placement.rotation)
+        assert np.allclose(a.vertices, b.vertices, rtol=0, atol=LOSSLESS)
+        assert np.allclose(outline(a), outline(b), rtol=0, atol=LOSSLESS)
+
+
+share = st.floats(-3, 3, allow_nan=False)
+pair = st.tuples(share, share)
+bezier: st.SearchStrategy[Curve] = st.just(LINE) | st.builds(Quadratic, pair) | st.builds(Cubic, pair, pair)
+
+
+@st.composite
+def panels(draw: st.DrawFn, name: str) -> Panel:
+    """Any star-shaped panel with any curves, anywhere, at any angle."""
+    count = draw(st.integers(3, 9))
+    radii = np.array(draw(st.lists(st.floats(0.05, 100), min_size=count, max_size=count)))
+    turns = 2 * np.pi * np.arange(count) / count
+    corners = radii[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1) + draw(share) * 50
+    chords = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    arcs = st.builds(Arc, st.floats(0.5, 40), st.booleans(), st.booleans())
+    curves = [
+        replace(curve, radius=curve.radius * chord) if isinstance(curve, Arc) else curve
+        for curve, chord in zip(draw(st.lists(bezier | arcs, min_size=count, max_size=count)), chords, strict=True)
+    ]
+    place = np.array(draw(st.lists(st.floats(-3, 3), min_size=6, max_size=6))) * [60, 60, 60, 1, 1, 1]
+    label = draw(st.sampled_from(["", "body", "leg", "arm", "a sail"]))
+    edge_label = draw(st.sampled_from(["", "lower_interface", "strapless_top", "hem"]))
+    panel = replace(loop(name, corners, curves, place=place), label=label)
+    return replace(panel, edges=(replace(panel.edges[0], label=edge_label), *panel.edges[1:]))
+
+
+@given(panels("one"), panels("two"), st.booleans())
+def test_any_pattern_survives(one: Panel, two: Panel, right_wrong: bool) -> None:
+    seam = Seam(EdgeRef("two", 0), EdgeRef("one", len(one.edges) - 1), right_wrong)
+    pattern = Pattern("pair", (two, one), (seam,))
+    assert_same(again(pattern), pattern)
+
+
+def test_real_patterns_survive(examples: Path) -> None:
+    paths = sorted((examples / "patterns").rglob("*_specification.json"))
+    assert paths
+    for path in paths:
+        pattern = read_pattern(path)
+        assert_same(again(pattern), pattern)
+
+
+@pytest.mark.parametrize("chord", [1.0, 1e-2, 1e-4, 1e-6])
+def test_a_circle_that_all_but_closes_survives(chord: float) -> None:
+    """The ends of a circular skirt's hem nearly touch, far from the origin; the far side hangs on their direction."""
+    corners = np.array([[0.0, 0.0], [chord, 0.0], [chord, 12.0], [0.0, 12.0]]) + [173.0, -91.0]
+    hem = loop("skirt", corners, [Arc(80.0, large=True, right=True), LINE, LINE, LINE])
+    assert_same(again(Pattern("skirt", (hem,), ())), Pattern("skirt", (hem,), ()))
+
+
+def test_a_half_circle_survives() -> None:
+    """Where the radius is half the chord, the arc's depth changes without bound as the radius does."""
+    panel = square(20.0, Arc(10.0, large=False, right=True))
+    assert_same(again(Pattern("p", (panel,), ())), Pattern("p", (panel,), ()))
+
+
+def test_corners_may_be_numbered_otherwise_than_the_loop() -> None:
+    corners = np.array([[9.0, 9.0], [0.0, 0.0], [0.0, 9.0], [9.0, 0.0]])
+    edges = (Edge(1, 3), Edge(3, 0), Edge(0, 2), Edge(2, 1))
+    panel = Panel("napkin", corners, edges, Placement(np.zeros(3), np.zeros(3)))
+    assert again(Pattern("p", (panel,), ())).panels == (panel,)
+
+
+def test_centroid_of_a_half_disc() -> None:
+    """4 r / 3 π from the straight side."""
+    corners = np.array([[-6.0, 0.0], [6.0, 0.0]])
+    disc = loop("half", corners, [LINE, Arc(6.0, large=False, right=True)])
+    assert np.allclose(area_centroid(disc), [0.0, 4 * 6 / (3 * np.pi)], atol=1e-9)
+
+
+def test_centroid_of_a_triangle_is_that_of_its_corners() -> None:
+    corners = np.array([[1.0, 2.0], [7.0, 3.0], [4.0, 11.0]])
+    assert np.allclose(area_centroid(loop("t", corners, [LINE] * 3)), corners.mean(axis=0))
+
+
+def test_centroid_of_a_strip_without_area_is_that_of_its_corners() -> None:
+    corners = np.array([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0]])
+    assert np.allclose(area_centroid(loop("t", corners, [LINE] * 3)), [4.0, 0.0])
+
+
+def test_rows_do_not_depend_on_the_local_origin() -> None:
+    place = np.array([5.0, 90.0, 20.0, 0.3, -0.8, 0.1])
+    panel = loop("p", square().vertices, [Quadratic((0.4, 0.2)), LINE, Arc(15, False, True), LINE], place=place)
+    away = np.array([7.0, -4.0])
+    there = panel.placement.translation - panel.placement.matrix[:, :2] @ away
+    moved = replace(panel, vertices=panel.vertices + away, placement=Placement(there, panel.placement.rotation))
+    ours, theirs = (encode_pattern(Pattern("p", (p,), ())) for p in (panel, moved))
+    assert np.allclose(ours.panels[:, : PanelColumn.CENTROID_X], theirs.panels[:, : PanelColumn.CENTROID_X])
+    assert np.allclose(ours.edges, theirs.edges)
+
+
+def test_the_quaternion_turns_as_the_placement_does() -> None:
+    panel = loop("p", square().vertices, [LINE] * 4, place=np.array([0, 0, 0, 2.9, -0.4, 1.7]))
+    w, x, y, z = encode_pattern(Pattern("p", (panel,), ())).panels[0, 3:7]
+    third = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+    assert w >= 0
+    assert np.allclose(panel.placement.matrix[:, 2], third)
+
+
+def test_an_arc_holds_its_middle_too() -> None:
+    row = encode_pattern(Pattern("p", (square(20.0, Arc(10.0, False, True)),), ())).edges[0]
+    start, middle = row[[EdgeColumn.START_X, EdgeColumn.START_Y]], row[[EdgeColumn.CONTROL0_X, EdgeColumn.CONTROL0_Y]]
+    assert np.allclose(middle - start, [10.0, -10.0])
+
+
+def test_stitches_name_rows_of_edges() -> None:
+    one, two = square(), replace(square(), name="other")
+    seams = (Seam(EdgeRef("square", 3), EdgeRef("other", 1)), Seam(EdgeRef("other", 0), EdgeRef("square", 2), True))
+    stitches = encode_pattern(Pattern("p", (one, two), seams)).stitches
+    assert stitches[:, [StitchColumn.LEFT, StitchColumn.RIGHT]].tolist() == [[3, 5], [4, 2]]
+    assert stitches[:, StitchColumn.RIGHT_WRONG].tolist() == [0, 1]
+
+
+def test_broken_patterns_are_named() -> None:
+    panel = square()
+    open_loop = replace(panel, edges=panel.edges[:3])
+    for pattern, message in (
+        (Pattern("p", (open_loop,), ()), "panel square, edge 0: does not start where the edge before ends"),
+        (Pattern("p", (panel,), (Seam(EdgeRef("square", 0), EdgeRef("square", 9)),)), "seam 0 joins square, edge 9"),
+        (Pattern("p", (square(20.0, Arc(9.0, False, True)),), ()), "cannot span"),
+    ):
+        with pytest.raises(PatternError, match=message):
+            encode_pattern(pattern)
+
+
+def test_broken_arrays_are_named() -> None:
+    tensor = encode_pattern(Pattern("p", (square(),), ()))
+
+    def with_edge(column: int, value: float) -> PatternTensor:
+        edges = tensor.edges.copy()
+        edges[0, column] = value
+        return replace(tensor, edges=edges)
+
+    for broken, message in (
+        (replace(tensor, edges=tensor.edges[:, :5]), "edges has shape"),
+        (replace(tensor, edges=tensor.edges[:3]), "mend N_EDGES"),
+        (replace(tensor, panel_names=()), "0 panel names for 1 panels"),
+        (replace(tensor, stitches=np.array([[0, 7, 0]])), "stitches name edges 0 to 7, of 4"),
+        (with_edge(EdgeColumn.KIND, 9), "edges name kinds"),
+        (with_edge(EdgeColumn.LABEL, 40), "edges name labels"),
+    ):
+        with pytest.raises(PatternError, match=message):
+            decode_pattern(broken)
