@@ -1,1 +1,51 @@
-"""Make garments: body, measures, design, pattern, box mesh, drape."""
+"""Make garments: body, measures, design, pattern, box mesh, drape; step by step, or ``make`` for the whole way.
+
+The steps are brought in when they are named, so that drawing a pattern does not wait for the simulator.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.body import build_body, draw_shape, measure, named_body
+    from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
+    from gcd_dataset.generator.garments import OutfitDesign, sample_design
+    from gcd_dataset.generator.mesh import build_box_mesh
+    from gcd_dataset.generator.pipeline import MakeConfig, build_pattern, make, make_many
+
+__all__ = [
+    "DrapeConfig",
+    "DrapeJob",
+    "Fabric",
+    "MakeConfig",
+    "OutfitDesign",
+    "build_body",
+    "build_box_mesh",
+    "build_pattern",
+    "drape_batch",
+    "draw_shape",
+    "make",
+    "make_many",
+    "measure",
+    "named_body",
+    "sample_design",
+]
+
+_HOMES = {
+    "body": ("build_body", "draw_shape", "measure", "named_body"),
+    "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_batch"),
+    "garments": ("OutfitDesign", "sample_design"),
+    "mesh": ("build_box_mesh",),
+    "pipeline": ("MakeConfig", "build_pattern", "make", "make_many"),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -19,7 +19,7 @@ from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Drape, Measurements, Outcome, Pattern, Provenance, Sample
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["MakeConfig", "device_kind", "make", "make_many", "recipe_of", "sample_key"]
+__all__ = ["MakeConfig", "build_pattern", "device_kind", "make", "make_many", "recipe_of", "sample_key"]
 
 Bodies = Literal["neutral", "random", "both"]
 LastStage = Literal["pattern", "mesh", "drape"]
@@ -98,6 +98,15 @@ def make_many(
             yield done.pop(order.popleft())
 
 
+def build_pattern(size: Measurements, design: OutfitDesign) -> Pattern:
+    """The pattern of a design for a wearer. Raises ``PatternError`` where it cannot be drawn or worn."""
+    pattern = outfit(size, design)
+    rejects = check_outfit(size, design, pattern)
+    if rejects:
+        raise PatternError(str(rejects[0]))
+    return pattern
+
+
 def recipe_of(config: MakeConfig) -> dict[str, Any]:
     """Everything but seed and index that decides what a sample holds, as plain values."""
     recipe = asdict(config)
@@ -150,7 +159,7 @@ def prepare(seed: int, index: int, config: MakeConfig, failed: _Dressed | None =
     while len(rejects) < config.max_attempts:
         design = sample_design(rng(seed, number, Stage.DESIGN, len(rejects)))
         try:
-            patterns = [_drawn(size, design) for size in sizes]
+            patterns = [build_pattern(size, design) for size in sizes]
             pattern = replace(patterns[worn], name=sample_key(index))
             box_mesh = build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None
         except (PatternError, MeshError) as error:
@@ -173,15 +182,6 @@ def prepare(seed: int, index: int, config: MakeConfig, failed: _Dressed | None =
         f"sample {index} of seed {seed}: {len(rejects)} designs were turned down, the last for: {rejects[-1]}: "
         "allow more attempts, or keep drapes that do not settle"
     )
-
-
-def _drawn(size: Measurements, design: OutfitDesign) -> Pattern:
-    """The pattern for a wearer. Raises ``PatternError`` with the reason where it cannot be drawn or worn."""
-    pattern = outfit(size, design)
-    rejects = check_outfit(size, design, pattern)
-    if rejects:
-        raise PatternError(str(rejects[0]))
-    return pattern
 
 
 def _drape(load: list[_Dressed], config: MakeConfig) -> list[Drape]:

@@ -16,7 +16,7 @@ from gcd_dataset.curves import LINE, sample_curve
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import render_kernels
 from gcd_dataset.generator.drape import load_kernels, resolve_device
-from gcd_dataset.generator.render_kernels import Camera, Scene, cast_pixels, smooth_outlines
+from gcd_dataset.generator.render_kernels import Camera, Scene, cast_rays, develop, look_up
 from gcd_dataset.records import Body, BoxMesh, EdgeRef, Panel, Pattern, Sample
 
 __all__ = [
@@ -46,7 +46,9 @@ HUES = (
 )  # fmt: skip
 PALETTE = (*HUES, *((0.5 * r + 0.42, 0.5 * g + 0.42, 0.5 * b + 0.42) for r, g, b in HUES))
 WRONG_SIDE = 0.55  # brightness of the inside of the cloth
+SAMPLES = 3  # rays per pixel, along each side
 SUPERSAMPLING = 3  # of the flat drawing
+NAME_HEIGHTS = (0.5, 0.42, 0.58, 0.34, 0.66, 0.26, 0.74)  # of a panel, from the middle outwards
 KEY_LIGHT, FILL_LIGHT = (-0.45, 0.55, 0.70), (0.8, 0.1, 0.5)  # seen from the camera
 
 
@@ -81,26 +83,15 @@ def render_view(
 
     Raises ``ConfigError`` for a device that is not there, or a picture without pixels.
     """
-    if size < 1:
-        raise ConfigError(f"a picture of {size} pixels: give 1 or more")
-    device = resolve_device(device)
-    load_kernels("renderer", render_kernels, device=device)
-    camera = _camera(shown.vertices, size, view)
-    scene, _mesh = _scene(shown, camera, device)
-    picture = wp.empty((size, size), dtype=wp.vec3, device=device)
-    depth = wp.empty((size, size), dtype=float, device=device)
-    paint = wp.empty((size, size), dtype=int, device=device)
-    wp.launch(cast_pixels, (size, size), inputs=[scene, camera], outputs=[picture, depth, paint], device=device)
-    wp.launch(smooth_outlines, (size, size), inputs=[scene, camera, depth, paint], outputs=[picture], device=device)
-    return np.asarray(np.rint(255 * _srgb(np.clip(picture.numpy(), 0, 1))), np.uint8)
+    (picture,) = _render(shown, [view], size, device)
+    return picture
 
 
 def render_garment(
     vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body, *, size: int = 512, device: str = "auto"
 ) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]:
     """Front and back of a garment at ``vertices`` [cm] on its body."""
-    shown = painted_garment(vertices, mesh, body)
-    front, back = (render_view(shown, size=size, view=view, device=device) for view in ("front", "back"))
+    front, back = _render(painted_garment(vertices, mesh, body), ["front", "back"], size, device)
     return front, back
 
 
@@ -138,10 +129,9 @@ def draw_pattern(pattern: Pattern, *, size: int = 800) -> UInt8[np.ndarray, "h w
             seam = seam_of.get(EdgeRef(panel.name, index))
             colour = (70, 70, 70) if seam is None else _seam_colour(seam)
             canvas.line(to_pixels(points, place, low), fill=colour, width=pixels // 350, joint="curve")
-        inside = shapely.Polygon(outline).representative_point()
-        room = scale * float(np.ptp(outline[:, 0]))
-        middle = to_pixels(np.array([[inside.x, inside.y]]), place, low)[0]
-        canvas.text(middle, panel.name, fill=(40, 40, 40), font=_font(panel.name, room, pixels / 48), anchor="mm")
+        middle, room = _widest_place(outline)
+        font = _font(panel.name, scale * room, pixels / 48)
+        canvas.text(to_pixels(middle[None], place, low)[0], panel.name, fill=(40, 40, 40), font=font, anchor="mm")
     return np.asarray(image.resize((size, size), Image.Resampling.LANCZOS))
 
 
@@ -187,7 +177,30 @@ def jpeg_bytes(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
-def _camera(points: Float[np.ndarray, "v 3"], size: int, view: View) -> Camera:
+def _render(shown: Painted, views: Sequence[View], size: int, device: str) -> list[UInt8[np.ndarray, "h w 3"]]:
+    """Pictures of one scene from several sides."""
+    if size < 1:
+        raise ConfigError(f"a picture of {size} pixels: give 1 or more")
+    device = resolve_device(device)
+    load_kernels("renderer", render_kernels, device=device)
+    scene, _mesh = _scene(shown, device)
+    return [_picture(scene, _camera(shown.vertices, view), len(shown.vertices), size, device) for view in views]
+
+
+def _picture(scene: Scene, camera: Camera, n: int, size: int, device: str) -> UInt8[np.ndarray, "h w 3"]:
+    """What the camera sees of a scene of ``n`` vertices."""
+    rays = (size * SAMPLES, size * SAMPLES)
+    hit_face, hit_place = wp.empty(rays, dtype=int, device=device), wp.empty(rays, dtype=wp.vec2, device=device)
+    seen, sky = wp.zeros((2, n), dtype=int, device=device), wp.zeros((2, n), dtype=float, device=device)
+    picture = wp.empty((size, size), dtype=wp.vec3, device=device)
+    wp.launch(cast_rays, rays, inputs=[scene, camera], outputs=[hit_face, hit_place, seen], device=device)
+    wp.launch(look_up, (2, n), inputs=[scene, seen], outputs=[sky], device=device)
+    inputs = [scene, camera, hit_face, hit_place, sky, SAMPLES]
+    wp.launch(develop, (size, size), inputs=inputs, outputs=[picture], device=device)
+    return np.asarray(np.rint(255 * _srgb(np.clip(picture.numpy(), 0, 1))), np.uint8)
+
+
+def _camera(points: Float[np.ndarray, "v 3"], view: View) -> Camera:
     """In front of the middle, or behind it, with everything in the picture."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle = 0.5 * (low + high)
@@ -199,27 +212,27 @@ def _camera(points: Float[np.ndarray, "v 3"], size: int, view: View) -> Camera:
     camera.right, camera.up = wp.vec3(facing, 0.0, 0.0), wp.vec3(0.0, 1.0, 0.0)
     camera.forward = wp.vec3(0.0, 0.0, -facing)
     camera.focal = (DISTANCE - 0.5 * float(high[2] - low[2])) / half
-    camera.size = size
+    turned = np.array([facing, 1.0, facing])
+    camera.key_light = wp.vec3(*(turned * KEY_LIGHT / np.linalg.norm(KEY_LIGHT)))
+    camera.fill_light = wp.vec3(*(turned * FILL_LIGHT / np.linalg.norm(FILL_LIGHT)))
     return camera
 
 
-def _scene(shown: Painted, camera: Camera, device: str) -> tuple[Scene, wp.Mesh]:
-    """The scene on a device, and the mesh that must outlive it; lights stand where the camera has them."""
+def _scene(shown: Painted, device: str) -> tuple[Scene, wp.Mesh]:
+    """The scene on a device, and the mesh that must outlive it."""
     points = wp.array(np.asarray(shown.vertices, np.float32), dtype=wp.vec3, device=device)
     faces = np.ascontiguousarray(shown.faces, np.int32)
     mesh = wp.Mesh(points=points, indices=wp.array(faces.ravel(), dtype=int, device=device))
-    facing = np.array([camera.right[0], 1.0, -camera.forward[2]])
     linear = _linear(shown.colours)
     scene = Scene()
     scene.mesh = mesh.id
     scene.face = wp.array(faces, dtype=wp.vec3i, device=device)
+    scene.position = points
     scene.normal = wp.array(_vertex_normals(shown.vertices, shown.faces), dtype=wp.vec3, device=device)
     scene.paint = wp.array(np.asarray(shown.paint, np.int32), dtype=int, device=device)
     scene.colour = wp.array(linear, dtype=wp.vec3, device=device)
-    scene.inside = wp.array(np.concatenate([linear[:1], WRONG_SIDE * linear[1:]]), dtype=wp.vec3, device=device)
+    scene.inside = wp.array(WRONG_SIDE * linear, dtype=wp.vec3, device=device)
     scene.background = wp.vec3(*_linear(np.array(PAPER) / 255))
-    scene.key_light = wp.vec3(*(facing * KEY_LIGHT / np.linalg.norm(KEY_LIGHT)))
-    scene.fill_light = wp.vec3(*(facing * FILL_LIGHT / np.linalg.norm(FILL_LIGHT)))
     return scene, mesh
 
 
@@ -251,6 +264,20 @@ def _extent(panel: Panel) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"
     """Lower left and upper right of a panel's outline [cm]."""
     points = np.concatenate([_edge_points(panel, index) for index in range(len(panel.edges))])
     return points.min(axis=0), points.max(axis=0)
+
+
+def _widest_place(outline: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], float]:
+    """Where across a panel there is most room for its name, and how much [cm]."""
+    polygon = shapely.Polygon(outline)
+    left, low, right, high = polygon.bounds
+    best, middle = 0.0, np.array([0.5 * (left + right), 0.5 * (low + high)])
+    for share in NAME_HEIGHTS:
+        level = low + share * (high - low)
+        across = polygon.intersection(shapely.LineString([(left - 1, level), (right + 1, level)]))
+        for piece in shapely.get_parts(across):
+            if piece.length > 1.05 * best:  # of nearly equal places the one nearest to the middle
+                best, middle = piece.length, np.array(piece.centroid.coords[0])
+    return middle, best
 
 
 def _lay_out(

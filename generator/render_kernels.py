@@ -1,16 +1,20 @@
-"""Ray casting of one garment on one body: the kernels of ``render``."""
+"""Ray casting of one garment on one body: the kernels of ``render``.
+
+Three passes: what each ray meets, how much sky each vertex seen has over it, and the colour of each pixel.
+"""
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
 FAR = 1.0e6  # cm
-LIFT = 0.05  # cm a ray of ambient light starts over the surface, so as not to meet it
-REACH = 14.0  # cm: what is further away does not darken a fold
-SKY_RAYS = 8
-EDGE_SAMPLES = 3  # per axis, in pixels where outlines run
-DEPTH_STEP = 1.2  # cm between neighbouring pixels from which an outline runs there
+LIFT = 0.6  # cm a ray to the sky starts over the surface: past cloth that lies on it, whose hem would show as dark dots
+REACH = 16.0  # cm: what is further away does not darken a fold
+SKY_RAYS = 24
 GOLDEN_ANGLE = 2.39996323
+KEY, FILL, SKY = 0.74, 0.18, 0.26  # shares of the light
+DARKEST = 0.25  # of the sky: light that comes round every corner
+WRAP = 0.2  # cloth scatters: light creeps this far past the terminator
 
 
 @wp.struct
@@ -19,45 +23,77 @@ class Scene:
 
     mesh: wp.uint64
     face: wp.array(dtype=wp.vec3i)
+    position: wp.array(dtype=wp.vec3)
     normal: wp.array(dtype=wp.vec3)  # at vertices
     paint: wp.array(dtype=int)  # row of ``colour`` of each face
     colour: wp.array(dtype=wp.vec3)  # linear, right side
     inside: wp.array(dtype=wp.vec3)  # linear, wrong side
     background: wp.vec3
-    key_light: wp.vec3  # direction to it
-    fill_light: wp.vec3
 
 
 @wp.struct
 class Camera:
-    """Where it is seen from: a pinhole looking along ``forward``."""
+    """Where it is seen from: a pinhole looking along ``forward``. The lights go with it."""
 
     eye: wp.vec3
     right: wp.vec3
     up: wp.vec3
     forward: wp.vec3
     focal: float  # in half pictures
-    size: int  # pixels
+    key_light: wp.vec3  # direction to it
+    fill_light: wp.vec3
 
 
 @wp.func
-def ray_through(camera: Camera, column: float, row: float) -> wp.vec3:
-    """Direction through a point of the picture, in pixels from its upper left corner."""
-    half = float(camera.size) * 0.5
-    u = (column - half) / half
-    v = (half - row) / half
+def ray_through(camera: Camera, column: float, row: float, size: float) -> wp.vec3:
+    """Direction through a point of a picture of ``size``, measured from its upper left corner."""
+    u = 2.0 * column / size - 1.0
+    v = 1.0 - 2.0 * row / size
     return wp.normalize(camera.forward * camera.focal + camera.right * u + camera.up * v)
 
 
-@wp.func
-def open_sky(mesh: wp.uint64, point: wp.vec3, normal: wp.vec3) -> float:
-    """The share of the hemisphere over a point that nothing near covers, weighted by the cosine."""
-    helper = wp.vec3(0.0, 1.0, 0.0)
-    if wp.abs(normal[1]) > 0.9:
+@wp.kernel
+def cast_rays(scene: Scene, camera: Camera, hit_face: wp.array2d(dtype=int), hit_place: wp.array2d(dtype=wp.vec2),
+              seen: wp.array2d(dtype=int)):  # fmt: skip
+    """The face that each ray meets, -1 for none, and where on it; marks vertices (side, v) that are looked at.
+
+    Faces seen from their wrong side are stored from -2 down.
+    """
+    row, column = wp.tid()
+    direction = ray_through(camera, float(column) + 0.5, float(row) + 0.5, float(hit_face.shape[1]))
+    hit = wp.mesh_query_ray(scene.mesh, camera.eye, direction, FAR)
+    hit_face[row, column] = -1
+    if not hit.result:
+        return
+    side = int(0)
+    hit_face[row, column] = hit.face
+    if wp.dot(hit.normal, direction) > 0.0:
+        side = int(1)
+        hit_face[row, column] = -2 - hit.face
+    hit_place[row, column] = wp.vec2(hit.u, hit.v)
+    corners = scene.face[hit.face]
+    for k in range(3):
+        seen[side, corners[k]] = 1  # whoever writes, writes the same
+
+
+@wp.kernel
+def look_up(scene: Scene, seen: wp.array2d(dtype=int), sky: wp.array2d(dtype=float)):
+    """The share of the sky over each vertex seen that nothing near covers; the sky is brighter above.
+
+    Directions are spread with the cosine to the normal (a sunflower spiral on the disc, lifted to the hemisphere).
+    """
+    side, i = wp.tid()
+    if seen[side, i] == 0:
+        return
+    normal = scene.normal[i] * (1.0 - 2.0 * float(side))
+    helper = wp.vec3(0.0, 0.0, 1.0)
+    if wp.abs(normal[2]) > 0.9:
         helper = wp.vec3(1.0, 0.0, 0.0)
     tangent = wp.normalize(wp.cross(helper, normal))
     other = wp.cross(normal, tangent)
-    covered = float(0.0)
+    start = scene.position[i] + normal * LIFT
+    clear = float(0.0)
+    total = float(0.0)
     for k in range(SKY_RAYS):
         share = (float(k) + 0.5) / float(SKY_RAYS)
         radius = wp.sqrt(share)
@@ -65,80 +101,51 @@ def open_sky(mesh: wp.uint64, point: wp.vec3, normal: wp.vec3) -> float:
         direction = (
             tangent * (radius * wp.cos(angle)) + other * (radius * wp.sin(angle)) + normal * wp.sqrt(1.0 - share)
         )
-        hit = wp.mesh_query_ray(mesh, point + normal * LIFT, direction, REACH)
+        light = 1.0 + 0.7 * direction[1]
+        total += light
+        hit = wp.mesh_query_ray(scene.mesh, start, direction, REACH)
         if hit.result:
-            covered += 1.0 - hit.t / REACH
-    return 1.0 - covered / float(SKY_RAYS)
+            light *= hit.t / REACH
+        clear += light
+    sky[side, i] = wp.max(DARKEST, clear / total)
 
 
 @wp.func
-def seen(scene: Scene, eye: wp.vec3, direction: wp.vec3) -> wp.vec3:
-    """The colour that comes from a direction, linear."""
-    hit = wp.mesh_query_ray(scene.mesh, eye, direction, FAR)
-    if not hit.result:
-        return scene.background
-    corners = scene.face[hit.face]
-    normal = wp.normalize(
-        scene.normal[corners[0]] * hit.u
-        + scene.normal[corners[1]] * hit.v
-        + scene.normal[corners[2]] * (1.0 - hit.u - hit.v)
-    )
-    flat = hit.normal
-    paint = scene.paint[hit.face]
-    colour = scene.colour[paint]
-    if wp.dot(flat, direction) > 0.0:
-        colour = scene.inside[paint]
-        flat = -flat
-    if wp.dot(normal, flat) < 0.0:
+def shade(scene: Scene, camera: Camera, sky: wp.array2d(dtype=float), hit: int, place: wp.vec2) -> wp.vec3:
+    """The colour of a point on a face, linear."""
+    face = hit
+    side = int(0)
+    if hit < 0:
+        face = -2 - hit
+        side = int(1)
+    corners = scene.face[face]
+    weights = wp.vec3(place[0], place[1], 1.0 - place[0] - place[1])
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    clear = float(0.0)
+    for k in range(3):
+        normal += scene.normal[corners[k]] * weights[k]
+        clear += sky[side, corners[k]] * weights[k]
+    normal = wp.normalize(normal)
+    colour = scene.colour[scene.paint[face]]
+    if side == 1:
         normal = -normal
-    point = eye + direction * hit.t
-    sky = open_sky(scene.mesh, point, flat)
-    key = wp.max(0.0, 0.75 * wp.dot(normal, scene.key_light) + 0.25)  # wrapped: cloth scatters
-    fill = wp.max(0.0, 0.5 * wp.dot(normal, scene.fill_light) + 0.5)
-    return colour * (sky * (0.22 + 0.78 * key) + 0.16 * fill)
+        colour = scene.inside[scene.paint[face]]
+    key = wp.max(0.0, (wp.dot(normal, camera.key_light) + WRAP) / (1.0 + WRAP))
+    fill = 0.5 + 0.5 * wp.dot(normal, camera.fill_light)
+    return colour * (clear * (KEY * key + SKY) + FILL * fill * wp.sqrt(clear))
 
 
 @wp.kernel
-def cast_pixels(scene: Scene, camera: Camera, picture: wp.array2d(dtype=wp.vec3), depth: wp.array2d(dtype=float),
-                paint: wp.array2d(dtype=int)):  # fmt: skip
-    """One ray through the middle of each pixel."""
+def develop(scene: Scene, camera: Camera, hit_face: wp.array2d(dtype=int), hit_place: wp.array2d(dtype=wp.vec2),
+            sky: wp.array2d(dtype=float), samples: int, picture: wp.array2d(dtype=wp.vec3)):  # fmt: skip
+    """Each pixel, the mean of its ``samples`` × ``samples`` rays."""
     row, column = wp.tid()
-    direction = ray_through(camera, float(column) + 0.5, float(row) + 0.5)
-    hit = wp.mesh_query_ray(scene.mesh, camera.eye, direction, FAR)
-    depth[row, column] = FAR
-    paint[row, column] = -1
-    if hit.result:
-        depth[row, column] = hit.t
-        paint[row, column] = scene.paint[hit.face]
-    picture[row, column] = seen(scene, camera.eye, direction)
-
-
-@wp.func
-def differs(
-    depth: wp.array2d(dtype=float), paint: wp.array2d(dtype=int), row: int, column: int, r: int, c: int
-) -> bool:
-    """Whether an outline runs between two pixels; beyond the picture there is none."""
-    if r < 0 or c < 0 or r >= depth.shape[0] or c >= depth.shape[1]:
-        return False
-    return paint[row, column] != paint[r, c] or wp.abs(depth[row, column] - depth[r, c]) > DEPTH_STEP
-
-
-@wp.kernel
-def smooth_outlines(scene: Scene, camera: Camera, depth: wp.array2d(dtype=float), paint: wp.array2d(dtype=int),
-                    picture: wp.array2d(dtype=wp.vec3)):  # fmt: skip
-    """Many rays through each pixel that an outline runs through, and their mean."""
-    row, column = wp.tid()
-    if not (
-        differs(depth, paint, row, column, row - 1, column)
-        or differs(depth, paint, row, column, row + 1, column)
-        or differs(depth, paint, row, column, row, column - 1)
-        or differs(depth, paint, row, column, row, column + 1)
-    ):
-        return
     total = wp.vec3(0.0, 0.0, 0.0)
-    for i in range(EDGE_SAMPLES):
-        for j in range(EDGE_SAMPLES):
-            x = float(column) + (float(j) + 0.5) / float(EDGE_SAMPLES)
-            y = float(row) + (float(i) + 0.5) / float(EDGE_SAMPLES)
-            total += seen(scene, camera.eye, ray_through(camera, x, y))
-    picture[row, column] = total / float(EDGE_SAMPLES * EDGE_SAMPLES)
+    for i in range(samples):
+        for j in range(samples):
+            hit = hit_face[row * samples + i, column * samples + j]
+            if hit == -1:
+                total += scene.background
+            else:
+                total += shade(scene, camera, sky, hit, hit_place[row * samples + i, column * samples + j])
+    picture[row, column] = total / float(samples * samples)

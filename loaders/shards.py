@@ -32,8 +32,8 @@ class GarmentDataset(Garments):
     once, ``off`` nothing. ``streaming``: an iterable data set instead, which reads shards from end to end through
     ``webdataset`` and shares them out over ranks and workers.
 
-    Only folders are read so far; what belongs to other sources raises ``ConfigError``. Raises ``ShardError`` for a
-    folder that holds no such split, or a broken, foreign or newer one.
+    Only folders are read so far, where ``download`` has nothing to do; the other options for remote sources raise
+    ``ConfigError``. Raises ``ShardError`` for a folder that holds no such split, or a broken, foreign or newer one.
     """
 
     def __new__(cls, *args: Any, streaming: bool = False, **options: Any) -> "GarmentDataset":

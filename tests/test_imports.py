@@ -32,6 +32,19 @@ def test_loaders_bring_torch_but_no_simulator() -> None:
     assert not loaded & {"warp", "h5py"}
 
 
+def test_patterns_are_drawn_without_the_simulator() -> None:
+    assert not loaded_by("gcd_dataset.generator.pipeline") & {"warp", "torch"}
+
+
+def test_the_generator_offers_its_steps() -> None:
+    import gcd_dataset.generator as generator
+
+    assert set(generator.__all__) == set(dir(generator))
+    assert all(callable(getattr(generator, name)) for name in generator.__all__)
+    with pytest.raises(AttributeError, match="no attribute sew"):
+        generator.sew  # noqa: B018
+
+
 def sources() -> list[Path]:
     """Every source file of the package, through the links too."""
     folders = os.walk(PACKAGE, followlinks=True)

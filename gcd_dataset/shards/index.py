@@ -4,6 +4,7 @@
 length, is read anew.
 """
 
+import contextlib
 import io
 import json
 import os
@@ -154,30 +155,34 @@ def scan_shard(path: Path) -> ShardTable:
 
     Raises ``ShardError`` for a damaged archive, or samples that are not of this schema.
     """
-    file = os.open(path, os.O_RDONLY)
-    try:
-        return ShardTable.of(_row(file, entries) for entries in _by_sample(tar_entries(file)))
-    except ShardError as error:
-        raise ShardError(f"{path}: {error}: download or make this shard again") from error
-    finally:
-        os.close(file)
+    with _opened(path) as file:
+        try:
+            return ShardTable.of(_row(file, entries) for entries in _by_sample(tar_entries(file)))
+        except ShardError as error:
+            raise ShardError(f"{path}: {error}: download or make this shard again") from error
 
 
 def whole_samples(path: Path) -> ShardTable:
     """The contents of a shard whose writing was broken off: every sample up to the first that is not whole."""
     rows: list[ShardTable] = []
-    file = os.open(path, os.O_RDONLY)
-    try:
+    # An error here is the sample that was being written when the end came.
+    with _opened(path) as file, contextlib.suppress(ShardError):
         for entries in _by_sample(tar_entries(file)):
             row = _row(file, entries)
             if any(_crc(file, entry) != crc for entry, crc in zip(entries, row.crc[0].tolist(), strict=True)):
                 break
             rows.append(row)
-    except ShardError:
-        pass  # the sample that was being written when the end came
-    finally:
-        os.close(file)
     return ShardTable.of(rows)
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[int]:
+    """The file's descriptor. Raises ``ShardError`` for what the system refuses."""
+    try:
+        with path.open("rb") as file:
+            yield file.fileno()
+    except OSError as error:
+        raise ShardError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def _by_sample(entries: Iterator[Entry]) -> Iterator[list[Entry]]:

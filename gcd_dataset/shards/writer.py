@@ -263,7 +263,7 @@ class _OpenShard:
     def _take_over(self, row: ShardTable) -> None:
         """Copy a sample from the shard that this one will replace."""
         start, end = _span(row)
-        with self.path.open("rb") as source:
+        with _telling(self.path), self.path.open("rb") as source:
             source.seek(start)
             block = source.read(end - start)
         moved = replace(row, offset=row.offset + (self._end - start))

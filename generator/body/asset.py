@@ -107,11 +107,12 @@ def own_half(mirror: Int[np.ndarray, " v"]) -> Int[np.ndarray, " h"]:
 
 
 def mirrored(half: Float[np.ndarray, "*k h 3"], mirror: Int[np.ndarray, " v"]) -> Float[np.ndarray, "*k v 3"]:
-    """Both halves from the one that is stored."""
+    """Both halves from the one that is stored; what is its own mirror image lies in the plane x = 0."""
     own = own_half(mirror)
     whole = np.empty((*half.shape[:-2], len(mirror), 3))
     whole[..., mirror[own], :] = half * MIRROR
     whole[..., own, :] = half
+    whole[..., mirror == np.arange(len(mirror)), 0] = 0.0
     return whole
 
 

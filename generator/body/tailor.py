@@ -16,10 +16,12 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model, landmarks
 from gcd_dataset.generator.body.geodesic import WayNet
 from gcd_dataset.generator.body.section import clipped, girth, outline, rough_girths, section, section_points, tape
+from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
 __all__ = ["Sites", "find_sites", "measure", "take_measures"]
 
+GIRTHS = ("bust", "underbust", "waist", "hips")
 X, Y = 0, 1
 XZ, ZY = [0, 2], [2, 1]
 BACK = (0.0, -1.0)  # in the (x, z) plane of a level section, and as (z, y) = (-1, 0) in an upright one
@@ -75,9 +77,10 @@ def take_measures(vertices: Float[np.ndarray, "v 3"], sites: "Sites") -> Measure
 
 @dataclass(frozen=True, eq=False)
 class Sites(Record):
-    """Where on the mesh each measure is taken: the faces that its plane can meet on any body of the population."""
+    """Where on the mesh each measure is taken: what its plane can meet on any body of the population."""
 
-    rings: Mapping[str, Int[np.ndarray, "f 3"]]
+    rings: Mapping[str, Int[np.ndarray, "e 2"]]
+    """Edges about each girth."""
     thighs: Int[np.ndarray, "f 3"]
     breast: Int[np.ndarray, "f 3"]
     spine: Int[np.ndarray, "f 3"]
@@ -104,7 +107,7 @@ def find_sites(mean: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], pa
     torso = between(level["waist"] - 8.0, mean[points["neck_right"], Y] + 4.0)
     x = mean[torso, X]
     return Sites(
-        rings={name: between(level[name] - 9.0, level[name] + 9.0) for name in ("bust", "underbust", "waist", "hips")},
+        rings={name: unique_edges(between(level[name] - 7.0, level[name] + 7.0))[0] for name in GIRTHS},
         thighs=between(level["leg_right"] - 18.0, level["leg_right"] + 8.0),
         breast=torso[(x.max(axis=1) < -2.0) & (x.min(axis=1) > -22.0)],
         spine=torso[(np.abs(x).max(axis=1) < 4.0) & (mean[torso, 2].mean(axis=1) < 2.0)],
@@ -116,7 +119,7 @@ def _arm_net(mean: np.ndarray, faces: np.ndarray, shoulder: int, wrist: int) -> 
     """A net over the skin near the arm's shortest way on the mean body."""
     straight = np.linspace(mean[shoulder], mean[wrist], 100)
     rough = WayNet.over(faces[_near(mean, straight, 9.0)[faces].all(axis=1)], shoulder, wrist, points_per_edge=1)
-    near = _near(mean, rough.path(mean), 2.0)[faces].all(axis=1)
+    near = _near(mean, rough.path(mean), 1.6)[faces].all(axis=1)
     # Three points an edge make the way 0.1 cm too long; five would halve that and cost twice the time.
     return WayNet.over(faces[near], shoulder, wrist, points_per_edge=3).leading_on(mean, least=0.8)
 
@@ -139,8 +142,8 @@ def _ring(
 
 
 def _level_section(vertices: np.ndarray, sites: Sites, name: str) -> Float[np.ndarray, "n 3"]:
-    level = vertices[landmarks().rings[name], Y].mean()
-    return section(vertices, sites.rings[name], Y, level)[:, 0]
+    levels = vertices[landmarks().rings[name], Y].mean(keepdims=True)
+    return section_points(vertices, sites.rings[name], Y, levels)[0]
 
 
 def _move(points: _Points, ring: np.ndarray, *names: str) -> None:

@@ -60,7 +60,7 @@ class OutfitDesign(Design):
 
 
 def outfit(size: Measurements, design: OutfitDesign) -> Pattern:
-    """The pattern of a design for a wearer, hung around her from the top down.
+    """The pattern of a design for a wearer, hung around the wearer from the top down.
 
     Raises ``BodyError`` for measures that nobody took or that no body has, and ``PatternError`` for an outfit without
     upper and bottom, or where a part cannot be drawn for this wearer.

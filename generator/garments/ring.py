@@ -17,11 +17,11 @@ def band(name: str, width: float, height: float) -> Piece:
     """
     half = 0.5 * width
     outline = (
-        Outline.start(-half, 0)
-        .line(-half, -height, name="right")
+        Outline.start(-half, -height)
         .line(half, -height, name="bottom")
         .line(half, 0, name="left")
-        .close(name="top")
+        .line(-half, 0, name="top")
+        .close(name="right")
     )
     return Piece(name, outline)
 

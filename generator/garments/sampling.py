@@ -52,7 +52,7 @@ def sample_design(rng: np.random.Generator) -> OutfitDesign:
     collar = draw_neckline(rng, shirt)
     sleeve = draw(SleeveDesign, rng, within={"length": SHORT_SLEEVE, "connecting_width": ARMHOLE})
     chosen = OutfitDesign(meta, waistband, shirt, collar, sleeve)
-    return OutfitDesign(meta, waistband, shirt, collar, sleeve, draw(CircleSkirtDesign, rng, within=_skirt(chosen)))
+    return replace(chosen, flare_skirt=draw(CircleSkirtDesign, rng, within=_skirt(chosen)))
 
 
 def design_to_dict(design: OutfitDesign) -> dict[str, Any]:
@@ -64,6 +64,9 @@ def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
     """The design of nested plain values; what is not named keeps its default.
 
     Raises ``ConfigError`` with the path of a name that no parameter has, or of a value that it cannot take.
+
+    >>> design_from_dict({"meta": {"upper": None, "bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1}}).meta.bottom
+    <Bottom.CIRCLE_SKIRT: 'SkirtCircle'>
     """
     return from_dict(OutfitDesign, values)
 

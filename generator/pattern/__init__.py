@@ -1,4 +1,19 @@
-"""The language that garments are drawn in: outlines, pieces, components, and the pattern they are assembled to."""
+"""The language that garments are drawn in: outlines, pieces, components, and the pattern they are assembled to.
+
+A bag, with a slit of 10 cm in the front's hem and open at the top:
+
+>>> side = Outline.start(0, 0).line(40, 0, name="hem").line(40, 40, name="left").line(0, 40, name="top")
+>>> square = side.close(name="right")
+>>> front = Piece("front", cut_into(square, "hem", notch(2.0, 10.0), at=20.0)).at(-20, 100, 15)
+>>> back = Piece("back", square).at(-20, 100, -15)
+>>> round_the_edge = ("right", "hem", "left")
+>>> bag = Component.of(front, back).sewn(front.along(*round_the_edge), back.along(*round_the_edge))
+>>> pattern = assemble(bag, "bag")
+>>> [edge.name for edge in pattern.panel("front").edges]
+['hem', 'notch.0', 'notch.1', 'hem', 'left', 'top', 'right']
+>>> len(pattern.seams)  # the back's hem is divided to match
+4
+"""
 
 from gcd_dataset.generator.pattern.assemble import assemble
 from gcd_dataset.generator.pattern.component import Component

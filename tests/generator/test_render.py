@@ -21,10 +21,12 @@ from gcd_dataset.generator.render import (
     painted_garment,
     picture_of,
     png_bytes,
+    render_garment,
+    render_sample,
     render_view,
 )
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
-from tests.helpers import body_from, patch
+from gcd_dataset.records import Drape, Edge, EdgeRef, Outcome, Panel, Pattern, Placement, Provenance, Sample, Seam
+from tests.helpers import SIZE, body_from, patch
 
 RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9)
 
@@ -77,6 +79,32 @@ def test_cloth_hides_the_body_and_is_darker_inside() -> None:
     assert inside[8, 8].sum() < 0.8 * front.sum()
 
 
+def test_a_corner_that_sees_little_sky_is_darker() -> None:
+    """A plate under the edge of a lid 3 cm in front of it: the light comes from one side only."""
+    open_plate = trimesh.creation.box(extents=(40.0, 40.0, 1.0))
+    for _ in range(4):
+        open_plate = open_plate.subdivide()
+    lid = trimesh.creation.box(extents=(20.0, 40.0, 1.0))
+    lid.apply_translation([-10.0, 0.0, 4.0])
+    covered = trimesh.util.concatenate([open_plate, lid])
+    bare, shaded = (
+        render_view(painted(shape, np.zeros(len(shape.faces), int), RED), size=64, device="cpu")
+        for shape in (open_plate, covered)
+    )
+    beside_the_lid, far_from_it = (32, 34), (32, 52)
+    assert int(shaded[beside_the_lid][0]) < int(bare[beside_the_lid][0]) - 10
+    assert shaded[far_from_it][0] == pytest.approx(bare[far_from_it][0], abs=3)
+
+
+def test_front_and_back_of_a_garment_are_its_views() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
+    cloth = patch(6, 6, spacing=2.0, origin=(-6.0, -6.0, 8.0))
+    shown = painted_garment(cloth.vertices, cloth, body_from(ball))
+    front, back = render_garment(cloth.vertices, cloth, body_from(ball), size=32, device="cpu")
+    assert np.array_equal(front, render_view(shown, size=32, view="front", device="cpu"))
+    assert np.array_equal(back, render_view(shown, size=32, view="back", device="cpu"))
+
+
 def test_the_same_pixels_on_every_run() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
     shown = painted(ball, np.arange(len(ball.faces)) % 2, RED, BLUE)
@@ -126,3 +154,15 @@ def test_a_picture_has_pixels() -> None:
     ball = trimesh.creation.icosphere(subdivisions=1, radius=20.0)
     with pytest.raises(ConfigError, match="0 pixels"):
         render_view(painted(ball, np.zeros(len(ball.faces), int), RED), size=0, device="cpu")
+
+
+def test_a_draped_sample_is_two_jpegs() -> None:
+    cloth = patch(4, 4, spacing=2.0, origin=(-4.0, -4.0, 8.0))
+    ball = body_from(trimesh.creation.icosphere(subdivisions=2, radius=5.0))
+    drape = Drape(cloth.vertices, Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
+    sample = Sample("gcd_000000007", Provenance(0, 7), napkins(), SIZE, {}, box_mesh=cloth, drape=drape)
+    for jpeg in render_sample(sample, ball, size=40, device="cpu"):
+        picture = Image.open(io.BytesIO(jpeg))
+        assert (picture.format, picture.size) == ("JPEG", (40, 40))
+    with pytest.raises(ConfigError, match="gcd_000000007 is not draped"):
+        render_sample(replace(sample, drape=None), ball)

@@ -128,6 +128,20 @@ def test_a_disk_too_full_for_the_manifest_costs_nothing_either(
     assert contents(folder) == contents(whole)
 
 
+@pytest.mark.parametrize("room", [100, 40_000])
+def test_a_disk_too_full_to_go_on_costs_nothing(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
+    folder = fill(tmp_path / "full", range(7))
+    full_disk(monkeypatch, room=room)
+    with pytest.raises(OutputError, match=r"train-00001\.tar\.part.*No space left"):
+        fill(folder, range(7, 10))
+    monkeypatch.undo()
+    assert len(ShardReader(folder, verify="full")) == 7
+    fill(folder, range(7, 10))
+    assert contents(folder) == contents(whole)
+
+
 def refuse(file: int) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 

@@ -19,6 +19,7 @@ from gcd_dataset.generator.body import (
     read_measurements,
 )
 from gcd_dataset.generator.body.section import clipped, girth, outline, section, tape
+from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.generator.body.tailor import _own_sites, take_measures
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
@@ -67,7 +68,8 @@ def test_bands_of_faces_lose_nothing() -> None:
         drawn = draw_shape(rng(5, index, Stage.BODY))
         body = build_body(BodyShape(2 * drawn.weights, drawn.arm_angle))
         trunk = body.faces[~np.isin(body.parts, arms)[body.faces].any(axis=1)]
-        whole = replace(own, rings=dict.fromkeys(own.rings, trunk), thighs=trunk, spine=_middle(body, trunk))
+        edges = dict.fromkeys(own.rings, unique_edges(trunk)[0])
+        whole = replace(own, rings=edges, thighs=trunk, spine=_middle(body, trunk))
         assert values(take_measures(body.vertices, own)) == pytest.approx(values(take_measures(body.vertices, whole)))
 
 
@@ -109,6 +111,15 @@ def test_legs_apart_leave_the_trunk_as_it_is() -> None:
     keys = ["bust", "underbust", "waist", "shoulder_w", "arm_length", "neck_w", "waist_line", "bust_points", "head_l"]
     assert values(apart, keys) == pytest.approx(values(straight, keys), abs=0.05)
     assert apart.leg_circ == pytest.approx(straight.leg_circ, rel=0.05)
+
+
+def test_thighs_that_overlap_have_a_girth_all_the_same() -> None:
+    body = build_body(neutral_shape())
+    inward = 4.0 * np.isin(body.parts, [BodyPart.LEFT_LEG.value]) - 4.0 * np.isin(
+        body.parts, [BodyPart.RIGHT_LEG.value]
+    )
+    pressed = replace(body, vertices=body.vertices - inward[:, None] * [1.0, 0.0, 0.0])
+    assert measure(pressed).leg_circ == pytest.approx(measure(body).leg_circ, rel=0.25)
 
 
 @pytest.mark.parametrize(("shape", "name"), [(neutral_shape, "all"), (female_shape, "female"), (male_shape, "male")])

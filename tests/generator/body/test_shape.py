@@ -102,6 +102,15 @@ def test_a_body_is_linear_in_its_weights() -> None:
     assert bodies[2] - bodies[2][0] == pytest.approx(middle - middle[0], abs=1e-9)
 
 
+def test_halves_never_pass_through_each_other() -> None:
+    """Bodies are symmetric, so what crosses x = 0 meets its own mirror image."""
+    left = body_model().mean[:, 0] > 1e-9
+    for index in range(10):
+        drawn = draw_shape(rng(21, index, Stage.BODY))
+        body = build_body(BodyShape(3.0 * drawn.weights))
+        assert body.vertices[left, 0].min() > 0.0
+
+
 def test_parts_lie_where_they_belong() -> None:
     body = build_body(neutral_shape())
     height = {part: body.vertices[body.parts == part.value, 1] for part in BodyPart}

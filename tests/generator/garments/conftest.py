@@ -1,6 +1,8 @@
 """Wearers for every garment: three adults, a doll and a giant."""
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
+from typing import Any
 
 import pytest
 
@@ -31,12 +33,12 @@ def scaled(size: Measurements, factor: float) -> Measurements:
     return replace(size, **lengths)
 
 
-WEARERS = {"woman": WOMAN, "man": MAN, "stout": STOUT, "doll": scaled(WOMAN, 0.5), "giant": scaled(MAN, 1.5)}
+WEARERS = {"woman": WOMAN, "man": MAN, "stout": STOUT, "doll": scaled(WOMAN, 0.3), "giant": scaled(MAN, 3.0)}
 
 SHIRT = {"upper": "Shirt"}
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}
 DRESS = {"upper": "Shirt", "bottom": "SkirtCircle"}
-OUTFITS = {
+OUTFITS: dict[str, Mapping[str, Any]] = {
     "shirt": {"meta": SHIRT},
     "sleeveless": {"meta": SHIRT, "sleeve": {"sleeveless": True}, "collar": {"f_collar": "VNeckHalf"}},
     "gathered sleeves": {"meta": SHIRT, "sleeve": {"connect_ruffle": 1.6, "sleeve_angle": 40}},

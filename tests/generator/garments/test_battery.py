@@ -1,10 +1,10 @@
 """What holds for every garment on every wearer; a new garment joins by being listed in ``conftest.OUTFITS``."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from jaxtyping import Float
 
 from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.errors import PatternError
@@ -16,9 +16,10 @@ from gcd_dataset.generator.garments import (
     outfit,
     sample_design,
 )
+from gcd_dataset.generator.garments.sleeve import NO_SURPLUS
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
-from gcd_dataset.validate import check_pattern
+from gcd_dataset.validate import require_valid
 
 HOLDERS = {"lower_interface", "left_collar", "right_collar", "left_armhole", "right_armhole"}
 
@@ -28,16 +29,16 @@ def length(pattern: Pattern, ref: EdgeRef) -> float:
     return curve_length(*panel.edge_ends(ref.edge), panel.edges[ref.edge].curve)
 
 
+def middle(pattern: Pattern, ref: EdgeRef) -> Float[np.ndarray, "3"]:
+    """The middle of an edge in space."""
+    panel = pattern.panel(ref.panel)
+    return panel.placement.apply(sample_curve(*panel.edge_ends(ref.edge), panel.edges[ref.edge].curve, 3))[1]
+
+
 def signed_area(panel: Panel) -> float:
     loops = [sample_curve(*panel.edge_ends(i), edge.curve, 33)[:-1] for i, edge in enumerate(panel.edges)]
     x, y = np.concatenate(loops).T
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-
-
-def unnamed(pattern: Pattern) -> Pattern:
-    """Without the names of the drawing, which a specification does not hold."""
-    bare = (replace(p, edges=tuple(replace(edge, name="") for edge in p.edges)) for p in pattern.panels)
-    return replace(pattern, panels=tuple(bare), extra={})
 
 
 def test_loops_are_closed_and_seen_from_outside(wearer: Measurements, design: OutfitDesign) -> None:
@@ -48,7 +49,7 @@ def test_loops_are_closed_and_seen_from_outside(wearer: Measurements, design: Ou
 
 
 def test_no_rule_of_validate_is_broken(wearer: Measurements, design: OutfitDesign) -> None:
-    assert [fault for fault in check_pattern(outfit(wearer, design)) if fault.severity == "error"] == []
+    assert require_valid(outfit(wearer, design))
 
 
 def test_seams_sew_each_edge_once_right_sides_together(wearer: Measurements, design: OutfitDesign) -> None:
@@ -58,15 +59,36 @@ def test_seams_sew_each_edge_once_right_sides_together(wearer: Measurements, des
     assert not any(seam.right_wrong for seam in pattern.seams)
 
 
-def test_seams_along_the_body_match_and_only_rings_and_armholes_gather(
-    wearer: Measurements, design: OutfitDesign
-) -> None:
+def test_seams_that_do_not_gather_join_equal_lengths(wearer: Measurements, design: OutfitDesign) -> None:
+    # Sides and shoulders are left out: a front is drawn shorter than its back where it is wider. The halves of a
+    # sleeve may differ by a surplus too short to move, gathered.
     pattern = outfit(wearer, design)
-    gathered = {"bottom", "top", "armhole", "opening"}
+    plain = {"centre", "left", "right", "upper", "under"}
     for seam in pattern.seams:
         names = {pattern.panel(ref.panel).edges[ref.edge].name for ref in (seam.left, seam.right)}
-        if not names & gathered and names != {"side"} and names != {"centre"} and names != {"shoulder"}:
-            assert length(pattern, seam.left) == pytest.approx(length(pattern, seam.right), rel=0.05)
+        if names <= plain:
+            assert length(pattern, seam.left) == pytest.approx(length(pattern, seam.right), abs=1.6 * NO_SURPLUS)
+
+
+def test_sewn_edges_face_each_other(woman: Measurements, design: OutfitDesign) -> None:
+    # A swapped or twisted seam would cross the garment before it is sewn.
+    pattern = outfit(woman, design)
+    for seam in pattern.seams:
+        left, right = (middle(pattern, ref) for ref in (seam.left, seam.right))
+        assert abs(left[0] - right[0]) < 15.0
+        assert abs(left[1] - right[1]) < 25.0
+
+
+def test_panels_hang_where_they_are_worn(woman: Measurements, design: OutfitDesign) -> None:
+    pattern = outfit(woman, design)
+    for panel in pattern.panels:
+        x, _, z = panel.placement.apply(panel.vertices).mean(axis=0)
+        assert z > 10.0 if panel.name.endswith(("_f", "_front", "ftorso")) else z < -10.0
+        assert "left" not in panel.name or x > 0
+        assert "right" not in panel.name or x < 0
+        if panel.label == "leg":
+            edges = {edge.name: middle(pattern, EdgeRef(panel.name, i))[1] for i, edge in enumerate(panel.edges)}
+            assert edges["bottom"] < edges["top"] < woman.waist_level
 
 
 def test_a_spec_holds_the_whole_pattern(wearer: Measurements, design: OutfitDesign) -> None:
@@ -74,10 +96,19 @@ def test_a_spec_holds_the_whole_pattern(wearer: Measurements, design: OutfitDesi
     read = pattern_from_spec(json.loads(json.dumps(spec_from_pattern(pattern))), pattern.name)
     assert [panel.name for panel in read.panels] == [panel.name for panel in pattern.panels]
     assert read.seams == pattern.seams
-    for ours, theirs in zip(unnamed(pattern).panels, read.panels, strict=True):
-        assert theirs.vertices == pytest.approx(ours.vertices)
+    for ours, theirs in zip(pattern.panels, read.panels, strict=True):
+        assert np.array_equal(theirs.vertices, ours.vertices)
+        assert [(edge.start, edge.end, edge.curve) for edge in theirs.edges] == [
+            (edge.start, edge.end, edge.curve) for edge in ours.edges
+        ]
         assert [edge.label for edge in theirs.edges] == [edge.label for edge in ours.edges]
-        assert theirs.placement.matrix == pytest.approx(ours.placement.matrix)
+        assert theirs.placement.apply(ours.vertices) == pytest.approx(ours.placement.apply(ours.vertices), abs=1e-9)
+
+
+def test_a_spec_holds_no_negative_zeros(woman: Measurements, design: OutfitDesign) -> None:
+    panels = spec_from_pattern(outfit(woman, design))["pattern"]["panels"].values()
+    numbers = [x for panel in panels for key in ("translation", "rotation", "vertices") for x in np.ravel(panel[key])]
+    assert not any(np.signbit(x) and x == 0 for x in numbers)
 
 
 def test_the_same_design_gives_the_same_bytes(woman: Measurements, design: OutfitDesign) -> None:
@@ -101,18 +132,18 @@ def test_labels_sit_where_a_drape_looks_for_them(wearer: Measurements, design: O
     assert {label for name, label in parts.items() if "skirt" in name} <= {"leg"}
 
 
-def test_random_designs_build_or_say_why_not(wearer: Measurements, capsys: pytest.CaptureFixture[str]) -> None:
-    accepted, reasons = 0, []
-    for seed in range(40):
-        design = sample_design(np.random.default_rng(seed))
-        try:
-            reasons += [str(reject) for reject in check_outfit(wearer, design, outfit(wearer, design))][:1] or [
-                "accepted"
-            ]
-        except PatternError as error:
-            reasons.append(str(error))
-    accepted = reasons.count("accepted")
-    with capsys.disabled():
-        print(f" {accepted} of {len(reasons)} accepted", end="")
-    assert all(reasons)
-    assert accepted > 0.5 * len(reasons)
+def test_nearly_all_random_designs_can_be_worn(wearer: Measurements) -> None:
+    # 99.4 % of 3 000 over fifteen bodies; a doll's shoulders are too short to sew by hand.
+    accepted = [design for design in map(drawn, range(30)) if worn(wearer, design)]
+    assert len(accepted) >= 27
+
+
+def drawn(seed: int) -> OutfitDesign:
+    return sample_design(np.random.default_rng(seed))
+
+
+def worn(wearer: Measurements, design: OutfitDesign) -> bool:
+    try:
+        return not check_outfit(wearer, design, outfit(wearer, design))
+    except PatternError:
+        return False

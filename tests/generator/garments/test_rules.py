@@ -1,12 +1,13 @@
 """Patterns that cannot be worn are turned down with the figures."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from gcd_dataset.generator.garments import check_outfit, design_from_dict, outfit, sample_design
+from gcd_dataset.generator.garments.sampling import draw_neckline
+from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.records import Measurements
 
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}
@@ -45,11 +46,25 @@ def test_a_deep_round_neckline_runs_into_the_armhole(woman: Measurements) -> Non
 
 
 def test_an_edge_too_short_to_sew(woman: Measurements) -> None:
-    design = design_from_dict({"sleeve": {"sleeveless": True}, "collar": {"width": 1.0, "f_collar": "VNeckHalf"}})
-    narrow = replace(woman, neck_w=10.0, shoulder_w=14.5, bust=60.0, back_width=30.0)
-    pattern = outfit(narrow, design)
-    texts = [str(reject) for reject in check_outfit(narrow, design, pattern) if reject.rule == "short_edge"]
-    assert texts == [] or texts[0].startswith("short_edge: edge ")
+    # A skirt of 5.9 cm with a cut 0.3 cm wide and as deep: legs of √(0.15² + 0.3²) cm.
+    cut = {"add": True, "depth": 0.05, "width": 0.05}
+    design = design_from_dict({"meta": SKIRT, "flare-skirt": {"length": -0.2, "cut": cut}})
+    (reject,) = check_outfit(woman, design, outfit(woman, design))
+    assert str(reject).startswith("unsewable: panel skirt_back, edge 3: warning: edge under 0.5 cm: it is 0.3")
+
+
+def test_a_shirt_with_a_band_or_a_skirt_ends_near_the_waist() -> None:
+    # What holds a band up is the waist: sewn to a longer shirt it would drag the hem up with it.
+    for seed in range(100):
+        design = sample_design(np.random.default_rng(seed))
+        if design.meta.upper and (design.meta.wb or design.meta.bottom):
+            assert 0.8 <= design.shirt.length <= 1.3
+
+
+@pytest.mark.parametrize("shirt", [ShirtDesign(0.5, 1.3, 1.6), ShirtDesign(3.5, 1.0, 0.7), ShirtDesign()])
+def test_a_neckline_is_found_for_any_shirt(shirt: ShirtDesign) -> None:
+    for seed in range(50):
+        assert draw_neckline(np.random.default_rng(seed), shirt).fc_depth >= 0.3
 
 
 def test_outfits_come_in_three_kinds_alike() -> None:

@@ -105,9 +105,29 @@ def test_placed_by_an_interface_with_a_gap_on_its_own_side() -> None:
     assert placed.points("top")[:, 1] == pytest.approx(95.0)
 
 
-def test_placed_below() -> None:
-    placed = tube("lower", y=0.0).placed_below(tube("upper", y=100.0), gap=2.0)
-    assert placed.points()[:, 1].max() == pytest.approx(98.0)
+def test_an_interface_all_round_leaves_no_side_to_stand_off_on() -> None:
+    whole = rectangle("square").at(-10, 0, 10)
+    everywhere = Component.of(whole).offering(all=whole.along("hem", "left", "top", "right"))
+    with pytest.raises(PatternError, match="interface all lies in the middle of its component"):
+        everywhere.placed_by("all", tube("tube"), "hem", gap=5.0)
+
+
+def test_a_seam_needs_panels_and_edges_that_are_there() -> None:
+    front, back = rectangle("f").at(0, 0, 12), rectangle("b").at(0, 0, -12)
+    with pytest.raises(PatternError, match="no panel named b: there are f"):
+        assemble(Component.of(front).sewn(front.along("left"), back.along("left")), "half")
+    with pytest.raises(PatternError, match="no edge named lefft: there are hem, left, top, right"):
+        assemble(Component.of(front, back).sewn(front.along("lefft"), back.along("left")), "misspelt")
+
+
+def test_gathers_move_the_seam_to_where_the_lengths_say() -> None:
+    # The front's 20 cm count 10, the back's 20 cm count 30: a quarter of the band's 40 cm goes to the front.
+    skirt, belt = tube("skirt"), rectangle("belt", width=40.0, height=5.0).at(-20, 95, 20)
+    front, back = skirt.piece("skirt_f"), skirt.piece("skirt_b")
+    top = front.against("top", ruffle=2.0) + back.along("top", ruffle=20 / 30)
+    pattern = assemble(Component.of(skirt, belt).sewn(belt.along("hem"), top), "gathered")
+    xs = sorted(corner(pattern.panel("belt"), i)[0] for i in range(5))
+    assert xs == [-20.0, -20.0, -10.0, 20.0, 20.0]
 
 
 def test_turning_lifts_what_lies_on_the_turn() -> None:

@@ -41,5 +41,5 @@ def test_between_the_tangents_of_a_quarter_circle_lies_nearly_a_circle() -> None
 
 
 def test_a_length_that_cannot_be_met() -> None:
-    with pytest.raises(FitError, match=r"curve of 1.00 cm over 20.00 cm: .* cm are missing"):
+    with pytest.raises(FitError, match=r"a smooth curve of 1\.00 cm over 20\.00 cm: .* cm are missing"):
         smooth_cubic((0.0, 0.0), (0.0, -20.0), start_tangent=(1.0, 0.0), end_tangent=(1.0, 0.0), length=1.0)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from gcd_dataset.generator.pattern.seam import shared_breaks
 
-LENGTHS = st.lists(st.floats(1.0, 100.0), min_size=1, max_size=5)
+LENGTHS = st.lists(st.floats(0.1, 100.0), min_size=1, max_size=5)
 
 
 def positions(lengths: list[float], divisions: list[list[float]]) -> list[float]:
@@ -33,6 +33,11 @@ def test_breaks_closer_than_a_hundredth_are_one() -> None:
     left, right = shared_breaks([50.0, 50.0], [50.4, 30.0, 19.6])
     assert left == [[], [pytest.approx((0.804 - 0.5) / 0.5)]]
     assert right == [[], [], []]
+
+
+def test_a_break_in_the_middle_of_a_short_edge_is_sewn_to_one_of_its_ends() -> None:
+    left, right = shared_breaks([50.0, 50.0], [49.75, 0.5, 49.75])
+    assert sum(map(len, left)) + 2 == sum(map(len, right)) + 3
 
 
 @given(LENGTHS, LENGTHS)

@@ -1,0 +1,20 @@
+"""The benchmarks by name; each is a module like ``figures.Case``, imported when it is run."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import cast
+
+from benchmarks.cases.figures import Case
+
+__all__ = ["CASES", "load_case"]
+
+CASES: Mapping[str, str] = {
+    "drape": "benchmarks.cases.drape",
+    "reconstruction": "benchmarks.cases.reconstruction",
+}
+"""Case to its module: one needs a simulator, another a network."""
+
+
+def load_case(name: str) -> Case:
+    """The case of that name, one of ``CASES``."""
+    return cast(Case, import_module(CASES[name]))

@@ -1,0 +1,57 @@
+"""A tour on the CPU: make garments, read them back through a DataLoader, leave a picture to look at.
+
+python -m benchmarks.demo --out demo
+"""
+
+import argparse
+import logging
+import time
+from pathlib import Path
+
+import numpy as np
+from torch.utils.data import DataLoader
+from tqdm import tqdm
+
+from gcd_dataset.files import write_whole
+from gcd_dataset.generator.generate import generate, plan
+from gcd_dataset.generator.pipeline import MakeConfig
+from gcd_dataset.generator.render import contact_sheet, draw_pattern, png_bytes
+from gcd_dataset.loaders import GarmentDataset, collate_packed
+from gcd_dataset.spec import pattern_from_spec
+
+SEED = 10
+DESIGNS = 4  # each on the neutral body and on a random one
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("demo"), help="folder for shards and picture")
+    out: Path = parser.parse_args().out
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    start = time.perf_counter()
+
+    config = MakeConfig(bodies="both", resolution=2.0, device="cpu", picture=384)
+    task = plan(out / "garments", 2 * DESIGNS, seed=SEED, config=config)
+    print(f"Making {len(task.missing)} garments: {DESIGNS} designs, each for two bodies, draped at 2 cm on the CPU")
+    for sample in tqdm(generate(task), total=len(task.missing), unit="garment"):
+        assert sample.drape is not None
+        tqdm.write(f"  {sample.key} on {sample.provenance.body_name}: {sample.drape.outcome.name.lower()}")
+
+    dataset = GarmentDataset(out / "garments")
+    loader = DataLoader(dataset, batch_size=4, num_workers=0, collate_fn=collate_packed)
+    for number, batch in enumerate(loader):
+        shapes = ", ".join(f"{name} {tuple(batch[name].shape)}" for name in ("verts", "faces", "points", "panels"))
+        print(f"batch {number}: {shapes}")
+
+    rows = []
+    for item in (dataset[index] for index in range(len(dataset))):
+        pattern = pattern_from_spec(item["spec"], "pattern")
+        pictures = [np.asarray(item[view]).transpose(1, 2, 0) for view in ("front", "back")]
+        rows += [*pictures, draw_pattern(pattern, size=config.picture)]
+    sheet = out / "contact_sheet.png"
+    write_whole(sheet, png_bytes(contact_sheet(rows, columns=6)))
+    print(f"{time.perf_counter() - start:.0f} s; look at {sheet.resolve()}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""What a benchmark measured, with all that it takes to measure it again, as Markdown."""
+
+import platform
+import shlex
+import subprocess
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.cases.figures import Measured
+
+__all__ = ["report_text"]
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("gcd-dataset", "numpy", "scipy", "shapely", "torch", "warp-lang")
+
+
+def report_text(case: str, about: str, measured: Measured, arguments: Sequence[str]) -> str:
+    """A page with the figures and rows of a case; ``arguments`` are those of the command behind ``python -m``."""
+    figures = [{"figure": f"{case}.{f.metric}", "value": _short(f.value), "unit": f.unit} for f in measured.figures]
+    made = {
+        "command": f"`python -m {shlex.join(arguments)}`",
+        "commit": _commit(),
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "hardware": _hardware(),
+        "versions": ", ".join([f"Python {platform.python_version()}", *_versions()]),
+    }
+    parts = [f"# {case}", about.strip(), _table(figures), _table(measured.rows)]
+    parts += ["\n".join(f"- {name}: {text}" for name, text in made.items())]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    if not rows:
+        return ""
+    head = list(rows[0])
+    lines = [head, ["---"] * len(head), *([_short(row[name]) for name in head] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _short(value: Any) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def _commit() -> str:
+    """The commit that was run; ``+`` where the tree had changes."""
+    try:
+        return _git("rev-parse", "--short=12", "HEAD") + ("+" if _git("status", "--porcelain") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "not a git checkout"
+
+
+def _git(*arguments: str) -> str:
+    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def _versions() -> list[str]:
+    found = []
+    for package in PACKAGES:
+        try:
+            found.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            continue  # not installed: the tree is run as it is, or the case does without
+    return found
+
+
+def _hardware() -> str:
+    gpus = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
+    return ", ".join([f"{torch.get_num_threads()} CPU threads ({platform.machine()})", *gpus])
