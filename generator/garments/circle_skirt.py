@@ -1,5 +1,4 @@
 """The circle skirt: two sectors of a ring, ``skirt_front`` and ``skirt_back``."""
-# ruff: noqa: RUF009 - part() make dataclass fields
 
 from dataclasses import dataclass, replace
 from math import pi

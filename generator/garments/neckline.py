@@ -1,5 +1,4 @@
 """Necklines: half shapes, from the shoulder down to the centre, cut into the corner between the two."""
-# ruff: noqa: RUF009 - choice() make dataclass fields
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

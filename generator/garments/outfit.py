@@ -1,5 +1,4 @@
 """Outfits: a shirt, a skirt, or both joined to a dress, with or without a waistband."""
-# ruff: noqa: RUF009 - choice() and part() make dataclass fields
 
 from dataclasses import dataclass
 from enum import Enum

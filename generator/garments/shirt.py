@@ -1,7 +1,10 @@
 """The shirt: ``right_ftorso``, ``right_btorso`` and their mirror images, with or without sleeves."""
 
 from dataclasses import dataclass, replace
-from math import pi, tan
+from math import cos, pi, sin, tan
+
+import shapely
+import shapely.affinity
 
 from gcd_dataset.generator.garments.neckline import Neckline, NecklineDesign, neckline, neckline_width
 from gcd_dataset.generator.garments.sleeve import SleeveDesign, armhole_curve, sleeve
@@ -15,6 +18,8 @@ __all__ = ["ShirtDesign", "shirt"]
 SEAM_LEFT = 1.0  # cm of side or centre edge left beside an armhole or neckline, GarmentCode
 FRONT, BACK = 30.0, -25.0  # cm before and behind the axis, GarmentCode
 SLEEVE_GAP = 1.0  # cm into the armhole, GarmentCode
+OVERLAP = 150.0  # cm² of sleeve before the trunk with which plain shirts are sewn together cleanly
+DRAWN_OUT = 24  # cm by which a sleeve may start further out for it
 SLEEVE_GAP_BY_ANGLE = 18 / pi  # cm/rad: a tenth of a centimetre a degree, GarmentCode
 
 
@@ -147,4 +152,25 @@ def _with_sleeve(size: Measurements, arms: SleeveDesign, half: Component) -> Com
     front, back = (half.piece(name).outline.edge("armhole") for name in ("right_ftorso", "right_btorso"))
     gap = SLEEVE_GAP + SLEEVE_GAP_BY_ANGLE * size.arm_pose_angle
     arm = sleeve(size, arms, front, back).placed_by("opening", half, "armhole", gap=-gap, top=True)
+    arm = _clear_of(half, arm, size.arm_pose_angle)
     return Component.of(arm, half).sewn(arm.interface("opening"), half.interface("armhole")).offering(**half.interfaces)
+
+
+def _clear_of(half: Component, arm: Component, angle: float) -> Component:
+    """The sleeve drawn out along the arm until it hangs no further over the trunk than that of a plain shirt does.
+
+    Wide sides and gathered sleeves that start one in the other are sewn together tangled.
+    """
+    trunk = shapely.union_all([_silhouette(piece) for piece in half.pieces])
+    silhouette = shapely.union_all([_silhouette(piece) for piece in arm.pieces])
+    along = (-cos(angle), -sin(angle))
+    for step in range(DRAWN_OUT):
+        moved = shapely.affinity.translate(silhouette, step * along[0], step * along[1])
+        if moved.intersection(trunk).area <= OVERLAP:
+            return arm.moved((step * along[0], step * along[1], 0.0))
+    return arm.moved((DRAWN_OUT * along[0], DRAWN_OUT * along[1], 0.0))
+
+
+def _silhouette(piece: Piece) -> shapely.Polygon:
+    """A piece as seen from the front [cm]."""
+    return shapely.Polygon(piece.points()[:, :2]).buffer(0)

@@ -132,5 +132,6 @@ def _panel(piece: Piece, parts: Sequence[tuple[Stroke, ...]], outward: bool) -> 
     edges = tuple(
         Edge(i, (i + 1) % len(loop), stroke.curve, stroke.label, stroke.name) for i, stroke in enumerate(loop)
     )
-    hung = Placement(piece.placement.apply(corners[:1])[0] + 0.0, np.array(piece.rotation) + 0.0)
-    return Panel(piece.name, corners - corners[0] + 0.0, edges, hung, piece.label)  # + 0.0 leaves no -0.0 to a file
+    rotation = np.array(piece.rotation) + 0.0  # a mirror image has angles of -0.0, which nobody wants in a file
+    hung = Placement(piece.placement.apply(corners[:1])[0], rotation)
+    return Panel(piece.name, corners - corners[0], edges, hung, piece.label)

@@ -1,5 +1,4 @@
 """Designs say what their parameters may be, and are drawn from that."""
-# ruff: noqa: RUF009 - choice() makes a dataclass field
 
 from dataclasses import dataclass
 
