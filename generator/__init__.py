@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
     from gcd_dataset.generator.garments import OutfitDesign, sample_design
     from gcd_dataset.generator.mesh import build_box_mesh
-    from gcd_dataset.generator.pipeline import MakeConfig, build_pattern, make, make_many
+    from gcd_dataset.generator.pipeline import build_pattern, make, make_many
+    from gcd_dataset.generator.recipe import MakeConfig
 
 __all__ = [
     "DrapeConfig",
@@ -36,7 +37,8 @@ _HOMES = {
     "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_batch"),
     "garments": ("OutfitDesign", "sample_design"),
     "mesh": ("build_box_mesh",),
-    "pipeline": ("MakeConfig", "build_pattern", "make", "make_many"),
+    "pipeline": ("build_pattern", "make", "make_many"),
+    "recipe": ("MakeConfig",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

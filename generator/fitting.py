@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset import __version__
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, MeshError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DrapeJob, drape_batch, resolve_device
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -80,7 +80,7 @@ def fit(
 ) -> Iterator[Fitting]:
     """Each pattern on the body that ``body_for`` gives it, in order; ``batch`` at a time (1 on a CPU, 16 on a GPU).
 
-    Raises ``MeshError`` with the panel or seam, and ``ConfigError`` for a device that is not there.
+    Raises ``MeshError`` with the pattern and its panel or seam, and ``ConfigError`` for a device that is not there.
     """
     device = resolve_device(device)
     rest = iter(patterns)
@@ -88,7 +88,7 @@ def fit(
         meshes, seconds = [], []
         for pattern in load:
             start = time.perf_counter()
-            meshes.append(build_box_mesh(pattern, spacing=resolution))
+            meshes.append(_box_mesh(pattern, resolution))
             seconds.append(time.perf_counter() - start)
         start = time.perf_counter()
         jobs = [DrapeJob(mesh, *body_for(pattern)) for pattern, mesh in zip(load, meshes, strict=True)]
@@ -96,6 +96,13 @@ def fit(
         each = (time.perf_counter() - start) / len(load)
         for pattern, mesh, drape, spent in zip(load, meshes, drapes, seconds, strict=True):
             yield Fitting(pattern, mesh, drape, spent, each)
+
+
+def _box_mesh(pattern: Pattern, resolution: float) -> BoxMesh:
+    try:
+        return build_box_mesh(pattern, spacing=resolution)
+    except MeshError as error:
+        raise MeshError(f"pattern {pattern.name}: {error}") from error
 
 
 def needs_legs_apart(pattern: Pattern) -> bool:

@@ -3,67 +3,23 @@
 A sample is named by ``(seed, index)`` and comes out the same alone, in a batch, in any order and in any process.
 """
 
-from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, islice
 
-import numpy as np
-
-from gcd_dataset import __version__
-from gcd_dataset.errors import ConfigError, MeshError, PatternError
+from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.garments import OutfitDesign, check_outfit, design_to_dict, outfit, sample_design
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.points import sample_surface
+from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of, versions
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Drape, Measurements, Outcome, Pattern, Provenance, Sample
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["MakeConfig", "build_pattern", "device_kind", "make", "make_many", "recipe_of", "sample_key"]
+__all__ = ["MakeConfig", "build_pattern", "make", "make_many", "recipe_of", "sample_key"]
 
-Bodies = Literal["neutral", "random", "both"]
-LastStage = Literal["pattern", "mesh", "drape"]
 BATCH = {"cpu": 1, "cuda": 32}  # garments draped at a time
-
-
-def _one_of(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ConfigError(f"{name} is {value!r}: known are {', '.join(known)}")
-
-
-@dataclass(frozen=True, slots=True)
-class MakeConfig:
-    """What samples are made of, beside their seed and index."""
-
-    bodies: Bodies = "random"
-    """``both``: samples 2i and 2i+1 are one design on the neutral body and on a random one."""
-    stage: LastStage = "drape"
-    """The last step taken."""
-    resolution: float = 1.0
-    """Length of the mesh's edges [cm]."""
-    device: str = "auto"
-    """Where cloth is draped and pictures are taken: ``auto``, ``cpu`` or ``cuda:0``."""
-    on_fail: Literal["retry", "keep"] = "retry"
-    """A drape that does not settle: the next design instead, or the sample as it is, with its outcome. With ``both`` it
-    is kept, since the other body wears the same design."""
-    points: int = 8192
-    """Surface points of a sample."""
-    picture: int = 512
-    """Side of the pictures [pixels]; 0 for none."""
-    max_attempts: int = 30
-    """Designs tried for one index before it is given up."""
-
-    def __post_init__(self) -> None:
-        _one_of("bodies", self.bodies, ("neutral", "random", "both"))
-        _one_of("stage", self.stage, ("pattern", "mesh", "drape"))
-        _one_of("on_fail", self.on_fail, ("retry", "keep"))
-        if not 0.2 <= self.resolution <= 10.0:
-            raise ConfigError(f"resolution is {self.resolution} cm: give a length from 0.2 to 10")
-        for name in ("points", "picture"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{name} is {getattr(self, name)}: give 0 or more")
-
-
 DEFAULT = MakeConfig()
 
 
@@ -75,27 +31,34 @@ def make(seed: int, index: int, config: MakeConfig = DEFAULT) -> Sample:
 def make_many(
     seed: int, indices: Iterable[int], config: MakeConfig = DEFAULT, *, batch: int | None = None
 ) -> Iterator[Sample]:
-    """The samples of ``indices``, in order; up to ``batch`` garments are draped at a time (1 on a CPU, 32 on a GPU)."""
-    if config.stage != "drape":
-        yield from (_finish(prepare(seed, index, config), config) for index in indices)
-        return
-    size = batch or BATCH[device_kind(config)]
-    waiting = deque(indices)
-    order = deque(waiting)
-    again: deque[_Dressed] = deque()
+    """The samples of ``indices``, in order; up to ``batch`` garments are draped at a time (1 on a CPU, 32 on a GPU).
+
+    With ``bodies="both"`` a design is taken or turned down for both of its bodies, so both are draped even if one index
+    is asked for. Raises ``PatternError`` as ``make`` does.
+    """
+    order = deque(indices)
+    asked = Counter(order)
+    waiting = deque(dict.fromkeys(index // config.wearers for index in order))
+    at_once = max((batch or BATCH[device_kind(config)]) // config.wearers, 1) if config.stage == "drape" else 1
+    again = deque[_Design]()
     done: dict[int, Sample] = {}
     while order:
-        load = [prepare(seed, failed.index, config, failed) for failed in again]
+        load = [prepare(seed, failed.number, config, failed.rejects) for failed in again]
         again.clear()
-        while waiting and len(load) < size:
-            load.append(prepare(seed, waiting.popleft(), config))
-        for dressed, drape in zip(load, _drape(load, config), strict=True):
-            if drape.outcome is not Outcome.SETTLED and config.on_fail == "retry" and config.bodies != "both":
-                again.append(dressed.turned_down(f"drape: {drape.outcome.name.lower()}"))
-            else:
-                done[dressed.index] = _finish(dressed, config, drape)
+        load += [prepare(seed, waiting.popleft(), config) for _ in range(min(at_once - len(load), len(waiting)))]
+        for design, drapes in zip(load, _drape(load, config), strict=True):
+            failed = next((drape.outcome for drape in drapes if drape and drape.outcome is not Outcome.SETTLED), None)
+            last = len(design.rejects) + 1 >= config.max_attempts
+            if failed and config.on_fail == "retry" and not last:
+                again.append(design.turned_down(f"drape: {failed.name.lower()}"))
+                continue
+            for dressed, drape in zip(design.dressed, drapes, strict=True):
+                if dressed.index in asked:
+                    done[dressed.index] = _finish(design, dressed, config, drape)
         while order and order[0] in done:
-            yield done.pop(order.popleft())
+            index = order.popleft()
+            asked[index] -= 1
+            yield done[index] if asked[index] else done.pop(index)
 
 
 def build_pattern(size: Measurements, design: OutfitDesign) -> Pattern:
@@ -105,13 +68,6 @@ def build_pattern(size: Measurements, design: OutfitDesign) -> Pattern:
     if rejects:
         raise PatternError(str(rejects[0]))
     return pattern
-
-
-def recipe_of(config: MakeConfig) -> dict[str, Any]:
-    """Everything but seed and index that decides what a sample holds, as plain values."""
-    recipe = asdict(config)
-    recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
-    return recipe
 
 
 def sample_key(index: int) -> str:
@@ -128,81 +84,117 @@ def sample_key(index: int) -> str:
 
 @dataclass(frozen=True)
 class _Dressed:
-    """A garment ready to be draped, and how it was come by."""
+    """One wearer of a design, ready to be draped."""
 
-    seed: int
     index: int
-    attempts: int
-    rejects: tuple[str, ...]
-    shape: BodyShape
     body_name: str
+    shape: BodyShape
     body: Body
     size: Measurements
-    design: OutfitDesign
     pattern: Pattern
     box_mesh: BoxMesh | None
 
-    def turned_down(self, reason: str) -> "_Dressed":
+
+@dataclass(frozen=True)
+class _Design:
+    """A design that can be worn, how it was come by, and those who wear it."""
+
+    seed: int
+    number: int
+    rejects: tuple[str, ...]
+    design: OutfitDesign
+    dressed: tuple[_Dressed, ...]
+
+    def turned_down(self, reason: str) -> "_Design":
         return replace(self, rejects=self.rejects + (reason,))
 
 
-def prepare(seed: int, index: int, config: MakeConfig, failed: _Dressed | None = None) -> _Dressed:
-    """The first design that can be worn, after ``failed`` if there is one, with its body and pattern."""
-    number = index // 2 if config.bodies == "both" else index
-    random = draw_shape(rng(seed, number, Stage.BODY))
-    neutral = neutral_shape()
-    on_neutral = config.bodies == "neutral" or (config.bodies == "both" and index % 2 == 0)
-    wearers = {"neutral": (neutral,), "random": (random,), "both": (neutral, random)}[config.bodies]
-    sizes = [measure(build_body(shape)) for shape in wearers]
-    worn = 0 if on_neutral or len(wearers) == 1 else 1
-    rejects = failed.rejects if failed else ()
+def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[str, ...] = ()) -> _Design:
+    """Design ``number`` with its bodies, patterns and meshes: the first that can be worn after those turned down."""
+    wearers = _wearers(seed, number, config)
     while len(rejects) < config.max_attempts:
         design = sample_design(rng(seed, number, Stage.DESIGN, len(rejects)))
         try:
-            patterns = [build_pattern(size, design) for size in sizes]
-            pattern = replace(patterns[worn], name=sample_key(index))
-            box_mesh = build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None
+            dressed = tuple(_dress(wearer, design, config) for wearer in wearers)
         except (PatternError, MeshError) as error:
             rejects += (str(error),)
         else:
-            return _Dressed(
-                seed=seed,
-                index=index,
-                attempts=len(rejects) + 1,
-                rejects=rejects,
-                shape=wearers[worn],
-                body_name="neutral" if on_neutral else f"random:{seed}:{number}",
-                body=build_body(wearers[worn]),
-                size=sizes[worn],
-                design=design,
-                pattern=pattern,
-                box_mesh=box_mesh,
-            )
+            return _Design(seed, number, rejects, design, dressed)
     raise PatternError(
-        f"sample {index} of seed {seed}: {len(rejects)} designs were turned down, the last for: {rejects[-1]}: "
-        "allow more attempts, or keep drapes that do not settle"
+        f"sample {number * config.wearers} of seed {seed}: {len(rejects)} designs were turned down, the last for: "
+        f"{rejects[-1]}: raise max_attempts"
     )
 
 
-def _drape(load: list[_Dressed], config: MakeConfig) -> list[Drape]:
+@dataclass(frozen=True)
+class _Wearer:
+    index: int
+    name: str
+    shape: BodyShape
+    body: Body
+    size: Measurements
+
+
+def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
+    """The bodies of a design, in the order of their indices."""
+    shapes = {}
+    if config.bodies != "random":
+        shapes["neutral"] = neutral_shape()
+    if config.bodies != "neutral":
+        shapes[f"random:{seed}:{number}"] = draw_shape(rng(seed, number, Stage.BODY))
+    wearers = []
+    for place, (name, shape) in enumerate(shapes.items()):
+        body = build_body(shape)
+        wearers.append(_Wearer(number * config.wearers + place, name, shape, body, measure(body)))
+    return tuple(wearers)
+
+
+def _dress(wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> _Dressed:
+    """Raises ``PatternError`` or ``MeshError`` for a design that this wearer cannot wear."""
+    pattern = replace(build_pattern(wearer.size, design), name=sample_key(wearer.index))
+    return _Dressed(
+        index=wearer.index,
+        body_name=wearer.name,
+        shape=wearer.shape,
+        body=wearer.body,
+        size=wearer.size,
+        pattern=pattern,
+        box_mesh=build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None,
+    )
+
+
+def _drape(load: Sequence[_Design], config: MakeConfig) -> Iterator[tuple[Drape | None, ...]]:
+    """The drapes of each design's wearers, all draped together; none at an earlier stage."""
+    if config.stage != "drape":
+        return iter([(None,) * len(design.dressed) for design in load])
     from gcd_dataset.generator.drape import DrapeJob, drape_batch
 
-    jobs = [DrapeJob(dressed.box_mesh, dressed.body, dressed.size) for dressed in load if dressed.box_mesh]
-    return drape_batch(jobs, device=config.device)
+    everyone = chain.from_iterable(design.dressed for design in load)
+    jobs = [DrapeJob(worn.box_mesh, worn.body, worn.size) for worn in everyone if worn.box_mesh is not None]
+    drapes = iter(drape_batch(jobs, device=config.device))
+    return (tuple(islice(drapes, len(design.dressed))) for design in load)
 
 
-def _finish(dressed: _Dressed, config: MakeConfig, drape: Drape | None = None) -> Sample:
+def _finish(design: _Design, dressed: _Dressed, config: MakeConfig, drape: Drape | None) -> Sample:
     """The sample of a dressed body: points and pictures are taken, and all is put together."""
     mesh, points = dressed.box_mesh, None
     if mesh is not None:
         surface = drape.vertices if drape is not None else mesh.vertices
-        points = sample_surface(surface, mesh.faces, config.points, rng(dressed.seed, dressed.index, Stage.POINTS))
+        points = sample_surface(surface, mesh.faces, config.points, rng(design.seed, dressed.index, Stage.POINTS))
     sample = Sample(
         key=sample_key(dressed.index),
-        provenance=_provenance(dressed, config),
+        provenance=Provenance(
+            seed=design.seed,
+            index=dressed.index,
+            attempts=len(design.rejects) + 1,
+            rejects=design.rejects,
+            versions=versions(),
+            recipe=recipe_of(config),
+            body_name=dressed.body_name,
+        ),
         pattern=dressed.pattern,
         measurements=dressed.size,
-        design=design_to_dict(dressed.design),
+        design=design_to_dict(design.design),
         shape=dressed.shape,
         box_mesh=mesh,
         drape=drape,
@@ -214,22 +206,3 @@ def _finish(dressed: _Dressed, config: MakeConfig, drape: Drape | None = None) -
 
     front, back = render_sample(sample, dressed.body, size=config.picture, device=config.device)
     return replace(sample, front=front, back=back)
-
-
-def _provenance(dressed: _Dressed, config: MakeConfig) -> Provenance:
-    return Provenance(
-        seed=dressed.seed,
-        index=dressed.index,
-        attempts=dressed.attempts,
-        rejects=dressed.rejects,
-        versions={"gcd_dataset": __version__, "numpy": np.__version__},
-        recipe=recipe_of(config),
-        body_name=dressed.body_name,
-    )
-
-
-def device_kind(config: MakeConfig) -> str:
-    """``cpu`` or ``cuda``. Raises ``DrapeError`` for a device that is not there."""
-    from gcd_dataset.generator.drape import resolve_device
-
-    return "cuda" if resolve_device(config.device).startswith("cuda") else "cpu"

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,14 @@ import pytest
 from PIL import Image
 
 from gcd_dataset.cli import main
-from gcd_dataset.generator.pipeline import MakeConfig, make
+from gcd_dataset.generator.pipeline import make
+from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.records import Pattern
 from gcd_dataset.shards import read_index
 from gcd_dataset.spec import spec_from_pattern, write_pattern
+from tests.generator.test_render import napkins
+from tests.test_validate import sewn_unequally
 
 FLAT = ["--stage", "pattern", "--quiet"]
 
@@ -119,18 +124,53 @@ def test_validate_prints_every_fault(spec: Path, tmp_path: Path, capsys: pytest.
     bad.write_text(json.dumps(content))
     broken.write_text("{")
     assert main(["validate", str(bad), str(broken), str(tmp_path / "missing.json")]) == 1
-    lines = capsys.readouterr().out.splitlines()
+    said = capsys.readouterr()
+    lines = said.out.splitlines() + said.err.splitlines()
     assert any(f"bad.json: panel {first}, edge 0: error: vertex out of range: vertex 99" in line for line in lines)
     assert any("broken.json: line 1, column 2" in line for line in lines)
     assert any("missing.json: no such file" in line for line in lines)
 
 
 def test_validate_finds_nothing_in_a_plain_pattern(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from tests.generator.test_render import napkins
-
     write_pattern(napkins(), tmp_path / "napkins.json")
     assert main(["validate", str(tmp_path / "napkins.json")]) == 0
     assert "no fault found" in capsys.readouterr().out
+
+
+def test_warnings_can_be_left_out(tmp_path: Path) -> None:
+    write_pattern(sewn_unequally(), tmp_path / "gathered.json")
+    assert main(["validate", str(tmp_path / "gathered.json")]) == 1
+    assert main(["validate", "--errors", str(tmp_path / "gathered.json")]) == 0
+
+
+def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", "--workers", "2"]
+    process = subprocess.Popen([*command, *FLAT], stderr=subprocess.DEVNULL, start_new_session=True)
+    part = tmp_path / "train-00000.tar.part"
+    deadline = time.monotonic() + 90
+    while not (part.exists() and part.stat().st_size > 50_000) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert len(of_session(process.pid)) >= 3
+    process.kill()
+    process.wait()
+    deadline = time.monotonic() + 20
+    while of_session(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert of_session(process.pid) == []
+    assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0  # what was whole is taken up
+
+
+def of_session(session: int) -> list[int]:
+    """Processes of a session that still run."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, _, of = stat.read_text().rpartition(")")[2].split()[:4]
+        except OSError:
+            continue  # it has just ended
+        if int(of) == session and state != "Z":
+            found.append(int(stat.parent.name))
+    return found
 
 
 def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -> None:
@@ -143,6 +183,20 @@ def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -
     assert sum(line.startswith("v ") for line in lines) == row["vertices"]
     assert row["outcome"] == "SETTLED"
     assert np.asarray(Image.open(out / "garment_front.png")).std() > 10
+
+
+def test_a_pattern_that_cannot_be_meshed_leaves_the_report_of_the_others(
+    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    strip = napkins().panels[0]
+    strip = replace(strip, vertices=strip.vertices * [1.0, 0.01])
+    thin = tmp_path / "thin.json"
+    write_pattern(Pattern("thin", (strip,), ()), thin)
+    out = tmp_path / "out"
+    options = ["--out", str(out), "--resolution", "5", "--device", "cpu", "--quiet"]
+    assert main(["drape", str(spec), str(thin), *options]) == 1
+    assert "thin" in one_line(capsys.readouterr().err.splitlines()[-1])
+    assert [row["pattern"] for row in json.loads((out / "report.json").read_text())["garments"]] == ["garment"]
 
 
 def test_what_cannot_be_draped_is_said_before_anything_is(
@@ -177,6 +231,8 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: p
     capsys.readouterr()
     assert main(["show", str(tmp_path / "data"), "--index", "5", "--png", str(tmp_path / "x.png")]) == 2
     assert "sample 5 of 1" in one_line(capsys.readouterr().err)
+    assert main(["show", str(spec), "--png", str(tmp_path / "picture.jpg")]) == 2
+    assert "end the name in .png" in one_line(capsys.readouterr().err)
 
 
 def test_a_spec_of_the_pipeline_is_what_validate_reads(spec: Path) -> None:

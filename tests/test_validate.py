@@ -48,6 +48,8 @@ def labelled(panel: Panel, index: int, label: str) -> Panel:
 
 BROKEN: dict[Rule, tuple[Callable[[], Pattern], str, int | None, str]] = {
     Rule.NO_PANEL: (lambda: Pattern("p", (), ()), "", None, "nothing"),
+    Rule.PANEL_NAME: (lambda: Pattern("p", (square("front"), square("")), ()), "", None, "panel 1 of 2 has no name"),
+    Rule.TOO_LARGE: (lambda: alone(square(side=1000.1)), "front", None, "1000 cm across"),
     Rule.FEW_EDGES: (lambda: alone(polygon((0, 0), (9, 0))), "front", None, "2 straight"),
     Rule.VERTEX_RANGE: (lambda: alone(with_edge(square(), 1, Edge(1, 7))), "front", 1, "vertex 7 of 4"),
     Rule.OPEN_LOOP: (lambda: alone(without_edge(square(), 2)), "front", 2, "edge 1 ends at 2"),
@@ -96,6 +98,61 @@ def test_each_rule_names_its_place_and_figure(rule: Rule) -> None:
     assert "\n" not in str(faults[0])
 
 
+def named(*names: str) -> Pattern:
+    return Pattern("p", tuple(square(name) for name in names), ())
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (" ", "has no name"),
+        ("left\nsleeve", "'left\\nsleeve'"),
+        ("cuff\x07", "'cuff\\x07'"),
+        ("yoke\u2028", "'yoke\\u2028'"),
+        ("cape\ud800", "'cape\\ud800'"),
+    ],
+)
+def test_a_name_can_be_read_and_printed(name: str, said: str) -> None:
+    (fault,) = check_pattern(named("front", name))
+    assert fault.rule is Rule.PANEL_NAME
+    assert fault.severity is Severity.ERROR
+    assert said in str(fault)
+    assert str(fault).isprintable()
+
+
+def test_a_name_is_one_panels() -> None:
+    (fault,) = check_pattern(named("front", "back", "front", "front"))
+    assert (fault.rule, fault.panel) == (Rule.PANEL_NAME, "front")
+    assert "3 panels" in fault.figure
+
+
+def test_names_of_any_script_and_with_spaces_will_do() -> None:
+    assert check_pattern(named("front left", "Rücken", "袖", "panel-2 (copy)")) == ()
+
+
+def test_a_pattern_in_other_units_than_it_says_is_too_large() -> None:
+    """Nothing of it is sampled: a mesh of it would take terabytes, and so would the search for crossings."""
+    faults = check_pattern(named("front", "back"))
+    assert faults == ()
+    huge = Pattern("p", (square("front", side=1e6), square("back", side=1e6)), (Seam(EdgeRef("front", 1), EdgeRef("back", 3)),))
+    faults = check_pattern(huge)
+    assert [(fault.rule, fault.panel) for fault in faults] == [(Rule.TOO_LARGE, "front"), (Rule.TOO_LARGE, "back")]
+    assert "1e+06 cm across" in faults[0].figure
+    assert "units_in_meter" in faults[0].figure
+
+
+@pytest.mark.parametrize(
+    "curve", [Quadratic((1e7, 1e7)), Cubic((0.3, 0.1), (-1e7, 0.0)), Arc(600.0, True, True)], ids=lambda c: c.kind
+)
+def test_what_bulges_over_ten_metres_is_too_large(curve: Curve) -> None:
+    (fault,) = check_pattern(alone(polygon((0, 0), (10, 0), (10, 10), (0, 10), curves={0: curve})))
+    assert (fault.rule, fault.severity) == (Rule.TOO_LARGE, Severity.ERROR)
+
+
+def test_a_flat_arc_of_a_great_circle_is_not_large() -> None:
+    assert check_pattern(alone(polygon((0, 0), (10, 0), (10, 10), (0, 10), curves={0: Arc(1e6, False, True)}))) == ()
+
+
 def test_a_good_pattern_has_no_faults() -> None:
     assert check_pattern(sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3)))) == ()
     lens = polygon((0, 0), (10, 0), curves={0: Arc(8.0, False, True), 1: Arc(8.0, False, True)})
@@ -136,8 +193,12 @@ def test_touching_is_crossing() -> None:
     assert Rule.SELF_CROSSING in {fault.rule for fault in faults}
 
 
+def sewn_unequally() -> Pattern:
+    return sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3)), back=square("back", side=15.0))
+
+
 def test_only_errors_forbid_sewing() -> None:
-    gathered = sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 3)), back=square("back", side=15.0))
+    gathered = sewn_unequally()
     assert require_valid(gathered) is gathered
     with pytest.raises(PatternError, match=r"a\.json: panel front, edge 1: error: vertex out of range: vertex 7 of 4"):
         require_valid(alone(with_edge(square(), 1, Edge(1, 7))), source="a.json")

@@ -1,6 +1,9 @@
 """Which device Warp runs on, and its kernels loaded there."""
 
 import logging
+import os
+import sys
+from functools import cache
 from types import ModuleType
 
 import warp as wp
@@ -19,7 +22,7 @@ _loaded: set[tuple[str, str]] = set()
 
 def resolve_device(name: str) -> str:
     """``auto`` becomes the first GPU or the CPU. Raises ``ConfigError`` where there is no such device."""
-    wp.init()
+    _begin()
     if name == "auto":
         return "cuda:0" if wp.is_cuda_available() else "cpu"
     known = {device.alias: device.alias for device in wp.get_devices()}
@@ -28,6 +31,20 @@ def resolve_device(name: str) -> str:
     if name not in known:
         raise ConfigError(f"device {name}: there is {', '.join(sorted(known))}: use --device auto or cpu")
     return known[name]
+
+
+@cache
+def _begin() -> None:
+    """Start Warp without the line that its library prints, past Python, on machines that have no GPU driver."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def load_kernels(task: str, *modules: ModuleType, device: str) -> None:

@@ -1,6 +1,10 @@
 """A sample is decided by seed, index and recipe, and by nothing else."""
 
 import io
+import json
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -8,10 +12,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gcd_dataset.errors import ConfigError, PatternError
+from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
-from gcd_dataset.generator.pipeline import MakeConfig, make, make_many, recipe_of
-from gcd_dataset.records import Drape, Outcome
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.generator.pipeline import make, make_many
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.records import BoxMesh, Drape, Outcome, Pattern
 
 FLAT = MakeConfig(stage="pattern")
 MESHED = MakeConfig(stage="mesh", resolution=4.0, points=64)
@@ -69,17 +75,19 @@ def test_a_draped_sample_is_whole() -> None:
         assert Image.open(io.BytesIO(jpeg)).size == (48, 48)
 
 
-def failing(times: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first ``times`` drapes of each garment do not settle; cloth stays where it hangs."""
-    tried: dict[int, int] = {}
+def failing(times: int, monkeypatch: pytest.MonkeyPatch, *, only: str = "") -> None:
+    """The first ``times`` drapes of each design do not settle, on bodies named ``only``; cloth stays where it hangs."""
+    tried: Counter[int] = Counter()
 
-    def drape(load: list[Any], config: MakeConfig) -> list[Drape]:
-        drapes = []
-        for dressed in load:
-            tried[dressed.index] = tried.get(dressed.index, 0) + 1
-            outcome = Outcome.NOT_SETTLED if tried[dressed.index] <= times else Outcome.SETTLED
-            drapes.append(Drape(dressed.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0))
-        return drapes
+    def drape(load: Sequence[Any], config: MakeConfig) -> Iterator[tuple[Drape, ...]]:
+        for design in load:
+            tried[design.number] += 1
+            drapes = []
+            for dressed in design.dressed:
+                fails = tried[design.number] <= times and dressed.body_name.startswith(only)
+                outcome = Outcome.NOT_SETTLED if fails else Outcome.SETTLED
+                drapes.append(Drape(dressed.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0))
+            yield tuple(drapes)
 
     monkeypatch.setattr(pipeline, "_drape", drape)
 
@@ -97,22 +105,84 @@ def test_a_drape_that_fails_raises_the_attempt(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_drape_that_fails_can_be_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    rejects = make(5, 0, FLAT).provenance.rejects
     failing(1, monkeypatch)
     sample = make(5, 0, replace(DRAPED, picture=0, on_fail="keep"))
     assert sample.drape is not None
     assert sample.drape.outcome is Outcome.NOT_SETTLED
-    assert sample.provenance.rejects == make(5, 0, FLAT).provenance.rejects
+    assert sample.provenance.rejects == rejects
 
 
-def test_an_index_without_a_sample_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_design_is_turned_down_for_both_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the random body's drape fails, once; the neutral body, which comes first, goes on to the next design too."""
+    failing(1, monkeypatch, only="random")
+    config = replace(DRAPED, picture=0, bodies="both")
+    neutral, random = make_many(5, [6, 7], config)
+    assert neutral.design == random.design
+    assert neutral.provenance.rejects == random.provenance.rejects
+    assert neutral.provenance.rejects.count("drape: not_settled") == 1
+    failing(1, monkeypatch, only="random")
+    assert make(5, 6, config) == neutral
+
+
+def test_a_mesh_that_fails_turns_a_design_down_for_both_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = iter(range(100))
+
+    def sometimes(pattern: Pattern, *, spacing: float) -> BoxMesh:
+        if next(calls) == 1:  # the first design on the second body
+            raise MeshError("panel front is nearly a line")
+        return build_box_mesh(pattern, spacing=spacing)
+
+    monkeypatch.setattr(pipeline, "build_box_mesh", sometimes)
+    neutral, random = make_many(5, [0, 1], replace(MESHED, bodies="both"))
+    assert neutral.design == random.design
+    assert "panel front is nearly a line" in neutral.provenance.rejects
+
+
+def test_the_last_attempt_is_kept_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One garment that never settles does not hold up a data set."""
     failing(99, monkeypatch)
-    with pytest.raises(PatternError, match="sample 7 of seed 5: 3 designs were turned down, the last for: drape: not"):
-        make(5, 7, replace(DRAPED, picture=0, max_attempts=3))
+    sample = make(5, 7, replace(DRAPED, picture=0, max_attempts=3))
+    assert sample.drape is not None
+    assert sample.drape.outcome is Outcome.NOT_SETTLED
+    assert sample.provenance.attempts == 3
 
 
-def test_options_are_checked() -> None:
-    with pytest.raises(ConfigError, match="bodies is 'fat': known are neutral, random, both"):
-        MakeConfig(bodies="fat")  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="resolution is 0"):
-        MakeConfig(resolution=0.0)
+def test_an_index_without_a_pattern_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(size: object, design: object) -> Pattern:
+        raise PatternError("edge too short")
+
+    monkeypatch.setattr(pipeline, "build_pattern", never)
+    with pytest.raises(
+        PatternError, match="sample 7 of seed 5: 3 designs were turned down, the last for: edge too sho"
+    ):
+        make(5, 7, replace(FLAT, max_attempts=3))
+
+
+def test_an_index_may_be_asked_for_twice() -> None:
+    first, second, third = make_many(5, [1, 0, 1], FLAT)
+    assert first == third != second
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("resolution", "fine", "resolution is 'fine': give a number"),
+        ("points", 3.5, "points is 3.5: give a whole number"),
+        ("picture", True, "picture is True: give a whole number"),
+        ("device", 3, "device is 3: give a word"),
+        ("max_attempts", 0, "max_attempts is 0: give 1 or more"),
+        ("resolution", 50, "resolution is 50 cm: give a length from 0.2 to 10"),
+        ("bodies", "fat", "bodies is 'fat': known are neutral, random, both"),
+    ],
+)
+def test_options_are_checked(option: str, value: object, said: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        MakeConfig(**{option: value})  # type: ignore[arg-type]
+
+
+def test_a_recipe_tells_no_difference_between_2_and_2_0() -> None:
+    assert json.dumps(recipe_of(replace(DRAPED, resolution=2))) == json.dumps(
+        recipe_of(replace(DRAPED, resolution=2.0))
+    )
     assert recipe_of(DRAPED)["device"] == "cpu"

@@ -139,6 +139,13 @@ def test_a_pattern_is_drawn_to_scale() -> None:
     assert sorted([len(runs), len(height)]) == [1, 2]
 
 
+@pytest.mark.parametrize("name", ["", " ", "\u200b"])
+def test_a_panel_is_drawn_whatever_its_name(name: str) -> None:
+    pattern = napkins()
+    drawn = draw_pattern(replace(pattern, panels=(replace(pattern.panels[0], name=name), pattern.panels[1])), size=64)
+    assert not is_paper(drawn).all()
+
+
 def test_sheets_and_files() -> None:
     pictures = [np.full((4, 6, 3), shade, np.uint8) for shade in (10, 20, 30)]
     sheet = contact_sheet(pictures, columns=2, gap=2)

@@ -105,6 +105,9 @@ def test_inward_faces_are_turned(mannequin: dict[str, Path]) -> None:
     assert body.parts.tolist() == [0, 0, 0, 0, 1, 2, 3, 4]
 
 
+PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}'
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
@@ -113,6 +116,19 @@ def test_inward_faces_are_turned(mannequin: dict[str, Path]) -> None:
         ("parts", '{"body": [0]}', "name left_arm, right_arm, left_leg and right_leg"),
         ("parts", "[1, 2]", "a list: give a map"),
         ("parts", "{", "not JSON"),
+        ("parts", PARTS % 10**30, "right_leg names vertex of over 15 digits"),
+        ("parts", PARTS % "true", "right_leg is no list of vertex ids"),
+        ("parts", 100_000 * "[", "nested too deeply"),
+        ("parts", "9" * 5000, "not JSON"),
+        ("size", 10_000 * "[", "nested too deeply"),
+        ("size", "body: {height: " + 10_000 * "[", "nested too deeply"),
+        ("size", "9" * 5000, "not YAML"),
+        ("size", "body: {height: 2026-13-45}", "not YAML"),
+        ("size", "body: {height: !!bool maybe}", "not YAML"),
+        ("size", f"body: {{height: {10**400}}}", "body.height is a number of over 15 digits: give a positive number"),
+        ("size", f"body: {{height: 0x{5000 * 'f'}}}", "body.height is a number of over 15 digits"),
+        ("size", "body: {height: 1.0e+300}", "body.height is 1e+300: give a positive number"),
+        ("size", f"body: {{height: {[[i] for i in range(1000)]}}}", "body.height is [[0], [1], [2], [3], [4], [5], ...]"),
         ("size", "body: {height: 170", "not YAML"),
         ("size", "height: 170", "no map named body"),
         ("size", "body: {height: 170}", "body lacks head_l, neck_w"),

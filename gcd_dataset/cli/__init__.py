@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset import __version__
-from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.errors import ConfigError, GcdError, SpecError
 
 __all__ = ["main"]
 
@@ -48,26 +48,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _generate(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from gcd_dataset.generator.generate import generate, plan
-    from gcd_dataset.generator.pipeline import MakeConfig
+    from gcd_dataset.cli.generate import generate, plan
+    from gcd_dataset.generator.recipe import MakeConfig
+    from gcd_dataset.records import Outcome
 
     given = _read_config(options.config, {field.name for field in fields(MakeConfig)}) if options.config else {}
     named = {name: getattr(options, name) for name in ("bodies", "stage", "resolution", "device", "on_fail")}
     config = MakeConfig(**{**given, **{name: value for name, value in named.items() if value is not None}})
     task = plan(options.out, options.count, seed=options.seed, config=config)
-    made = rejected = 0
+    made = rejected = failed = 0
     samples = generate(task, workers=options.workers)
     try:
         with tqdm(samples, total=task.count, initial=task.there, unit="garment", disable=options.quiet) as bar:
             for sample in bar:
                 made, rejected = made + 1, rejected + len(sample.provenance.rejects)
-                bar.set_postfix(rejected=rejected, refresh=False)
+                failed += sample.drape is not None and sample.drape.outcome is not Outcome.SETTLED
+                bar.set_postfix(rejected=rejected, unsettled=failed, refresh=False)
     except KeyboardInterrupt:
         samples.close()
         there = f"{task.there + made} of {task.count}"
         print(f"gcd generate: stopped at {there}: the same command goes on from there", file=sys.stderr)
         return INTERRUPTED
     print(f"{options.out}: {task.count} garments, {made} of them made now, {rejected} designs or drapes turned down")
+    if failed:
+        print(f"  {failed} did not settle: each holds its outcome in meta.json")
     return 0
 
 
@@ -77,30 +81,31 @@ def _drape(options: argparse.Namespace) -> int:
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.body import named_body
     from gcd_dataset.generator.drape import resolve_device
-    from gcd_dataset.generator.fitting import fit, needs_legs_apart, read_patterns, write_fitting, write_report
+    from gcd_dataset.generator.fitting import Fitting, fit, needs_legs_apart, read_patterns, write_fitting, write_report
+    from gcd_dataset.generator.recipe import check_resolution
     from gcd_dataset.records import Body, Measurements, Pattern
 
-    patterns = read_patterns(options.spec)
-    bodies: dict[bool, tuple[Body, Measurements]] = {}
+    patterns, device = read_patterns(options.spec), resolve_device(options.device)
+    resolution = check_resolution(options.resolution)
+    wearers: dict[bool, tuple[Body, Measurements]] = {}
+    for apart in sorted({needs_legs_apart(pattern) for pattern in patterns}):
+        found = named_body(
+            options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=apart
+        )
+        wearers[apart] = found[:2]
 
-    def body_for(pattern: Pattern) -> tuple[Body, Measurements]:
-        apart = needs_legs_apart(pattern)
-        if apart not in bodies:
-            found = named_body(
-                options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=apart
-            )
-            bodies[apart] = found[:2]
-        return bodies[apart]
+    def wearer(pattern: Pattern) -> tuple[Body, Measurements]:
+        return wearers[needs_legs_apart(pattern)]
 
-    device = resolve_device(options.device)
-    for pattern in patterns:  # whatever is wrong with a body is said before anything is draped
-        body_for(pattern)
-    folder, fittings = make_folder(options.out), []
-    done = fit(patterns, body_for, resolution=options.resolution, device=device)
-    for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):
-        write_fitting(fitting, body_for(fitting.pattern)[0], folder, device=device)
-        fittings.append(fitting)
-    write_report(fittings, folder / "report.json", body=options.body, resolution=options.resolution, device=device)
+    folder = make_folder(options.out)
+    fittings: list[Fitting] = []
+    try:
+        done = fit(patterns, wearer, resolution=resolution, device=device)
+        for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):
+            write_fitting(fitting, wearer(fitting.pattern)[0], folder, device=device)
+            fittings.append(fitting)
+    finally:
+        write_report(fittings, folder / "report.json", body=options.body, resolution=resolution, device=device)
     for fitting in fittings:
         drape = fitting.drape
         print(
@@ -115,17 +120,20 @@ def _drape(options: argparse.Namespace) -> int:
 
 def _validate(options: argparse.Namespace) -> int:
     from gcd_dataset.spec import read_pattern
-    from gcd_dataset.validate import check_pattern
+    from gcd_dataset.validate import Severity, check_pattern
 
     found = 0
     for path in options.spec:
         try:
-            faults = [str(fault) for fault in check_pattern(read_pattern(path))]
+            faults = check_pattern(read_pattern(path))
         except GcdError as error:
-            faults = [str(error).removeprefix(f"{path}: ")]
-        for fault in faults:
+            print(f"gcd validate: {error}", file=sys.stderr)
+            found += 1
+            continue
+        told = [fault for fault in faults if fault.severity is Severity.ERROR or not options.errors]
+        for fault in told:
             print(f"{path}: {fault}")
-        found += len(faults)
+        found += len(told)
     if not found:
         print(f"{len(options.spec)} pattern{'s' if len(options.spec) > 1 else ''}: no fault found")
     return 1 if found else 0
@@ -135,10 +143,13 @@ def _show(options: argparse.Namespace) -> int:
     from gcd_dataset.files import write_whole
     from gcd_dataset.generator.render import draw_pattern, png_bytes, sample_sheet
     from gcd_dataset.spec import read_pattern
+    from gcd_dataset.validate import require_valid
 
     if options.png is None:
         raise ConfigError("give --png FILE: there is no interactive viewer yet")
-    if options.what.is_dir():
+    if options.png.suffix.lower() != ".png":
+        raise ConfigError(f"--png {options.png}: the picture is a PNG, so end the name in .png")
+    if _is_folder(options.what):
         from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
 
         reader = ShardReader(options.what)
@@ -146,7 +157,7 @@ def _show(options: argparse.Namespace) -> int:
             raise ConfigError(f"{options.what}: sample {options.index} of {len(reader)}, counted from 0")
         picture = sample_sheet(decode_sample(reader.read(options.index, MEMBERS)))
     else:
-        picture = draw_pattern(read_pattern(options.what))
+        picture = draw_pattern(require_valid(read_pattern(options.what), source=str(options.what)))
     write_whole(options.png, png_bytes(picture))
     print(options.png)
     return 0
@@ -169,8 +180,15 @@ def _parser() -> argparse.ArgumentParser:
     generate.add_argument("--resolution", type=float, metavar="CM", help="length of mesh edges [cm] (default: 1.0)")
     generate.add_argument("--device", help="auto, cpu or cuda:0 (default: auto)")
     generate.add_argument("--on-fail", choices=("retry", "keep"), help="a drape that fails (default: retry)")
-    generate.add_argument("--workers", type=_natural, default=0, help="processes on a CPU (default: this one)")
-    generate.add_argument("--config", type=Path, metavar="FILE.toml", help="the same options, and more, in a file")
+    generate.add_argument(
+        "--workers", type=_natural, default=0, help="processes, on a CPU; a GPU drapes for one (default: this one)"
+    )
+    generate.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE.toml",
+        help="bodies, stage, resolution, device, on-fail; also points, picture, max-attempts",
+    )
 
     drape = _verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
@@ -183,6 +201,7 @@ def _parser() -> argparse.ArgumentParser:
 
     validate = _verb(verbs, "validate", _validate, "what is wrong with a pattern; exit 1 if anything")
     validate.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
+    validate.add_argument("--errors", action="store_true", help="only what forbids sewing, no warnings")
 
     show = _verb(verbs, "show", _show, "a picture of a sample or a pattern")
     show.add_argument("what", type=Path, metavar="DATASET|SPEC", help="folder of shards, or specification JSON")
@@ -195,16 +214,23 @@ def _verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text:
     parser: argparse.ArgumentParser = verbs.add_parser(
         name, help=text, description=f"{text[0].upper()}{text[1:]}.", formatter_class=argparse.HelpFormatter
     )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    if run in (_generate, _drape):
+        parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.set_defaults(run=run)
     return parser
 
 
 def _natural(text: str) -> int:
-    number = int(text)
-    if number < 0:
-        raise argparse.ArgumentTypeError(f"{text} is less than 0")
-    return number
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text} is no whole number of 0 or more")
+    return int(text)
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError as error:
+        raise SpecError(f"{path}: cannot be read ({error.strerror}): choose a file that you may read") from error
 
 
 def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
@@ -212,8 +238,8 @@ def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}): give a TOML file that you may read") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: {error}: mend the TOML") from error
     values = {name.replace("-", "_"): value for name, value in values.items()}
     if unknown := sorted(set(values) - known):

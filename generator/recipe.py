@@ -1,0 +1,89 @@
+"""What samples are made by: the options, and all else that decides their bytes."""
+
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from importlib.metadata import version
+from typing import Any, Literal, get_args
+
+from gcd_dataset import __version__
+from gcd_dataset.errors import ConfigError
+
+__all__ = ["MakeConfig", "check_resolution", "device_kind", "recipe_of", "versions"]
+
+Bodies = Literal["neutral", "random", "both"]
+LastStage = Literal["pattern", "mesh", "drape"]
+OnFail = Literal["retry", "keep"]
+KINDS = {str: "word", int: "whole number", float: "number"}
+FINEST, COARSEST = 0.2, 10.0  # cm
+
+
+@dataclass(frozen=True, slots=True)
+class MakeConfig:
+    """What samples are made of, beside their seed and index. Raises ``ConfigError`` for a value that cannot be."""
+
+    bodies: Bodies = "random"
+    """``both``: samples 2i and 2i+1 are one design on the neutral body and on a random one."""
+    stage: LastStage = "drape"
+    """The last step taken."""
+    resolution: float = 1.0
+    """Length of the mesh's edges [cm]."""
+    device: str = "auto"
+    """Where cloth is draped and pictures are taken: ``auto``, ``cpu`` or ``cuda:0``."""
+    on_fail: OnFail = "retry"
+    """A drape that does not settle: the next design instead (for both bodies, with ``both``), or the sample as it is,
+    with its outcome."""
+    points: int = 8192
+    """Surface points of a sample."""
+    picture: int = 512
+    """Side of the pictures [pixels]; 0 for none."""
+    max_attempts: int = 30
+    """Designs tried for one index. The last is kept if it only does not settle."""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            _require_type(entry.name, getattr(self, entry.name), type(entry.default))
+        for name, kind in {"bodies": Bodies, "stage": LastStage, "on_fail": OnFail}.items():
+            if getattr(self, name) not in get_args(kind):
+                raise ConfigError(f"{name} is {getattr(self, name)!r}: known are {', '.join(get_args(kind))}")
+        object.__setattr__(self, "resolution", float(check_resolution(self.resolution)))  # 2 is 2.0 in a recipe
+        for name, least in {"points": 0, "picture": 0, "max_attempts": 1}.items():
+            if getattr(self, name) < least:
+                raise ConfigError(f"{name} is {getattr(self, name)}: give {least} or more")
+
+    @property
+    def wearers(self) -> int:
+        """Bodies that wear one design."""
+        return 2 if self.bodies == "both" else 1
+
+
+def check_resolution(centimetres: float) -> float:
+    """The resolution, if a garment can be meshed at it. Raises ``ConfigError``."""
+    if not FINEST <= centimetres <= COARSEST:
+        raise ConfigError(f"resolution is {centimetres} cm: give a length from {FINEST} to {COARSEST}")
+    return centimetres
+
+
+def recipe_of(config: MakeConfig) -> dict[str, Any]:
+    """Everything but seed and index that decides what a sample holds, as plain values."""
+    recipe = asdict(config)
+    recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
+    return recipe
+
+
+def device_kind(config: MakeConfig) -> str:
+    """``cpu`` or ``cuda``. Raises ``ConfigError`` for a device that is not there."""
+    from gcd_dataset.generator.drape import resolve_device
+
+    return "cuda" if resolve_device(config.device).startswith("cuda") else "cpu"
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Of everything that decides the bytes of a sample."""
+    return {"gcd_dataset": __version__} | {name: version(name) for name in ("numpy", "scipy", "shapely", "warp-lang")}
+
+
+def _require_type(name: str, value: object, kind: type) -> None:
+    allowed = (int, float) if kind is float else kind
+    if not isinstance(value, allowed) or isinstance(value, bool):
+        raise ConfigError(f"{name} is {value!r}: give a {KINDS[kind]}")
