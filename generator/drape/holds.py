@@ -12,6 +12,7 @@ from gcd_dataset.records import BodyPart, BoxMesh, Measurements
 
 __all__ = ["held_from_below", "holds", "unseen_parts"]
 
+NECKLINE = frozenset({"left_collar", "right_collar"})
 COLLAR_SLACK = 2.0  # cm by which the collar may lie nearer to the middle than the neck is wide
 
 
@@ -38,11 +39,14 @@ def _half_spaces(size: Measurements) -> dict[str, tuple[tuple[float, float, floa
 
 
 def held_from_below(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
-    """The vertices that keep the garment up, by label, and the level they are held at [cm]."""
-    spaces = _half_spaces(job.measurements)
+    """The vertices that keep the garment up, by label, and the level they are held at [cm].
+
+    None for a garment with a neckline: shoulders keep it up, and its waist may hang where it likes.
+    """
+    spaces, labels = _half_spaces(job.measurements), job.box_mesh.labels
     for label in ("strapless_top", "lower_interface"):
-        if label in job.box_mesh.labels and np.isfinite(spaces[label][1]):
-            return np.asarray(job.box_mesh.labels[label]), spaces[label][1]
+        if label in labels and np.isfinite(spaces[label][1]) and not NECKLINE & labels.keys():
+            return np.asarray(labels[label]), spaces[label][1]
     return np.zeros(0, int), 0.0
 
 

@@ -6,6 +6,7 @@ import trimesh
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
+from gcd_dataset.generator.drape.outcome import slid_off
 from gcd_dataset.records import BoxMesh, Outcome
 from tests.helpers import SIZE, body_from, patch, tube
 
@@ -60,6 +61,15 @@ def test_what_nothing_holds_up_slides_off() -> None:
     [drape] = drape_batch([DrapeJob(aside, job.body, SIZE)], DrapeConfig(held_time=0.1), device="cpu")
     assert drape.outcome is Outcome.SLID_OFF
     assert drape.frames < DrapeConfig().max_frames
+
+
+def test_a_dress_hangs_from_its_shoulders() -> None:
+    """What has a neckline cannot slide off, however low its waist hangs; a skirt can."""
+    skirt = on_a_ball(5, labels={"lower_interface": np.arange(6)})
+    dress = on_a_ball(5, labels={"lower_interface": np.arange(6), "left_collar": np.arange(6, 9)})
+    lying_low = np.array(skirt.box_mesh.vertices) - [0.0, 40.0, 0.0]
+    assert slid_off(skirt, lying_low)
+    assert not slid_off(dress, lying_low)
 
 
 def test_contacts_without_room_are_reported() -> None:
