@@ -25,7 +25,13 @@ __all__ = [
     "PatternError",
     "ShardError",
     "SpecError",
+    "shown",
 ]
+
+
+def shown(text: str) -> str:
+    """Text from outside as it may stand in a message: in quotes, escaped, where something in it does not print."""
+    return text if text.isprintable() else ascii(text)
 
 
 class GcdError(Exception):

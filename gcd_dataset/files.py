@@ -1,14 +1,30 @@
 """Files written whole or not at all."""
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from gcd_dataset.errors import OutputError
+from gcd_dataset.errors import OutputError, shown
 
 __all__ = ["make_folder", "open_whole", "write_whole"]
+
+REMEDIES = {
+    "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
+    "choose a folder that you may write to": (errno.EACCES, errno.EPERM, errno.EROFS),
+    "choose another name": (
+        errno.EEXIST,
+        errno.EISDIR,
+        errno.ENOTDIR,
+        errno.ENOTEMPTY,
+        errno.ENAMETOOLONG,
+        errno.ELOOP,
+    ),
+    "make its folder first": (errno.ENOENT,),
+}
+REMEDY_OF = {code: remedy for remedy, codes in REMEDIES.items() for code in codes}
 
 
 def write_whole(path: Path | str, content: bytes) -> None:
@@ -24,6 +40,8 @@ def open_whole(path: Path | str) -> Iterator[BinaryIO]:
     Raises ``OutputError`` with the file, the system's reason and a remedy.
     """
     path = Path(path)
+    if not path.name or "\0" in str(path):
+        raise OutputError(f"{shown(str(path))}: names no file: give a file name")
     draft = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with draft.open("wb") as file:
@@ -41,6 +59,8 @@ def open_whole(path: Path | str) -> Iterator[BinaryIO]:
 def make_folder(path: Path | str) -> Path:
     """The folder, made with its parents if it was not there. Raises ``OutputError``."""
     path = Path(path)
+    if "\0" in str(path):
+        raise OutputError(f"{shown(str(path))}: names no folder: give a folder name")
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -49,4 +69,5 @@ def make_folder(path: Path | str) -> Path:
 
 
 def _cannot_write(path: Path, error: OSError) -> OutputError:
-    return OutputError(f"{path}: cannot be written ({error.strerror}): make room there, or choose another folder")
+    remedy = REMEDY_OF.get(error.errno or 0, "choose another folder")
+    return OutputError(f"{path}: cannot be written ({error.strerror}): {remedy}")

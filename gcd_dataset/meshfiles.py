@@ -15,14 +15,15 @@ SKIN, CLOTH = (205, 196, 188, 255), (120, 150, 190, 255)
 def obj_bytes(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> bytes:
     """Wavefront OBJ [cm]: one vertex list, texture coordinates in the panels' planes [cm], one group a panel.
 
-    The vertices keep their numbers, which an OBJ export through triangle corners would not.
+    The vertices keep their numbers, which an OBJ export through triangle corners would not. White space in a panel's
+    name becomes an underscore: the format would read it as several groups.
     """
     lines = ["# gcd_dataset: centimetres, y up; vt: panel-plane coordinates in centimetres"]
     lines += [f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in vertices]
     lines += [f"vt {u:.6g} {v:.6g}" for u, v in mesh.uv]
     for panel, name in enumerate(mesh.panel_names):
         own = mesh.panel_id == panel
-        lines.append(f"g {name}")
+        lines.append(f"g {'_'.join(name.split())}")
         for corner, face in zip(mesh.corners[own] + 1, mesh.faces[own] + 1, strict=True):
             lines.append("f " + " ".join(f"{v}/{c}" for v, c in zip(face, corner, strict=True)))
     return ("\n".join(lines) + "\n").encode()

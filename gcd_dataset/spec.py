@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, mirrored, to_frame
-from gcd_dataset.errors import PatternError, SpecError
+from gcd_dataset.errors import PatternError, SpecError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 
@@ -29,7 +29,12 @@ __all__ = ["panel_order", "pattern_from_spec", "read_pattern", "spec_from_patter
 
 UNITS_IN_METER = 100  # ours: centimetres
 NEIGHBOURS = 10.0  # cm: panels that close in x, or in y, stand in one row of the panel order (pattern-format)
+LARGEST_NUMBER = 1e12  # no length, angle or count of a pattern comes near; its square is a number still
+LARGEST_UNIT = 1e6  # units in a metre, and metres in a unit
+DEEPEST = 64  # levels of lists and objects; a pattern has nine
 NAMELESS = frozenset({"specification", "template", "prediction"})  # file names that leave the name to the folder
+
+TOO_DEEP = f"more than {DEEPEST} levels deep: flatten it"
 
 
 def read_pattern(path: Path | str) -> Pattern:
@@ -43,8 +48,13 @@ def read_pattern(path: Path | str) -> Pattern:
         spec = json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_constant)
     except FileNotFoundError as error:
         raise SpecError(f"{path}: no such file: give the path of a specification JSON") from error
+    except PermissionError as error:
+        raise SpecError(f"{path}: cannot be read ({error.strerror}): ask for the right to read it") from error
     except OSError as error:
-        raise SpecError(f"{path}: cannot be read ({error.strerror})") from error
+        remedy = "give the path of a specification JSON"
+        raise SpecError(f"{path}: cannot be read ({error.strerror}): {remedy}") from error
+    except RecursionError as error:
+        raise SpecError(f"{path}: {TOO_DEEP}") from error
     except json.JSONDecodeError as error:
         raise SpecError(f"{path}: line {error.lineno}, column {error.colno}: {error.msg}: mend the JSON") from error
     except ValueError as error:
@@ -63,10 +73,11 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
     Raises ``SpecError`` with the panel and edge where the content is not of the format.
     """
     at = _Place(source or name)
+    _require_flat(spec, at)
     body = at.mapping(at.mapping(spec, "").get("pattern"), "pattern")
     form = _Form.of(at.mapping(spec.get("properties", {}), "properties"), at)
     panels = {
-        key: _panel(key, at.mapping(entry, f"panel {key}"), form, at.within(f"panel {key}"))
+        key: _panel(key, at.mapping(entry, f"panel {shown(key)}"), form, at.within(f"panel {shown(key)}"))
         for key, entry in at.mapping(body.get("panels"), "pattern.panels").items()
     }
     seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(at.list_of(body, "stitches")))
@@ -149,7 +160,7 @@ class _Place:
         return float(value)
 
     def index(self, value: Any, what: str) -> int:
-        if not isinstance(value, int) or isinstance(value, bool):
+        if not (isinstance(value, int) and _is_number(value)):
             raise self.error(f"{what} must be a whole number, found {_found(value)}")
         return value
 
@@ -172,7 +183,7 @@ class _Form:
     @staticmethod
     def of(properties: Mapping[str, Any], at: _Place) -> "_Form":
         units = at.number(properties.get("units_in_meter", UNITS_IN_METER), "properties.units_in_meter")
-        if not 0 < units < np.inf:
+        if not 1 / LARGEST_UNIT <= units <= LARGEST_UNIT:
             raise at.error(f"properties.units_in_meter is {units}: give the number of length units in a metre")
         controls = properties.get("curvature_coords", "relative")
         if controls not in ("relative", "absolute"):
@@ -221,7 +232,7 @@ def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _F
 def _curve(entry: Any, scale: float, at: _Place) -> Curve:
     if isinstance(entry, list):  # the first version of the format: one control point
         return Quadratic(_pair(entry, at))
-    kind, params = at.mapping(entry, "curvature").get("type"), at.list_of(entry, "params")
+    kind, params = at.text(at.mapping(entry, "curvature").get("type"), "curvature type"), at.list_of(entry, "params")
     expected = {"quadratic": 1, "cubic": 2, "circle": 3}
     if kind not in expected:
         raise at.error(f"curvature type {kind!r}: known are {', '.join(expected)}")
@@ -273,7 +284,7 @@ def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: _Plac
     order = tuple(at.text(name, "a name in panel_order") for name in at.list_of(body, "panel_order"))
     odd = sorted(set(order) ^ set(panels))
     if odd or len(order) != len(panels):
-        named = f": look at {', '.join(odd)}" if odd else ""
+        named = f": look at {', '.join(map(shown, odd))}" if odd else ""
         raise at.error(f"panel_order must name each of the {len(panels)} panels once{named}")
     return order
 
@@ -407,8 +418,22 @@ def _no_constant(text: str) -> float:
     raise ValueError(f"{text} is no number")
 
 
+def _require_flat(spec: Any, at: _Place) -> None:
+    """Raise ``SpecError`` for what is nested so deep that it could not be written again."""
+    level = [spec]
+    for _ in range(DEEPEST):
+        lists = [value.values() if isinstance(value, Mapping) else value for value in level if _holds(value)]
+        level = [inner for values in lists for inner in values]
+    if level:
+        raise at.error(TOO_DEEP)
+
+
+def _holds(value: Any) -> bool:
+    return isinstance(value, Mapping | list | tuple)
+
+
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST_NUMBER
 
 
 def _found(value: Any) -> str:

@@ -5,23 +5,23 @@ meant (gathers), but is what broken patterns are found by.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
+from math import dist
 
 import numpy as np
-import shapely
-from jaxtyping import Float
+from jaxtyping import Complex
 
-from gcd_dataset.curves import LINE, Arc, curve_length, sample_curve
-from gcd_dataset.errors import PatternError
+from gcd_dataset.crossings import edge_hulls, find_crossings
+from gcd_dataset.curves import LINE, Arc, curve_length
+from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 
 __all__ = ["Fault", "Rule", "Severity", "check_pattern", "require_valid"]
 
 SHORTEST_EDGE = 0.5  # cm: an edge under it has defeated cloth simulators (a fifth of published patterns hold one)
-TOUCH = 0.01  # cm: how far from a corner two edges of it may still touch; further off they cross
-SAMPLING = 0.25  # cm between the points that stand for a curve when crossings are looked for
+LARGEST = 1000.0  # cm: no piece of a garment is ten metres across; a pattern in the wrong unit is
 GATHER = 1.05  # ratio of two lengths sewn together, from which cloth gathers visibly
 SLACK = 0.5  # cm: a difference of two lengths that any seam takes
 
@@ -37,11 +37,13 @@ class Rule(Enum):
     """What a pattern can break; the value is the text for people."""
 
     NO_PANEL = "no panels"
+    PANEL_NAME = "name that tells no panel"
     FEW_EDGES = "too few edges"
     VERTEX_RANGE = "vertex out of range"
     OPEN_LOOP = "open loop"
     NO_LENGTH = "edge without length"
     ARC_RADIUS = "arc radius under half its chord"
+    TOO_LARGE = "panel over 10 m"
     SELF_CROSSING = "outline crosses itself"
     NO_SUCH_EDGE = "stitch to nothing"
     STITCHED_TWICE = "edge stitched twice"
@@ -73,7 +75,7 @@ class Fault:
         return self.rule.severity
 
     def __str__(self) -> str:
-        place = [f"panel {self.panel}"] if self.panel else []
+        place = [f"panel {shown(self.panel)}"] if self.panel else []
         place += [f"edge {self.edge}"] if self.edge is not None else []
         return f"{', '.join(place) or 'pattern'}: {self.severity}: {self.rule.value}: {self.figure}"
 
@@ -82,16 +84,21 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     """Every fault of a pattern, panel by panel, then seam by seam; empty for one that can be sewn as it is."""
     if not pattern.panels:
         return (Fault(Rule.NO_PANEL, "", None, "there is nothing to sew: draw one"),)
-    faults: list[Fault] = []
+    faults = list(_name_faults(pattern.panels))
     lengths: dict[EdgeRef, float] = {}
     for panel in pattern.panels:
         broken = tuple(_loop_faults(panel))
         faults += broken
-        if not broken:
+        if broken:
+            continue
+        hulls = edge_hulls(panel)
+        huge = tuple(_size_faults(panel, hulls))  # asked before anything is sampled: there is no room for it
+        faults += huge
+        if not huge:
             shaped = [curve_length(*panel.edge_ends(i), edge.curve) for i, edge in enumerate(panel.edges)]
             lengths.update({EdgeRef(panel.name, i): length for i, length in enumerate(shaped)})
             faults += _short_edges(panel, shaped)
-            faults += _crossings(panel, shaped)
+            faults += _crossings(panel, hulls, shaped)
     return (*faults, *_seam_faults(pattern, lengths))
 
 
@@ -110,9 +117,21 @@ def require_valid(pattern: Pattern, source: str = "") -> Pattern:
 # ------------------------------------------------------------------------------------------------------------- outlines
 
 
+def _name_faults(panels: Sequence[Panel]) -> Iterator[Fault]:
+    """What keeps seams, mesh files and messages from naming a panel."""
+    for number, panel in enumerate(panels):
+        if not panel.name.strip():
+            yield Fault(Rule.PANEL_NAME, "", None, f"panel {number} of {len(panels)} has no name: give it one")
+        elif not panel.name.isprintable():
+            yield Fault(Rule.PANEL_NAME, panel.name, None, "it holds a character that does not print: take it out")
+    for name, count in Counter(panel.name for panel in panels if panel.name.strip()).items():
+        if count > 1:
+            yield Fault(Rule.PANEL_NAME, name, None, f"{count} panels have this name: give each its own")
+
+
 def _loop_faults(panel: Panel) -> Iterator[Fault]:
     """What keeps the outline from being a closed curve at all."""
-    count, corners = len(panel.edges), len(panel.vertices)
+    count, corners, places = len(panel.edges), len(panel.vertices), panel.vertices.tolist()
     straight = all(edge.curve == LINE for edge in panel.edges)
     if count < (3 if straight else 2):
         kind = "straight" if straight else "curved"
@@ -127,7 +146,7 @@ def _loop_faults(panel: Panel) -> Iterator[Fault]:
         if before.end != edge.start and 0 <= before.end < corners:
             figure = f"it starts at vertex {edge.start}, edge {(index - 1) % count} ends at {before.end}: join them"
             yield Fault(Rule.OPEN_LOOP, panel.name, index, figure)
-        chord = float(np.hypot(*(panel.vertices[edge.end] - panel.vertices[edge.start])))
+        chord = dist(places[edge.start], places[edge.end])
         if chord == 0.0:
             yield Fault(Rule.NO_LENGTH, panel.name, index, "its ends are one point: take it out, or move a vertex")
         elif isinstance(edge.curve, Arc):
@@ -138,46 +157,31 @@ def _loop_faults(panel: Panel) -> Iterator[Fault]:
                 yield Fault(Rule.ARC_RADIUS, panel.name, index, figure)
 
 
+def _size_faults(panel: Panel, hulls: Complex[np.ndarray, "e 4"]) -> Iterator[Fault]:
+    """Whether the outline, or a point that bends it, reaches too far."""
+    rings = [edge.curve.radius if isinstance(edge.curve, Arc) and edge.curve.large else 0.0 for edge in panel.edges]
+    # The tangents of more than a half circle meet far outside of it: its diameter says more.
+    near = np.where(np.array(rings)[:, None] > 0, hulls[:, :1], hulls)
+    across = float(max(np.ptp(near.real), np.ptp(near.imag), 2 * max(rings)))
+    if not across <= LARGEST:
+        figure = f"{across:.6g} cm across with its control points: check units_in_meter"
+        yield Fault(Rule.TOO_LARGE, panel.name, None, figure)
+
+
 def _short_edges(panel: Panel, lengths: list[float]) -> Iterator[Fault]:
     for index, length in enumerate(lengths):
         if length < SHORTEST_EDGE:
             yield Fault(Rule.SHORT_EDGE, panel.name, index, f"it is {length:.3g} cm: join it to its neighbour")
 
 
-def _crossings(panel: Panel, lengths: list[float]) -> Iterator[Fault]:
+def _crossings(panel: Panel, hulls: Complex[np.ndarray, "e 4"], lengths: list[float]) -> Iterator[Fault]:
     """Where an edge crosses or touches itself or another, other than in a corner they share."""
-    lines = _polylines(panel, lengths)
-    for index in np.flatnonzero(~shapely.is_simple(lines)):
-        yield Fault(Rule.SELF_CROSSING, panel.name, int(index), "it crosses itself: bend it less")
-    one, other = np.triu_indices(len(lines), k=1)
-    meet = shapely.intersects(lines[one], lines[other])
-    for i, j in zip(one[meet].tolist(), other[meet].tolist(), strict=True):
-        points = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
-        far = points[_distance_to(points, _shared_corners(panel, i, j)) > TOUCH]
-        if len(far):
-            x, y = far[0]
-            yield Fault(Rule.SELF_CROSSING, panel.name, i, f"it meets edge {j} at ({x:.2f}, {y:.2f}) cm: part them")
-
-
-def _polylines(panel: Panel, lengths: list[float]) -> np.ndarray:
-    """The edges as shapely lines, finely enough for ``TOUCH``."""
-    lines = []
-    for index, (edge, length) in enumerate(zip(panel.edges, lengths, strict=True)):
-        count = 2 if edge.curve == LINE else max(9, int(np.ceil(length / SAMPLING)) + 1)
-        lines.append(shapely.LineString(sample_curve(*panel.edge_ends(index), edge.curve, count)))
-    return np.array(lines)
-
-
-def _shared_corners(panel: Panel, i: int, j: int) -> Float[np.ndarray, "n 2"]:
-    one, other = panel.edges[i], panel.edges[j]
-    return panel.vertices[sorted({one.start, one.end} & {other.start, other.end})]
-
-
-def _distance_to(points: Float[np.ndarray, "n 2"], corners: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " n"]:
-    """Distance of each point to the nearest corner [cm]; infinite without corners."""
-    if not len(corners):
-        return np.full(len(points), np.inf)
-    return np.linalg.norm(points[:, None] - corners[None], axis=2).min(axis=1)
+    for crossing in find_crossings(panel, hulls, lengths):
+        x, y = crossing.place
+        figure = f"it meets edge {crossing.other} at ({x:.2f}, {y:.2f}) cm: part them"
+        if crossing.edge == crossing.other:
+            figure = "it crosses itself: bend it less"
+        yield Fault(Rule.SELF_CROSSING, panel.name, crossing.edge, figure)
 
 
 # ---------------------------------------------------------------------------------------------------------------- seams
@@ -203,7 +207,7 @@ def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fa
 
 def _no_such_edge(number: int, side: EdgeRef, edges_of: dict[str, int]) -> Fault:
     if side.panel not in edges_of:
-        figure = f"stitch {number}: there is no panel of that name: known are {', '.join(edges_of)}"
+        figure = f"stitch {number}: there is no panel of that name: known are {', '.join(map(shown, edges_of))}"
     else:
         figure = f"stitch {number}: the panel has {edges_of[side.panel]} edges, numbered from 0: mend the stitch"
     return Fault(Rule.NO_SUCH_EDGE, side.panel, side.edge, figure)
@@ -213,9 +217,9 @@ def _unlike_sides(
     number: int, seam: Seam, labels: dict[EdgeRef, str], lengths: dict[EdgeRef, float]
 ) -> Iterator[Fault]:
     left, right = seam.left, seam.right
-    partner = f"stitch {number} with panel {right.panel}, edge {right.edge}"
+    partner = f"stitch {number} with panel {shown(right.panel)}, edge {right.edge}"
     if labels[left] and labels[right] and labels[left] != labels[right]:
-        figure = f"{partner}: {labels[left]} and {labels[right]}: take one away"
+        figure = f"{partner}: {shown(labels[left])} and {shown(labels[right])}: take one away"
         yield Fault(Rule.LABELS_DIFFER, left.panel, left.edge, figure)
     if left in lengths and right in lengths:
         shorter, longer = sorted((lengths[left], lengths[right]))

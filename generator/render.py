@@ -303,7 +303,7 @@ def _lay_out(
 def _font(text: str, room: float, largest: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """A font in which ``text`` is not wider than ``room`` [pixels], within reason."""
     wide = ImageFont.load_default(size=largest).getlength(text)
-    return ImageFont.load_default(size=max(largest / 3, largest * min(1.0, 0.95 * room / wide)))
+    return ImageFont.load_default(size=max(largest / 3, largest * min(1.0, 0.95 * room / max(wide, 1.0))))
 
 
 def _rgb(colour: tuple[float, float, float], *, lighten: float = 0.0) -> tuple[int, int, int]:

@@ -1,5 +1,7 @@
 """Files are whole or not there."""
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -32,3 +34,55 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         write_whole(tmp_path / "nowhere" / "a.bin", b"")
     with pytest.raises(OutputError, match=r"file/sub: cannot be written"):
         make_folder(tmp_path / "file" / "sub")
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"),
+    [
+        (errno.ENOSPC, "make room there, or choose another folder"),
+        (errno.EDQUOT, "make room there, or choose another folder"),
+        (errno.EACCES, "choose a folder that you may write to"),
+        (errno.EPERM, "choose a folder that you may write to"),
+        (errno.EROFS, "choose a folder that you may write to"),
+        (errno.EEXIST, "choose another name"),
+        (errno.EISDIR, "choose another name"),
+        (errno.ENOTDIR, "choose another name"),
+        (errno.ENAMETOOLONG, "choose another name"),
+        (errno.ENOENT, "make its folder first"),
+        (errno.EIO, "choose another folder"),
+    ],
+)
+def test_the_remedy_is_that_of_the_reason(
+    code: int, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(OutputError) as caught:
+        write_whole(tmp_path / "a.bin", b"")
+    assert str(caught.value) == f"{tmp_path / 'a.bin'}: cannot be written ({os.strerror(code)}): {remedy}"
+
+
+def test_a_file_in_the_way_of_a_folder_and_a_folder_in_the_way_of_a_file(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    (tmp_path / "folder").mkdir()
+    for write in (
+        lambda: make_folder(tmp_path / "file"),
+        lambda: make_folder(tmp_path / "file" / "sub"),
+        lambda: write_whole(tmp_path / "file" / "a.bin", b""),
+        lambda: write_whole(tmp_path / "folder", b""),
+    ):
+        with pytest.raises(OutputError, match=": choose another name"):
+            write()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
+
+
+@pytest.mark.parametrize("path", ["", ".", "/", "a\0b"])
+def test_a_path_without_a_name_is_no_file(path: str) -> None:
+    with pytest.raises(OutputError, match=r"names no file: give a file name$") as caught:
+        write_whole(path, b"")
+    assert str(caught.value).isprintable()
+    if "\0" in path:
+        with pytest.raises(OutputError, match="names no folder: give a folder name"):
+            make_folder(path)

@@ -71,7 +71,8 @@ def test_warp_is_imported_by_drape_and_render_alone() -> None:
 LAYERS = {
     "records": {"errors", "curves"},
     "spec": {"errors", "curves", "records", "files"},
-    "validate": {"errors", "curves", "records"},
+    "crossings": {"curves", "records"},
+    "validate": {"errors", "curves", "records", "crossings"},
     "tensors": {"errors", "curves", "records"},
     "seeding": set(),
     "curves": {"errors"},

@@ -1,6 +1,8 @@
 """A specification read and written is the pattern it was."""
 
+import errno
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -164,6 +166,13 @@ def test_the_folder_names_a_file_without_a_name(tmp_path: Path) -> None:
     assert read_pattern(tmp_path / "skirt" / "specification.json").name == "skirt"
 
 
+def nested(levels: int) -> list[Any]:
+    inner: list[Any] = []
+    for _ in range(levels):
+        inner = [inner]
+    return inner
+
+
 def broken(change: str) -> Any:
     spec: Any = parsed(tube())
     front = spec["pattern"]["panels"]["front"]
@@ -188,6 +197,22 @@ def broken(change: str) -> Any:
             spec["properties"]["units_in_meter"] = 0
         case "list":
             spec = []
+        case "list for a kind":
+            front["edges"][0]["curvature"]["type"] = ["q"]
+        case "400 digits":
+            front["vertices"][1] = [10**400, 0]
+        case "400 digits of a vertex":
+            front["edges"][0]["endpoints"] = [0, 10**400]
+        case "no length at all":
+            front["translation"] = [0, 1e300, 0]
+        case "tiny unit":
+            spec["properties"]["units_in_meter"] = 1e-300
+        case "nested":
+            spec["parameters"] = nested(100)
+        case "nested vertex":
+            front["vertices"][1] = nested(900)
+        case "broken name":
+            spec["pattern"]["panels"]["two\nlines"] = {}
     return spec
 
 
@@ -204,6 +229,14 @@ def broken(change: str) -> Any:
         ("order", "panel_order must name each of the 2 panels once: look at back, side"),
         ("units", "units_in_meter is 0"),
         ("list", "the file must be a JSON object, found []"),
+        ("list for a kind", 'panel front, edge 0: curvature type must be a string, found ["q"]'),
+        ("400 digits", "panel front: vertex 1 must be 2 numbers, found [1000000"),
+        ("400 digits of a vertex", "panel front, edge 0: endpoint must be a whole number, found 1000000"),
+        ("no length at all", "panel front: translation must be 3 numbers"),
+        ("tiny unit", "units_in_meter is 1e-300"),
+        ("nested", "more than 64 levels deep: flatten it"),
+        ("nested vertex", "more than 64 levels deep: flatten it"),
+        ("broken name", r"panel 'two\nlines': translation"),
     ],
 )
 def test_what_is_not_of_the_format_is_named(change: str, said: str) -> None:
@@ -222,8 +255,29 @@ def test_broken_json_is_named_with_its_line(tmp_path: Path) -> None:
     path.write_text('{"pattern": NaN}')
     with pytest.raises(SpecError, match="NaN is no number"):
         read_pattern(path)
-    with pytest.raises(SpecError, match=r"nothing\.json: no such file"):
+    path.write_text(f'{{"pattern": {"9" * 5000}}}')
+    with pytest.raises(SpecError, match="mend the JSON"):
+        read_pattern(path)
+    path.write_text('{"pattern": ' + 100_000 * "[" + 100_000 * "]" + "}")
+    with pytest.raises(SpecError, match=r"half\.json: more than 64 levels deep: flatten it"):
+        read_pattern(path)
+
+
+def test_a_file_that_cannot_be_read_is_named_with_a_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SpecError, match=r"nothing\.json: no such file: give the path of a specification JSON"):
         read_pattern(tmp_path / "nothing.json")
+    with pytest.raises(SpecError, match=r"cannot be read \(Is a directory\): give the path of a specification JSON"):
+        read_pattern(tmp_path)
+    write_pattern(tube(), tmp_path / "mine.json")
+    with pytest.raises(SpecError, match=r"mine\.json/x: cannot be read \(Not a directory\): give the path"):
+        read_pattern(tmp_path / "mine.json" / "x")
+
+    def forbidden(*_: object, **__: object) -> str:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(Path, "read_text", forbidden)  # the superuser, who runs many a test, may read everything
+    with pytest.raises(SpecError, match=r"cannot be read \(Permission denied\): ask for the right to read it"):
+        read_pattern(tmp_path / "mine.json")
 
 
 def test_nothing_half_written(tmp_path: Path) -> None:

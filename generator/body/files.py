@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import reprlib
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import trimesh
 import yaml
 from jaxtyping import Float, UInt8
 
-from gcd_dataset.errors import BodyError
+from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.pose import stand
@@ -24,6 +25,8 @@ log = logging.getLogger(__name__)
 
 TALLEST = 300.0  # cm; between this and SHORTEST a body's extent in y says its unit
 SHORTEST = 30.0
+LARGEST_MEASURE = 1e4  # cm, or degrees: no giant has more
+LONGEST_NUMBER = 10**15  # from here on a whole number is not printed
 UNITS = {"centimetres": 1.0, "metres": 100.0, "millimetres": 0.1}
 
 OPTIONAL = frozenset({"underbust", "vert_bust_line"})
@@ -75,7 +78,7 @@ def read_measurements(path: Path | str) -> Measurements:
     for key in MEASURES:
         if key in values and not _is_measure(key, values[key]):
             wanted = "a number of degrees" if key in ANGLES else "a positive number of centimetres"
-            raise BodyError(f"{path}: body.{key} is {values[key]!r}: give {wanted}")
+            raise BodyError(f"{path}: body.{key} is {_found(values[key])}: give {wanted}")
     missing = [key for key in MEASURES if key not in values and key not in OPTIONAL]
     if missing:
         raise BodyError(f"{path}: body lacks {', '.join(missing)}: add {'it' if len(missing) == 1 else 'them'}")
@@ -144,31 +147,38 @@ def _read_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray, " 
     """``BodyPart`` of each vertex."""
     try:
         lists = json.loads(_read(path))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # broken JSON, broken UTF-8, a number of thousands of digits
         raise BodyError(f"{path}: not JSON ({error}): give a map from part names to vertex ids") from error
+    except RecursionError as error:
+        raise BodyError(f"{path}: nested too deeply: give a map from part names to lists of vertex ids") from error
     if not isinstance(lists, dict):
         raise BodyError(f"{path}: a {type(lists).__name__}: give a map from part names to lists of vertex ids")
     if not {"left_arm", "right_arm", "left_leg", "right_leg"} <= lists.keys():
-        raise BodyError(f"{path}: names {', '.join(lists)}: name left_arm, right_arm, left_leg and right_leg")
+        names = ", ".join(map(shown, lists)) or "nothing"
+        raise BodyError(f"{path}: names {names}: name left_arm, right_arm, left_leg and right_leg")
     parts = np.full(n_vertices, BodyPart.TRUNK.value, np.uint8)
     for name, ids in lists.items():
-        vertices = _vertex_ids(path, name, ids)
-        if len(vertices) and vertices.max() >= n_vertices:
+        vertices = _vertex_ids(path, shown(name), ids)
+        if max(vertices, default=0) >= n_vertices:
             raise BodyError(
-                f"{path}: {name} names vertex {vertices.max()}, {mesh} has {n_vertices}: "
+                f"{path}: {shown(name)} names vertex {_found(max(vertices))}, {mesh} has {n_vertices}: "
                 "give the segmentation of this mesh"
             )
         parts[vertices] = SEGMENTS.get(name, BodyPart.TRUNK).value
     return parts
 
 
-def _vertex_ids(path: Path, name: str, ids: Any) -> np.ndarray:
-    if not isinstance(ids, list) or not all(isinstance(i, int) and i >= 0 for i in ids):
+def _vertex_ids(path: Path, name: str, ids: Any) -> list[int]:
+    if not isinstance(ids, list) or not all(type(i) is int and i >= 0 for i in ids):  # True is an int as well
         raise BodyError(f"{path}: {name} is no list of vertex ids: give whole numbers of 0 and more")
-    return np.array(ids, int)
+    return ids
 
 
 # --------------------------------------------------------------------------------------------------------------- files
+
+
+BROKEN_SCALARS = (ValueError, KeyError, IndexError, AttributeError)
+"""What PyYAML lets through of a date that is none, an integer of thousands of digits, ``!!bool maybe``, …"""
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
@@ -176,13 +186,24 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         table = yaml.safe_load(_read(path))
     except yaml.YAMLError as error:
         raise BodyError(f"{path}: not YAML ({' '.join(str(error).split())}): mend that line") from error
+    except BROKEN_SCALARS as error:
+        raise BodyError(f"{path}: not YAML ({error}): give one 'key: number' a line") from error
+    except RecursionError as error:
+        raise BodyError(f"{path}: nested too deeply: give one 'key: number' a line") from error
     return table if isinstance(table, dict) else {}
 
 
 def _is_measure(key: str, value: Any) -> bool:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
+    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= LARGEST_MEASURE:
         return False
     return key in ANGLES or value > 0
+
+
+def _found(value: Any) -> str:
+    """A value as it stands in a message: short, whatever it is."""
+    if isinstance(value, int) and abs(value) >= LONGEST_NUMBER:
+        return f"{'-' if value < 0 else ''}10**15 or more"
+    return reprlib.repr(value)
 
 
 def _read(path: Path) -> bytes:

@@ -8,7 +8,8 @@ import shapely
 from jaxtyping import Float, Int
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.sample import Border, edge_counts, sample_border
+from gcd_dataset.generator.mesh.lattice import lattice_size
+from gcd_dataset.generator.mesh.sample import MOST_POINTS, Border, edge_counts, sample_border
 from gcd_dataset.generator.mesh.stitch import merge_points, middles, seam_name, sew
 from gcd_dataset.generator.mesh.triangulate import triangulate
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern
@@ -96,6 +97,7 @@ def _mesh_panel(
     panel: Panel, border: Border, spacing: float
 ) -> tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]:
     """Points of a panel, the border's first, and triangles wound as its loop, which is counter-clockwise outside."""
+    _require_room(panel, border, spacing)
     _require_outline(panel, border, spacing)
     # A clockwise loop is meshed as its mirror image, so that a back has the mesh of the front it mirrors.
     mirror = np.array([1.0 if shapely.LinearRing(border.points).is_ccw else -1.0, 1.0])
@@ -104,6 +106,16 @@ def _mesh_panel(
     except MeshError as error:
         raise MeshError(f"panel {panel.name}: {error}") from error
     return np.concatenate([border.points, seeds * mirror]), faces
+
+
+def _require_room(panel: Panel, border: Border, spacing: float) -> None:
+    """Raise ``MeshError`` for a panel whose box, all of which is laid out in points first, takes too many."""
+    size = lattice_size(border.points, spacing)
+    if size > MOST_POINTS:
+        raise MeshError(
+            f"panel {panel.name} would get {size:.3g} points at {spacing:g} cm, over {MOST_POINTS:,}: "
+            "use a coarser spacing"
+        )
 
 
 def _require_outline(panel: Panel, border: Border, spacing: float) -> None:

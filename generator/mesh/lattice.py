@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-__all__ = ["Lattice", "build_lattice"]
+__all__ = ["Lattice", "build_lattice", "lattice_size"]
 
 PITCH = 0.97  # of the border's spacing: the median edge of GarmentCode's meshes
 CLEAR_OF_POINT = 0.60  # pitches a seed keeps away from the border's points
@@ -87,6 +87,12 @@ def build_lattice(border: Float[np.ndarray, "n 2"], spacing: float) -> Lattice:
     kept = inside & clear
     number = np.where(kept, np.cumsum(kept).reshape(shape) - 1, -1)
     return Lattice(number, _certain(kept, far), origin, pitch)
+
+
+def lattice_size(border: Float[np.ndarray, "n 2"], spacing: float) -> int:
+    """How many points the box of a border is laid out in, before those outside the border are left out."""
+    _, (rows, columns) = _grid(border, PITCH * spacing)
+    return rows * columns
 
 
 def _grid(border: Float[np.ndarray, "n 2"], pitch: float) -> tuple[Float[np.ndarray, "2"], tuple[int, int]]:

@@ -10,8 +10,9 @@ from gcd_dataset.curves import curve_length, sample_curve
 from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["Border", "edge_counts", "sample_border"]
+__all__ = ["MOST_POINTS", "Border", "edge_counts", "sample_border"]
 
+MOST_POINTS = 1_500_000  # of a panel: the largest that ``validate`` lets pass, ten metres square, at 1 cm
 ROUNDING = 1e-9  # of a spacing: a 10 cm edge that comes out a hair longer still has 11 points
 
 
@@ -58,10 +59,17 @@ def edge_counts(pattern: Pattern, spacing: float) -> dict[EdgeRef, int]:
 def sample_border(panel: Panel, counts: dict[EdgeRef, int]) -> Border:
     """The points of a panel's outline, equally spaced by arc length along each edge; corners stand once.
 
-    Raises ``MeshError`` for a panel without edges, and where they do not follow each other round the panel.
+    Raises ``MeshError`` for a panel without edges, for one with too many points, and where edges do not follow each
+    other round the panel.
     """
     if not panel.edges:
         raise MeshError(f"panel {panel.name} has no edges: draw its outline or take it away")
+    total = sum(counts[EdgeRef(panel.name, index)] - 1 for index in range(len(panel.edges)))
+    if total > MOST_POINTS:
+        raise MeshError(
+            f"panel {panel.name} would get {total:.3g} points along its edges, over {MOST_POINTS:,}: "
+            "use a coarser spacing"
+        )
     pieces = []
     for index, edge in enumerate(panel.edges):
         if edge.end != panel.edges[(index + 1) % len(panel.edges)].start:

@@ -282,8 +282,8 @@ def test_a_panel_that_cannot_be_meshed(wrong: Panel, message: str) -> None:
 
 @pytest.mark.parametrize(("side", "spacing"), [(1e9, 1.0), (1e5, 0.5), (2000.0, 1.0), (20.0, 1e-4), (20.0, 1e-12)])
 def test_a_panel_gets_no_more_points_than_there_is_room_for(side: float, spacing: float) -> None:
-    with pytest.raises(MeshError, match=r"panel sail would get .* points at .* cm.*: use a coarser spacing"):
-        build_box_mesh(sewn(panel("fine", rectangle(5.0, 5.0)), panel("sail", rectangle(side, side))), spacing=spacing)
+    with pytest.raises(MeshError, match=r"panel sail would get .* points.*: use a coarser spacing"):
+        build_box_mesh(sewn(panel("sail", rectangle(side, side))), spacing=spacing)
 
 
 @pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan, np.inf])

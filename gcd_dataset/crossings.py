@@ -1,0 +1,138 @@
+"""Where the outline of a panel meets itself, other than in a corner.
+
+Nearly all edges are proved innocent by their hulls, four points a curve stays between; only the others are sampled
+and searched. Points are complex numbers here, since a turn is then a product.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Complex, Float
+
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, sample_curve
+from gcd_dataset.records import Panel
+
+__all__ = ["Crossing", "edge_hulls", "find_crossings"]
+
+TOUCH = 0.01  # cm: how far from a corner two edges of it may still touch; further off they cross
+SAMPLING = 0.25  # cm between the points that stand for a curve when crossings are looked for
+APART = 1e-6  # cm between two boxes, rad between two sectors: more than rounding
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """A place where an edge meets another, or itself."""
+
+    edge: int
+    other: int
+    """The same as ``edge`` where it meets itself."""
+    place: tuple[float, float]
+    """[cm]; of an edge that meets itself, its start."""
+
+
+def edge_hulls(panel: Panel) -> Complex[np.ndarray, "e 4"]:
+    """Four points of the panel's plane [cm] for each edge, the first and last its ends, whose hull holds the edge.
+
+    A Bézier curve has its control points, as a cubic; an arc the tangents at its ends and in its middle. The arcs'
+    radii must span their chords.
+    """
+    corners = (panel.vertices @ [1, 1j]).tolist()
+    return np.array([_hull(corners[edge.start], corners[edge.end], edge.curve) for edge in panel.edges], complex)
+
+
+def find_crossings(panel: Panel, hulls: Complex[np.ndarray, "e 4"], lengths: Sequence[float]) -> Iterator[Crossing]:
+    """Edges that cross or touch themselves; then pairs that do, other than in a corner they share.
+
+    ``hulls`` are the panel's ``edge_hulls``, ``lengths`` those of its edges [cm].
+    """
+    alone = np.flatnonzero(~_monotone(hulls))
+    one, other = np.nonzero(np.triu(~_apart(hulls), k=1))
+    lines = {int(index): _polyline(panel, int(index), lengths) for index in {*alone, *one, *other}}
+    for index in alone.tolist():
+        if not lines[index].is_simple:
+            yield Crossing(index, index, panel.edge_ends(index)[0])
+    for i, j in zip(one.tolist(), other.tolist(), strict=True):
+        points = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
+        far = points[_distance_to(points, _shared_corners(panel, i, j)) > TOUCH]
+        if len(far):
+            yield Crossing(i, j, (float(far[0, 0]), float(far[0, 1])))
+
+
+# --------------------------------------------------------------------------------------------------------------- proofs
+
+
+def _hull(start: complex, end: complex, curve: Curve) -> tuple[complex, complex, complex, complex]:
+    chord = end - start
+    match curve:
+        case Quadratic((a, b)):  # as a cubic: two thirds of the way to the control point
+            lift = 2 / 3 * complex(a, b) * chord
+            return start, start + lift, end - 2 / 3 * chord + lift, end
+        case Cubic((a0, b0), (a1, b1)):
+            return start, start + complex(a0, b0) * chord, start + complex(a1, b1) * chord, end
+        case Arc(radius, large, right):
+            half = float(np.arcsin(min(0.5 * abs(chord) / radius, 1.0)))
+            quarter = 0.5 * (np.pi - half if large else half)
+            leg = radius * np.tan(quarter) * chord / abs(chord)
+            turn = np.exp((-2j if right else 2j) * quarter)
+            return start, start + leg * turn, end - leg / turn, end
+        case _:
+            return start, start + chord / 3, end - chord / 3, end
+
+
+def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
+    """Which edges always go on towards their end, and so cannot come back to themselves."""
+    legs = np.diff(hulls, axis=1)
+    return ((legs * (hulls[:, -1:] - hulls[:, :1]).conj()).real >= 0).all(axis=1)
+
+
+def _apart(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, "e e"]:
+    """Which pairs certainly do not meet, or only in the corner where the second follows the first."""
+    boxes = np.stack([hulls.real, hulls.imag])
+    low, high = boxes.min(axis=2), boxes.max(axis=2)
+    apart = (low[:, :, None] > high[:, None] + APART).any(axis=0)
+    apart |= apart.T
+    index = np.arange(len(hulls))
+    follower = np.roll(index, -1)
+    apart[index, follower] |= _sectors_apart(hulls, hulls[follower])
+    return apart | apart.T
+
+
+def _sectors_apart(before: Complex[np.ndarray, "e 4"], after: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
+    """Whether edges and those that follow them lie in two sectors round their common corner."""
+    middle_before, half_before = _sector(before[:, ::-1])
+    middle_after, half_after = _sector(after)
+    between = np.abs(np.angle(middle_before / middle_after))
+    convex = np.maximum(half_before, half_after) < 0.5 * np.pi
+    return convex & (between > half_before + half_after + APART)
+
+
+def _sector(hulls: Complex[np.ndarray, "e 4"]) -> tuple[Complex[np.ndarray, " e"], Float[np.ndarray, " e"]]:
+    """Middle direction, as a number on the unit circle, and half angle [rad] of hulls seen from their first point."""
+    chord = hulls[:, 3] - hulls[:, 0]
+    angles = np.angle((hulls[:, 1:] - hulls[:, :1]) / chord[:, None])
+    low, high = angles.min(axis=1), angles.max(axis=1)
+    return chord / np.abs(chord) * np.exp(0.5j * (low + high)), 0.5 * (high - low)
+
+
+# --------------------------------------------------------------------------------------------------------------- search
+
+
+def _polyline(panel: Panel, index: int, lengths: Sequence[float]) -> shapely.LineString:
+    """An edge as a shapely line, finely enough for ``TOUCH``."""
+    curve = panel.edges[index].curve
+    count = 2 if curve == LINE else max(9, int(np.ceil(lengths[index] / SAMPLING)) + 1)
+    return shapely.LineString(sample_curve(*panel.edge_ends(index), curve, count))
+
+
+def _shared_corners(panel: Panel, i: int, j: int) -> Float[np.ndarray, "n 2"]:
+    one, other = panel.edges[i], panel.edges[j]
+    return panel.vertices[sorted({one.start, one.end} & {other.start, other.end})]
+
+
+def _distance_to(points: Float[np.ndarray, "n 2"], corners: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " n"]:
+    """Distance of each point to the nearest corner [cm]; infinite without corners."""
+    if not len(corners):
+        return np.full(len(points), np.inf)
+    return np.linalg.norm(points[:, None] - corners[None], axis=2).min(axis=1)

@@ -1,0 +1,107 @@
+"""What is proved apart is apart, and what is innocent is proved so without a search."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from gcd_dataset import crossings
+from gcd_dataset.crossings import edge_hulls, find_crossings
+from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_length, sample_curve
+from gcd_dataset.records import Edge, Panel, Placement
+
+HERE = Placement(np.zeros(3), np.zeros(3))
+
+coordinate = st.integers(-8, 8).map(lambda n: n / 2)  # so coarse that edges touch, overlap and run back
+control = st.tuples(coordinate, coordinate)
+curves = st.one_of(
+    st.just(LINE),
+    st.builds(Quadratic, control),
+    st.builds(Cubic, control, control),
+    st.builds(Arc, st.floats(12.0, 40.0), st.booleans(), st.booleans()),
+)
+loops = st.lists(st.tuples(coordinate, coordinate, curves), min_size=2, max_size=6)
+
+
+def panel(corners: list[tuple[float, float]], bent: Mapping[int, Curve] | None = None) -> Panel:
+    count = len(corners)
+    edges = tuple(Edge(i, (i + 1) % count, (bent or {}).get(i, LINE)) for i in range(count))
+    return Panel("front", np.array(corners, float), edges, HERE)
+
+
+def drawn(loop: list[tuple[float, float, Curve]]) -> Panel:
+    shape = panel([(x, y) for x, y, _ in loop], {i: curve for i, (_, _, curve) in enumerate(loop)})
+    steps = np.roll(shape.vertices, -1, axis=0) - shape.vertices
+    assume((np.abs(steps).max(axis=1) > 0).all())
+    return shape
+
+
+def sampled(shape: Panel, index: int, count: int = 129) -> np.ndarray:
+    return sample_curve(*shape.edge_ends(index), shape.edges[index].curve, count)
+
+
+def found(shape: Panel) -> list[tuple[int, int]]:
+    lengths = [curve_length(*shape.edge_ends(i), edge.curve) for i, edge in enumerate(shape.edges)]
+    return [(crossing.edge, crossing.other) for crossing in find_crossings(shape, edge_hulls(shape), lengths)]
+
+
+@given(loops)
+def test_an_edge_stays_within_its_hull(loop: list[tuple[float, float, Curve]]) -> None:
+    shape = drawn(loop)
+    for index, hull in enumerate(edge_hulls(shape)):
+        assert hull[[0, 3]].tolist() == [complex(*end) for end in shape.edge_ends(index)]
+        around = shapely.MultiPoint(np.stack([hull.real, hull.imag], axis=1)).convex_hull
+        assert shapely.distance(around, shapely.points(sampled(shape, index))).max() < 1e-6
+
+
+@given(loops)
+def test_what_is_proved_apart_is_apart(loop: list[tuple[float, float, Curve]]) -> None:
+    """Pairs without a search meet nowhere but where the second follows the first; edges without one, nowhere."""
+    shape = drawn(loop)
+    hulls = edge_hulls(shape)
+    lines = [shapely.LineString(sampled(shape, index)) for index in range(len(loop))]
+    assert all(lines[index].is_simple for index in np.flatnonzero(crossings._monotone(hulls)))
+    for i, j in np.argwhere(np.triu(crossings._apart(hulls), k=1)).tolist():
+        met = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
+        corner = shape.vertices[sorted({i, (i + 1) % len(loop)} & {j, (j + 1) % len(loop)})]
+        assert len(met) <= len(corner) == 1 or not len(met)
+        assert met == pytest.approx(corner[: len(met)], abs=1e-9)
+
+
+def test_a_common_outline_is_not_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A shirt's front: hem, side, armhole, shoulder, neckline, middle."""
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("sampled")
+
+    monkeypatch.setattr(crossings, "_polyline", refuse)
+    corners = [(0.0, 0.0), (26.0, 0.0), (27.0, 36.0), (18.0, 57.0), (8.0, 60.0), (0.0, 50.0)]
+    bent: dict[int, Curve] = {2: Cubic((0.3, 0.25), (0.7, 0.3)), 4: Arc(11.0, False, False)}
+    assert found(panel(corners, bent)) == []
+
+
+def test_edges_that_run_back_over_themselves_and_each_other() -> None:
+    there_and_back = [(0.0, 0.0), (10.0, 0.0), (4.0, 0.0), (4.0, 5.0)]
+    assert found(panel(there_and_back)) == [(0, 1), (0, 2)]
+    too_far = {0: Quadratic((1.5, 0.0))}  # along its own chord, beyond the end and back
+    assert (0, 0) in found(panel([(0.0, 0.0), (10.0, 0.0), (5.0, 8.0)], too_far))
+
+
+def test_a_curve_that_runs_round_its_own_end_meets_what_leaves_there() -> None:
+    round_the_end = {0: Cubic((1.3, -0.9), (1.3, 0.9))}  # through (-1, 0) before it comes to (0, 0)
+    assert (0, 1) in found(panel([(10.0, 0.0), (0.0, 0.0), (-4.0, 0.0), (3.0, -20.0)], round_the_end))
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_a_great_part_of_a_circle_meets_what_its_chord_does_not(right: bool) -> None:
+    """A keyhole: on a 2 cm gap stands most of a circle 10 cm across; one way it clears the panel, one way not."""
+    corners = [(0.0, 0.0), (4.0, 0.0), (6.0, 0.0), (10.0, 0.0), (10.0, 4.0), (0.0, 4.0)]
+    assert (found(panel(corners, {1: Arc(5.0, True, right)})) == []) is right
+
+
+def test_a_line_has_a_hull_of_its_own_points() -> None:
+    (hull, *_) = edge_hulls(panel([(0.0, 0.0), (9.0, 3.0), (0.0, 9.0)]))
+    assert hull == pytest.approx(np.array([0, 3 + 1j, 6 + 2j, 9 + 3j]))
