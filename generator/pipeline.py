@@ -17,7 +17,7 @@ from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of, ver
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Drape, Measurements, Outcome, Pattern, Provenance, Sample
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["MakeConfig", "build_pattern", "make", "make_many", "recipe_of", "sample_key"]
+__all__ = ["build_pattern", "make", "make_many", "sample_key"]
 
 BATCH = {"cpu": 1, "cuda": 32}  # garments draped at a time
 DEFAULT = MakeConfig()

@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.codec import decode_fields
 from gcd_dataset.shards.layout import FIELDS, Bytes, known_fields
 
-__all__ = ["Garments", "Item", "Transform", "as_item"]
+__all__ = ["Garments", "Item", "Transform", "as_item", "natural"]
 
 Item: TypeAlias = dict[str, Any]
 """A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
@@ -59,6 +60,17 @@ class Garments(Dataset[Item], ABC):
         if not -len(self) <= number < len(self):
             raise IndexError(f"garment {number} of {len(self)}")
         return number % len(self)
+
+
+def natural(name: str, value: int) -> int:
+    """The value of an argument that counts something. Raises ``ConfigError`` unless it is a whole number from 0."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise ConfigError(f"{name}={value!r}: give a whole number, 0 or more")
+    return number
 
 
 def as_item(members: Mapping[str, Bytes], fields: Iterable[str]) -> Item:

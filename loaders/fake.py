@@ -11,7 +11,7 @@ from PIL import Image
 
 from gcd_dataset import __version__
 from gcd_dataset.errors import ShardError
-from gcd_dataset.loaders.base import Garments, Transform
+from gcd_dataset.loaders.base import Garments, Transform, natural
 from gcd_dataset.records import (
     BodyShape,
     BoxMesh,
@@ -52,7 +52,7 @@ class FakeGarments(Garments):
         self, n: int, seed: int = 0, *, fields: Iterable[str] | None = None, transform: Transform | None = None
     ) -> None:
         super().__init__(fields, transform)
-        self._n, self._seed = n, seed
+        self._n, self._seed = natural("n", n), natural("seed", seed)
 
     def __len__(self) -> int:
         return self._n

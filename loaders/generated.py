@@ -1,21 +1,28 @@
 """Garments made when they are asked for: the same index space, fields and bytes as a published data set."""
 
+import logging
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 
+from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import make_folder
-from gcd_dataset.generator.pipeline import MakeConfig, make_many, recipe_of
-from gcd_dataset.loaders.base import Garments, Transform
-from gcd_dataset.shards.codec import encode_sample, read_json
+from gcd_dataset.generator.pipeline import make_many
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
+from gcd_dataset.loaders.base import Garments, Transform, natural
+from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.layout import Bytes, key_of, recipe_hash
 from gcd_dataset.shards.single import read_single, write_single
 
 __all__ = ["GeneratedGarments"]
+
+logger = logging.getLogger("gcd_dataset")
 
 
 class GeneratedGarments(Garments):
@@ -27,9 +34,10 @@ class GeneratedGarments(Garments):
 
     ``bodies``, ``resolution`` [cm], ``device`` and ``on_fail`` are those of ``MakeConfig``. ``drape``: ``warp``, or
     ``None`` to stop at the box mesh. ``cache_dir``: keeps every garment made there, and reads it from there the next
-    time; a recipe has a folder of its own in it. A batch that a ``DataLoader`` asks for is draped together.
+    time; each seed, recipe and version of this package has a folder of its own in it, and a damaged garment is made
+    again. On a GPU a batch that a ``DataLoader`` asks for is draped together, on a CPU one garment after the other.
 
-    Raises ``ConfigError`` for options that do not fit together.
+    Raises ``ConfigError`` for options that do not fit together; a GPU that is not there is told with the first garment.
     """
 
     def __init__(
@@ -47,11 +55,14 @@ class GeneratedGarments(Garments):
         fields: Iterable[str] | None = None,
     ) -> None:
         super().__init__(fields, transform)
+        self._n, self._seed = natural("n", n), natural("seed", seed)
+        # Its form alone: to ask for the device would start CUDA here, which workers forked later do not survive.
+        if not (isinstance(device, str) and re.fullmatch(r"auto|cpu|cuda(:\d+)?", device)):
+            raise ConfigError(f"device={device!r}: give auto, cpu, or a GPU as cuda:0")
         if drape not in ("warp", None):
             raise ConfigError(f"drape={drape!r}: there is 'warp', and None to stop at the box mesh")
         stage: Literal["mesh", "drape"] = "mesh" if drape is None else "drape"
         self.config = MakeConfig(bodies=bodies, stage=stage, resolution=resolution, device=device, on_fail=on_fail)
-        self._n, self._seed = n, seed
         self._cache_dir = None if cache_dir is None else Path(cache_dir)
         # Asked here and not in a worker: a forked one may be told that there is no GPU, and would go on without.
         self._on_gpu = drape is not None and (
@@ -64,13 +75,18 @@ class GeneratedGarments(Garments):
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` is made with. Raises ``IndexError``."""
-        meta = read_json(self._members(self._position(index), ("meta.json",))["meta.json"])
-        return {name: meta[name] for name in ("seed", "index", "recipe", "versions")}
+        position = self._position(index)
+        return {
+            "seed": self._seed,
+            "index": position,
+            "recipe": recipe_of(self.config),
+            "versions": versions(),
+        }
 
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` unless garment ``index``, made anew, is the one in the cache, or the one made before."""
         position = self._position(index)
-        before, now = self._members(position, ()), self._made([position])[0]
+        before, now = self._read(position) or self._kept([position])[0], self._made([position])[0]
         for member, data in now.items():
             if data != before[member]:
                 raise ShardError(f"{key_of(position)}, member {member}: comes out different when it is made again")
@@ -100,10 +116,22 @@ class GeneratedGarments(Garments):
         return [encode_sample(sample) for sample in make_many(self._seed, positions, self.config)]
 
     def _cached(self, position: int) -> Mapping[str, Bytes] | None:
-        self._require_no_fork()
-        if self._cache_dir is None or not (path := self._cache_path(position)).exists():
+        """The garment in the cache, if it is there and whole."""
+        try:
+            return self._read(position)
+        except ShardError as error:
+            logger.warning("%s; it is made again", error)
             return None
-        return read_single(path)
+
+    def _read(self, position: int) -> Mapping[str, Bytes] | None:
+        """The garment in the cache, if it is there. Raises ``ShardError`` for a damaged one."""
+        self._require_no_fork()
+        if self._cache_dir is None:
+            return None
+        path = self._cache_path(position)
+        with reading(path):
+            there = path.exists()
+        return read_single(path) if there else None
 
     def _cache_path(self, position: int) -> Path:
         assert self._cache_dir is not None
@@ -111,8 +139,8 @@ class GeneratedGarments(Garments):
 
     @property
     def _cache_name(self) -> str:
-        """The cache's folder for this seed and recipe, so that no garment is ever taken for one of another recipe."""
-        return f"seed{self._seed}-{recipe_hash(recipe_of(self.config))[:16]}"
+        """The cache's folder for this seed, recipe and version: no garment is ever taken for one of another."""
+        return f"{__version__}-seed{self._seed}-{recipe_hash(recipe_of(self.config))[:16]}"
 
     def _require_no_fork(self) -> None:
         """Raise ``ConfigError`` where CUDA would be used in a forked process, which CUDA does not survive."""

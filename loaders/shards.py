@@ -1,7 +1,8 @@
 """Garments from shards: by number, or as a stream."""
 
+import tarfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,13 @@ from webdataset.tariterators import group_by_keys, tar_file_expander
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders.base import Garments, Transform
+from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.codec import read_json
-from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes, shards_in
+from gcd_dataset.shards.index import has_settled
+from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes
 from gcd_dataset.shards.reader import ShardReader, Verify
 
 __all__ = ["GarmentDataset", "StreamedGarments"]
-
-REMEDY = "download or make this shard again"
 
 
 class GarmentDataset(Garments):
@@ -29,8 +30,8 @@ class GarmentDataset(Garments):
 
     ``fields``: what to read; all for ``None``, nothing else is touched. ``transform``: called with each item.
     ``verify``: ``lazy`` checks a member's CRC-32 the first time that a process reads it, ``full`` checks everything at
-    once, ``off`` nothing. ``streaming``: an iterable data set instead, which reads shards from end to end through
-    ``webdataset`` and shares them out over ranks and workers.
+    once, ``off`` nothing. ``settled_only``: only garments whose drape hangs still. ``streaming``: an iterable data set
+    instead, which reads shards from end to end through ``webdataset`` and shares them out over ranks and workers.
 
     Only folders are read so far, where ``download`` has nothing to do; the other options for remote sources raise
     ``ConfigError``. Raises ``ShardError`` for a folder that holds no such split, or a broken, foreign or newer one.
@@ -55,14 +56,15 @@ class GarmentDataset(Garments):
         token: str | None = None,
         transform: Transform | None = None,
         verify: Verify = "lazy",
+        settled_only: bool = False,
     ) -> None:
         super().__init__(fields, transform)
         remote = {
             "root": root, "revision": revision, "cache_dir": cache_dir, "max_cache_size": max_cache_size,
             "endpoint": endpoint, "token": token,
         }  # fmt: skip
-        self._reader = ShardReader(_folder(source, remote), split, verify=verify)
-        self._check_stream = verify != "off"
+        self._reader = ShardReader(_folder(source, remote), split, verify=verify, settled_only=settled_only)
+        self._check_stream, self._settled_only = verify != "off", settled_only
 
     def __len__(self) -> int:
         return len(self._reader)
@@ -84,53 +86,64 @@ class StreamedGarments(GarmentDataset, IterableDataset):
     """The same items in the order of the shards; each rank and worker reads shards of its own."""
 
     def __iter__(self) -> Iterator[Any]:
-        wanted = {FIELDS[field] for field in self.fields} | ({MEMBERS[0]} if self._check_stream else set())
-        paths = self._own_shards()
-        files = tar_file_expander(_opened(paths), select_files=lambda name: name.partition(".")[2] in wanted)
-        count = 0
-        for sample in group_by_keys(files):
-            count += 1
-            if missing := sorted(wanted - sample.keys()):
-                raise ShardError(f"{sample['__url__']}: sample {sample['__key__']} has no {missing[0]}: {REMEDY}")
-            if self._check_stream:
-                _check(sample)
-            yield self._item(sample)
-        # A damaged header looks like the end of an archive to ``tarfile``, which then leaves out the rest of it.
-        if count != self._expected(paths):
-            raise ShardError(
-                f"{paths[0].parent}: {count} samples of {self._expected(paths)} read: run gcd verify on it"
-            )
+        for path in self._own_shards():
+            count = 0
+            for sample in _samples(path, self._wanted):
+                count += 1
+                if missing := sorted(self._wanted - sample.keys()):
+                    raise ShardError(f"{path}: sample {sample['__key__']} has no {missing[0]}: {REMEDY}")
+                if self._check_stream:
+                    _check(path, sample)
+                if not self._settled_only or has_settled(read_json(sample[MEMBERS[0]])):
+                    yield self._item(sample)
+            # A damaged header looks like the end of an archive to ``tarfile``, which then leaves out the rest of it.
+            if count != self._count[path.name]:
+                raise ShardError(f"{path}: {count} samples of {self._count[path.name]} read: {REMEDY}")
+
+    @property
+    def _wanted(self) -> set[str]:
+        """Members to take out of the archives: the first always, or a sample without fields would not be one."""
+        return {MEMBERS[0], *(FIELDS[field] for field in self.fields)}
+
+    @property
+    def _count(self) -> dict[str, int]:
+        """Samples of each shard."""
+        return {name: len(table) for name, table in self._reader.index.tables().items()}
 
     def _own_shards(self) -> list[Path]:
         """The shards of this rank and worker."""
-        return list(split_by_worker(split_by_node(iter(shards_in(self._reader.folder, self._reader.split)))))
-
-    def _expected(self, paths: Iterable[Path]) -> int:
-        names, index = {path.name for path in paths}, self._reader.index
-        return sum(len(table) for name, table in index.tables().items() if name in names)
+        paths = (self._reader.folder / name for name in self._reader.index.shards)
+        return list(split_by_worker(split_by_node(paths)))
 
 
-def _opened(paths: Iterable[Path]) -> Iterator[dict[str, Any]]:
-    """Shards as ``webdataset`` takes them: opened here, since WDS_SECURE=1 forbids it to open files."""
-    for path in paths:
-        with path.open("rb") as stream:
-            yield {"url": str(path), "stream": stream}
+def _samples(path: Path, wanted: Container[str]) -> Iterator[Mapping[str, Any]]:
+    """The samples of a shard as ``webdataset`` gives them. Raises ``ShardError`` for a damaged archive."""
+    try:
+        # Opened here, since WDS_SECURE=1 forbids ``webdataset`` to open files.
+        with reading(path), path.open("rb") as stream:
+            shard = [{"url": str(path), "stream": stream}]
+            files = tar_file_expander(shard, select_files=lambda name: name.partition(".")[2] in wanted)
+            yield from group_by_keys(files)
+    except tarfile.TarError as error:
+        raise ShardError(f"{path}: a damaged archive ({error.args[0]}): {REMEDY}") from error
 
 
-def _check(sample: Mapping[str, Any]) -> None:
+def _check(path: Path, sample: Mapping[str, Any]) -> None:
     """Raise ``ShardError`` if a member differs from the CRC-32 in the sample's meta.json."""
     written = read_json(sample[MEMBERS[0]])["crc32"]
     for member in written.keys() & sample.keys():
         if zlib.crc32(sample[member]) != written[member]:
             raise ShardError(
-                f"{sample['__url__']}: sample {sample['__key__']}, member {member}: bytes differ from those that were "
-                f"written: {REMEDY}"
+                f"{path}: sample {sample['__key__']}, member {member}: bytes differ from those that were written: "
+                f"{REMEDY}"
             )
 
 
 def _folder(source: str | Path, remote: Mapping[str, Any]) -> Path:
     """The folder to read. Raises ``ConfigError`` for another source, or an option that only another source has."""
-    if not Path(source).is_dir():
+    with reading(Path(source)):
+        is_folder = Path(source).is_dir()
+    if not is_folder:
         raise ConfigError(f"{source}: no such folder: only folders are read so far, neither URLs nor the Hub")
     if given := [name for name, value in remote.items() if value is not None]:
         raise ConfigError(

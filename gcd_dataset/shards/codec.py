@@ -232,7 +232,9 @@ def _decode(field: str, data: Bytes) -> Any:
             return _picture(data)
         array = read_npy(data)
     except ShardError as error:
-        raise ShardError(f"member {FIELDS[field]}: {error}: download or make the sample again") from error
+        raise ShardError(
+            f"member {FIELDS[field]}: {error}: copy its shard again, or delete that and run gcd generate again"
+        ) from error
     return array.astype(np.int32) if field in IDS else array
 
 

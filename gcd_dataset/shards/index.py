@@ -17,15 +17,25 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from jaxtyping import Int, UInt32
+from jaxtyping import Bool, Int, UInt32
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
-from gcd_dataset.records import Record
+from gcd_dataset.records import Outcome, Record
+from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.layout import MEMBERS, SCHEMA, index_name, member_name, shards_in
 from gcd_dataset.shards.tar import Entry, tar_entries
 
-__all__ = ["ShardIndex", "ShardTable", "read_index", "rebuild_index", "scan_shard", "tables_of", "whole_samples"]
+__all__ = [
+    "ShardIndex",
+    "ShardTable",
+    "has_settled",
+    "read_index",
+    "rebuild_index",
+    "scan_shard",
+    "tables_of",
+    "whole_samples",
+]
 
 META = MEMBERS[0]
 
@@ -42,6 +52,8 @@ class ShardTable(Record):
     """Bytes of it."""
     crc: UInt32[np.ndarray, "n m"]
     """CRC-32 of it."""
+    settled: Bool[np.ndarray, " n"]
+    """Whether the drape of each sample ended as ``Outcome.SETTLED``; false where there is none."""
 
     @classmethod
     def of(cls, rows: Iterable["ShardTable"]) -> Self:
@@ -56,13 +68,13 @@ class ShardTable(Record):
         return len(self.sample)
 
 
-_COLUMNS = ("sample", "offset", "size", "crc")
+_COLUMNS = ("sample", "offset", "size", "crc", "settled")
 
 
 def empty_table() -> ShardTable:
     """The contents of a shard without samples."""
     none = np.zeros((0, len(MEMBERS)), np.uint32)
-    return ShardTable(np.zeros(0, np.int64), none.astype(np.int64), none, none)
+    return ShardTable(np.zeros(0, np.int64), none.astype(np.int64), none, none, np.zeros(0, bool))
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +93,8 @@ class ShardIndex(Record):
     def of(cls, folder: Path, tables: Mapping[str, ShardTable]) -> Self:
         """The index of shards that lie in ``folder``, from file name to contents."""
         counts = [len(table) for table in tables.values()]
-        length = np.array([(folder / name).stat().st_size for name in tables], np.int64)
+        with reading(folder):
+            length = np.array([(folder / name).stat().st_size for name in tables], np.int64)
         shard = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
         return cls(tuple(tables), length, shard, ShardTable.of(tables.values()))
 
@@ -100,12 +113,12 @@ class ShardIndex(Record):
     def read(cls, path: Path) -> Self:
         """The index in ``path``. Raises ``ShardError`` for a file that is broken or of another schema."""
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with reading(path), np.load(path, allow_pickle=False) as file:
                 arrays = dict(file)
             schema, members = int(arrays["schema"]), tuple(arrays["members"].tolist())
             table = ShardTable(*(arrays[name] for name in _COLUMNS))
             index = cls(tuple(arrays["shards"].tolist()), arrays["length"], arrays["shard"], table)
-        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise ShardError(f"{path}: not an index ({error}): delete it, it is made again from the shards") from error
         if schema != SCHEMA or members != MEMBERS:
             raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {SCHEMA}: delete it")
@@ -132,7 +145,9 @@ def rebuild_index(folder: Path | str, split: str = "train") -> ShardIndex:
     Raises ``ShardError`` for a broken shard and ``OutputError`` where the folder cannot be written.
     """
     folder = Path(folder)
-    index = ShardIndex.of(folder, {path.name: scan_shard(path) for path in shards_in(folder, split)})
+    with reading(folder):
+        paths = shards_in(folder, split)
+    index = ShardIndex.of(folder, {path.name: scan_shard(path) for path in paths})
     index.write(folder / index_name(split))
     return index
 
@@ -140,14 +155,22 @@ def rebuild_index(folder: Path | str, split: str = "train") -> ShardIndex:
 def tables_of(folder: Path, split: str) -> dict[str, ShardTable]:
     """The contents of each whole shard of a split, from the index where that knows the shard."""
     known: dict[tuple[str, int], ShardTable] = {}
-    if (path := folder / index_name(split)).exists():
+    with reading(folder):
+        sizes = {path: path.stat().st_size for path in shards_in(folder, split)}
+        has_index = (path := folder / index_name(split)).exists()
+    if has_index:
         index = ShardIndex.read(path)
         known = dict(zip(zip(index.shards, index.length.tolist(), strict=True), index.tables().values(), strict=True))
     tables = {}
-    for shard in shards_in(folder, split):
-        table = known.get((shard.name, shard.stat().st_size))
+    for shard, size in sizes.items():
+        table = known.get((shard.name, size))
         tables[shard.name] = scan_shard(shard) if table is None else table
     return tables
+
+
+def has_settled(meta: Mapping[str, Any]) -> bool:
+    """Whether the sample of a ``meta.json`` has been draped and hangs still."""
+    return meta["drape"] is not None and meta["drape"]["outcome"] == Outcome.SETTLED.name
 
 
 def scan_shard(path: Path) -> ShardTable:
@@ -159,7 +182,7 @@ def scan_shard(path: Path) -> ShardTable:
         try:
             return ShardTable.of(_row(file, entries) for entries in _by_sample(tar_entries(file)))
         except ShardError as error:
-            raise ShardError(f"{path}: {error}: download or make this shard again") from error
+            raise ShardError(f"{path}: {error}: {REMEDY}") from error
 
 
 def whole_samples(path: Path) -> ShardTable:
@@ -178,11 +201,8 @@ def whole_samples(path: Path) -> ShardTable:
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[int]:
     """The file's descriptor. Raises ``ShardError`` for what the system refuses."""
-    try:
-        with path.open("rb") as file:
-            yield file.fileno()
-    except OSError as error:
-        raise ShardError(f"{path}: cannot be read ({error.strerror})") from error
+    with reading(path), path.open("rb") as file:
+        yield file.fileno()
 
 
 def _by_sample(entries: Iterator[Entry]) -> Iterator[list[Entry]]:
@@ -203,6 +223,7 @@ def _row(file: int, entries: list[Entry]) -> ShardTable:
         offset=np.array([[entry.offset for entry in entries]], np.int64),
         size=np.array([[entry.size for entry in entries]], np.uint32),
         crc=np.array([crc], np.uint32),
+        settled=np.array([meta["settled"]]),
     )
 
 
@@ -211,7 +232,11 @@ def _read_meta(file: int, entry: Entry, key: str) -> dict[str, Any]:
         meta = json.loads(_content(file, entry))
         if meta["schema"] != SCHEMA:
             raise ShardError(f"sample {key} is of schema {meta['schema']}, and this reader knows schema {SCHEMA}")
-        return {"index": int(meta["index"]), "crc32": {member: int(meta["crc32"][member]) for member in MEMBERS[1:]}}
+        return {
+            "index": int(meta["index"]),
+            "crc32": {member: int(meta["crc32"][member]) for member in MEMBERS[1:]},
+            "settled": has_settled(meta),
+        }
     except (ValueError, KeyError, TypeError) as error:
         raise ShardError(f"sample {key} does not begin with a {META} of this data set") from error
 

@@ -25,6 +25,7 @@ __all__ = [
     "index_name",
     "key_of",
     "known_fields",
+    "lock_name",
     "member_name",
     "part_path",
     "recipe_hash",
@@ -69,6 +70,11 @@ def index_name(split: str) -> str:
     return f"index-{split}.npz"
 
 
+def lock_name(split: str) -> str:
+    """The name of the file that a writer of the split holds."""
+    return f".{split}.lock"
+
+
 def part_path(path: Path) -> Path:
     """The name a shard has while it is written."""
     return path.with_name(path.name + ".part")
@@ -85,8 +91,9 @@ def shard_number(name: str, split: str) -> int | None:
 
 
 def shards_in(folder: Path, split: str) -> tuple[Path, ...]:
-    """The whole shards of a split, in the order of their numbers."""
-    numbered = {number: path for path in folder.glob("*.tar") if (number := shard_number(path.name, split)) is not None}
+    """The whole shards of a split, in the order of their numbers. Raises ``OSError``."""
+    # Not ``glob``: to that a folder which may not be read is an empty one.
+    numbered = {number: path for path in folder.iterdir() if (number := shard_number(path.name, split)) is not None}
     return tuple(numbered[number] for number in sorted(numbered))
 
 
@@ -104,5 +111,14 @@ def known_fields(fields: Iterable[str] | None) -> tuple[str, ...]:
 
 
 def recipe_hash(recipe: Mapping[str, Any]) -> str:
-    """SHA-256 of a recipe, whatever the order of its keys."""
-    return hashlib.sha256(json.dumps(recipe, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    """SHA-256 of a recipe, whatever the order of its keys, and whether it says 4 or 4.0."""
+    return hashlib.sha256(json.dumps(_plain(recipe), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """The value with whole numbers as integers."""
+    if isinstance(value, Mapping):
+        return {name: _plain(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value

@@ -9,9 +9,10 @@ from typing import Any, Self
 import gcd_dataset
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
+from gcd_dataset.shards.access import locked, reading
 from gcd_dataset.shards.layout import SCHEMA
 
-__all__ = ["MANIFEST", "Manifest", "ShardRecord", "SplitRecord", "read_manifest"]
+__all__ = ["MANIFEST", "Manifest", "ShardRecord", "SplitRecord", "keep_split", "read_manifest"]
 
 MANIFEST = "manifest.json"
 
@@ -68,10 +69,12 @@ def read_manifest(folder: Path) -> Manifest | None:
     Raises ``ShardError`` for a broken file, and for another schema with both versions.
     """
     path = folder / MANIFEST
-    if not path.exists():
+    with reading(path):
+        content = path.read_bytes() if path.exists() else None
+    if content is None:
         return None
     try:
-        entry = json.loads(path.read_bytes())
+        entry = json.loads(content)
         if (schema := entry["schema"]) != SCHEMA:
             raise ShardError(
                 f"{path}: written as schema {schema} by gcd_dataset {entry.get('generator')}; gcd_dataset "
@@ -79,5 +82,13 @@ def read_manifest(folder: Path) -> Manifest | None:
             )
         splits = {name: SplitRecord.from_json(split) for name, split in entry["splits"].items()}
         return Manifest(splits, entry["generator"], schema)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ShardError(f"{path}: not a manifest ({error}): download the data set again") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ShardError(
+            f"{path}: not a manifest ({error}): delete it: shards are read without it, and gcd generate makes it again"
+        ) from error
+
+
+def keep_split(folder: Path, split: str, record: SplitRecord) -> None:
+    """Put a split into the folder's manifest, beside those that other writers put there. Raises ``OutputError``."""
+    with locked(folder / f".{MANIFEST}.lock", f"writing {MANIFEST}", wait=True):
+        (read_manifest(folder) or Manifest()).with_split(split, record).write(folder)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.index import read_index
 from gcd_dataset.shards.layout import MEMBERS, key_of, shard_number
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, read_manifest
@@ -27,12 +28,15 @@ class ShardReader:
     """The samples of one split, in the order of their indices.
 
     ``verify``: ``lazy`` checks a member's CRC-32 the first time that this process reads it, ``full`` checks all of them
-    at once, ``off`` none. May be pickled, forked, and read from several threads.
+    at once, ``off`` none. ``settled_only`` leaves out samples that are not draped, or did not settle. May be pickled,
+    forked, and read from several threads.
 
     Raises ``ShardError`` for a folder without the split, or with a broken, foreign or incomplete one.
     """
 
-    def __init__(self, folder: Path | str, split: str = "train", *, verify: Verify = "lazy") -> None:
+    def __init__(
+        self, folder: Path | str, split: str = "train", *, verify: Verify = "lazy", settled_only: bool = False
+    ) -> None:
         if verify not in get_args(Verify):
             raise ConfigError(f"verify={verify!r}: there is {', '.join(get_args(Verify))}")
         self.folder, self.split, self._verify = Path(folder), split, verify
@@ -40,9 +44,13 @@ class ShardReader:
         _require_listed_shards(self.folder, split, self.manifest)
         self.index = read_index(self.folder, split)
         if not len(self.index):
-            raise ShardError(f"{self.folder}: no samples of split {split}: {_splits_there(self.folder)}")
+            raise ShardError(f"{self.folder}: no samples of split {split}: {_way_out(self.folder, split)}")
         # A shard that was filled out of order, or a foreign one, need not be in the order of its numbers.
-        self._row = np.argsort(self.index.table.sample, kind="stable")
+        order = np.argsort(self.index.table.sample, kind="stable")
+        self._row = order[self.index.table.settled[order]] if settled_only else order
+        if not len(self._row):
+            there = f"none of the {len(order)} samples of split {split} has settled"
+            raise ShardError(f"{self.folder}: {there}: leave out settled_only, or make garments that are draped")
         self._files: dict[int, _OpenFile] = {}
         self._unchecked = self._all_unchecked()
         if verify == "full":
@@ -51,10 +59,6 @@ class ShardReader:
 
     def __len__(self) -> int:
         return len(self._row)
-
-    def sample_index(self, position: int) -> int:
-        """The index of the sample at a position: the same unless samples are missing."""
-        return int(self.index.table.sample[self._row[position]])
 
     def read(self, position: int, members: Iterable[str]) -> dict[str, memoryview]:
         """The content of some members of a sample, writable and the caller's own.
@@ -82,13 +86,11 @@ class ShardReader:
         start, end = run[0][1], run[-1][1] + run[-1][2]
         buffer = np.empty(end - start, np.uint8).data
         path = self.folder / self.index.shards[shard]
-        try:
+        with reading(path):
             file = self._file(shard, path)  # held, so that no other thread closes it meanwhile
             read = os.preadv(file.fd, [buffer], start)
-        except OSError as error:
-            raise ShardError(f"{path}: cannot be read ({error.strerror})") from error
         if read < len(buffer):
-            raise ShardError(f"{path}: ends at byte {start + read}, in a sample: download or make this shard again")
+            raise ShardError(f"{path}: ends at byte {start + read}, in a sample: {REMEDY}")
         for column, offset, size in run:
             yield column, buffer[offset - start : offset - start + size]
 
@@ -97,7 +99,7 @@ class ShardReader:
             shard, key = self.index.shards[self.index.shard[row]], key_of(int(self.index.table.sample[row]))
             raise ShardError(
                 f"{self.folder / shard}: sample {key}, member {MEMBERS[column]}: bytes differ from those that were "
-                "written: download or make this shard again"
+                f"written: {REMEDY}"
             )
         self._unchecked[row, column] = False
 
@@ -144,12 +146,17 @@ def _require_listed_shards(folder: Path, split: str, manifest: Manifest | None) 
     record = manifest.splits.get(split) if manifest else None
     for shard in record.shards if record else ():
         path = folder / shard.name
-        size = path.stat().st_size if path.exists() else 0
+        with reading(path):
+            size = path.stat().st_size if path.exists() else 0
         if size < shard.size:  # longer is no fault: a shard may have grown since
-            raise ShardError(f"{path}: {size} of the {shard.size} bytes in {MANIFEST}: download or make it again")
+            raise ShardError(f"{path}: {size} of the {shard.size} bytes in {MANIFEST}: {REMEDY}")
 
 
-def _splits_there(folder: Path) -> str:
-    names = {path.name.rpartition("-")[0] for path in folder.glob("*-*.tar")}
-    whole = sorted(split for split in names if any(shard_number(p.name, split) is not None for p in folder.iterdir()))
-    return f"there is {', '.join(whole)}" if whole else "give a folder that gcd generate or gcd download has made"
+def _way_out(folder: Path, split: str) -> str:
+    """What to do in a folder without samples of the split."""
+    names = [path.name for path in folder.iterdir()]
+    if any(shard_number(name.removesuffix(".part"), split) is not None for name in names):
+        return "a run has not finished its first shard: run gcd generate again to finish it"
+    begun = {name.rpartition("-")[0] for name in names if name.endswith(".tar")}
+    whole = sorted(there for there in begun if any(shard_number(name, there) is not None for name in names))
+    return f"there is {', '.join(whole)}" if whole else "give a folder that gcd generate has made"

@@ -23,12 +23,12 @@ def read_single(path: Path) -> dict[str, memoryview]:
     """The members of the sample in a tar, each checked against its CRC-32. Raises ``ShardError``."""
     table = scan_shard(path)
     if len(table) != 1:
-        raise ShardError(f"{path}: {len(table)} samples where there should be one: delete it, it is made again")
+        raise ShardError(f"{path}: {len(table)} samples where there should be one")
     data = memoryview(bytearray(path.read_bytes()))
     places = zip(MEMBERS, table.offset[0].tolist(), table.size[0].tolist(), table.crc[0].tolist(), strict=True)
     members = {}
     for member, offset, size, crc in places:
         members[member] = data[offset : offset + size]
         if zlib.crc32(members[member]) != crc:
-            raise ShardError(f"{path}: member {member}: bytes differ from those written: delete it, it is made again")
+            raise ShardError(f"{path}: member {member}: bytes differ from those written")
     return members

@@ -51,12 +51,12 @@ def tar_entry(name: str, data: Bytes) -> bytes:
     return b"".join((_signed(header), data, bytes(padded(len(data)) - len(data))))
 
 
-def tar_entries(file: int, *, start: int = 0) -> Iterator[Entry]:
+def tar_entries(file: int) -> Iterator[Entry]:
     """The members of the archive open as descriptor ``file``, up to the zeros or the end of the file.
 
     Raises ``ShardError`` where a header is damaged or a member is cut off.
     """
-    end, position = os.fstat(file).st_size, start
+    end, position = os.fstat(file).st_size, 0
     while position < end:
         header = os.pread(file, BLOCK, position)
         if header == bytes(BLOCK):

@@ -1,7 +1,9 @@
 """Fake garments are valid ones."""
 
 import numpy as np
+import pytest
 
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import FakeGarments
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.validate import check_pattern
@@ -42,3 +44,11 @@ def test_every_garment_is_another_and_comes_again() -> None:
     assert len({ds[i]["measures"]["waist"] for i in range(4)}) == 4
     assert ds[2]["measures"] == FakeGarments(4, seed=1)[2]["measures"]
     ds.verify(2)
+
+
+def test_arguments_are_checked_at_once() -> None:
+    with pytest.raises(ConfigError, match="n=-2"):
+        FakeGarments(-2)
+    with pytest.raises(ConfigError, match="seed=-1"):
+        FakeGarments(2, seed=-1)
+    assert len(FakeGarments(int(np.int64(2)))) == 2

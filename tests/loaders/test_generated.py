@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,8 @@ import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.generator.pipeline import make_many, recipe_of
+from gcd_dataset.generator.pipeline import make_many
+from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.loaders import GarmentDataset, GeneratedGarments, collate_packed
 from gcd_dataset.shards import ShardWriter
 from tests.loaders.test_shards import assert_all_same, same
@@ -85,16 +88,40 @@ def test_another_recipe_has_another_cache(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_damage_in_the_cache_is_named(tmp_path: Path) -> None:
+def test_damage_in_the_cache_is_told_and_mended(
+    items: list[dict[str, Any]], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     ds = garments(cache_dir=tmp_path)
     ds[0]
     ds.verify(0)
     (path,) = tmp_path.glob("*/*.tar")
-    content = bytearray(path.read_bytes())
+    whole = path.read_bytes()
+    content = bytearray(whole)
     content[-1100 - len(content) // 3] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(ShardError, match=r"gcd_000000000\.tar"):
-        ds[0]
+    for damaged in (bytes(content), whole[:3000], b""):
+        path.write_bytes(damaged)
+        with pytest.raises(ShardError, match=r"gcd_000000000\.tar"):
+            ds.verify(0)
+        caplog.clear()
+        assert same(ds[0], items[0])
+        assert "gcd_000000000.tar" in caplog.text
+        assert "made again" in caplog.text
+        assert path.read_bytes() == whole
+
+
+def test_another_version_has_another_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    garments(cache_dir=tmp_path, fields=["box"])[0]
+    monkeypatch.setattr("gcd_dataset.loaders.generated.__version__", "99.1")
+    garments(cache_dir=tmp_path, fields=["box"])[0]
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_the_recipe_is_known_before_the_garment_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    ds = garments()
+    monkeypatch.setattr("gcd_dataset.loaders.generated.make_many", no_more)
+    assert ds.recipe(-1)["index"] == COUNT - 1
+    with pytest.raises(IndexError):
+        ds.recipe(COUNT)
 
 
 def test_verify_finds_what_does_not_come_out_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -130,3 +157,29 @@ def test_options_that_do_not_exist_are_refused() -> None:
         GeneratedGarments(1, drape="newton")  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="bodies"):
         GeneratedGarments(1, bodies="dolls")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"n": -1}, "n=-1"),
+        ({"n": 2.5}, "n=2.5"),
+        ({"seed": -1}, "seed=-1"),
+        ({"resolution": "1"}, "resolution is '1'"),
+        ({"device": "nope"}, "device='nope'"),
+        ({"device": "nope", "drape": None}, "device='nope'"),
+        ({"device": 0}, "device"),
+    ],
+)
+def test_arguments_are_checked_at_once(options: dict[str, Any], told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        GeneratedGarments(**{"n": 1, **options})
+
+
+def test_box_meshes_come_without_warp() -> None:
+    code = (
+        "import sys; from gcd_dataset.loaders import GeneratedGarments; "
+        "GeneratedGarments(2, drape=None, resolution=8.0, device='cuda:3').recipe(1); "
+        "sys.exit('warp' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,6 +1,7 @@
 """Garments from a folder, through the door that users take."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,11 @@ from torch.utils.data import DataLoader, IterableDataset
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list, collate_packed
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards import FIELDS, MEMBERS, read_index
-from tests.shards.folders import RECIPE, fill
+from gcd_dataset.shards.reader import Verify
+from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
 COUNT = 10
 
@@ -115,10 +119,62 @@ def test_damage_in_a_stream_is_named(tmp_path: Path) -> None:
         list(GarmentDataset(folder, fields=["verts"], streaming=True))
     content[place - 500] ^= 1  # the header: to ``tarfile`` the archive ends here
     shard.write_bytes(content)
-    with pytest.raises(ShardError, match="2 samples of 3 read"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: 2 samples of 3 read: copy"):
         list(GarmentDataset(folder, fields=["faces"], streaming=True))
     with pytest.raises(ShardError, match=r"gcd_000000001 has no verts\.npy"):
         list(GarmentDataset(folder, fields=["verts"], streaming=True))
+
+
+def test_a_stream_that_breaks_off_is_named(tmp_path: Path) -> None:
+    stream = GarmentDataset(fill(tmp_path, range(3)), fields=["meta"], streaming=True)
+    shard = tmp_path / "train-00000.tar"
+    content = shard.read_bytes()
+    for broken in (b"\1" + content[1:], content[: len(content) // 2], b""):
+        shard.write_bytes(broken)
+        with pytest.raises(ShardError, match=r"train-00000\.tar: .*: copy"):
+            list(stream)
+
+
+@pytest.mark.parametrize("verify", ["lazy", "off"])
+def test_a_stream_of_no_fields_has_an_item_for_each_garment(folder: Path, verify: Verify) -> None:
+    assert list(GarmentDataset(folder, fields=[], streaming=True, verify=verify)) == COUNT * [{}]
+
+
+def test_a_folder_that_may_not_be_read_is_named() -> None:
+    told = r"data: cannot be read \(Permission denied\)"
+    with public_folder() as place:
+        folder = fill(place / "data", range(3))
+        for streaming in (False, True):
+            with forbidden(place, 0), pytest.raises(ShardError, match=told):
+                GarmentDataset(folder, streaming=streaming)
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_garments_that_did_not_settle_can_be_left_out(tmp_path: Path, indexed: bool) -> None:
+    outcomes = [Outcome.NOT_SETTLED, Outcome.SETTLED, None, Outcome.DIVERGED, Outcome.SETTLED, Outcome.SLID_OFF]
+    with open_writer(tmp_path) as writer:
+        for index, outcome in enumerate(outcomes):
+            writer.write(ended(fake_sample(0, index), outcome))
+    if not indexed:
+        (tmp_path / "index-train.npz").unlink()
+    ds = GarmentDataset(tmp_path, settled_only=True)
+    assert (len(ds), ds.recipe(1)["index"]) == (2, 4)
+    assert_all_same([ds[0], ds[-1]], [GarmentDataset(tmp_path)[i] for i in (1, 4)])
+    for verify in ("lazy", "off"):
+        assert_all_same(GarmentDataset(tmp_path, settled_only=True, streaming=True, verify=verify), [ds[0], ds[1]])
+
+
+def ended(sample: Sample, outcome: Outcome | None) -> Sample:
+    assert sample.drape is not None
+    return replace(sample, drape=None if outcome is None else replace(sample.drape, outcome=outcome))
+
+
+def test_a_folder_where_nothing_settled_is_told(tmp_path: Path) -> None:
+    with open_writer(tmp_path) as writer:
+        writer.write(ended(fake_sample(0, 0), None))
+    assert len(GarmentDataset(tmp_path)) == 1
+    with pytest.raises(ShardError, match="none of the 1 samples of split train has settled: leave out settled_only"):
+        GarmentDataset(tmp_path, settled_only=True)
 
 
 def test_verify_finds_a_flipped_bit(tmp_path: Path) -> None:

@@ -1,7 +1,10 @@
 """Folders of fake garments, and what lies in them."""
 
+import contextlib
 import hashlib
-from collections.abc import Iterable
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from gcd_dataset.loaders.fake import fake_sample
@@ -21,6 +24,30 @@ def fill(folder: Path, indices: Iterable[int], *, seed: int = 0) -> Path:
 
 def open_writer(folder: Path, *, seed: int = 0, split: str = "train") -> ShardWriter:
     return ShardWriter(folder, split=split, seed=seed, recipe=RECIPE, shard_size=SHARD_SIZE)
+
+
+@contextlib.contextmanager
+def public_folder() -> Iterator[Path]:
+    """A folder that everybody can reach, other than those of pytest."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
+
+
+@contextlib.contextmanager
+def forbidden(path: Path, mode: int) -> Iterator[None]:
+    """Let ``path`` have these permissions, and let us be somebody to whom they apply: nothing is closed to root."""
+    before = path.stat().st_mode
+    path.chmod(mode)
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)  # nobody
+    try:
+        yield
+    finally:
+        if root:
+            os.seteuid(0)
+        path.chmod(before)
 
 
 def contents(folder: Path) -> dict[str, str]:

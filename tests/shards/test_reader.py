@@ -12,7 +12,7 @@ import pytest
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_index, reader
-from tests.shards.folders import fill
+from tests.shards.folders import fill, forbidden, public_folder
 
 
 @pytest.fixture
@@ -112,10 +112,46 @@ def test_a_split_that_is_not_there(folder: Path, tmp_path: Path) -> None:
         ShardReader(folder, verify="sometimes")  # type: ignore[arg-type]
 
 
+def test_a_run_that_was_killed_early_is_told_as_such(folder: Path) -> None:
+    for shard in folder.glob("*.tar"):
+        shard.unlink()
+    (folder / "manifest.json").unlink()
+    (folder / "train-00000.tar.part").touch()
+    with pytest.raises(ShardError, match=r"no samples .*run gcd generate again to finish"):
+        ShardReader(folder)
+
+
+@pytest.mark.parametrize("mode", [0o000, 0o444, 0o111])
+def test_a_folder_that_may_not_be_read_is_named(mode: int) -> None:
+    told = r"data.*cannot be read \(Permission denied\): have yourself allowed"
+    with public_folder() as place:
+        folder = fill(place / "data", range(3))
+        with forbidden(folder, mode), pytest.raises(ShardError, match=told):
+            ShardReader(folder)
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "index-train.npz", "train-00000.tar"])
+def test_a_file_that_may_not_be_read_is_named(name: str) -> None:
+    told = rf"{name}: cannot be read \(Permission denied"
+    with public_folder() as place:
+        folder = fill(place / "data", range(3))
+        with forbidden(folder / name, 0o000), pytest.raises(ShardError, match=told):
+            ShardReader(folder).read(0, MEMBERS)
+
+
+def test_only_remedies_that_exist_are_named(folder: Path) -> None:
+    (folder / "manifest.json").write_text("{")
+    with pytest.raises(ShardError, match=r"not a manifest.*: delete it") as told:
+        ShardReader(folder)
+    assert "download" not in str(told.value)
+    (folder / "manifest.json").unlink()
+    assert len(ShardReader(folder)) == 10
+
+
 def test_missing_samples_leave_positions_dense(tmp_path: Path) -> None:
     shards = ShardReader(fill(tmp_path, [1, 7, 3]))
-    assert [shards.sample_index(position) for position in range(len(shards))] == [1, 3, 7]
-    assert shards.read(1, ["meta.json"])["meta.json"] == encode_sample(fake_sample(0, 3))["meta.json"]
+    for position, index in enumerate([1, 3, 7]):
+        assert shards.read(position, ["meta.json"])["meta.json"] == encode_sample(fake_sample(0, index))["meta.json"]
 
 
 def test_it_may_be_pickled_forked_and_shared_by_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

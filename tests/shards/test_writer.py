@@ -1,18 +1,24 @@
 """Shards: the same bytes however they came about, and nothing finished is lost."""
 
 import errno
+import fcntl
 import hashlib
 import json
 import os
 import random
+import re
+import signal
 from pathlib import Path
 
 import pytest
 
+from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, encode_sample, read_index, rebuild_index
-from tests.shards.folders import RECIPE, SHARD_SIZE, contents, fill, open_writer
+from gcd_dataset.shards.layout import recipe_hash
+from gcd_dataset.shards.single import write_single
+from tests.shards.folders import RECIPE, SHARD_SIZE, contents, fill, forbidden, open_writer, public_folder
 
 
 @pytest.fixture
@@ -178,10 +184,155 @@ def test_a_sample_is_written_once(whole: Path) -> None:
 
 def test_two_writers_keep_out_of_each_others_way(tmp_path: Path) -> None:
     with open_writer(tmp_path) as writer:
-        writer.write(fake_sample(0, 0))
-        with pytest.raises(OutputError, match="another process is writing it"):
+        for _ in range(2):  # before the first sample, and after it
+            with pytest.raises(OutputError, match="another process is writing split train"):
+                open_writer(tmp_path)
+            writer.write(fake_sample(0, len(writer.done)))
+    with open_writer(tmp_path) as writer:
+        assert writer.done == {0, 1}
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_writer_in_another_process_is_waited_for(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path)
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
             open_writer(tmp_path)
+        except OutputError as error:
+            os.write(write, str(error).encode())
+        finally:
+            del writer  # a copy that another process drops frees nothing
+            os._exit(0)
+    os.waitpid(child, 0)
+    os.close(write)
+    assert b"another process is writing split train" in os.read(read, 1000)
+    os.close(read)
+    with pytest.raises(OutputError, match="another process"):
+        open_writer(tmp_path)
+    writer.close()
+
+
+def test_what_a_kill_left_locked_is_free(tmp_path: Path) -> None:
+    child = os.fork()
+    if child == 0:
+        open_writer(tmp_path).write(fake_sample(0, 0))
+        os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(child, 0)
+    with open_writer(tmp_path) as writer:
+        assert writer.done == {0}
+
+
+def test_a_closed_writer_writes_no_more(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path)
+    writer.close()
+    with pytest.raises(OutputError, match="this writer is closed"):
+        writer.write(fake_sample(0, 0))
+    fill(tmp_path, [0])
+    writer.close()  # again: changes nothing
     assert len(ShardReader(tmp_path)) == 1
+
+
+def test_splits_may_be_written_at_once(tmp_path: Path) -> None:
+    with open_writer(tmp_path) as train, open_writer(tmp_path, split="test", seed=7) as test:
+        for index in range(5):
+            train.write(fake_sample(0, index))
+            test.write(fake_sample(7, index))
+    splits = json.loads((tmp_path / "manifest.json").read_text())["splits"]
+    assert [(name, len(split["shards"])) for name, split in splits.items()] == [("test", 2), ("train", 2)]
+
+
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    def flock(file: int, operation: int) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with pytest.raises(OutputError, match=r"cannot be locked .*-o flock.*local disk"):
+        open_writer(tmp_path)
+
+
+def test_a_read_only_folder_is_told_as_such() -> None:
+    told = r"cannot be written \(Permission denied\): what is there can be read; to add to it, .*allow writing"
+    with public_folder() as folder:
+        before = contents(fill(folder, range(3)))
+        with forbidden(folder, 0o555), pytest.raises(OutputError, match=told):
+            open_writer(folder)
+        assert contents(folder) == before
+
+
+def test_another_version_is_refused_with_both(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.__version__", "99.1")
+    told = rf"made by gcd_dataset {re.escape(__version__)}, and this is 99\.1: .*another folder"
+    with pytest.raises(ConfigError, match=told):
+        open_writer(whole)
+    (whole / "manifest.json").unlink()
+    with pytest.raises(ConfigError, match=told):
+        open_writer(whole)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"seed": 1}, "seed=0.*seed=1"),
+        ({"recipe": {"fake": False}}, "fake=True.*fake=False"),
+        ({"shard_size": 3}, "shard_size=3"),
+    ],
+)
+@pytest.mark.parametrize("half_written", [False, True])
+def test_samples_tell_their_recipe_where_no_manifest_does(
+    tmp_path: Path, changed: dict[str, object], told: str, half_written: bool
+) -> None:
+    folder = fill(tmp_path, range(7))
+    (folder / "manifest.json").unlink()
+    if half_written:
+        (folder / "train-00000.tar").unlink()
+        (folder / "train-00001.tar").rename(folder / "train-00001.tar.part")
+    options: dict[str, object] = {"seed": 0, "recipe": RECIPE, "shard_size": SHARD_SIZE, **changed}
+    before = contents(folder)
+    with pytest.raises(ConfigError, match=told):
+        ShardWriter(folder, **options)  # type: ignore[arg-type]
+    assert contents(folder) == before
+
+
+def test_a_lost_manifest_comes_back(whole: Path) -> None:
+    before = contents(whole)
+    (whole / "manifest.json").unlink()
+    open_writer(whole).close()
+    assert contents(whole) == before
+
+
+def test_shards_of_another_kind_are_told(tmp_path: Path) -> None:
+    folder = fill(tmp_path, [0])
+    members = encode_sample(fake_sample(0, 0))
+    meta = json.loads(members["meta.json"])
+    del meta["seed"]
+    write_single(folder / "train-00000.tar", 0, {**members, "meta.json": json.dumps(meta).encode()})
+    for name in ("manifest.json", "index-train.npz"):
+        (folder / name).unlink()
+    with pytest.raises(ShardError, match=r"train-00000\.tar: .*does not say .*seed"):
+        open_writer(folder)
+
+
+def test_a_number_is_the_same_however_it_is_written(tmp_path: Path) -> None:
+    for spacing in (4, 4.0):
+        ShardWriter(tmp_path, seed=0, recipe={"spacing": spacing, "nested": {"list": [spacing]}}).close()
+    with pytest.raises(ConfigError, match=r"nested=.*True"):
+        ShardWriter(tmp_path, seed=0, recipe={"spacing": 4, "nested": True})
+    assert recipe_hash({"n": 1}) != recipe_hash({"n": True})
+    assert recipe_hash({"n": 1}) != recipe_hash({"n": 1.5})
+
+
+def test_a_damaged_shard_is_made_again_once_it_is_deleted(whole: Path) -> None:
+    before = contents(whole)
+    shard = whole / "train-00001.tar"
+    os.truncate(shard, 5000)
+    with pytest.raises(ShardError, match="delete it and run gcd generate again"):
+        open_writer(whole)
+    shard.unlink()
+    fill(whole, range(4, 8))
+    assert contents(whole) == before
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
@@ -216,12 +367,3 @@ def test_the_index_comes_back_from_the_shards(whole: Path) -> None:
     assert not path.exists()
     assert rebuild_index(whole) == index
     assert path.read_bytes() == kept
-
-
-def test_encoded_samples_may_come_from_elsewhere(whole: Path, tmp_path: Path) -> None:
-    with open_writer(tmp_path / "encoded") as writer:
-        for index in range(10):
-            writer.write_members(index, encode_sample(fake_sample(0, index)))
-        with pytest.raises(ShardError, match="does not have the members"):
-            writer.write_members(10, {"meta.json": b"{}"})
-    assert contents(tmp_path / "encoded") == contents(whole)

@@ -1,0 +1,90 @@
+"""Access to a data set's files: one writer at a time, and what the system refuses as one line with the way out."""
+
+import contextlib
+import fcntl
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from gcd_dataset.errors import OutputError, ShardError
+
+__all__ = ["REMEDY", "locked", "reading", "writing"]
+
+REMEDY = "copy it again, or delete it and run gcd generate again"
+"""What to do about a damaged shard: the next writer makes again what is missing."""
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn the system's errors into a ``ShardError``."""
+    try:
+        yield
+    except PermissionError as error:
+        remedy = "have yourself allowed to read it, or give another folder"
+        raise ShardError(f"{path}: cannot be read ({error.strerror}): {remedy}") from error
+    except (FileNotFoundError, NotADirectoryError) as error:
+        remedy = "give a folder that gcd generate has made, or copy what is missing again"
+        raise ShardError(f"{path}: cannot be read ({error.strerror}): {remedy}") from error
+    except OSError as error:
+        raise ShardError(f"{path}: cannot be read ({error.strerror}): {REMEDY}") from error
+
+
+@contextlib.contextmanager
+def writing(path: Path, *, kept: int | None = None) -> Iterator[None]:
+    """Turn the system's errors into an ``OutputError``; ``kept`` samples are in the file."""
+    there = "" if kept is None else f"; {kept} samples in it are kept"
+    remedy = "make room there and start again to go on"
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror}){there}: {remedy}") from error
+
+
+@contextlib.contextmanager
+def locked(path: Path, task: str, *, wait: bool = False) -> Iterator[None]:
+    """Hold the lock file ``path`` while the block runs; it goes with the lock, and a kill frees it.
+
+    Raises ``OutputError``: where another holds it for the same ``task``, unless this is to ``wait``; in a folder that
+    cannot be written; on a file system without locks.
+    """
+    file, owner = _lock(path, task, wait), os.getpid()
+    try:
+        yield
+    finally:
+        if os.getpid() == owner:  # a forked process that drops its copy frees nothing
+            with contextlib.suppress(OSError):
+                path.unlink()
+        os.close(file)
+
+
+def _lock(path: Path, task: str, wait: bool) -> int:
+    """The file, ours alone."""
+    while True:
+        file = _open(path)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.fstat(file).st_nlink:
+                return file
+        except BlockingIOError as error:
+            os.close(file)
+            raise OutputError(
+                f"{path.parent}: another process is {task}, or a writer in this one was not closed: wait for it, or "
+                "choose another folder"
+            ) from error
+        except OSError as error:
+            os.close(file)
+            raise OutputError(
+                f"{path}: cannot be locked ({error.strerror}): mount this file system with locks (Lustre: -o flock), "
+                "or write to a local disk and copy the folder"
+            ) from error
+        os.close(file)  # whoever held it has just removed it: what we hold is not what others will find
+
+
+def _open(path: Path) -> int:
+    try:
+        return os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        raise OutputError(
+            f"{path.parent}: cannot be written ({error.strerror}): what is there can be read; to add to it, make room "
+            "and allow writing, or choose another folder"
+        ) from error

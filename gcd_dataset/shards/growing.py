@@ -1,0 +1,153 @@
+"""A shard while it is written."""
+
+import contextlib
+import hashlib
+import os
+import zlib
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import open_whole
+from gcd_dataset.records import Outcome, Sample
+from gcd_dataset.shards.access import reading, writing
+from gcd_dataset.shards.codec import encode_sample
+from gcd_dataset.shards.index import ShardTable, whole_samples
+from gcd_dataset.shards.layout import key_of, member_name, part_path
+from gcd_dataset.shards.manifest import ShardRecord
+from gcd_dataset.shards.tar import BLOCK, END, padded, tar_entry
+
+__all__ = ["GrowingShard", "shard_record"]
+
+
+class GrowingShard:
+    """A shard under its temporary name: first what there was of it, then what is added.
+
+    A sample belongs to it once its row does: an interrupt, or an error, in the middle of one leaves no trace.
+    """
+
+    def __init__(self, path: Path, there: ShardTable) -> None:
+        self.path, self.part = path, part_path(path)
+        with contextlib.ExitStack() as on_error:
+            self._file = self._opened()
+            on_error.callback(self.release)
+            self._take_up(there)
+            on_error.pop_all()
+
+    def _take_up(self, there: ShardTable) -> None:
+        """Begin with what an earlier writer left here, then with what the shard to be replaced holds."""
+        kept = whole_samples(self.part)
+        self.rows = [kept[i : i + 1] for i in range(len(kept))]
+        with writing(self.part):
+            os.ftruncate(self._file, self._end)
+        missing = there[~np.isin(there.sample, kept.sample)]
+        for i in range(len(missing)):
+            self._take_over(missing[i : i + 1])
+
+    def table(self) -> ShardTable:
+        """The samples so far, in the order of the file."""
+        return ShardTable.of(self.rows)
+
+    def append(self, sample: Sample) -> None:
+        """Add a sample. Raises as ``ShardWriter.write`` does."""
+        index = sample.provenance.index
+        if any(row.sample[0] == index for row in self.rows):
+            raise ConfigError(f"{self.path}: {key_of(index)} is there already: write what is not in .done")
+        members = encode_sample(sample)
+        data = list(members.values())
+        entries = [tar_entry(member_name(index, member), content) for member, content in members.items()]
+        headers = self._end + np.cumsum([0] + [len(entry) for entry in entries[:-1]])
+        row = ShardTable(
+            sample=np.array([index], np.int64),
+            offset=(headers[None] + BLOCK).astype(np.int64),
+            size=np.array([[len(content) for content in data]], np.uint32),
+            crc=np.array([[zlib.crc32(content) for content in data]], np.uint32),
+            settled=np.array([sample.drape is not None and sample.drape.outcome is Outcome.SETTLED]),
+        )
+        self._write(b"".join(entries))
+        self.rows.append(row)
+
+    def finish(self) -> ShardRecord:
+        """Give the shard its name, whole and in order."""
+        if any(a.sample[0] > b.sample[0] for a, b in pairwise(self.rows)):
+            self._sort()
+        with writing(self.part):
+            # What a broken write left goes, and zeros that end the archive come: as a hole, on a full disk too.
+            os.ftruncate(self._file, self._end)
+            os.ftruncate(self._file, self._end + END)
+            os.fsync(self._file)
+            record = shard_record(self.part, len(self.rows))
+            self.part.replace(self.path)
+            _sync_folder(self.path.parent)
+        return replace(record, name=self.path.name)
+
+    def discard(self) -> None:
+        """Leave nothing of a shard without samples."""
+        with writing(self.part):
+            self.part.unlink()
+
+    def release(self) -> None:
+        """Close the file."""
+        os.close(self._file)
+
+    @property
+    def _end(self) -> int:
+        return _span(self.rows[-1])[1] if self.rows else 0
+
+    def _opened(self) -> int:
+        with writing(self.part):
+            return os.open(self.part, os.O_RDWR | os.O_CREAT, 0o644)
+
+    def _write(self, block: bytes) -> None:
+        rest, position = memoryview(block), self._end
+        with writing(self.part, kept=len(self.rows)):
+            while rest:
+                written = os.pwrite(self._file, rest, position)
+                rest, position = rest[written:], position + written
+
+    def _take_over(self, row: ShardTable) -> None:
+        """Copy a sample from the shard that this one will replace."""
+        start, end = _span(row)
+        with reading(self.path), self.path.open("rb") as source:
+            source.seek(start)
+            block = source.read(end - start)
+        moved = replace(row, offset=row.offset + (self._end - start))
+        self._write(block)
+        self.rows.append(moved)
+
+    def _sort(self) -> None:
+        """Write the samples anew in the order of their indices."""
+        ordered = sorted(self.rows, key=lambda row: int(row.sample[0]))
+        starts = np.cumsum([0] + [end - start for start, end in map(_span, ordered)])
+        with open_whole(self.part) as file:
+            for start, end in map(_span, ordered):
+                file.write(os.pread(self._file, end - start, start))
+        self.release()
+        self._file = self._opened()
+        self.rows = [
+            replace(row, offset=row.offset + (start - _span(row)[0]))
+            for row, start in zip(ordered, starts, strict=False)
+        ]
+
+
+def shard_record(path: Path, count: int) -> ShardRecord:
+    """What the manifest says of the whole shard in ``path``. Raises ``OSError``."""
+    with path.open("rb") as file:
+        return ShardRecord(path.name, count, path.stat().st_size, hashlib.file_digest(file, "sha256").hexdigest())
+
+
+def _span(row: ShardTable) -> tuple[int, int]:
+    """First and last byte, plus one, of a sample's place in the file."""
+    return int(row.offset[0, 0]) - BLOCK, int(row.offset[0, -1]) + padded(int(row.size[0, -1]))
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring new names to the disk, as ``fsync`` brings content."""
+    fd = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)

@@ -1,0 +1,91 @@
+"""How a split was begun, so that only samples of its own kind are added to it."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gcd_dataset
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.index import ShardTable, whole_samples
+from gcd_dataset.shards.layout import MEMBERS, recipe_hash, shard_number
+from gcd_dataset.shards.manifest import MANIFEST, SplitRecord, read_manifest
+
+__all__ = ["agreed"]
+
+META = MEMBERS.index("meta.json")
+
+
+def agreed(folder: Path, split: str, tables: Mapping[str, ShardTable], asked: SplitRecord) -> SplitRecord:
+    """The record of a split to go on with: the manifest's, else what its samples tell, else what is asked for.
+
+    ``tables``: the contents of its whole shards. Raises ``ConfigError`` with both sides where they differ from what is
+    asked for, in the version of this package too; ``ShardError`` for a broken manifest, or samples of another kind.
+    """
+    manifest = read_manifest(folder)
+    if manifest is not None:
+        _require_version(folder / MANIFEST, manifest.generator)
+        if split in manifest.splits:
+            return _same(folder / MANIFEST, manifest.splits[split], asked)
+    shards = {folder / name: table for name, table in tables.items()} | _half_written(folder, split)
+    for path, table in shards.items():
+        if (table.sample // asked.shard_size != _number(path, split)).any():
+            raise ConfigError(f"{path}: its samples are not those of shard_size={asked.shard_size}: give its own")
+    for path, table in shards.items():
+        if len(table):
+            return _same(path, _told_by(path, table, asked.shard_size), asked)
+    return asked
+
+
+def _same(place: Path, there: SplitRecord, asked: SplitRecord) -> SplitRecord:
+    """The record that is there, unless it differs from what is asked for."""
+    for name in ("seed", "shard_size"):
+        if getattr(there, name) != getattr(asked, name):
+            raise _other(place, name, getattr(there, name), getattr(asked, name))
+    for option in sorted(set(there.recipe) | set(asked.recipe)):
+        before, now = there.recipe.get(option), asked.recipe.get(option)
+        if recipe_hash({option: before}) != recipe_hash({option: now}):
+            raise _other(place, option, before, now)
+    return there
+
+
+def _other(place: Path, name: str, before: Any, now: Any) -> ConfigError:
+    return ConfigError(
+        f"{place}: made with {name}={before!r}, asked for {name}={now!r}: use the same or another folder"
+    )
+
+
+def _require_version(place: Path, began: str) -> None:
+    if began != (now := gcd_dataset.__version__):
+        raise ConfigError(
+            f"{place}: made by gcd_dataset {began}, and this is {now}: choose another folder, or install {began} to go "
+            "on with this one"
+        )
+
+
+def _number(path: Path, split: str) -> int | None:
+    """Which shard a file is, whole or half-written."""
+    return shard_number(path.name.removesuffix(".part"), split)
+
+
+def _half_written(folder: Path, split: str) -> dict[Path, ShardTable]:
+    """What is whole in the shards that an earlier writer could not finish."""
+    parts = sorted(path for path in folder.glob("*.tar.part") if _number(path, split) is not None)
+    return {path: whole_samples(path) for path in parts}
+
+
+def _told_by(path: Path, table: ShardTable, shard_size: int) -> SplitRecord:
+    """How the first sample of a shard was made. Raises ``ConfigError`` for another version of this package."""
+    with reading(path), path.open("rb") as file:
+        file.seek(int(table.offset[0, META]))
+        content = file.read(int(table.size[0, META]))
+    try:
+        meta = json.loads(content)
+        there, version = SplitRecord(meta["seed"], dict(meta["recipe"]), shard_size), meta["versions"]["gcd_dataset"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise ShardError(
+            f"{path}: its first sample does not say how it was made ({error}): choose another folder"
+        ) from error
+    _require_version(path, version)
+    return there
