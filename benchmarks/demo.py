@@ -14,8 +14,8 @@ from tqdm import tqdm
 
 from gcd_dataset.cli.generate import generate, plan
 from gcd_dataset.files import write_whole
+from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, png_bytes
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.generator.render import contact_sheet, draw_pattern, png_bytes
 from gcd_dataset.loaders import GarmentDataset, collate_packed
 from gcd_dataset.spec import pattern_from_spec
 

@@ -21,20 +21,17 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, mirrored, to_frame
-from gcd_dataset.errors import PatternError, SpecError, shown
+from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.files import write_whole
+from gcd_dataset.jsonfile import Place, found, read_json
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 
 __all__ = ["panel_order", "pattern_from_spec", "read_pattern", "spec_from_pattern", "write_pattern"]
 
 UNITS_IN_METER = 100  # ours: centimetres
 NEIGHBOURS = 10.0  # cm: panels that close in x, or in y, stand in one row of the panel order (pattern-format)
-LARGEST_NUMBER = 1e12  # no length, angle or count of a pattern comes near; its square is a number still
 LARGEST_UNIT = 1e6  # units in a metre, and metres in a unit
-DEEPEST = 64  # levels of lists and objects; a pattern has nine
 NAMELESS = frozenset({"specification", "template", "prediction"})  # file names that leave the name to the folder
-
-TOO_DEEP = f"more than {DEEPEST} levels deep: flatten it"
 
 
 def read_pattern(path: Path | str) -> Pattern:
@@ -44,21 +41,7 @@ def read_pattern(path: Path | str) -> Pattern:
     sew is left to ``validate``.
     """
     path = Path(path)
-    try:
-        spec = json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_constant)
-    except FileNotFoundError as error:
-        raise SpecError(f"{path}: no such file: give the path of a specification JSON") from error
-    except PermissionError as error:
-        raise SpecError(f"{path}: cannot be read ({error.strerror}): ask for the right to read it") from error
-    except OSError as error:
-        remedy = "give the path of a specification JSON"
-        raise SpecError(f"{path}: cannot be read ({error.strerror}): {remedy}") from error
-    except RecursionError as error:
-        raise SpecError(f"{path}: {TOO_DEEP}") from error
-    except json.JSONDecodeError as error:
-        raise SpecError(f"{path}: line {error.lineno}, column {error.colno}: {error.msg}: mend the JSON") from error
-    except ValueError as error:
-        raise SpecError(f"{path}: {error}: mend the JSON") from error
+    spec = read_json(path, "specification JSON")
     return pattern_from_spec(spec, _name_of(path), source=str(path))
 
 
@@ -72,8 +55,8 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
 
     Raises ``SpecError`` with the panel and edge where the content is not of the format.
     """
-    at = _Place(source or name)
-    _require_flat(spec, at)
+    at = Place(source or name)
+    at.require_flat(spec)
     body = at.mapping(at.mapping(spec, "").get("pattern"), "pattern")
     form = _Form.of(at.mapping(spec.get("properties", {}), "properties"), at)
     panels = {
@@ -126,51 +109,6 @@ def panel_order(panels: Iterable[Panel]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class _Place:
-    """Where the reading stands, for errors; and the checks that need it."""
-
-    source: str
-    path: str = ""
-
-    def within(self, part: str) -> "_Place":
-        return replace(self, path=f"{self.path}, {part}" if self.path else part)
-
-    def error(self, what: str) -> SpecError:
-        return SpecError(f"{self.source}: {self.path + ': ' if self.path else ''}{what}")
-
-    def mapping(self, value: Any, what: str) -> Mapping[str, Any]:
-        if not isinstance(value, Mapping):
-            raise self.error(f"{what or 'the file'} must be a JSON object, found {_found(value)}")
-        return value
-
-    def list_of(self, holder: Mapping[str, Any], key: str) -> Sequence[Any]:
-        value = holder.get(key)
-        if not isinstance(value, list):
-            raise self.error(f"{key} must be a list, found {_found(value)}")
-        return value
-
-    def numbers(self, value: Any, count: int, what: str) -> tuple[float, ...]:
-        if not (isinstance(value, list | tuple) and len(value) == count and all(_is_number(n) for n in value)):
-            raise self.error(f"{what} must be {count} numbers, found {_found(value)}")
-        return tuple(float(n) for n in value)
-
-    def number(self, value: Any, what: str) -> float:
-        if not _is_number(value):
-            raise self.error(f"{what} must be a number, found {_found(value)}")
-        return float(value)
-
-    def index(self, value: Any, what: str) -> int:
-        if not (isinstance(value, int) and _is_number(value)):
-            raise self.error(f"{what} must be a whole number, found {_found(value)}")
-        return value
-
-    def text(self, value: Any, what: str) -> str:
-        if not isinstance(value, str):
-            raise self.error(f"{what} must be a string, found {_found(value)}")
-        return value
-
-
-@dataclass(frozen=True)
 class _Form:
     """How a file writes its numbers."""
 
@@ -181,7 +119,7 @@ class _Form:
     loops_normalised: bool
 
     @staticmethod
-    def of(properties: Mapping[str, Any], at: _Place) -> "_Form":
+    def of(properties: Mapping[str, Any], at: Place) -> "_Form":
         units = at.number(properties.get("units_in_meter", UNITS_IN_METER), "properties.units_in_meter")
         if not 1 / LARGEST_UNIT <= units <= LARGEST_UNIT:
             raise at.error(f"properties.units_in_meter is {units}: give the number of length units in a metre")
@@ -196,7 +134,7 @@ class _Form:
         )
 
 
-def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: _Place) -> Panel:
+def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: Place) -> Panel:
     translation = form.scale * np.array(at.numbers(entry.get("translation"), 3, "translation"))
     rotation = np.radians(at.numbers(entry.get("rotation"), 3, "rotation"))
     points = [at.numbers(point, 2, f"vertex {i}") for i, point in enumerate(at.list_of(entry, "vertices"))]
@@ -213,10 +151,10 @@ def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: _Place) -> Pane
     return Panel(name, vertices, edges, Placement(translation, rotation), label)
 
 
-def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _Form, at: _Place) -> Edge:
+def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _Form, at: Place) -> Edge:
     ends = entry.get("endpoints")
     if not (isinstance(ends, list) and len(ends) == 2):
-        raise at.error(f"endpoints must be two vertex numbers, found {_found(ends)}")
+        raise at.error(f"endpoints must be two vertex numbers, found {found(ends)}")
     start, end = (at.index(vertex, "endpoint") for vertex in ends)
     label = at.text(entry.get("label", ""), "label")
     if "curvature" not in entry:
@@ -229,7 +167,7 @@ def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _F
     return Edge(start, end, curve, label)
 
 
-def _curve(entry: Any, scale: float, at: _Place) -> Curve:
+def _curve(entry: Any, scale: float, at: Place) -> Curve:
     if isinstance(entry, list):  # the first version of the format: one control point
         return Quadratic(_pair(entry, at))
     kind, params = at.text(at.mapping(entry, "curvature").get("type"), "curvature type"), at.list_of(entry, "params")
@@ -245,12 +183,12 @@ def _curve(entry: Any, scale: float, at: _Place) -> Curve:
     return Quadratic(*controls) if kind == "quadratic" else Cubic(*controls)
 
 
-def _pair(value: Any, at: _Place) -> Point:
+def _pair(value: Any, at: Place) -> Point:
     a, b = at.numbers(value, 2, "control point")
     return (a, b)
 
 
-def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at: _Place) -> Curve:
+def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at: Place) -> Curve:
     """A curve whose control points stood in the panel's plane, in the file's unit."""
 
     def framed(control: Point) -> Point:
@@ -268,11 +206,11 @@ def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at
         raise at.error(str(error)) from error
 
 
-def _seam(entry: Any, at: _Place) -> Seam:
+def _seam(entry: Any, at: Place) -> Seam:
     if not isinstance(entry, list) or len(entry) not in (2, 3):
-        raise at.error(f"a stitch is two edges, and at most the word right_wrong; found {_found(entry)}")
+        raise at.error(f"a stitch is two edges, and at most the word right_wrong; found {found(entry)}")
     if len(entry) == 3 and entry[2] != "right_wrong":
-        raise at.error(f"the third word of a stitch is right_wrong, found {_found(entry[2])}")
+        raise at.error(f"the third word of a stitch is right_wrong, found {found(entry[2])}")
     sides = [at.mapping(side, "a side of the stitch") for side in entry[:2]]
     left, right = (
         EdgeRef(at.text(side.get("panel"), "panel"), at.index(side.get("edge"), "edge number")) for side in sides
@@ -280,7 +218,7 @@ def _seam(entry: Any, at: _Place) -> Seam:
     return Seam(left, right, right_wrong=len(entry) == 3)
 
 
-def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: _Place) -> tuple[str, ...]:
+def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: Place) -> tuple[str, ...]:
     order = tuple(at.text(name, "a name in panel_order") for name in at.list_of(body, "panel_order"))
     odd = sorted(set(order) ^ set(panels))
     if odd or len(order) != len(panels):
@@ -299,7 +237,7 @@ def _extra(spec: Mapping[str, Any], form: _Form) -> dict[str, Any]:
 
 
 def _normalise_loops(
-    panels: Mapping[str, Panel], seams: Iterable[Seam], at: _Place
+    panels: Mapping[str, Panel], seams: Iterable[Seam], at: Place
 ) -> tuple[dict[str, Panel], tuple[Seam, ...]]:
     """Loops that start at the lower left and run counter-clockwise in their plane; every panel stays where it hangs."""
     shifts, changed = {}, {}
@@ -412,30 +350,3 @@ def _name_of(path: Path) -> str:
     if path.stem in NAMELESS:
         return path.resolve().parent.name
     return path.stem.removesuffix("_specification")
-
-
-def _no_constant(text: str) -> float:
-    raise ValueError(f"{text} is no number")
-
-
-def _require_flat(spec: Any, at: _Place) -> None:
-    """Raise ``SpecError`` for what is nested so deep that it could not be written again."""
-    level = [spec]
-    for _ in range(DEEPEST):
-        lists = [value.values() if isinstance(value, Mapping) else value for value in level if _holds(value)]
-        level = [inner for values in lists for inner in values]
-    if level:
-        raise at.error(TOO_DEEP)
-
-
-def _holds(value: Any) -> bool:
-    return isinstance(value, Mapping | list | tuple)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST_NUMBER
-
-
-def _found(value: Any) -> str:
-    text = json.dumps(value, default=str) if value is not None else "nothing"
-    return text if len(text) < 60 else text[:57] + "..."

@@ -15,8 +15,9 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, MeshError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DrapeJob, drape_batch, resolve_device
+from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.render import draw_pattern, png_bytes, render_garment
+from gcd_dataset.generator.render import render_garment
 from gcd_dataset.meshfiles import glb_bytes, obj_bytes, ply_bytes
 from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Pattern
 from gcd_dataset.spec import read_pattern

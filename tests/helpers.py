@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from gcd_dataset.records import Body, BoxMesh, Measurements
+from gcd_dataset.curves import LINE
+from gcd_dataset.records import Body, BoxMesh, Edge, EdgeRef, Measurements, Panel, Pattern, Placement, Seam
 
 SIZE = Measurements(height=170.0, head_l=26.0, waist_line=37.0, neck_w=19.0, armscye_depth=13.0)
 
@@ -82,3 +83,11 @@ def tube(columns: int, rows: int, *, radius: float, spacing: float = 1.0, height
     placed = np.zeros((columns * (rows + 1), 3))
     placed[vertex] = points
     return replace(sheet, vertices=placed, faces=vertex[sheet.corners], uv_vertex=vertex)
+
+
+def napkins() -> Pattern:
+    """Two panels of 20 × 10 cm, sewn together."""
+    corners = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0]])
+    edges = tuple(Edge(i, (i + 1) % 4, LINE) for i in range(4))
+    panels = tuple(Panel(name, corners, edges, Placement(np.zeros(3), np.zeros(3))) for name in ("one", "two"))
+    return Pattern("napkins", panels, (Seam(EdgeRef("one", 1), EdgeRef("two", 3)),))

@@ -21,7 +21,7 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.records import Pattern
 from gcd_dataset.shards import read_index
 from gcd_dataset.spec import spec_from_pattern, write_pattern
-from tests.generator.test_render import napkins
+from tests.helpers import napkins
 from tests.test_validate import sewn_unequally
 
 FLAT = ["--stage", "pattern", "--quiet"]

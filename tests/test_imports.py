@@ -70,7 +70,8 @@ def test_warp_is_imported_by_drape_and_render_alone() -> None:
 
 LAYERS = {
     "records": {"errors", "curves"},
-    "spec": {"errors", "curves", "records", "files"},
+    "jsonfile": {"errors"},
+    "spec": {"errors", "curves", "records", "files", "jsonfile"},
     "crossings": {"curves", "records"},
     "validate": {"errors", "curves", "records", "crossings"},
     "tensors": {"errors", "curves", "records"},

@@ -141,7 +141,7 @@ def _validate(options: argparse.Namespace) -> int:
 
 def _show(options: argparse.Namespace) -> int:
     from gcd_dataset.files import write_whole
-    from gcd_dataset.generator.render import draw_pattern, png_bytes, sample_sheet
+    from gcd_dataset.generator.drawing import draw_pattern, png_bytes, sample_sheet
     from gcd_dataset.spec import read_pattern
     from gcd_dataset.validate import require_valid
 

@@ -8,25 +8,19 @@ import pytest
 import trimesh
 from PIL import Image
 
-from gcd_dataset.curves import LINE
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.drawing import PAPER
 from gcd_dataset.generator.render import (
     DISTANCE,
     MARGIN,
-    PAPER,
     Painted,
-    contact_sheet,
-    draw_pattern,
-    jpeg_bytes,
     painted_garment,
-    picture_of,
-    png_bytes,
     render_garment,
     render_sample,
     render_view,
 )
-from gcd_dataset.records import Drape, Edge, EdgeRef, Outcome, Panel, Pattern, Placement, Provenance, Sample, Seam
-from tests.helpers import SIZE, body_from, patch
+from gcd_dataset.records import Drape, Outcome, Provenance, Sample
+from tests.helpers import SIZE, body_from, napkins, patch
 
 RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9)
 
@@ -118,43 +112,6 @@ def test_outlines_are_smooth() -> None:
     row = render_view(painted(ball, np.zeros(len(ball.faces), int), RED), size=64, device="cpu")[20].astype(int)
     green = row[:, 1]
     assert ((green > 60) & (green < 230)).any()
-
-
-def napkins() -> Pattern:
-    corners = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0]])
-    edges = tuple(Edge(i, (i + 1) % 4, LINE) for i in range(4))
-    panels = tuple(Panel(name, corners, edges, Placement(np.zeros(3), np.zeros(3))) for name in ("one", "two"))
-    return Pattern("napkins", panels, (Seam(EdgeRef("one", 1), EdgeRef("two", 3)),))
-
-
-def test_a_pattern_is_drawn_to_scale() -> None:
-    """Two panels of 20 × 10 cm cover the same area, side by side, without touching."""
-    picture = draw_pattern(napkins(), size=200)
-    columns = (~is_paper(picture)).any(axis=0)
-    rows = (~is_paper(picture)).any(axis=1)
-    runs = np.diff(np.flatnonzero(np.diff(np.r_[0, columns.astype(int), 0])))[::2]
-    height = np.diff(np.flatnonzero(np.diff(np.r_[0, rows.astype(int), 0])))[::2]
-    widest = max(runs.max(), height.max())
-    assert widest > 80
-    assert sorted([len(runs), len(height)]) == [1, 2]
-
-
-@pytest.mark.parametrize("name", ["", " ", "\u200b"])
-def test_a_panel_is_drawn_whatever_its_name(name: str) -> None:
-    pattern = napkins()
-    drawn = draw_pattern(replace(pattern, panels=(replace(pattern.panels[0], name=name), pattern.panels[1])), size=64)
-    assert not is_paper(drawn).all()
-
-
-def test_sheets_and_files() -> None:
-    pictures = [np.full((4, 6, 3), shade, np.uint8) for shade in (10, 20, 30)]
-    sheet = contact_sheet(pictures, columns=2, gap=2)
-    assert sheet.shape == (10, 14, 3)
-    assert [sheet[1, 1, 0], sheet[1, 9, 0], sheet[7, 1, 0], sheet[7, 9, 0]] == [10, 20, 30, 255]
-    assert np.array_equal(np.asarray(Image.open(io.BytesIO(png_bytes(sheet)))), sheet)
-    assert picture_of(jpeg_bytes(sheet), 5).shape == (5, 5, 3)
-    with pytest.raises(ConfigError, match="pictures of one size"):
-        contact_sheet([pictures[0], sheet], columns=1)
 
 
 def test_a_picture_has_pixels() -> None:

@@ -1,0 +1,46 @@
+"""Flat drawings, sheets and their files show what is there."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.drawing import PAPER, contact_sheet, draw_pattern, jpeg_bytes, picture_of, png_bytes
+from tests.helpers import napkins
+
+
+def is_paper(picture: np.ndarray) -> np.ndarray:
+    return np.abs(picture.astype(int) - PAPER).max(axis=2) <= 1
+
+
+def test_a_pattern_is_drawn_to_scale() -> None:
+    """Two panels of 20 × 10 cm cover the same area, side by side, without touching."""
+    picture = draw_pattern(napkins(), size=200)
+    columns = (~is_paper(picture)).any(axis=0)
+    rows = (~is_paper(picture)).any(axis=1)
+    runs = np.diff(np.flatnonzero(np.diff(np.r_[0, columns.astype(int), 0])))[::2]
+    height = np.diff(np.flatnonzero(np.diff(np.r_[0, rows.astype(int), 0])))[::2]
+    widest = max(runs.max(), height.max())
+    assert widest > 80
+    assert sorted([len(runs), len(height)]) == [1, 2]
+
+
+@pytest.mark.parametrize("name", ["", " ", "\u200b"])
+def test_a_panel_is_drawn_whatever_its_name(name: str) -> None:
+    pattern = napkins()
+    drawn = draw_pattern(replace(pattern, panels=(replace(pattern.panels[0], name=name), pattern.panels[1])), size=64)
+    assert not is_paper(drawn).all()
+
+
+def test_sheets_and_files() -> None:
+    pictures = [np.full((4, 6, 3), shade, np.uint8) for shade in (10, 20, 30)]
+    sheet = contact_sheet(pictures, columns=2, gap=2)
+    assert sheet.shape == (10, 14, 3)
+    assert [sheet[1, 1, 0], sheet[1, 9, 0], sheet[7, 1, 0], sheet[7, 9, 0]] == [10, 20, 30, 255]
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(png_bytes(sheet)))), sheet)
+    assert picture_of(jpeg_bytes(sheet), 5).shape == (5, 5, 3)
+    with pytest.raises(ConfigError, match="pictures of one size"):
+        contact_sheet([pictures[0], sheet], columns=1)
