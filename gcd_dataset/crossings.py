@@ -6,10 +6,12 @@ and searched. Points are complex numbers here, since a turn is then a product.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import chain
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Bool, Complex, Float, Int
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, sample_curve
 from gcd_dataset.records import Panel
@@ -42,22 +44,26 @@ def edge_hulls(panel: Panel) -> Complex[np.ndarray, "e 4"]:
     return np.array([_hull(corners[edge.start], corners[edge.end], edge.curve) for edge in panel.edges], complex)
 
 
-def find_crossings(panel: Panel, hulls: Complex[np.ndarray, "e 4"], lengths: Sequence[float]) -> Iterator[Crossing]:
-    """Edges that cross or touch themselves; then pairs that do, other than in a corner they share.
+def find_crossings(
+    panels: Sequence[Panel], hulls: Sequence[Complex[np.ndarray, "e 4"]], lengths: Sequence[Sequence[float]]
+) -> Iterator[tuple[int, Crossing]]:
+    """For each panel, by its number: edges that cross or touch themselves; then pairs that do, other than in a corner
+    they share.
 
-    ``hulls`` are the panel's ``edge_hulls``, ``lengths`` those of its edges [cm].
+    ``hulls`` are the panels' ``edge_hulls``, ``lengths`` those of their edges [cm]. All panels are proved innocent
+    together; only what is left is looked at one by one.
     """
-    alone = np.flatnonzero(~_monotone(hulls))
-    one, other = np.nonzero(np.triu(~_apart(hulls), k=1))
-    lines = {int(index): _polyline(panel, int(index), lengths) for index in {*alone, *one, *other}}
-    for index in alone.tolist():
-        if not lines[index].is_simple:
-            yield Crossing(index, index, panel.edge_ends(index)[0])
-    for i, j in zip(one.tolist(), other.tolist(), strict=True):
-        points = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
-        far = points[_distance_to(points, _shared_corners(panel, i, j)) > TOUCH]
-        if len(far):
-            yield Crossing(i, j, (float(far[0, 0]), float(far[0, 1])))
+    for number, alone, pairs in _suspects(hulls):
+        panel = panels[number]
+        lines = {index: _polyline(panel, index, lengths[number]) for index in {*alone, *chain.from_iterable(pairs)}}
+        for index in alone:
+            if not lines[index].is_simple:
+                yield number, Crossing(index, index, panel.edge_ends(index)[0])
+        for i, j in pairs:
+            points = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
+            far = points[_distance_to(points, _shared_corners(panel, i, j)) > TOUCH]
+            if len(far):
+                yield number, Crossing(i, j, (float(far[0, 0]), float(far[0, 1])))
 
 
 # --------------------------------------------------------------------------------------------------------------- proofs
@@ -81,22 +87,58 @@ def _hull(start: complex, end: complex, curve: Curve) -> tuple[complex, complex,
             return start, start + chord / 3, end - chord / 3, end
 
 
+def _suspects(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Iterator[tuple[int, list[int], list[tuple[int, int]]]]:
+    """The panels that are not proved innocent: number, edges that may meet themselves, pairs that may meet."""
+    if not hulls:
+        return
+    edges, sizes = np.concatenate(hulls), [len(panel) for panel in hulls]
+    first = np.cumsum([0, *sizes[:-1]])
+    alone = np.flatnonzero(~_monotone(edges))
+    one, other = (np.concatenate(side) for side in zip(*map(_pairs, sizes, first.tolist()), strict=True))
+    follower = np.concatenate([start + np.roll(np.arange(size), -1) for start, size in zip(first, sizes, strict=True)])
+    meet = ~_boxes_apart(edges, one, other)
+    apart = _sectors_apart(edges, edges[follower])
+    meet &= ~((follower[one] == other) & apart[one]) & ~((follower[other] == one) & apart[other])
+    number_of = np.repeat(np.arange(len(sizes)), sizes)
+    suspects: dict[int, tuple[list[int], list[tuple[int, int]]]] = {}
+    for index in alone.tolist():
+        number = int(number_of[index])
+        suspects.setdefault(number, ([], []))[0].append(index - int(first[number]))
+    for i, j in zip(one[meet].tolist(), other[meet].tolist(), strict=True):
+        number = int(number_of[i])
+        start = int(first[number])
+        suspects.setdefault(number, ([], []))[1].append((i - start, j - start))
+    for number in sorted(suspects):
+        yield number, *suspects[number]
+
+
+def _pairs(size: int, first: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """All pairs of the edges of a panel of ``size``, numbered from ``first`` on."""
+    one, other = _pairs_of(size)
+    return one + first, other + first
+
+
+@lru_cache(maxsize=256)
+def _pairs_of(size: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    one, other = np.triu_indices(size, k=1)
+    return one, other
+
+
 def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
     """Which edges always go on towards their end, and so cannot come back to themselves."""
     legs = np.diff(hulls, axis=1)
     return ((legs * (hulls[:, -1:] - hulls[:, :1]).conj()).real >= 0).all(axis=1)
 
 
-def _apart(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, "e e"]:
-    """Which pairs certainly do not meet, or only in the corner where the second follows the first."""
-    boxes = np.stack([hulls.real, hulls.imag])
-    low, high = boxes.min(axis=2), boxes.max(axis=2)
-    apart = (low[:, :, None] > high[:, None] + APART).any(axis=0)
-    apart |= apart.T
-    index = np.arange(len(hulls))
-    follower = np.roll(index, -1)
-    apart[index, follower] |= _sectors_apart(hulls, hulls[follower])
-    return apart | apart.T
+def _boxes_apart(
+    hulls: Complex[np.ndarray, "e 4"], one: Int[np.ndarray, " n"], other: Int[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Which pairs of edges have bounding boxes that do not touch."""
+    apart = np.zeros(len(one), bool)
+    for part in (hulls.real, hulls.imag):
+        low, high = part.min(axis=1), part.max(axis=1)
+        apart |= (low[one] > high[other] + APART) | (low[other] > high[one] + APART)
+    return apart
 
 
 def _sectors_apart(before: Complex[np.ndarray, "e 4"], after: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:

@@ -11,6 +11,7 @@ A curve therefore follows when its end points move. An arc keeps its radius in c
 
 from dataclasses import dataclass
 from itertools import pairwise
+from math import hypot
 from typing import ClassVar, TypeAlias
 
 import numpy as np
@@ -118,7 +119,7 @@ def curve_tangents(start: Point, end: Point, curve: Curve, t: Float[np.ndarray, 
 def curve_length(start: Point, end: Point, curve: Curve) -> float:
     """Arc length [cm]: exact for lines and arcs, by 24-point Gauss–Legendre quadrature for Bézier curves."""
     if isinstance(curve, Line):
-        return float(np.hypot(end[0] - start[0], end[1] - start[1]))
+        return hypot(end[0] - start[0], end[1] - start[1])
     if isinstance(curve, Arc):
         return float(curve.radius * abs(arc_centre(start, end, curve)[2]))
     nodes = 0.5 * (QUADRATURE_NODES + 1)

@@ -19,6 +19,7 @@ class Stage(IntEnum):
     FABRIC = 3
     POINTS = 4
     AUGMENT = 5
+    KIND = 6
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

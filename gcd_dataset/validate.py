@@ -5,7 +5,7 @@ meant (gathers), but is what broken patterns are found by.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from math import dist
@@ -84,22 +84,25 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     """Every fault of a pattern, panel by panel, then seam by seam; empty for one that can be sewn as it is."""
     if not pattern.panels:
         return (Fault(Rule.NO_PANEL, "", None, "there is nothing to sew: draw one"),)
-    faults = list(_name_faults(pattern.panels))
-    lengths: dict[EdgeRef, float] = {}
-    for panel in pattern.panels:
-        broken = tuple(_loop_faults(panel))
-        faults += broken
-        if broken:
-            continue
-        hulls = edge_hulls(panel)
-        huge = tuple(_size_faults(panel, hulls))  # asked before anything is sampled: there is no room for it
-        faults += huge
-        if not huge:
-            shaped = [curve_length(*panel.edge_ends(i), edge.curve) for i, edge in enumerate(panel.edges)]
-            lengths.update({EdgeRef(panel.name, i): length for i, length in enumerate(shaped)})
-            faults += _short_edges(panel, shaped)
-            faults += _crossings(panel, hulls, shaped)
-    return (*faults, *_seam_faults(pattern, lengths))
+    faults = {number: list(_loop_faults(panel)) for number, panel in enumerate(pattern.panels)}
+    drawn = {number: edge_hulls(panel) for number, panel in enumerate(pattern.panels) if not faults[number]}
+    for number, hulls in list(drawn.items()):
+        # Asked before anything is sampled: there is no room for what is huge.
+        if huge := list(_size_faults(pattern.panels[number], hulls)):
+            faults[number] += huge
+            del drawn[number]
+    shaped = {number: _edge_lengths(pattern.panels[number]) for number in drawn}
+    for number, edges in shaped.items():
+        faults[number] += _short_edges(pattern.panels[number], edges)
+    for number, fault in _crossings(pattern.panels, drawn, shaped):
+        faults[number].append(fault)
+    lengths = {
+        EdgeRef(pattern.panels[number].name, index): length
+        for number, edges in shaped.items()
+        for index, length in enumerate(edges)
+    }
+    of_panels = (fault for number in sorted(faults) for fault in faults[number])
+    return (*_name_faults(pattern.panels), *of_panels, *_seam_faults(pattern, lengths))
 
 
 def require_valid(pattern: Pattern, source: str = "") -> Pattern:
@@ -174,14 +177,24 @@ def _short_edges(panel: Panel, lengths: list[float]) -> Iterator[Fault]:
             yield Fault(Rule.SHORT_EDGE, panel.name, index, f"it is {length:.3g} cm: join it to its neighbour")
 
 
-def _crossings(panel: Panel, hulls: Complex[np.ndarray, "e 4"], lengths: list[float]) -> Iterator[Fault]:
+def _edge_lengths(panel: Panel) -> list[float]:
+    return [curve_length(*panel.edge_ends(index), edge.curve) for index, edge in enumerate(panel.edges)]
+
+
+def _crossings(
+    panels: Sequence[Panel],
+    hulls: Mapping[int, Complex[np.ndarray, "e 4"]],
+    lengths: Mapping[int, list[float]],
+) -> Iterator[tuple[int, Fault]]:
     """Where an edge crosses or touches itself or another, other than in a corner they share."""
-    for crossing in find_crossings(panel, hulls, lengths):
+    numbers = list(hulls)
+    drawn = [panels[number] for number in numbers]
+    for place, crossing in find_crossings(drawn, list(hulls.values()), list(lengths.values())):
         x, y = crossing.place
         figure = f"it meets edge {crossing.other} at ({x:.2f}, {y:.2f}) cm: part them"
         if crossing.edge == crossing.other:
             figure = "it crosses itself: bend it less"
-        yield Fault(Rule.SELF_CROSSING, panel.name, crossing.edge, figure)
+        yield numbers[place], Fault(Rule.SELF_CROSSING, drawn[place].name, crossing.edge, figure)
 
 
 # ---------------------------------------------------------------------------------------------------------------- seams

@@ -10,8 +10,9 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.body import build_body, draw_shape, measure, named_body
     from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
     from gcd_dataset.generator.garments import OutfitDesign, sample_design
+    from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
     from gcd_dataset.generator.mesh import build_box_mesh
-    from gcd_dataset.generator.pipeline import build_pattern, make, make_many
+    from gcd_dataset.generator.pipeline import build_pattern, fit, make, make_many
     from gcd_dataset.generator.recipe import MakeConfig
 
 __all__ = [
@@ -20,15 +21,18 @@ __all__ = [
     "Fabric",
     "MakeConfig",
     "OutfitDesign",
+    "Overlay",
     "build_body",
     "build_box_mesh",
     "build_pattern",
     "drape_batch",
     "draw_shape",
+    "fit",
     "make",
     "make_many",
     "measure",
     "named_body",
+    "read_overlay",
     "sample_design",
 ]
 
@@ -36,8 +40,9 @@ _HOMES = {
     "body": ("build_body", "draw_shape", "measure", "named_body"),
     "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_batch"),
     "garments": ("OutfitDesign", "sample_design"),
+    "garments.overlay": ("Overlay", "read_overlay"),
     "mesh": ("build_box_mesh",),
-    "pipeline": ("build_pattern", "make", "make_many"),
+    "pipeline": ("build_pattern", "fit", "make", "make_many"),
     "recipe": ("MakeConfig",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

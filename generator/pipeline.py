@@ -10,14 +10,15 @@ from itertools import chain, islice
 
 from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.garments import OutfitDesign, check_outfit, design_to_dict, outfit, sample_design
+from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
+from gcd_dataset.generator.garments.design import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of, versions
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Drape, Measurements, Outcome, Pattern, Provenance, Sample
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["build_pattern", "make", "make_many", "sample_key"]
+__all__ = ["build_pattern", "fit", "make", "make_many", "sample_key"]
 
 BATCH = {"cpu": 1, "cuda": 32}  # garments draped at a time
 DEFAULT = MakeConfig()
@@ -61,13 +62,26 @@ def make_many(
             yield done[index] if asked[index] else done.pop(index)
 
 
-def build_pattern(size: Measurements, design: OutfitDesign) -> Pattern:
+def build_pattern(size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Pattern:
     """The pattern of a design for a wearer. Raises ``PatternError`` where it cannot be drawn or worn."""
-    pattern = outfit(size, design)
-    rejects = check_outfit(size, design, pattern)
-    if rejects:
-        raise PatternError(str(rejects[0]))
+    pattern = try_on(size, design, name=name)
+    if isinstance(pattern, Reject):
+        raise PatternError(str(pattern))
     return pattern
+
+
+def fit(design: OutfitDesign, sizes: Iterable[Measurements]) -> tuple[Pattern, ...]:
+    """The patterns of one design for many wearers.
+
+    Raises ``PatternError`` with the number of the first wearer for whom it cannot be drawn, or who cannot wear it.
+    """
+    patterns = []
+    for number, size in enumerate(sizes):
+        try:
+            patterns.append(build_pattern(size, design, name=f"wearer_{number}"))
+        except PatternError as error:
+            raise PatternError(f"wearer {number}: {error}: change the design, or leave this wearer out") from error
+    return tuple(patterns)
 
 
 def sample_key(index: int) -> str:
@@ -112,14 +126,16 @@ class _Design:
 def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[str, ...] = ()) -> _Design:
     """Design ``number`` with its bodies, patterns and meshes: the first that can be worn after those turned down."""
     wearers = _wearers(seed, number, config)
+    # One stream for the kind, whatever the attempt: a kind that is often turned down would become rare otherwise.
+    kind = sample_kind(rng(seed, number, Stage.KIND), config.design)
     while len(rejects) < config.max_attempts:
-        design = sample_design(rng(seed, number, Stage.DESIGN, len(rejects)))
-        try:
-            dressed = tuple(_dress(wearer, design, config) for wearer in wearers)
-        except (PatternError, MeshError) as error:
-            rejects += (str(error),)
-        else:
+        chance = rng(seed, number, Stage.DESIGN, len(rejects))
+        sizes = [wearer.size for wearer in wearers]
+        design = sample_design(chance, sizes, kind=kind, overlay=config.design)
+        dressed = _dress_all(wearers, design, config)
+        if not isinstance(dressed, Reject):
             return _Design(seed, number, rejects, design, dressed)
+        rejects += (str(dressed),)
     raise PatternError(
         f"sample {number * config.wearers} of seed {seed}: {len(rejects)} designs were turned down, the last for: "
         f"{rejects[-1]}: raise max_attempts"
@@ -149,18 +165,30 @@ def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
     return tuple(wearers)
 
 
-def _dress(wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> _Dressed:
-    """Raises ``PatternError`` or ``MeshError`` for a design that this wearer cannot wear."""
-    pattern = replace(build_pattern(wearer.size, design), name=sample_key(wearer.index))
-    return _Dressed(
-        index=wearer.index,
-        body_name=wearer.name,
-        shape=wearer.shape,
-        body=wearer.body,
-        size=wearer.size,
-        pattern=pattern,
-        box_mesh=build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None,
-    )
+def _dress_all(wearers: Iterable[_Wearer], design: OutfitDesign, config: MakeConfig) -> tuple[_Dressed, ...] | Reject:
+    """All wearers in the design, or why one of them cannot wear it."""
+    dressed = []
+    for wearer in wearers:
+        worn = _dress(wearer, design, config)
+        if isinstance(worn, Reject):
+            return worn
+        dressed.append(worn)
+    return tuple(dressed)
+
+
+def _dress(wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> _Dressed | Reject:
+    pattern = try_on(wearer.size, design, name=sample_key(wearer.index))
+    if isinstance(pattern, Reject):
+        return pattern
+    shape, body = wearer.shape, wearer.body
+    if design.meta.bottom is Bottom.PANTS:  # measured with legs together, dressed with legs apart
+        shape = replace(shape, legs_apart=True)
+        body = build_body(shape)
+    try:
+        mesh = build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None
+    except MeshError as error:
+        return Reject("cannot_be_meshed", str(error))
+    return _Dressed(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh)
 
 
 def _drape(load: Sequence[_Design], config: MakeConfig) -> Iterator[tuple[Drape | None, ...]]:

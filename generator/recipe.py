@@ -1,19 +1,20 @@
 """What samples are made by: the options, and all else that decides their bytes."""
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
 from typing import Any, Literal, get_args
 
 from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 
 __all__ = ["MakeConfig", "check_resolution", "device_kind", "recipe_of", "versions"]
 
 Bodies = Literal["neutral", "random", "both"]
 LastStage = Literal["pattern", "mesh", "drape"]
 OnFail = Literal["retry", "keep"]
-KINDS = {str: "word", int: "whole number", float: "number"}
+KINDS = {str: "word", int: "whole number", float: "number", Overlay: "design overlay"}
 FINEST, COARSEST = 0.2, 10.0  # cm
 
 
@@ -38,6 +39,8 @@ class MakeConfig:
     """Side of the pictures [pixels]; 0 for none."""
     max_attempts: int = 30
     """Designs tried for one index. The last is kept if it only does not settle."""
+    design: Overlay = NO_OVERLAY
+    """What designs are narrowed to."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -65,7 +68,8 @@ def check_resolution(centimetres: float) -> float:
 
 def recipe_of(config: MakeConfig) -> dict[str, Any]:
     """Everything but seed and index that decides what a sample holds, as plain values."""
-    recipe = asdict(config)
+    recipe = {entry.name: getattr(config, entry.name) for entry in fields(config)}
+    recipe["design"] = config.design.to_dict()
     recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
     return recipe
 

@@ -10,8 +10,9 @@ from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import render_kernels
+from gcd_dataset.generator.colours import PALETTE, PAPER
 from gcd_dataset.generator.drape import load_kernels, resolve_device
-from gcd_dataset.generator.drawing import PALETTE, PAPER, jpeg_bytes
+from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.render_kernels import Camera, Scene, cast_rays, develop, look_up
 from gcd_dataset.records import Body, BoxMesh, Sample
 

@@ -12,6 +12,7 @@ import torch
 from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import make_folder
+from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.pipeline import make_many
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.loaders.base import Garments, Transform, natural
@@ -32,10 +33,11 @@ class GeneratedGarments(Garments):
     >>> ds[7]["box"].shape  # doctest: +SKIP
     torch.Size([9731, 3])
 
-    ``bodies``, ``resolution`` [cm], ``device`` and ``on_fail`` are those of ``MakeConfig``. ``drape``: ``warp``, or
-    ``None`` to stop at the box mesh. ``cache_dir``: keeps every garment made there, and reads it from there the next
-    time; each seed, recipe and version of this package has a folder of its own in it, and a damaged garment is made
-    again. On a GPU a batch that a ``DataLoader`` asks for is draped together, on a CPU one garment after the other.
+    ``bodies``, ``resolution`` [cm], ``device``, ``on_fail`` and ``design`` are those of ``MakeConfig``; an overlay for
+    ``design`` comes from ``read_overlay``. ``drape``: ``warp``, or ``None`` to stop at the box mesh. ``cache_dir``:
+    keeps every garment made there, and reads it from there the next time; each seed, recipe and version of this package
+    has a folder of its own in it, and a damaged garment is made again. On a GPU a batch that a ``DataLoader`` asks for
+    is draped together, on a CPU one garment after the other.
 
     Raises ``ConfigError`` for options that do not fit together; a GPU that is not there is told with the first garment.
     """
@@ -53,6 +55,7 @@ class GeneratedGarments(Garments):
         on_fail: Literal["retry", "keep"] = "retry",
         transform: Transform | None = None,
         fields: Iterable[str] | None = None,
+        design: Overlay | None = None,
     ) -> None:
         super().__init__(fields, transform)
         self._n, self._seed = natural("n", n), natural("seed", seed)
@@ -62,7 +65,14 @@ class GeneratedGarments(Garments):
         if drape not in ("warp", None):
             raise ConfigError(f"drape={drape!r}: there is 'warp', and None to stop at the box mesh")
         stage: Literal["mesh", "drape"] = "mesh" if drape is None else "drape"
-        self.config = MakeConfig(bodies=bodies, stage=stage, resolution=resolution, device=device, on_fail=on_fail)
+        self.config = MakeConfig(
+            bodies=bodies,
+            stage=stage,
+            resolution=resolution,
+            device=device,
+            on_fail=on_fail,
+            design=design or NO_OVERLAY,
+        )
         self._cache_dir = None if cache_dir is None else Path(cache_dir)
         # Asked here and not in a worker: a forked one may be told that there is no GPU, and would go on without.
         self._on_gpu = drape is not None and (

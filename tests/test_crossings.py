@@ -1,6 +1,7 @@
 """What is proved apart is apart, and what is innocent is proved so without a search."""
 
 from collections.abc import Mapping
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -45,7 +46,7 @@ def sampled(shape: Panel, index: int, count: int = 129) -> np.ndarray:
 
 def found(shape: Panel) -> list[tuple[int, int]]:
     lengths = [curve_length(*shape.edge_ends(i), edge.curve) for i, edge in enumerate(shape.edges)]
-    return [(crossing.edge, crossing.other) for crossing in find_crossings(shape, edge_hulls(shape), lengths)]
+    return [(crossing.edge, crossing.other) for _, crossing in find_crossings([shape], [edge_hulls(shape)], [lengths])]
 
 
 @given(loops)
@@ -64,7 +65,8 @@ def test_what_is_proved_apart_is_apart(loop: list[tuple[float, float, Curve]]) -
     hulls = edge_hulls(shape)
     lines = [shapely.LineString(sampled(shape, index)) for index in range(len(loop))]
     assert all(lines[index].is_simple for index in np.flatnonzero(crossings._monotone(hulls)))
-    for i, j in np.argwhere(np.triu(crossings._apart(hulls), k=1)).tolist():
+    suspects = {pair for _, _, pairs in crossings._suspects([hulls]) for pair in pairs}
+    for i, j in set(combinations(range(len(loop)), 2)) - suspects:
         met = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
         corner = shape.vertices[sorted({i, (i + 1) % len(loop)} & {j, (j + 1) % len(loop)})]
         assert len(met) <= len(corner) == 1 or not len(met)
@@ -105,3 +107,12 @@ def test_a_great_part_of_a_circle_meets_what_its_chord_does_not(right: bool) -> 
 def test_a_line_has_a_hull_of_its_own_points() -> None:
     (hull, *_) = edge_hulls(panel([(0.0, 0.0), (9.0, 3.0), (0.0, 9.0)]))
     assert hull == pytest.approx(np.array([0, 3 + 1j, 6 + 2j, 9 + 3j]))
+
+
+@given(st.lists(loops, min_size=2, max_size=4))
+def test_panels_are_judged_together_as_they_are_alone(drawn_loops: list[list[tuple[float, float, Curve]]]) -> None:
+    shapes = [drawn(loop) for loop in drawn_loops]
+    hulls = [edge_hulls(shape) for shape in shapes]
+    alone = [next(((a, p) for _, a, p in crossings._suspects([hull])), ([], [])) for hull in hulls]
+    together = {number: (a, p) for number, a, p in crossings._suspects(hulls)}
+    assert [together.get(number, ([], [])) for number in range(len(shapes))] == alone

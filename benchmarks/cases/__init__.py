@@ -9,7 +9,10 @@ from benchmarks.cases.figures import Case
 __all__ = ["CASES", "load_case"]
 
 CASES: Mapping[str, str] = {
+    "design_space": "benchmarks.cases.design_space",
     "drape": "benchmarks.cases.drape",
+    "parity": "benchmarks.cases.parity",
+    "patterns": "benchmarks.cases.patterns",
     "reconstruction": "benchmarks.cases.reconstruction",
 }
 """Case to its module: one needs a simulator, another a network."""

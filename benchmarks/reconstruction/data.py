@@ -32,7 +32,7 @@ Arrays: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 UNIT = 50.0  # cm: what a garment reaches from its middle, about
 MIDDLE = (0.0, 100.0, 0.0)  # cm
-MAX_EDGES = 40
+MAX_EDGES = 64
 LARGEST_RADIUS = 1000.0  # cm: beyond it an arc is better a cubic
 STRAIGHT = 0.2  # cm: an edge is straight if its points lie as near to its chord
 

@@ -28,6 +28,7 @@ from benchmarks.reconstruction.data import FIELDS, Arrays, Garments, ToTargets, 
 from benchmarks.reconstruction.evaluate import figures_of, predict, row_of, scores_of
 from benchmarks.reconstruction.models import NetConfig, PatternNet, set_loss
 from benchmarks.reconstruction.nearest import most_typical, nearest_garments
+from gcd_dataset.generator import read_overlay
 from gcd_dataset.loaders import GeneratedGarments
 from gcd_dataset.records import Pattern
 
@@ -35,7 +36,7 @@ __all__ = ["add_arguments", "run", "train"]
 
 SMOKE: dict[str, Any] = {
     "train": 240, "test": 60, "threads": 1, "resolution": 4.0, "steps": 300, "batch": 16, "lr": 2e-3, "width": 64,
-    "heads": 4, "layers": 2, "tokens": 32, "neighbours": 16, "points": 256, "stored_points": 1024, "queries": 16,
+    "heads": 4, "layers": 2, "tokens": 32, "neighbours": 16, "points": 256, "stored_points": 1024, "queries": 40,
     "nearest_points": 256, "typical": 60,
 }  # fmt: skip
 WARM_UP = 0.05  # of the steps, in which the learning rate rises
@@ -52,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--train", 20_000, "garments to train on")
     option("--test", 500, "garments to test on: the indices behind them")
     option("--seed", 0, "of the garments, the network and the order")
+    option("--design", "", "TOML file that narrows what garments are drawn")
     option("--resolution", 2.0, "of the box meshes that points are taken from [cm]")
     option("--workers", 0, "processes that make garments, and that score patterns")
     option("--cache-dir", "", "keeps the garments for the next run")
@@ -114,6 +116,7 @@ def load(args: argparse.Namespace) -> tuple[Garments, list[Arrays]]:
         drape=None,
         resolution=args.resolution,
         cache_dir=args.cache_dir or None,
+        design=read_overlay(args.design) if args.design else None,
         fields=FIELDS,
         transform=ToTargets(args.queries, args.contour_points, args.stored_points),
     )

@@ -7,14 +7,17 @@ import argparse
 import logging
 import os
 import sys
-import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, GcdError, SpecError
+from gcd_dataset.tomlfile import read_toml
+
+if TYPE_CHECKING:
+    from gcd_dataset.records import Pattern, Sample
 
 __all__ = ["main"]
 
@@ -142,24 +145,21 @@ def _validate(options: argparse.Namespace) -> int:
 def _show(options: argparse.Namespace) -> int:
     from gcd_dataset.files import write_whole
     from gcd_dataset.generator.drawing import draw_pattern, png_bytes, sample_sheet
-    from gcd_dataset.spec import read_pattern
-    from gcd_dataset.validate import require_valid
+    from gcd_dataset.generator.svg import pattern_svg
+    from gcd_dataset.records import Sample
 
-    if options.png is None:
-        raise ConfigError("give --png FILE: there is no interactive viewer yet")
-    if options.png.suffix.lower() != ".png":
-        raise ConfigError(f"--png {options.png}: the picture is a PNG, so end the name in .png")
-    if _is_folder(options.what):
-        from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
-
-        reader = ShardReader(options.what)
-        if options.index >= len(reader):
-            raise ConfigError(f"{options.what}: sample {options.index} of {len(reader)}, counted from 0")
-        picture = sample_sheet(decode_sample(reader.read(options.index, MEMBERS)))
-    else:
-        picture = draw_pattern(require_valid(read_pattern(options.what), source=str(options.what)))
-    write_whole(options.png, png_bytes(picture))
-    print(options.png)
+    given = {ending: path for ending, path in (("png", options.png), ("svg", options.svg)) if path is not None}
+    if not given:
+        raise ConfigError("give --png FILE or --svg FILE: there is no interactive viewer yet")
+    for ending, path in given.items():
+        if path.suffix.lower() != f".{ending}":
+            raise ConfigError(f"--{ending} {path}: the picture is {ending.upper()}, so end the name in .{ending}")
+    what = _sample_or_pattern(options.what, options.index)
+    if options.png is not None:
+        write_whole(options.png, png_bytes(sample_sheet(what) if isinstance(what, Sample) else draw_pattern(what)))
+    if options.svg is not None:
+        write_whole(options.svg, pattern_svg(what.pattern if isinstance(what, Sample) else what))
+    print(*given.values(), sep="\n")
     return 0
 
 
@@ -187,7 +187,8 @@ def _parser() -> argparse.ArgumentParser:
         "--config",
         type=Path,
         metavar="FILE.toml",
-        help="bodies, stage, resolution, device, on-fail; also points, picture, max-attempts",
+        help="bodies, stage, resolution, device, on-fail; also points, picture, max-attempts, and tables such as "
+        "[design.pants] that narrow what designs may be",
     )
 
     drape = _verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
@@ -206,7 +207,8 @@ def _parser() -> argparse.ArgumentParser:
     show = _verb(verbs, "show", _show, "a picture of a sample or a pattern")
     show.add_argument("what", type=Path, metavar="DATASET|SPEC", help="folder of shards, or specification JSON")
     show.add_argument("--index", type=_natural, default=0, help="which sample of the data set (default: 0)")
-    show.add_argument("--png", type=Path, metavar="FILE", help="where the picture goes")
+    show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
+    show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready to be cut")
     return parser
 
 
@@ -226,6 +228,20 @@ def _natural(text: str) -> int:
     return int(text)
 
 
+def _sample_or_pattern(what: Path, index: int) -> "Sample | Pattern":
+    """The sample of that index in a folder of shards, or the pattern in a specification file."""
+    from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
+    from gcd_dataset.spec import read_pattern
+    from gcd_dataset.validate import require_valid
+
+    if not _is_folder(what):
+        return require_valid(read_pattern(what), source=str(what))
+    reader = ShardReader(what)
+    if index >= len(reader):
+        raise ConfigError(f"{what}: sample {index} of {len(reader)}, counted from 0")
+    return decode_sample(reader.read(index, MEMBERS))
+
+
 def _is_folder(path: Path) -> bool:
     try:
         return path.is_dir()
@@ -235,13 +251,21 @@ def _is_folder(path: Path) -> bool:
 
 def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
     """The options in a TOML file. Raises ``ConfigError`` with the line, or the name that is not known."""
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}): give a TOML file that you may read") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: {error}: mend the TOML") from error
-    values = {name.replace("-", "_"): value for name, value in values.items()}
+    values = {name.replace("-", "_"): value for name, value in read_toml(path).items()}
     if unknown := sorted(set(values) - known):
         raise ConfigError(f"{path}: no option is called {unknown[0]}: there are {', '.join(sorted(known))}")
+    if "design" in values:
+        values["design"] = _overlay(path, values["design"])
     return values
+
+
+def _overlay(path: Path, values: Any) -> Any:
+    """What a config file narrows designs to. Raises ``ConfigError`` with the parameter that is wrong."""
+    from gcd_dataset.generator.garments.overlay import Overlay
+
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{path}: design is {values!r}: write tables such as [design.pants]")
+    try:
+        return Overlay.from_dict(values)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: design: {error}") from error

@@ -2,8 +2,10 @@
 
 import contextlib
 import hashlib
+import json
 import os
 import zlib
+from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,11 +18,13 @@ from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.index import ShardTable, whole_samples
-from gcd_dataset.shards.layout import key_of, member_name, part_path
+from gcd_dataset.shards.layout import MEMBERS, key_of, member_name, part_path
 from gcd_dataset.shards.manifest import ShardRecord
 from gcd_dataset.shards.tar import BLOCK, END, padded, tar_entry
 
 __all__ = ["GrowingShard", "shard_record"]
+
+META = MEMBERS.index("meta.json")
 
 
 class GrowingShard:
@@ -79,7 +83,7 @@ class GrowingShard:
             os.ftruncate(self._file, self._end)
             os.ftruncate(self._file, self._end + END)
             os.fsync(self._file)
-            record = shard_record(self.part, len(self.rows))
+            record = shard_record(self.part, self.table())
             self.part.replace(self.path)
             _sync_folder(self.path.parent)
         return replace(record, name=self.path.name)
@@ -133,10 +137,15 @@ class GrowingShard:
         ]
 
 
-def shard_record(path: Path, count: int) -> ShardRecord:
+def shard_record(path: Path, table: ShardTable) -> ShardRecord:
     """What the manifest says of the whole shard in ``path``. Raises ``OSError``."""
+    rejects: Counter[str] = Counter()
     with path.open("rb") as file:
-        return ShardRecord(path.name, count, path.stat().st_size, hashlib.file_digest(file, "sha256").hexdigest())
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        for offset, size in zip(table.offset[:, META].tolist(), table.size[:, META].tolist(), strict=True):
+            meta = json.loads(os.pread(file.fileno(), size, offset))
+            rejects.update(reason.partition(":")[0] for reason in meta["rejects"])
+    return ShardRecord(path.name, len(table), path.stat().st_size, digest, dict(sorted(rejects.items())))
 
 
 def _span(row: ShardTable) -> tuple[int, int]:

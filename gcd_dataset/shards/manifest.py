@@ -1,6 +1,7 @@
 """What a data set is made of: the recipe and the shards of each split, kept in ``manifest.json``."""
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -27,6 +28,8 @@ class ShardRecord:
     size: int
     """Bytes of it."""
     sha256: str
+    rejects: Mapping[str, int] = field(default_factory=dict)
+    """Designs turned down before those of its samples were taken, by the rule they broke; counted with each sample."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,14 @@ class SplitRecord:
     shard_size: int
     """Shard k holds the samples from ``k * shard_size`` to ``(k + 1) * shard_size - 1``."""
     shards: tuple[ShardRecord, ...] = ()
+
+    @property
+    def rejects(self) -> Mapping[str, int]:
+        """Designs turned down on the way to all samples, by the rule they broke, the most frequent first."""
+        total: Counter[str] = Counter()
+        for shard in self.shards:
+            total.update(shard.rejects)
+        return dict(total.most_common())
 
     @classmethod
     def from_json(cls, entry: Mapping[str, Any]) -> Self:

@@ -142,7 +142,7 @@ class ShardWriter:
         for number, table in self._whole.items():
             path = self._path(number)
             with reading(path):
-                records[number] = listed.get((path.name, path.stat().st_size)) or shard_record(path, len(table))
+                records[number] = listed.get((path.name, path.stat().st_size)) or shard_record(path, table)
         return records
 
     def _keep_manifest(self) -> None:

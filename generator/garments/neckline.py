@@ -1,27 +1,46 @@
 """Necklines: half shapes, from the shoulder down to the centre, cut into the corner between the two."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from enum import Enum
-from math import hypot
+from itertools import pairwise
+from math import hypot, pi, radians, sin, tan
 
-from gcd_dataset.curves import Arc
+from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.space import Design, choice, real
+from gcd_dataset.generator.garments.collar import Collar, CollarDesign
+from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
 from gcd_dataset.generator.garments.trunk import blend
 from gcd_dataset.generator.pattern import Stroke
 from gcd_dataset.records import Measurements
 
-__all__ = ["Neckline", "NecklineDesign", "neckline", "neckline_width"]
+__all__ = [
+    "LeftNecklineDesign",
+    "Neckline",
+    "NecklineDesign",
+    "half_neckline",
+    "neckline_drop",
+    "neckline_shape",
+    "neckline_width",
+    "worn_neckline",
+]
 
 SHOULDER_LEFT = 1.0  # cm beside a neckline of full width, GarmentCode
+CENTRE_LEFT = 1.0  # cm of centre edge under the deepest neckline, GarmentCode
+CURVY = Cubic((0.4, 0.3), (0.8, -0.3))  # edge frame, from shoulder to centre, GarmentCode
+CURVY_FLIPPED = Cubic((0.4, -0.3), (0.8, 0.3))
+LAPEL_BEZIER = (0.5, 0.3)  # control point of a Bézier neckline under a lapel, GarmentCode
 
 
 class Neckline(Enum):
     """The necklines there are."""
 
     CIRCLE = "CircleNeckHalf"
+    CURVY = "CurvyNeckHalf"
     V = "VNeckHalf"
+    SQUARE = "SquareNeckHalf"
+    TRAPEZOID = "TrapezoidNeckHalf"
+    ARC = "CircleArcNeckHalf"
+    BEZIER = "Bezier2NeckHalf"
 
 
 @dataclass(frozen=True)
@@ -38,6 +57,60 @@ class NecklineDesign(Design):
     """In front, as a fraction of shoulder to bust."""
     bc_depth: float = real(0.0, 0.0, 2.0, keep=0.4)
     """At the back, as a fraction of shoulder to bust."""
+    fc_angle: int = integer(95, 70, 110)
+    """In front: slope of a trapezoid's sides, or angle of an arc [degrees]."""
+    bc_angle: int = integer(95, 70, 110)
+    """At the back."""
+    f_bezier_x: float = real(0.3, 0.05, 0.95, keep=0.4)
+    """In front: where along its chord the control point of a Bézier neckline lies, as a fraction of the chord."""
+    f_bezier_y: float = real(0.55, 0.05, 0.95, keep=0.4)
+    """How far off its chord, likewise."""
+    b_bezier_x: float = real(0.15, 0.05, 0.95, keep=0.4)
+    """At the back, along the chord."""
+    b_bezier_y: float = real(0.1, 0.05, 0.95, keep=0.4)
+    """At the back, off the chord."""
+    f_flip_curve: bool = flag(False, keep=0.8)
+    """In front: whether a curvy, arc or Bézier neckline bulges the other way."""
+    b_flip_curve: bool = flag(False, keep=0.8)
+    """At the back."""
+    component: CollarDesign = part(CollarDesign)
+
+
+@dataclass(frozen=True)
+class LeftNecklineDesign(Design):
+    """The left half of a neckline, where it differs from the right one; it is as deep."""
+
+    f_collar: Neckline = choice(Neckline.CIRCLE, *Neckline, keep=0.4)
+    b_collar: Neckline = choice(Neckline.CIRCLE, *Neckline, keep=0.8)
+    width: float = real(0.5, 0.0, 1.0, keep=0.4)
+    fc_angle: int = integer(95, 70, 110)
+    bc_angle: int = integer(95, 70, 110)
+    f_bezier_x: float = real(0.5, 0.05, 0.95, keep=0.4)
+    f_bezier_y: float = real(0.3, 0.05, 0.95)
+    b_bezier_x: float = real(0.5, 0.05, 0.95, keep=0.4)
+    b_bezier_y: float = real(0.3, 0.05, 0.95)
+    f_flip_curve: bool = flag(False, keep=0.8)
+    b_flip_curve: bool = flag(False, keep=0.8)
+
+    def beside(self, right: NecklineDesign) -> NecklineDesign:
+        """The whole left neckline: as deep as the right one, and without a collar."""
+        own = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return NecklineDesign(**own, fc_depth=right.fc_depth, bc_depth=right.bc_depth)
+
+
+def worn_neckline(design: NecklineDesign) -> NecklineDesign:
+    """The neckline that the collar asks for: turtlenecks and hoods sit on round ones, lapels on a round back.
+
+    A Bézier neckline under a lapel has the control point ``LAPEL_BEZIER`` whatever the design says, as GarmentCode's.
+    """
+    match design.component.style:
+        case None:
+            return design
+        case Collar.LAPEL:
+            x, y = LAPEL_BEZIER
+            return replace(design, b_collar=Neckline.CIRCLE, f_bezier_x=x, f_bezier_y=y)
+        case Collar.TURTLENECK | Collar.HOOD:
+            return replace(design, f_collar=Neckline.CIRCLE, b_collar=Neckline.CIRCLE)
 
 
 def neckline_width(size: Measurements, design: NecklineDesign) -> float:
@@ -47,26 +120,64 @@ def neckline_width(size: Measurements, design: NecklineDesign) -> float:
     return blend(size.neck_w, size.sleeve_balance - 2 * SHOULDER_LEFT, design.width)
 
 
-def neckline(kind: Neckline, half_width: float, depth: float) -> tuple[Stroke, ...]:
-    """Half a neckline, from the shoulder to the centre [cm]. Raises ``PatternError`` for one that does not go down."""
+def neckline_drop(size: Measurements, design: NecklineDesign, *, front: bool, room: float) -> float:
+    """How far the lowest point lies under the level of the shoulder's outer end [cm]; ``room``: to the hem there."""
+    depth = design.fc_depth if front else design.bc_depth
+    return min(depth * size.drawn_bust_line, room - CENTRE_LEFT)
+
+
+def half_neckline(
+    size: Measurements, design: NecklineDesign, *, front: bool, shoulder: float, room: float
+) -> tuple[Stroke, ...]:
+    """The right half of a neckline, from the shoulder at the origin down to the centre.
+
+    ``shoulder`` is the width of the half panel at the level of the shoulder's outer end, and ``room`` the height of
+    that level over the hem at the centre [cm]. Raises ``PatternError`` for a neckline that does not go down.
+    """
+    half_width = 0.5 * neckline_width(size, design)
+    depth = neckline_drop(size, design, front=front, room=room) + tan(size.shoulder_incl) * (shoulder - half_width)
     if depth <= 0.0:
         raise PatternError(f"a neckline of {2 * half_width:.2f} cm is wider than the shirt: narrow collar.width")
-    return DRAWINGS[kind](half_width, depth)
+    strokes = neckline_shape(design, front=front, half_width=half_width, depth=depth)
+    return tuple(replace(stroke, name="neck", label="right_collar") for stroke in strokes)
 
 
-def v_neck(half_width: float, depth: float) -> tuple[Stroke, ...]:
-    """A straight line from the shoulder to the centre."""
-    return (Stroke((0.0, 0.0), (half_width, -depth), name="neck"),)
+def neckline_shape(design: NecklineDesign, *, front: bool, half_width: float, depth: float) -> tuple[Stroke, ...]:
+    """The drawing of a half neckline of this size [cm], from the origin to ``(half_width, -depth)``."""
+    kind = design.f_collar if front else design.b_collar
+    flip = design.f_flip_curve if front else design.b_flip_curve
+    angle = radians(design.fc_angle if front else design.bc_angle)
+    end = (half_width, -depth)
+    match kind:
+        case Neckline.CIRCLE:
+            return _curve(end, _circle(half_width, depth))
+        case Neckline.CURVY:
+            return _curve(end, CURVY_FLIPPED if flip else CURVY)
+        case Neckline.V:
+            return _lines(end)
+        case Neckline.SQUARE:
+            return _lines((0.0, -depth), end)
+        case Neckline.TRAPEZOID:
+            corner = -depth / tan(angle)
+            return _lines((corner, -depth), end) if corner < half_width else _lines(end)
+        case Neckline.ARC:
+            return _curve(end, Arc(hypot(*end) / (2 * sin(0.5 * angle)), large=angle > pi, right=not flip))
+        case Neckline.BEZIER:
+            x, y = (design.f_bezier_x, design.f_bezier_y) if front else (design.b_bezier_x, design.b_bezier_y)
+            return _curve(end, Quadratic((x, y if flip else -y)))
 
 
-def circle_neck(half_width: float, depth: float) -> tuple[Stroke, ...]:
-    """Half the arc through both shoulders and the lowest point: chords of half width, radius ``(h² + d²) / 2d``."""
-    radius = hypot(half_width, depth) ** 2 / (2 * depth)
-    return (Stroke((0.0, 0.0), (half_width, -depth), Arc(radius, large=False, right=True), name="neck"),)
+def _circle(half_width: float, depth: float) -> Arc:
+    """Half of the arc through both shoulders and the lowest point: of radius ``(h² + d²) / 2d``, level at its end.
+
+    The whole of a neckline deeper than ``half_width`` is more than half a circle: it bulges out beyond the shoulders.
+    """
+    return Arc((half_width**2 + depth**2) / (2 * depth), large=False, right=True)
 
 
-DRAWINGS: Mapping[Neckline, Callable[[float, float], tuple[Stroke, ...]]] = {
-    Neckline.CIRCLE: circle_neck,
-    Neckline.V: v_neck,
-}
-"""The drawing of each, from half width and depth [cm]."""
+def _curve(end: Point, curve: Curve) -> tuple[Stroke, ...]:
+    return (Stroke((0.0, 0.0), end, curve),)
+
+
+def _lines(*corners: Point) -> tuple[Stroke, ...]:
+    return tuple(Stroke(start, end) for start, end in pairwise(((0.0, 0.0), *corners)))

@@ -1,20 +1,20 @@
-"""Outfits: a shirt, a skirt, or both joined to a dress, with or without a waistband."""
+"""Outfits: an upper, a waistband and a bottom, or some of them, sewn to each other from the top down."""
 
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise
+from math import fmod
 
 from gcd_dataset.errors import BodyError, PatternError
-from gcd_dataset.generator.garments.circle_skirt import CircleSkirtDesign, circle_skirt
-from gcd_dataset.generator.garments.neckline import NecklineDesign
-from gcd_dataset.generator.garments.shirt import ShirtDesign, shirt
-from gcd_dataset.generator.garments.sleeve import SleeveDesign
-from gcd_dataset.generator.garments.space import Design, choice, part
-from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign, waistband
-from gcd_dataset.generator.pattern import Component, assemble
+from gcd_dataset.generator.garments.bottoms import BOTTOMS
+from gcd_dataset.generator.garments.design import OutfitDesign, Upper
+from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
+from gcd_dataset.generator.garments.upper import upper
+from gcd_dataset.generator.garments.waistband import waistband
+from gcd_dataset.generator.pattern import Component, Piece, assemble
 from gcd_dataset.records import Measurements, Pattern
 
-__all__ = ["Bottom", "MetaDesign", "OutfitDesign", "Upper", "outfit"]
+__all__ = ["bottom", "bottom_rise", "outfit", "pieces"]
 
 GAP = 5.0  # cm between the parts of an outfit before sewing, GarmentCode
 MEASURES_USED = (
@@ -25,65 +25,54 @@ MEASURES_USED = (
 BACKS = (("back_width", "bust"), ("waist_back_width", "waist"), ("hip_back_width", "hips"))
 
 
-class Upper(Enum):
-    """What there is for the upper body."""
-
-    SHIRT = "Shirt"
-
-
-class Bottom(Enum):
-    """What there is for the lower body."""
-
-    CIRCLE_SKIRT = "SkirtCircle"
-
-
-@dataclass(frozen=True)
-class MetaDesign(Design):
-    """Which parts the outfit has."""
-
-    upper: Upper | None = choice(Upper.SHIRT, *Upper, None, keep=0.3)
-    wb: Waistband | None = choice(None, *Waistband, None, keep=0.5)
-    bottom: Bottom | None = choice(None, *Bottom, None, keep=0.3)
-
-
-@dataclass(frozen=True)
-class OutfitDesign(Design):
-    """A design without a body: everything in it is a fraction, an angle or a choice. The default is a T-shirt."""
-
-    meta: MetaDesign = part(MetaDesign)
-    waistband: WaistbandDesign = part(WaistbandDesign)
-    shirt: ShirtDesign = part(ShirtDesign)
-    collar: NecklineDesign = part(NecklineDesign)
-    sleeve: SleeveDesign = part(SleeveDesign)
-    flare_skirt: CircleSkirtDesign = part(CircleSkirtDesign, key="flare-skirt")
-
-
-def outfit(size: Measurements, design: OutfitDesign) -> Pattern:
+def outfit(
+    size: Measurements, design: OutfitDesign, *, name: str = "outfit", mends: frozenset[Mend] = ALL_MENDS
+) -> Pattern:
     """The pattern of a design for a wearer, hung around the wearer from the top down.
 
     Raises ``BodyError`` for measures that nobody took or that no body has, and ``PatternError`` for an outfit without
     upper and bottom, or where a part cannot be drawn for this wearer.
     """
-    parts = _hung(_parts(_measured(size), design))
+    return assemble(pieces(size, design, mends=mends), name)
+
+
+def pieces(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend] = ALL_MENDS) -> Component:
+    """All pieces of an outfit with their seams, as ``outfit`` assembles them; raises as that does."""
+    parts = _hung(_parts(_measured(size), design, mends))
     whole = Component.of(*parts)
     for above, below in pairwise(parts):
-        whole = whole.sewn(above.interface("bottom"), below.interface("top"))
+        whole = whole.sewn(above.interface("bottom"), below.interface("top"), gathered=True)
+    if Mend.EXPORT_PIVOT not in mends:
+        whole = replace(whole, pieces=tuple(_displaced(piece) for piece in whole.pieces))
     held = [hung.interface("top") for hung in parts if "top" in hung.interfaces]
-    return assemble(whole.with_edge_label(held[0], "lower_interface") if held else whole, "outfit")
+    return whole.with_edge_label(held[0], "lower_interface") if held else whole
 
 
-def _parts(size: Measurements, design: OutfitDesign) -> tuple[Component, ...]:
+def bottom_rise(design: OutfitDesign) -> float:
+    """Where the top of the bottom sits, 0 at the hips and 1 at the waist: there under a fitted shirt, and for none."""
+    if design.meta.bottom is None or design.meta.upper is Upper.FITTED:
+        return 1.0
+    return BOTTOMS[design.meta.bottom].rise(design)
+
+
+@lru_cache(maxsize=8)  # drawn to see whether it is whole, it is asked for again for the outfit
+def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
+    """The bottom of a design that has one; offers ``top`` [ring]."""
+    assert design.meta.bottom is not None
+    return BOTTOMS[design.meta.bottom].draw(size, design, rise=bottom_rise(design), mends=mends).labelled("leg")
+
+
+def _parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> tuple[Component, ...]:
     """The parts of the outfit, from the top down."""
-    meta, parts = design.meta, []
+    meta, rise, parts = design.meta, bottom_rise(design), []
     if meta.upper is None and meta.bottom is None:
         raise PatternError("an outfit without upper and bottom: choose meta.upper or meta.bottom")
-    if meta.upper is Upper.SHIRT:
-        parts.append(shirt(size, design.shirt, design.collar, design.sleeve))
+    if meta.upper is not None:
+        parts.append(upper(size, design, mends=mends))
     if meta.wb is not None:
-        rise = design.flare_skirt.rise if meta.bottom else 1.0
         parts.append(waistband(size, design.waistband, meta.wb, rise=rise).labelled("body"))
-    if meta.bottom is Bottom.CIRCLE_SKIRT:
-        parts.append(circle_skirt(size, design.flare_skirt).labelled("leg"))
+    if meta.bottom is not None:
+        parts.append(bottom(size, design, mends))
     return tuple(parts)
 
 
@@ -93,6 +82,12 @@ def _hung(parts: tuple[Component, ...]) -> tuple[Component, ...]:
     for below in parts[1:]:
         hung = (*hung, below.placed_by("top", hung[-1], "bottom", gap=GAP))
     return hung
+
+
+def _displaced(piece: Piece) -> Piece:
+    """The piece moved in its plane by what its first corner lacks to whole centimetres."""
+    x, y, z = piece.placement.matrix[:, :2] @ [fmod(coordinate, 1.0) for coordinate in piece.outline.origin]
+    return piece.moved((float(x), float(y), float(z)))
 
 
 def _measured(size: Measurements) -> Measurements:

@@ -1,11 +1,11 @@
-"""Rectangles and ring sectors: what waistbands and circle skirts are cut from."""
+"""Rectangles, trapezes and ring sectors: what waistbands, gathered skirts and circle skirts are cut from."""
 
 from math import cos, pi, sin
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.generator.pattern import Outline, Piece
 
-__all__ = ["band", "sector"]
+__all__ = ["band", "sector", "skirt_panel"]
 
 STRAIGHT = 1e-3  # rad: a sector of less is drawn as a rectangle
 
@@ -24,6 +24,27 @@ def band(name: str, width: float, height: float) -> Piece:
         .close(name="right")
     )
     return Piece(name, outline)
+
+
+def skirt_panel(
+    name: str, width: float, length: float, *, flare: float, ruffle: float = 1.0, bottom_cut: float = 0.0
+) -> Piece:
+    """A trapeze that hangs down from the origin, the middle of its ``top``; its sides are named as on a ``band``.
+
+    The top is ``ruffle`` times as long as ``width`` [cm], what it is gathered to; each side of the hem stands out by
+    ``flare`` [cm]. Below ``bottom_cut`` [cm over the hem] the sides are named ``right_slit`` and ``left_slit``.
+    """
+    top = 0.5 * ruffle * width
+    hem, slit = top + flare, top + flare * (1 - bottom_cut / length)
+    outline = Outline.start(-hem, -length)
+    if bottom_cut > 0:
+        outline = outline.line(-slit, bottom_cut - length, name="right_slit")
+    outline = outline.line(-top, 0, name="right").line(top, 0, name="top")
+    if bottom_cut > 0:
+        outline = outline.line(slit, bottom_cut - length, name="left").line(hem, -length, name="left_slit")
+    else:
+        outline = outline.line(hem, -length, name="left")
+    return Piece(name, outline.close(name="bottom"))
 
 
 def sector(name: str, top: float, angle: float, height: float) -> Piece:

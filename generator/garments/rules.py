@@ -1,23 +1,57 @@
 """What makes a pattern unfit to be worn, as predicates that give their reason with figures.
 
-Each rule is a function ``(size, design, pattern) -> Reject | None``; ``check_outfit`` asks them all.
+Each rule is a function of a ``Fitted`` outfit that returns a ``Reject`` or ``None``; ``check_outfit`` asks them all.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Self
 
-from gcd_dataset.generator.garments.circle_skirt import skirt_length
-from gcd_dataset.generator.garments.outfit import Bottom, OutfitDesign
+import numpy as np
+from jaxtyping import Complex, Float
+
+from gcd_dataset.crossings import edge_hulls, find_crossings
+from gcd_dataset.curves import curve_length
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.bottoms import BOTTOMS
+from gcd_dataset.generator.garments.design import Bottom, OutfitDesign, Upper
+from gcd_dataset.generator.garments.godet_skirt import GodetBase
+from gcd_dataset.generator.garments.levels_skirt import LevelsBase
+from gcd_dataset.generator.garments.mends import ALL_MENDS
+from gcd_dataset.generator.garments.outfit import bottom, bottom_rise, pieces
 from gcd_dataset.generator.garments.trunk import girth_at_rise
+from gcd_dataset.generator.garments.upper import upper_length
+from gcd_dataset.generator.garments.upper_half import right_torso
 from gcd_dataset.generator.garments.waistband import band_rise
-from gcd_dataset.records import Measurements, Pattern
-from gcd_dataset.validate import Rule, Severity, check_pattern
+from gcd_dataset.generator.pattern import Component, SewnJoin, sew
+from gcd_dataset.records import Measurements, Panel, Pattern
+from gcd_dataset.validate import LARGEST, SHORTEST_EDGE, Fault, Rule, Severity, check_pattern
 
-__all__ = ["RULES", "Reject", "check_outfit"]
+__all__ = [
+    "RULES",
+    "Fitted",
+    "Reject",
+    "bottom_is_whole",
+    "check_outfit",
+    "garment_length",
+    "has_firm_band",
+    "has_snug_band",
+    "is_asymmetric",
+    "is_gathered",
+    "is_heavy_kind",
+    "room_to_floor",
+    "top_girth",
+    "try_on",
+    "upper_is_whole",
+]
 
-LIGHT_LENGTH = 0.5  # flare-skirt.length up to which a loose band holds a circle skirt, GarmentCode
+LIGHT_LENGTH = 0.5  # length of a flared skirt up to which a loose or thin band holds it, GarmentCode
 LIGHT_SUNS = 0.75  # flare-skirt.suns, the same
 FIRM_BAND = 0.25  # waistband.width above which a band at the body's own girth holds any skirt, GarmentCode
+SHARPEST_CORNER = 10.0  # degrees: a spike of cloth that no mesh and no seamstress turns
+SEAM_SLACK, SEAM_SHARE = 1.5, 0.08  # cm, and share of the seam, by which its sides may differ without gathers
+TIGHTEST_GATHERS = 3.2  # of cloth, over the length it is gathered to: a little more than any design asks for
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,69 +65,152 @@ class Reject:
         return f"{self.rule}: {self.figures}"
 
 
-def check_outfit(size: Measurements, design: OutfitDesign, pattern: Pattern) -> tuple[Reject, ...]:
+@dataclass(frozen=True)
+class Fitted:
+    """An outfit drawn for a wearer."""
+
+    size: Measurements
+    design: OutfitDesign
+    pattern: Pattern
+    joins: tuple[SewnJoin, ...]
+    faults: tuple[Fault, ...]
+    """What ``validate`` finds."""
+
+    @classmethod
+    def of(cls, size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Self:
+        """The outfit drawn. Raises ``PatternError`` where it cannot be drawn for this wearer."""
+        pattern, joins = sew(pieces(size, design), name)
+        return cls(size, design, pattern, joins, check_pattern(pattern))
+
+
+def try_on(size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Pattern | Reject:
+    """The pattern of a design for a wearer, or the first reason why it cannot be drawn, or not be worn."""
+    if design.meta.upper is None and design.meta.bottom is None:
+        return Reject("empty", "an outfit without upper and bottom, at most a belt: choose meta.upper or meta.bottom")
+    try:
+        outfit = Fitted.of(size, design, name=name)
+    except PatternError as error:
+        return Reject("cannot_be_drawn", str(error))
+    return next(iter(check_outfit(outfit)), outfit.pattern)
+
+
+def check_outfit(outfit: Fitted) -> tuple[Reject, ...]:
     """All reasons to turn the pattern down; empty for one that can be worn."""
-    found = (rule(size, design, pattern) for rule in RULES)
+    found = (rule(outfit) for rule in RULES)
     return tuple(reject for reject in found if reject is not None)
 
 
-def reaches_floor(size: Measurements, design: OutfitDesign, pattern: Pattern) -> Reject | None:
+def reaches_floor(outfit: Fitted) -> Reject | None:
     """The parts, hung one under the other, reach from the nape (a bottom alone: from the waist) past the floor."""
-    room = size.waist_level if design.meta.upper is None else size.height - size.head_l
-    length = garment_length(size, design)
+    length, room = garment_length(outfit.size, outfit.design), room_to_floor(outfit.size, outfit.design)
     if length <= room:
         return None
     return Reject("reaches_floor", f"{length:.1f} cm of garment over {room:.1f} cm of body: shorten it")
 
 
-def slides_off(size: Measurements, design: OutfitDesign, pattern: Pattern) -> Reject | None:
-    """A skirt alone is wider at its top than the trunk is anywhere."""
-    if not _alone(design):
+def slides_off(outfit: Fitted) -> Reject | None:
+    """A bottom alone is wider at its top than the trunk is anywhere."""
+    if not _alone(outfit.design):
         return None
-    girth, trunk = top_girth(size, design), max(size.waist, size.hips)
+    size = outfit.size
+    girth, trunk = top_girth(size, outfit.design), max(size.waist, size.hips)
     if girth <= trunk:
         return None
-    return Reject("slides_off", f"a skirt of {girth:.1f} cm at the top on a trunk of {trunk:.1f} cm: narrow its band")
+    return Reject("slides_off", f"a bottom of {girth:.1f} cm at the top on a trunk of {trunk:.1f} cm: narrow its band")
 
 
-def too_heavy(size: Measurements, design: OutfitDesign, pattern: Pattern) -> Reject | None:
-    """A skirt alone is long or wide, and no firm band holds it."""
-    if not _alone(design) or has_firm_band(design):
+def loose_gathers(outfit: Fitted) -> Reject | None:
+    """A gathered skirt alone hangs from no band, or from one wider than the body."""
+    design = outfit.design
+    if not _alone(design) or not is_gathered(design) or design.skirt.ruffle <= 1 or has_snug_band(design):
         return None
-    length, suns = design.flare_skirt.length, design.flare_skirt.suns
+    return Reject("loose_gathers", f"gathers of {design.skirt.ruffle:.2f} hang from no snug waistband")
+
+
+def too_heavy(outfit: Fitted) -> Reject | None:
+    """A flared skirt alone is long or wide, and no firm band holds it; an asymmetric one is of one width."""
+    design = outfit.design
+    if not _alone(design) or not is_heavy_kind(design) or has_firm_band(design):
+        return None
+    length = design.levels_skirt.length if design.meta.bottom is Bottom.LEVELS else design.flare_skirt.length
+    suns = 0.0 if is_asymmetric(design) else design.flare_skirt.suns
     if length <= LIGHT_LENGTH and suns <= LIGHT_SUNS:
         return None
     return Reject("too_heavy", f"length {length:.2f} and {suns:.2f} suns hang from no firm waistband")
 
 
-def unsewable(size: Measurements, design: OutfitDesign, pattern: Pattern) -> Reject | None:
-    """A panel crosses itself or breaks another rule of ``validate``, or an edge is too short to sew."""
-    for fault in check_pattern(pattern):
-        if fault.severity is Severity.ERROR or fault.rule is Rule.SHORT_EDGE:
-            return Reject("unsewable", str(fault))
+def mismatched_seam(outfit: Fitted) -> Reject | None:
+    """Two sides of a seam differ in length where nothing is gathered, or by more than gathers can take."""
+    for sewn in outfit.joins:
+        if is_mismatched(sewn):
+            one, other = (f"{side[0].panel} {side[0].edge}" for side in (sewn.join.left, sewn.join.right))
+            return Reject("mismatched_seam", f"{sewn.left:.1f} cm of {one} on {sewn.right:.1f} cm of {other}")
     return None
 
 
-RULES: tuple[Callable[[Measurements, OutfitDesign, Pattern], Reject | None], ...] = (
+def sharp_corner(outfit: Fitted) -> Reject | None:
+    """A panel ends in a spike."""
+    panels = outfit.pattern.panels
+    angles = corner_angles([edge_hulls(panel) for panel in panels])
+    if angles.min() >= SHARPEST_CORNER:
+        return None
+    corners = [(panel.name, edge) for panel in panels for edge in range(len(panel.edges))]
+    name, edge = corners[int(angles.argmin())]
+    return Reject("sharp_corner", f"panel {name}, start of edge {edge}: {angles.min():.1f} degrees")
+
+
+def short_edge(outfit: Fitted) -> Reject | None:
+    """An edge is too short to be meshed and sewn."""
+    return _fault(outfit, "short_edge", lambda rule: rule is Rule.SHORT_EDGE)
+
+
+def self_crossing(outfit: Fitted) -> Reject | None:
+    """The outline of a panel crosses itself."""
+    return _fault(outfit, "self_crossing", lambda rule: rule is Rule.SELF_CROSSING)
+
+
+def unsewable(outfit: Fitted) -> Reject | None:
+    """Anything else that forbids sewing."""
+    return _fault(outfit, "unsewable", lambda rule: rule is not Rule.SELF_CROSSING and rule.severity is Severity.ERROR)
+
+
+RULES: tuple[Callable[[Fitted], Reject | None], ...] = (
     reaches_floor,
     slides_off,
+    loose_gathers,
     too_heavy,
+    mismatched_seam,
+    self_crossing,
+    short_edge,
     unsewable,
+    sharp_corner,
 )
+
+
+# ------------------------------------------------------------------------------------------------------------- figures
+
+
+def room_to_floor(size: Measurements, design: OutfitDesign) -> float:
+    """From where the garment hangs down to the floor [cm]."""
+    return size.waist_level if design.meta.upper is None else size.height - size.head_l
 
 
 def garment_length(size: Measurements, design: OutfitDesign) -> float:
     """Upper, band and bottom, one under the other [cm]."""
     meta = design.meta
-    upper = design.shirt.length * size.waist_line if meta.upper else 0.0
-    band = design.waistband.width * size.hips_line if meta.wb else 0.0
-    bottom = skirt_length(size, design.flare_skirt) if meta.bottom else 0.0
-    return upper + band + bottom
+    bottom = BOTTOMS[meta.bottom].length(size, design, bottom_rise(design)) if meta.bottom else 0.0
+    return length_above_bottom(size, design) + bottom
+
+
+def length_above_bottom(size: Measurements, design: OutfitDesign) -> float:
+    """Upper and band, one under the other [cm]."""
+    upper = upper_length(size, design) if design.meta.upper else 0.0
+    return upper + (design.waistband.width * size.hips_line if design.meta.wb else 0.0)
 
 
 def top_girth(size: Measurements, design: OutfitDesign) -> float:
     """Girth at the upper end of a bottom with its band [cm]."""
-    rise = design.flare_skirt.rise
+    rise = bottom_rise(design)
     if design.meta.wb is None:
         return girth_at_rise(size, rise)
     return design.waistband.waist * girth_at_rise(size, band_rise(design.waistband, rise) + design.waistband.width)
@@ -101,9 +218,96 @@ def top_girth(size: Measurements, design: OutfitDesign) -> float:
 
 def has_firm_band(design: OutfitDesign) -> bool:
     """Whether a band at the body's own girth, and high enough, holds the skirt."""
-    band = design.waistband
-    return design.meta.wb is not None and band.waist <= 1 and band.width > FIRM_BAND
+    return has_snug_band(design) and design.waistband.width > FIRM_BAND
+
+
+def is_gathered(design: OutfitDesign) -> bool:
+    """Whether the bottom is a gathered skirt, or begins with one."""
+    match design.meta.bottom:
+        case Bottom.GODET:
+            return design.godet_skirt.base is GodetBase.GATHERED
+        case Bottom.LEVELS:
+            return design.levels_skirt.base is LevelsBase.GATHERED
+        case bottom:
+            return bottom is Bottom.GATHERED
+
+
+def is_asymmetric(design: OutfitDesign) -> bool:
+    """Whether the bottom is an asymmetric circle skirt, or begins with one: flare-skirt.suns says nothing then."""
+    if design.meta.bottom is Bottom.LEVELS:
+        return design.levels_skirt.base is LevelsBase.ASYMMETRIC_CIRCLE
+    return design.meta.bottom is Bottom.ASYMMETRIC_CIRCLE
+
+
+def is_heavy_kind(design: OutfitDesign) -> bool:
+    """Whether the bottom is a flared skirt, or begins with one."""
+    if design.meta.bottom is Bottom.LEVELS:
+        return design.levels_skirt.base in (LevelsBase.CIRCLE, LevelsBase.ASYMMETRIC_CIRCLE)
+    return design.meta.bottom in (Bottom.CIRCLE, Bottom.ASYMMETRIC_CIRCLE, Bottom.PANELS)
+
+
+def upper_is_whole(size: Measurements, design: OutfitDesign) -> bool:
+    """Whether armholes and necklines can be cut into the fronts and backs, and leave them fit to be sewn."""
+    fitted, left = design.meta.upper is Upper.FITTED, design.left_half()
+    halves = [design.right_half()] if left is None else [design.right_half(), left]
+    torsos = [partial(right_torso, size, *half, fitted=fitted, mends=ALL_MENDS) for half in halves]
+    return all(map(_can_be_sewn, torsos))
+
+
+def bottom_is_whole(size: Measurements, design: OutfitDesign) -> bool:
+    """Whether the bottom can be drawn, slits and darts and godets cut into it, and be sewn."""
+    return _can_be_sewn(partial(bottom, size, design, ALL_MENDS))
+
+
+def _can_be_sewn(part: Callable[[], Component]) -> bool:
+    """Whether a part of an outfit can be drawn, and its panels are whole."""
+    try:
+        pattern, joins = sew(part(), "part")
+    except PatternError:
+        return False
+    return are_whole(pattern.panels) and not any(map(is_mismatched, joins))
+
+
+def are_whole(panels: Sequence[Panel]) -> bool:
+    """Whether all panels have the size to be sewn, cross nowhere, and have no short edge and no sharp corner."""
+    hulls = [edge_hulls(panel) for panel in panels]
+    lengths = [
+        [curve_length(*panel.edge_ends(i), edge.curve) for i, edge in enumerate(panel.edges)] for panel in panels
+    ]
+    if any(min(edges) < SHORTEST_EDGE or max(edges) > LARGEST for edges in lengths):
+        return False
+    return corner_angles(hulls).min() >= SHARPEST_CORNER and not any(find_crossings(panels, hulls, lengths))
+
+
+def is_mismatched(sewn: SewnJoin) -> bool:
+    """Whether the sides of a seam differ too much in length."""
+    shorter, longer = sorted((sewn.left, sewn.right))
+    return longer - shorter > max(SEAM_SLACK, (TIGHTEST_GATHERS - 1 if sewn.join.gathered else SEAM_SHARE) * shorter)
+
+
+def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarray, " corners"]:
+    """The angles inside panels where their edges start, panel after panel, 0 to 360 [degrees], from ``edge_hulls``."""
+    edges, sizes = np.concatenate(hulls), np.array([len(panel) for panel in hulls])
+    first = np.cumsum(sizes) - sizes
+    before, after = np.arange(len(edges)) - 1, np.arange(len(edges)) + 1
+    before[first], after[first + sizes - 1] = first + sizes - 1, first
+    leaving, arriving = edges[:, 1] - edges[:, 0], (edges[:, 3] - edges[:, 2])[before]
+    corners = edges[:, 0]
+    around = np.sign(np.add.reduceat((corners.conj() * corners[after]).imag, first))
+    return np.degrees(np.pi - np.repeat(around, sizes) * np.angle(leaving / arriving))
+
+
+def _fault(outfit: Fitted, name: str, concerns: Callable[[Rule], bool]) -> Reject | None:
+    for fault in outfit.faults:
+        if concerns(fault.rule):
+            return Reject(name, str(fault))
+    return None
 
 
 def _alone(design: OutfitDesign) -> bool:
-    return design.meta.upper is None and design.meta.bottom is Bottom.CIRCLE_SKIRT
+    return design.meta.upper is None and design.meta.bottom is not None
+
+
+def has_snug_band(design: OutfitDesign) -> bool:
+    """Whether there is a band at the body's own girth."""
+    return design.meta.wb is not None and design.waistband.waist <= 1

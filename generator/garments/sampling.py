@@ -1,58 +1,114 @@
-"""Designs by chance, drawn so that hardly any has to be turned down.
+"""Designs by chance: GarmentCode's rule for every parameter, kept to what its wearers can wear.
 
-What a design may not do to a usual body is kept out where the parameter is drawn; ``rules.py`` catches the rest, on
-the body that is really dressed.
+Each parameter keeps its default with its probability, and is uniform over its range otherwise. What the rest of the
+design and the wearers' measures forbid is drawn again within what they allow; ``rules.py`` catches the rest. Unlike
+GarmentCode's sampler, this one
+
+- chooses upper, lower and full-body garments a third each, before anything else (there a rejected design is drawn
+  whole again, which favours what is seldom rejected);
+- leaves a section that the garment has no use for at its defaults;
+- shortens a bottom whose hem would reach the floor, and lets a shirt with something sewn to it end near the waist;
+- fits a bottom without upper to the trunk, and keeps gathers and heavy flares off a loose or missing band;
+- draws armholes and necklines, slits, cuts and godets until they leave the panels whole.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
-from math import sqrt
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from gcd_dataset.generator.garments.circle_skirt import CircleSkirtDesign
-from gcd_dataset.generator.garments.neckline import Neckline, NecklineDesign
-from gcd_dataset.generator.garments.outfit import Bottom, MetaDesign, OutfitDesign, Upper
-from gcd_dataset.generator.garments.rules import LIGHT_LENGTH, LIGHT_SUNS, has_firm_band
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.garments.design import Bottom, LeftDesign, MetaDesign, OutfitDesign, Upper
+from gcd_dataset.generator.garments.godet_skirt import GodetBase
+from gcd_dataset.generator.garments.levels_skirt import Level, LevelsBase
+from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
+from gcd_dataset.generator.garments.parameter import Choice, Space
+from gcd_dataset.generator.garments.rules import (
+    LIGHT_LENGTH,
+    LIGHT_SUNS,
+    bottom_is_whole,
+    garment_length,
+    has_firm_band,
+    has_snug_band,
+    is_asymmetric,
+    is_gathered,
+    is_heavy_kind,
+    room_to_floor,
+    top_girth,
+    upper_is_whole,
+)
 from gcd_dataset.generator.garments.shirt import ShirtDesign
-from gcd_dataset.generator.garments.sleeve import SleeveDesign
-from gcd_dataset.generator.garments.space import draw, from_dict, to_dict
-from gcd_dataset.generator.garments.waistband import WaistbandDesign
+from gcd_dataset.generator.garments.space import DesignSpace, draw, from_dict, to_dict
+from gcd_dataset.records import Measurements
 
-__all__ = ["design_from_dict", "design_to_dict", "draw_neckline", "sample_design"]
+__all__ = ["Kind", "design_from_dict", "design_to_dict", "sample_design", "sample_kind", "sections_used"]
 
-OUTFITS = (
-    (Upper.SHIRT, None),
-    (None, Bottom.CIRCLE_SKIRT),
-    (Upper.SHIRT, Bottom.CIRCLE_SKIRT),
-)  # a third each, as in the paper
+JOINED_SHIRT = (0.8, 1.3)  # shirt.length at which a band or bottom is sewn on: near the waist, where it is as wide
+NECKLINES_TRIED, UPPERS_TRIED, BOTTOMS_TRIED = 10, 5, 10
 
-# Nape to waist, waist to hips and hips to floor as fractions of nape to floor, of bodies with a long trunk.
-NAPE_TO_WAIST, WAIST_TO_HIPS = 0.27, 0.18
-HIPS_TO_FLOOR = 1 - NAPE_TO_WAIST - WAIST_TO_HIPS
+LENGTH_SECTIONS: Mapping[Enum, str] = {
+    Bottom.CIRCLE: "flare_skirt",
+    Bottom.ASYMMETRIC_CIRCLE: "flare_skirt",
+    Bottom.PANELS: "flare_skirt",
+    Bottom.GATHERED: "skirt",
+    Bottom.PENCIL: "pencil_skirt",
+    Bottom.LEVELS: "levels_skirt",
+    Bottom.PANTS: "pants",
+    GodetBase.GATHERED: "skirt",
+    GodetBase.PENCIL: "pencil_skirt",
+    LevelsBase.GATHERED: "skirt",
+    LevelsBase.PENCIL: "pencil_skirt",
+    LevelsBase.CIRCLE: "flare_skirt",
+    LevelsBase.ASYMMETRIC_CIRCLE: "flare_skirt",
+    Level.GATHERED: "skirt",
+    Level.CIRCLE: "flare_skirt",
+    Level.ASYMMETRIC_CIRCLE: "flare_skirt",
+}
+"""The section of a design that a bottom, or a part of one, is drawn from."""
 
-# Of bodies with narrow shoulders over a wide chest, as fractions of shoulder to bust.
-NECK, SHOULDERS, CHEST, NAPE_TO_WAIST_OVER_BUST, CENTIMETRE = 0.85, 1.45, 1.25, 1.6, 0.05
-SHOULDER_SLOPE = 0.43
-WIDE_OPEN = SHOULDERS - 2 * CENTIMETRE
 
-JOINED_SHIRT = (0.8, 1.3)  # shirt.length at which a band or skirt is sewn on: near the waist, where it is as wide
-SNUG_BAND = (1.0, 1.1)  # waistband.waist that hips hold up without a shirt
-SHORT_SLEEVE = (0.1, 0.5)  # sleeve.length
-ARMHOLE = (0.0, 0.5)  # sleeve.connecting_width: deeper ones reach the hem of a short shirt
+class Kind(Enum):
+    """What of the body a garment covers."""
+
+    UPPER = "upper"
+    LOWER = "lower"
+    FULL = "full-body"
 
 
-def sample_design(rng: np.random.Generator) -> OutfitDesign:
-    """A random outfit that most bodies can wear."""
-    upper, bottom = OUTFITS[int(rng.integers(len(OUTFITS)))]
-    meta = MetaDesign(upper, draw(MetaDesign, rng).wb, bottom)
-    waistband = draw(WaistbandDesign, rng, within={} if upper else {"waist": SNUG_BAND})
-    shirt = draw(ShirtDesign, rng, within={"length": JOINED_SHIRT} if bottom or meta.wb else {})
-    collar = draw_neckline(rng, shirt)
-    sleeve = draw(SleeveDesign, rng, within={"length": SHORT_SLEEVE, "connecting_width": ARMHOLE})
-    chosen = OutfitDesign(meta, waistband, shirt, collar, sleeve)
-    return replace(chosen, flare_skirt=draw(CircleSkirtDesign, rng, within=_skirt(chosen)))
+NEEDS: Mapping[Kind, tuple[bool, bool]] = {
+    Kind.UPPER: (True, False),
+    Kind.LOWER: (False, True),
+    Kind.FULL: (True, True),
+}
+"""Whether a garment of that kind has an upper, and a bottom."""
+
+
+def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind:
+    """One of the kinds of garment that the overlay leaves, all equally likely."""
+    meta = _sections(overlay)["meta"]
+    there = [{option is not None for option in _choice(meta, name).options} for name in ("upper", "bottom")]
+    kinds = [kind for kind, needs in NEEDS.items() if all(n in t for n, t in zip(needs, there, strict=True))]
+    return kinds[int(rng.integers(len(kinds)))]
+
+
+def sample_design(
+    rng: np.random.Generator,
+    wearers: Iterable[Measurements] = (),
+    *,
+    kind: Kind | None = None,
+    overlay: Overlay = NO_OVERLAY,
+) -> OutfitDesign:
+    """A random outfit that all ``wearers`` (the neutral body, if none is named) can most likely wear."""
+    draft = _Draft(rng, _sections(overlay), tuple(wearers) or (_neutral(),))
+    design = draft.with_parts(kind or sample_kind(rng, overlay))
+    if design.meta.wb:
+        design = draft.with_band(design)
+    if design.meta.upper:
+        design = draft.with_upper(design)
+    return draft.with_bottom(design) if design.meta.bottom else design
 
 
 def design_to_dict(design: OutfitDesign) -> dict[str, Any]:
@@ -66,41 +122,168 @@ def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
     Raises ``ConfigError`` with the path of a name that no parameter has, or of a value that it cannot take.
 
     >>> design_from_dict({"meta": {"upper": None, "bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1}}).meta.bottom
-    <Bottom.CIRCLE_SKIRT: 'SkirtCircle'>
+    <Bottom.CIRCLE: 'SkirtCircle'>
     """
     return from_dict(OutfitDesign, values)
 
 
-def _skirt(design: OutfitDesign) -> dict[str, tuple[float, float]]:
-    """The lengths and widths of skirt that stay above the floor and on the body, under the rest of the outfit."""
-    above = design.shirt.length if design.meta.upper else 1.0
-    band = design.waistband.width if design.meta.wb else 0.0
-    longest = (1 - above * NAPE_TO_WAIST - (band + 1) * WAIST_TO_HIPS) / HIPS_TO_FLOOR
-    if design.meta.upper or has_firm_band(design):
-        return {"length": (-np.inf, longest)}
-    return {"length": (-np.inf, min(longest, LIGHT_LENGTH)), "suns": (-np.inf, LIGHT_SUNS)}
+# --------------------------------------------------------------------------------------------------------------- steps
 
 
-def draw_neckline(rng: np.random.Generator, shirt: ShirtDesign) -> NecklineDesign:
-    """A random neckline that leaves a shoulder and does not run into the armhole of the shirt."""
-    end = _shoulder_end(shirt) - CENTIMETRE
-    neck = draw(NecklineDesign, rng, within={"width": (-np.inf, _width(2 * end - CENTIMETRE))})
-    half = 0.5 * (NECK * (1 + neck.width) if neck.width < 0 else NECK + neck.width * (WIDE_OPEN - NECK))
-    # A round neckline of depth d bulges to (h² + d²) / 2d from the centre: to the shoulder's end at the deepest.
-    deepest = end + sqrt(max(end**2 - half**2, 0.0)) - SHOULDER_SLOPE * (CHEST * shirt.width - half)
-    kinds = {"fc_depth": neck.f_collar, "bc_depth": neck.b_collar}
-    round_ones = {name: (-np.inf, deepest) for name, kind in kinds.items() if kind is Neckline.CIRCLE}
-    depths = draw(NecklineDesign, rng, within=round_ones)
-    return replace(neck, fc_depth=depths.fc_depth, bc_depth=depths.bc_depth)
+@dataclass(frozen=True)
+class _Draft:
+    """A design being drawn: what chance is, what may be drawn, and for whom."""
+
+    rng: np.random.Generator
+    sections: Mapping[str, DesignSpace[Any]]
+    sizes: tuple[Measurements, ...]
+
+    def drawn(self, section: str) -> Any:
+        """A section of the design by GarmentCode's rule."""
+        return draw(self.sections[section], self.rng)
+
+    def within(self, section: str, design: Any, **limits: tuple[float, float]) -> Any:
+        """The section, what lies outside its limits drawn anew within them."""
+        changed = {}
+        for name, (low, high) in limits.items():
+            if not low <= getattr(design, name) <= high:
+                changed[name] = _leaf(self.sections[section], name).draw(self.rng, low, high)
+        return replace(design, **changed)
+
+    def with_parts(self, kind: Kind) -> OutfitDesign:
+        """Which upper, band and bottom there are."""
+        space, (has_upper, has_bottom) = self.sections["meta"], NEEDS[kind]
+        upper = _chosen(_choice(space, "upper"), has_upper).draw(self.rng)
+        bottom = _chosen(_choice(space, "bottom"), has_bottom).draw(self.rng)
+        return OutfitDesign(meta=MetaDesign(upper, _leaf(space, "wb").draw(self.rng), bottom))
+
+    def with_band(self, design: OutfitDesign) -> OutfitDesign:
+        """With a waistband; one under nothing is no wider than the trunk."""
+        design = replace(design, waistband=self.drawn("waistband"))
+        if design.meta.upper:
+            return design
+        snug = replace(design, waistband=replace(design.waistband, waist=1.0))
+        widest = min(max(size.waist, size.hips) / top_girth(size, snug) for size in self.sizes)
+        return replace(design, waistband=self.within("waistband", design.waistband, waist=(1.0, widest)))
+
+    def with_upper(self, design: OutfitDesign) -> OutfitDesign:
+        """With a shirt, its neckline and sleeves: the first of some whose panels are whole."""
+        for _ in range(UPPERS_TRIED):
+            trial = replace(design, shirt=self._shirt(design), sleeve=self.drawn("sleeve"), left=self._left())
+            for _ in range(NECKLINES_TRIED):
+                trial = replace(trial, collar=self.drawn("collar"))
+                if all(upper_is_whole(size, trial) for size in self.sizes):
+                    return trial
+        return trial
+
+    def with_bottom(self, design: OutfitDesign) -> OutfitDesign:
+        """With the sections of its bottom, as long and wide as the floor and what holds it allow: the first of some
+        whose panels are whole."""
+        for _ in range(BOTTOMS_TRIED):
+            trial = self._light_enough(self._off_the_floor(self._with_bottom_drawn(design)))
+            if all(bottom_is_whole(size, trial) for size in self.sizes):
+                break
+        return trial
+
+    def _with_bottom_drawn(self, design: OutfitDesign) -> OutfitDesign:
+        for section in _sections_of_bottom(design.meta.bottom):
+            design = replace(design, **{section: self.drawn(section)})
+        for section in _sections_of_parts(design):
+            design = replace(design, **{section: self.drawn(section)})
+        return design
+
+    def _shirt(self, design: OutfitDesign) -> ShirtDesign:
+        shirt: ShirtDesign = self.drawn("shirt")
+        joined = design.meta.upper is Upper.SHIRT and (design.meta.wb or design.meta.bottom)
+        longest = min(room_to_floor(size, design) / size.waist_line for size in self.sizes)
+        limits = JOINED_SHIRT if joined else (-np.inf, longest)
+        kept: ShirtDesign = self.within("shirt", shirt, length=limits)
+        return kept
+
+    def _left(self) -> LeftDesign:
+        left: LeftDesign = self.drawn("left")
+        return left if left.enable_asym else LeftDesign()
+
+    def _off_the_floor(self, design: OutfitDesign) -> OutfitDesign:
+        """The bottom no longer than from the hem above it to the floor; lengths are fractions of hips to floor."""
+        section = _length_section(design)
+        drawn = getattr(design, section)
+        excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
+        if excess <= 0:
+            return design
+        return replace(design, **{section: self.within(section, drawn, length=(-np.inf, drawn.length - excess))})
+
+    def _light_enough(self, design: OutfitDesign) -> OutfitDesign:
+        """A bottom alone neither gathered nor heavy where no band holds it."""
+        if design.meta.upper:
+            return design
+        if is_gathered(design) and not has_snug_band(design):
+            design = replace(design, skirt=self.within("skirt", design.skirt, ruffle=(1.0, 1.0)))
+        if is_heavy_kind(design) and not has_firm_band(design):
+            section, limits = _length_section(design), {"length": (-np.inf, LIGHT_LENGTH)}
+            design = replace(design, **{section: self.within(section, getattr(design, section), **limits)})
+            if not is_asymmetric(design):
+                light = self.within("flare_skirt", design.flare_skirt, suns=(-np.inf, LIGHT_SUNS))
+                design = replace(design, flare_skirt=light)
+        return design
 
 
-def _width(opening: float) -> float:
-    """The ``NecklineDesign.width`` of an opening, given as a fraction of shoulder to bust."""
-    return opening / NECK - 1 if opening < NECK else (opening - NECK) / (WIDE_OPEN - NECK)
+@cache
+def _sections(overlay: Overlay) -> Mapping[str, DesignSpace[Any]]:
+    """The space of each section of a design, by its field."""
+    return {entry.name: entry.space for entry in overlay.space.entries if isinstance(entry.space, DesignSpace)}
 
 
-def _shoulder_end(shirt: ShirtDesign) -> float:
-    """From the centre to the armhole's upper end: flared sides draw it inwards."""
-    chest = CHEST * shirt.width
-    lean = chest * max(shirt.flare - 1, 0.0) / (shirt.length * NAPE_TO_WAIST_OVER_BUST)
-    return 0.5 * SHOULDERS - SHOULDER_SLOPE * (chest - 0.5 * SHOULDERS) * lean
+@cache
+def _neutral() -> Measurements:
+    return measure(build_body(neutral_shape()))
+
+
+def _leaf(section: DesignSpace[Any], name: str) -> Space:
+    """The space of one parameter."""
+    return next(entry.space for entry in section.entries if entry.name == name and isinstance(entry.space, Space))
+
+
+def _choice(section: DesignSpace[Any], name: str) -> Choice:
+    return next(entry.space for entry in section.entries if entry.name == name and isinstance(entry.space, Choice))
+
+
+def _chosen(space: Choice, wanted: bool) -> Choice:
+    """The choice between something, or nothing at all."""
+    options = [option for option in space.range if (option is not None) == wanted]
+    return space.narrowed([space.read(option) for option in options])
+
+
+def sections_used(design: OutfitDesign) -> frozenset[str]:
+    """The sections of a design that its garment is drawn from."""
+    used = {"meta"}
+    if design.meta.wb:
+        used.add("waistband")
+    if design.meta.upper:
+        used |= {"shirt", "collar", "sleeve"} | ({"left"} if design.left.enable_asym else set())
+    return frozenset([*used, *_sections_of_bottom(design.meta.bottom), *_sections_of_parts(design)])
+
+
+def _sections_of_bottom(bottom: Bottom | None) -> tuple[str, ...]:
+    if bottom is Bottom.GODET:
+        return ("godet_skirt",)
+    return (LENGTH_SECTIONS[bottom],) if bottom else ()
+
+
+def _sections_of_parts(design: OutfitDesign) -> tuple[str, ...]:
+    """The sections that the parts of a godet or levels skirt are drawn from."""
+    match design.meta.bottom:
+        case Bottom.GODET:
+            return (LENGTH_SECTIONS[design.godet_skirt.base],)
+        case Bottom.LEVELS:
+            parts = (design.levels_skirt.base, design.levels_skirt.level)
+            return tuple(dict.fromkeys(LENGTH_SECTIONS[part] for part in parts))
+        case _:
+            return ()
+
+
+def _length_section(design: OutfitDesign) -> str:
+    """The section whose ``length`` says how far down the bottom reaches."""
+    bottom = design.meta.bottom
+    assert bottom is not None
+    return LENGTH_SECTIONS[design.godet_skirt.base if bottom is Bottom.GODET else bottom]

@@ -1,21 +1,24 @@
-"""Armholes and the sleeves set into them: ``right_sleeve_f`` and ``right_sleeve_b``; the left one is their mirror."""
+"""Sleeves: ``right_sleeve_f`` and ``right_sleeve_b``; the left one is their mirror."""
 
 from dataclasses import dataclass, replace
-from math import atan2, hypot, pi
+from math import atan2, cos, hypot, pi, radians, sin
 
 import numpy as np
 
-from gcd_dataset.curves import Cubic, Point
-from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.space import Design, flag, integer, real
+from gcd_dataset.curves import Point
+from gcd_dataset.generator.garments.armhole import Armhole
+from gcd_dataset.generator.garments.cuff import SleeveCuffDesign, sleeve_cuff_length, with_sleeve_cuff
+from gcd_dataset.generator.garments.mends import Mend
+from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, chain_from, rotate, smooth_cubic
 from gcd_dataset.records import Measurements
 
-__all__ = ["SleeveDesign", "armhole_curve", "sleeve"]
+__all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve"]
 
-ARMHOLE = Cubic((0.2, -0.35), (0.5, -0.2))  # edge frame, from underarm to shoulder, GarmentCode
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
-NO_SURPLUS = 0.6  # cm moved between the openings: less would make edges too short to sew
+EVEN = 0.2  # cm along the front's opening: a surplus that begins nearer to its end is left there, GarmentCode
+SEWABLE = 0.6  # cm of surplus: less would make edges too short to sew
+STANDING_FROM = pi / 36  # rad of rest angle over the shoulder's slope from which a shoulder can stand, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the arm, GarmentCode
 DOWN: Point = (0.0, -1.0)
 
@@ -24,7 +27,9 @@ DOWN: Point = (0.0, -1.0)
 class SleeveDesign(Design):
     """A sleeve, or an armhole without one."""
 
-    sleeveless: bool = flag(False, keep=0.6)
+    sleeveless: bool = flag(True, keep=0.7)
+    armhole_shape: Armhole = choice(Armhole.CURVE, *Armhole, keep=0.7)
+    """Of an armhole without sleeve; sleeves are set into curved ones."""
     length: float = real(0.3, 0.1, 1.15)
     """As a fraction of armhole to wrist."""
     connecting_width: float = real(0.2, 0.0, 2.0, keep=0.6)
@@ -35,24 +40,52 @@ class SleeveDesign(Design):
     """How far the sleeve hangs from the shoulder line at rest [degrees]; never less than the shoulder's slope."""
     opening_dir_mix: float = real(0.1, -0.9, 0.8, keep=1.0)
     """Direction in which the opening reaches the underarm: 0 along its chord, 1 straight down."""
+    standing_shoulder: bool = flag(False, keep=0.8)
+    """Whether the sleeve begins flat beyond the shoulder, if it hangs 5 degrees more than the shoulder slopes."""
+    standing_shoulder_len: float = real(5.0, 4.0, 10.0)
+    """For how long [cm]."""
     connect_ruffle: float = real(1.0, 1.0, 2.0, keep=0.4)
     """Gathers at the armhole: opening over armhole."""
+    smoothing_coeff: float = real(0.25, 0.1, 0.4, keep=0.8)
+    """Where the corner of an angled armhole lies, as a fraction of its width and height."""
+    cuff: SleeveCuffDesign = part(SleeveCuffDesign)
 
 
-def armhole_curve(width: float, depth: float) -> Stroke:
-    """From the underarm up to the shoulder, ``width`` inwards and ``depth`` upwards [cm]."""
-    return Stroke((0.0, 0.0), (width, depth), ARMHOLE, name="armhole", label="right_armhole")
+@dataclass(frozen=True)
+class LeftCuffDesign(SleeveCuffDesign):
+    """What ends a left sleeve that differs from the right one."""
+
+    top_ruffle: float = real(1.0, 1.0, 2.0)
 
 
-def sleeve(size: Measurements, design: SleeveDesign, front_armhole: Stroke, back_armhole: Stroke) -> Component:
-    """The right sleeve for two armholes, lying along the arm; offers ``opening`` [front up, back down] and ``end``."""
-    rest = max(design.sleeve_angle * pi / 180, size.shoulder_incl)
+@dataclass(frozen=True)
+class LeftSleeveDesign(SleeveDesign):
+    """A left sleeve that differs from the right one."""
+
+    opening_dir_mix: float = real(0.2, -0.9, 0.8, keep=1.0)
+    cuff: SleeveCuffDesign = part(LeftCuffDesign)
+
+
+def sleeve(
+    size: Measurements,
+    design: SleeveDesign,
+    front_armhole: Stroke,
+    back_armhole: Stroke,
+    *,
+    mends: frozenset[Mend],
+) -> Component:
+    """The right sleeve for two armholes, lying along the arm, with its cuff; offers ``opening`` [front up, back down].
+
+    Both armholes run from the underarm up to the shoulder.
+    """
+    rest = max(radians(design.sleeve_angle), size.shoulder_incl)
     openings = [_opening(armhole, rest, design.opening_dir_mix) for armhole in (front_armhole, back_armhole)]
-    front_opening, back_opening = _equalised(*openings)
-    front = _half(size, design, "right_sleeve_f", front_opening).at(0, 0, FRONT)
-    back = _half(size, design, "right_sleeve_b", back_opening).at(0, 0, BACK)
+    shortest = SEWABLE if Mend.SLEEVE_SURPLUS in mends else 0.0
+    front_opening, back_opening = _equalised(*openings, shortest=shortest)
+    front = _half(size, design, "right_sleeve_f", front_opening, rest).at(0, 0, FRONT)
+    back = _half(size, design, "right_sleeve_b", back_opening, rest).at(0, 0, BACK)
     gather = design.connect_ruffle
-    return (
+    plain = (
         Component.of(front, back)
         .sewn(front.along("upper"), back.along("upper"))
         .sewn(front.along("under"), back.along("under"))
@@ -60,9 +93,8 @@ def sleeve(size: Measurements, design: SleeveDesign, front_armhole: Stroke, back
             opening=front.along("opening", ruffle=gather) + back.against("opening", ruffle=gather),
             end=front.along("end") + back.against("end"),
         )
-        .turned(size.arm_pose_angle)
-        .labelled("arm")
     )
+    return with_sleeve_cuff(size, design, plain).turned(size.arm_pose_angle).labelled("arm")
 
 
 def _opening(armhole: Stroke, rest: float, mix: float) -> Stroke:
@@ -84,35 +116,30 @@ def _opening(armhole: Stroke, rest: float, mix: float) -> Stroke:
     ).reversed()
 
 
-def _equalised(front: Stroke, back: Stroke) -> tuple[tuple[Stroke, ...], tuple[Stroke, ...]]:
+def _equalised(front: Stroke, back: Stroke, *, shortest: float) -> tuple[tuple[Stroke, ...], tuple[Stroke, ...]]:
     """Both openings with chords of one length and slope, so that the sleeve's halves match along the arm.
 
     Laid flat, the opening is the front and then, turned over, the back. The crease where the halves meet is where the
-    perpendicular bisector of the whole crosses it; what lies beyond moves from the wider half to the other.
+    perpendicular bisector of the whole crosses the front; what lies beyond moves to the back. A front that is shorter
+    than its back, or longer by less than ``shortest`` cm, keeps its shape.
     """
-    if hypot(*front.chord) < hypot(*back.chord):
-        from_back, from_front = _equalised(back, front)
-        return from_front, from_back
     front_under, back_under = front.start, _turned_over(back).start
     span = (back_under[0] - front_under[0], back_under[1] - front_under[1])
     tilt = atan2(span[0], span[1])
     crease = _crease(front, back_under, span)
-    if hypot(*front.at(crease)) < NO_SURPLUS:
+    even = EVEN / front.length
+    if crease is None or not even < crease < 1 - even or hypot(*front.at(crease)) < shortest:
         return (front.rotated(tilt),), (back.rotated(-tilt),)
     kept, surplus = front.split_at([crease])
     return (kept.rotated(tilt),), (back.rotated(-tilt), _turned_over(surplus.reversed()).rotated(-tilt))
 
 
-def _crease(front: Stroke, back_under: Point, span: Point) -> float:
+def _crease(front: Stroke, back_under: Point, span: Point) -> float | None:
     """Parameter of the front opening where both underarm points are equally far away: the root of a cubic."""
     middle = (0.5 * (front.start[0] + back_under[0]), 0.5 * (front.start[1] + back_under[1]))
-    heights = [(x - middle[0]) * span[0] + (y - middle[1]) * span[1] for x, y in front.control_points()]
-    p, q, r, s = heights
+    p, q, r, s = ((x - middle[0]) * span[0] + (y - middle[1]) * span[1] for x, y in front.control_points())
     roots = np.roots([s - 3 * r + 3 * q - p, 3 * (r - 2 * q + p), 3 * (q - p), p])
-    inside = [root.real for root in roots if abs(root.imag) < 1e-9 and 0 < root.real <= 1 + 1e-9]
-    if not inside:
-        raise PatternError("sleeve: front and back openings differ so much that no crease makes them equal")
-    return float(min(max(inside), 1.0))
+    return max((float(root.real) for root in roots if abs(root.imag) < 1e-9 and 0 < root.real < 1), default=None)
 
 
 def _turned_over(stroke: Stroke) -> Stroke:
@@ -120,31 +147,35 @@ def _turned_over(stroke: Stroke) -> Stroke:
     return stroke.mirrored().rotated(pi)
 
 
-def _half(size: Measurements, design: SleeveDesign, name: str, opening: tuple[Stroke, ...]) -> Piece:
-    """Half a sleeve: wrist at x = 0, its upper edge on the x axis."""
+def _half(size: Measurements, design: SleeveDesign, name: str, opening: tuple[Stroke, ...], rest: float) -> Piece:
+    """Half a sleeve that hangs by ``rest`` [rad]: wrist at x = 0, its upper edge on the x axis."""
     plain_height = abs(opening[-1].end[1] - opening[0].start[1])
-    gathered = _stretched(opening, design.connect_ruffle)
+    gathered = _gathered(opening, design.connect_ruffle)
     width, height = (abs(gathered[-1].end[axis] - gathered[0].start[axis]) for axis in (0, 1))
     end = max(design.end_width * plain_height, 0.5 * size.wrist)
-    length = max(design.length * (size.arm_length - width), SHORTEST)
+    length = max(design.length * (size.arm_length - width) - sleeve_cuff_length(size, design), SHORTEST)
     outline = (
         Outline.start(0, 0)
         .line(0, -end, name="end")
         .line(length, -height, name="under")
         .then(*(replace(stroke, name="opening") for stroke in chain_from((length, -height), *gathered)))
-        .close(name="upper")
     )
-    return Piece(name, outline)
+    if design.standing_shoulder and rest > size.shoulder_incl + STANDING_FROM:
+        outline = _with_standing_shoulder(outline, design.standing_shoulder_len, rest - size.shoulder_incl)
+    return Piece(name, outline.close(name="upper"))
 
 
-def _stretched(strokes: tuple[Stroke, ...], factor: float) -> tuple[Stroke, ...]:
-    """Bézier strokes stretched along the chord of the whole."""
-    (x0, y0), (x1, y1) = strokes[0].start, strokes[-1].end
-    chord = hypot(x1 - x0, y1 - y0)
-    ux, uy = (x1 - x0) / chord, (y1 - y0) / chord
+def _with_standing_shoulder(outline: Outline, length: float, angle: float) -> Outline:
+    """Drawn on from the shoulder towards the wrist, straight on from the shoulder's slope before the sleeve bends."""
+    x, y = outline.pen
+    return outline.line(x - length * cos(angle), y + length * sin(angle), name="upper")
 
-    def moved(point: Point) -> Point:
-        along = (factor - 1) * ((point[0] - x0) * ux + (point[1] - y0) * uy)
-        return (point[0] + along * ux, point[1] + along * uy)
 
-    return tuple(stroke.through([moved(point) for point in stroke.control_points()]) for stroke in strokes)
+def _gathered(strokes: tuple[Stroke, ...], factor: float) -> tuple[Stroke, ...]:
+    """The strokes enlarged about their first point: longer by the factor, and of the same form."""
+    x0, y0 = strokes[0].start
+
+    def enlarged(point: Point) -> Point:
+        return (x0 + factor * (point[0] - x0), y0 + factor * (point[1] - y0))
+
+    return tuple(replace(stroke, start=enlarged(stroke.start), end=enlarged(stroke.end)) for stroke in strokes)

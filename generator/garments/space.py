@@ -13,98 +13,41 @@ and, for a design inside a design, ``part``. A value outside its range is refuse
 (4.802, 1)
 >>> to_dict(HemDesign())
 {'depth': 2.0, 'rows': 1}
+>>> for leaf in leaves(HemDesign):
+...     print(leaf.path, "is", leaf.space)
+depth is a number from 1 to 5
+rows is a whole number from 1 to 3
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
 from enum import Enum
-from typing import Any, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, shown
+from gcd_dataset.generator.garments.parameter import Choice, Flag, Integer, Real, Space, plain
 
-__all__ = ["Design", "choice", "draw", "flag", "from_dict", "integer", "part", "real", "to_dict"]
+__all__ = [
+    "Design",
+    "DesignSpace",
+    "Leaf",
+    "choice",
+    "draw",
+    "flag",
+    "from_dict",
+    "integer",
+    "leaves",
+    "part",
+    "real",
+    "require_known",
+    "to_dict",
+]
 
 D = TypeVar("D", bound="Design")
-
-
-@dataclass(frozen=True)
-class _Space(ABC):
-    """The values one parameter may take, and the probability with which a draw keeps its default."""
-
-    default: Any
-    keep: float | None
-    """None: the default is not favoured, and may be drawn like any other value."""
-
-    @abstractmethod
-    def holds(self, value: Any) -> bool:
-        """Whether the parameter can take this value."""
-
-    @abstractmethod
-    def within(self, value: Any, low: float, high: float) -> bool:
-        """Whether a value lies between two numbers; a choice always does."""
-
-    @abstractmethod
-    def pick(self, rng: np.random.Generator, low: float, high: float) -> Any:
-        """A value between two numbers, all equally likely, without a default that ``keep`` already favours."""
-
-    def draw(self, rng: np.random.Generator, low: float = -np.inf, high: float = np.inf) -> Any:
-        """A value between ``low`` and ``high``: the default with probability ``keep``, else uniform over the others."""
-        kept = self.keep is not None and rng.random() < self.keep
-        return self.default if kept and self.within(self.default, low, high) else self.pick(rng, low, high)
-
-
-@dataclass(frozen=True)
-class _Real(_Space):
-    low: float
-    high: float
-
-    def holds(self, value: Any) -> bool:
-        return isinstance(value, int | float) and not isinstance(value, bool) and self.low <= value <= self.high
-
-    def within(self, value: Any, low: float, high: float) -> bool:
-        return bool(low <= value <= high)
-
-    def pick(self, rng: np.random.Generator, low: float, high: float) -> float:
-        low, high = (min(max(limit, self.low), self.high) for limit in (low, high))
-        return float(rng.uniform(low, max(low, high)))
-
-    def __str__(self) -> str:
-        return f"a number from {self.low:g} to {self.high:g}"
-
-
-@dataclass(frozen=True)
-class _Integer(_Real):
-    def holds(self, value: Any) -> bool:
-        return super().holds(value) and float(value).is_integer()
-
-    def pick(self, rng: np.random.Generator, low: float, high: float) -> int:
-        values = range(int(np.ceil(max(low, self.low))), int(np.floor(min(high, self.high))) + 1)
-        others = [value for value in values if self.keep is None or value != self.default]
-        return int(rng.choice(others or [self.default]))
-
-    def __str__(self) -> str:
-        return f"a whole number from {self.low:g} to {self.high:g}"
-
-
-@dataclass(frozen=True)
-class _Choice(_Space):
-    options: tuple[Any, ...]
-
-    def holds(self, value: Any) -> bool:
-        return any(value is option for option in self.options)
-
-    def within(self, value: Any, low: float, high: float) -> bool:
-        return True
-
-    def pick(self, rng: np.random.Generator, low: float, high: float) -> Any:
-        others = [option for option in self.options if self.keep is None or option is not self.default]
-        return others[int(rng.integers(len(others)))]
-
-    def __str__(self) -> str:
-        return "one of " + ", ".join(str(_plain(option)) for option in self.options)
+P = TypeVar("P", bound="Design")
 
 
 @dataclass(frozen=True)
@@ -115,27 +58,29 @@ class Design:
         for entry in fields(self):
             space, value = entry.metadata.get("space"), getattr(self, entry.name)
             if space is not None and not space.holds(value):
-                raise ConfigError(f"{type(self).__name__}: {entry.name} is {_plain(value)}, not {space}")
+                raise ConfigError(f"{type(self).__name__}: {entry.name} is {plain(value)}, not {space}")
 
 
 def real(default: float, low: float, high: float, *, keep: float | None = None, key: str | None = None) -> Any:
     """A number; ``key`` is its name in a design file where that differs from the field's."""
-    return _parameter(_Real(default, keep, low, high), key)
+    return _parameter(Real(default, keep, low, high), key)
 
 
 def integer(default: int, low: int, high: int, *, keep: float | None = None, key: str | None = None) -> Any:
     """A whole number, both ends included."""
-    return _parameter(_Integer(default, keep, low, high), key)
+    return _parameter(Integer(default, keep, low, high), key)
 
 
-def choice(default: Enum | None, *options: Enum | None, keep: float | None = None, key: str | None = None) -> Any:
-    """One of several options; ``None`` stands for none of them."""
-    return _parameter(_Choice(default, keep, options), key)
+def choice(
+    default: Enum | float | None, *options: Enum | float | None, keep: float | None = None, key: str | None = None
+) -> Any:
+    """One of several options, names or numbers; ``None`` stands for none of them."""
+    return _parameter(Choice(default, keep, options), key)
 
 
 def flag(default: bool, *, keep: float | None = None, key: str | None = None) -> Any:
     """Yes or no."""
-    return _parameter(_Choice(default, keep, (True, False)), key)
+    return _parameter(Flag(default, keep, (True, False)), key)
 
 
 def part(kind: type[Design], *, key: str | None = None) -> Any:
@@ -143,59 +88,167 @@ def part(kind: type[Design], *, key: str | None = None) -> Any:
     return field(default_factory=kind, metadata={"part": kind, "key": key})
 
 
-def _parameter(space: _Space, key: str | None) -> Any:
+def _parameter(space: Space, key: str | None) -> Any:
     return field(default=space.default, metadata={"space": space, "key": key})
 
 
-def draw(kind: type[D], rng: np.random.Generator, *, within: Mapping[str, tuple[float, float]] | None = None) -> D:
+# --------------------------------------------------------------------------------------------------------- whole spaces
+
+
+class Entry(NamedTuple):
+    """One field of a design."""
+
+    name: str
+    key: str
+    """Its name in a design file."""
+    space: "Space | DesignSpace[Any]"
+
+
+class Leaf(NamedTuple):
+    """One parameter of a design, however deep."""
+
+    path: str
+    """Its names in a design file from the root on: ``flare-skirt.cut.depth``."""
+    space: Space
+
+
+@dataclass(frozen=True)
+class DesignSpace(Generic[D]):
+    """All that a kind of design may be: the space of each of its parameters, as declared or narrower."""
+
+    kind: type[D]
+    entries: tuple[Entry, ...]
+
+    @classmethod
+    def declared(cls, kind: type[D]) -> "DesignSpace[D]":
+        """The space that the fields of a kind of design declare."""
+        return cls(kind, tuple(Entry(entry.name, _key(entry), _declared(entry)) for entry in fields(kind)))
+
+    def of(self, kind: type[P]) -> "DesignSpace[P]":
+        """The part that holds this kind of design. Raises ``ConfigError`` where there is none, or more than one."""
+        found = [space for space in self._parts() if space.kind is kind]
+        if len(found) != 1:
+            raise ConfigError(f"{self.kind.__name__} has {len(found)} parts of kind {kind.__name__}: name another kind")
+        return found[0]
+
+    def changed(self, spaces: Mapping[str, Space]) -> "DesignSpace[D]":
+        """The same with other spaces for the parameters at some paths. Raises ``ConfigError`` for a path to none."""
+        if unknown := spaces.keys() - {leaf.path for leaf in leaves(self)}:
+            raise ConfigError(f"no design parameter is called {min(unknown)}: make the overlay again from its file")
+        return self._changed(spaces, "")
+
+    def _changed(self, spaces: Mapping[str, Space], above: str) -> "DesignSpace[D]":
+        entries = []
+        for entry in self.entries:
+            path, space = above + entry.key, entry.space
+            new = space._changed(spaces, f"{path}.") if isinstance(space, DesignSpace) else spaces.get(path, space)
+            entries.append(entry._replace(space=new))
+        return replace(self, entries=tuple(entries))
+
+    def _parts(self) -> "Iterator[DesignSpace[Any]]":
+        for entry in self.entries:
+            if isinstance(entry.space, DesignSpace):
+                yield entry.space
+                yield from entry.space._parts()
+
+
+def leaves(kind: type[Design] | DesignSpace[Any]) -> Iterator[Leaf]:
+    """All parameters of a design, parts of parts included, in the order of the fields."""
+    for entry in _space(kind).entries:
+        if isinstance(entry.space, DesignSpace):
+            yield from (Leaf(f"{entry.key}.{leaf.path}", leaf.space) for leaf in leaves(entry.space))
+        else:
+            yield Leaf(entry.key, entry.space)
+
+
+def draw(
+    kind: type[D] | DesignSpace[D],
+    rng: np.random.Generator,
+    *,
+    within: Mapping[str, tuple[float, float]] | None = None,
+) -> D:
     """A random design, its fields drawn in their order; ``within`` narrows the ranges of some by name.
 
     Where a narrowed range misses the parameter's own, the nearest value that the parameter can take is drawn.
     """
-    limits = within or {}
+    space, limits = _space(kind), within or {}
     values = {}
-    for entry in fields(kind):
-        if "part" in entry.metadata:
-            values[entry.name] = draw(entry.metadata["part"], rng)
+    for entry in space.entries:
+        if isinstance(entry.space, DesignSpace):
+            values[entry.name] = draw(entry.space, rng)
         else:
-            values[entry.name] = entry.metadata["space"].draw(rng, *limits.get(entry.name, ()))
-    return kind(**values)
+            values[entry.name] = entry.space.draw(rng, *limits.get(entry.name, ()))
+    return space.kind(**values)
 
 
-def to_dict(design: Design) -> dict[str, Any]:
-    """The design as nested plain values, under the names of a design file."""
-    values = {_key(entry): getattr(design, entry.name) for entry in fields(design)}
-    return {key: to_dict(value) if isinstance(value, Design) else _plain(value) for key, value in values.items()}
+def _space(kind: type[D] | DesignSpace[D]) -> DesignSpace[D]:
+    return kind if isinstance(kind, DesignSpace) else DesignSpace.declared(kind)
 
 
-def from_dict(kind: type[D], values: Mapping[str, Any], *, path: str = "") -> D:
-    """The design of nested plain values; what is not named keeps its default.
-
-    Raises ``ConfigError`` with the path of a name that no parameter has, or of a value that it cannot take.
-    """
-    entries = {_key(entry): entry for entry in fields(kind)}
-    if unknown := [key for key in values if key not in entries]:
-        raise ConfigError(f"no design parameter is called {path}{unknown[0]}: there are {', '.join(entries)}")
-    return kind(**{entries[key].name: _read(entries[key], value, f"{path}{key}") for key, value in values.items()})
-
-
-def _read(entry: Any, value: Any, path: str) -> Any:
-    if "part" in entry.metadata:
-        if not isinstance(value, Mapping):
-            raise ConfigError(f"{path} is {value!r}, not a table of parameters")
-        return from_dict(entry.metadata["part"], value, path=f"{path}.")
-    space = entry.metadata["space"]
-    if isinstance(space, _Choice):
-        options = {_plain(option): option for option in space.options}
-        value = options[value] if isinstance(value, str | bool | None) and value in options else value
-    if not space.holds(value):
-        raise ConfigError(f"{path} is {value!r}, not {space}")
-    return value
+def _declared(entry: Any) -> Space | DesignSpace[Any]:
+    return DesignSpace.declared(entry.metadata["part"]) if "part" in entry.metadata else entry.metadata["space"]
 
 
 def _key(entry: Any) -> str:
     return str(entry.metadata.get("key") or entry.name)
 
 
-def _plain(value: Any) -> Any:
-    return value.value if isinstance(value, Enum) else value
+# --------------------------------------------------------------------------------------------------------- plain values
+
+
+def to_dict(design: Design) -> dict[str, Any]:
+    """The design as nested plain values, under the names of a design file."""
+    values = {_key(entry): getattr(design, entry.name) for entry in fields(design)}
+    return {key: to_dict(value) if isinstance(value, Design) else plain(value) for key, value in values.items()}
+
+
+def from_dict(kind: type[D], values: Mapping[str, Any]) -> D:
+    """The design of nested plain values; what is not named keeps its default.
+
+    Raises ``ConfigError`` with the path of a name that no parameter has, or of a value that it cannot take.
+    """
+    space = DesignSpace.declared(kind)
+    require_known(space, values)
+    return _read(space, values, "")
+
+
+def require_known(space: DesignSpace[Any], values: Mapping[str, Any]) -> None:
+    """Raise ``ConfigError`` for a name in a tree of values that no parameter has, with the nearest one that is there,
+    and for a value in the place of a table."""
+    unknown = next(_unknown(space, values, ""), None)
+    if unknown is None:
+        return
+    path, siblings = unknown
+    known = [leaf.path for leaf in leaves(space)]
+    tables = {".".join(path.split(".")[:depth]) for path in known for depth in range(1, path.count(".") + 1)}
+    near = get_close_matches(path, [*known, *sorted(tables)], n=1)
+    remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(siblings)}"
+    raise ConfigError(f"no design parameter is called {shown(path)}: {remedy}")
+
+
+def _unknown(space: DesignSpace[Any], values: Mapping[str, Any], above: str) -> Iterator[tuple[str, list[str]]]:
+    """Paths that lead nowhere, each with the names there are in its place."""
+    entries = {entry.key: entry.space for entry in space.entries}
+    for key, value in values.items():
+        if key not in entries:
+            yield f"{above}{key}", list(entries)
+        elif isinstance(inner := entries[key], DesignSpace):
+            if not isinstance(value, Mapping):
+                raise ConfigError(f"{above}{key} is {value!r}, not a table of parameters")
+            yield from _unknown(inner, value, f"{above}{key}.")
+
+
+def _read(space: DesignSpace[D], values: Mapping[str, Any], above: str) -> D:
+    read = {}
+    for entry in space.entries:
+        if entry.key not in values:
+            continue
+        value, path = values[entry.key], above + entry.key
+        if isinstance(entry.space, DesignSpace):
+            read[entry.name] = _read(entry.space, value, f"{path}.")
+            continue
+        try:
+            read[entry.name] = entry.space.read(value)
+        except ConfigError as error:
+            raise ConfigError(f"{path} {error}") from error
+    return space.kind(**read)

@@ -2,12 +2,17 @@
 
 from gcd_dataset.records import Measurements
 
-__all__ = ["back_share", "blend", "girth_at_rise", "waist_back", "waist_front"]
+__all__ = ["back_at_rise", "back_share", "blend", "girth_at_rise", "waist_back", "waist_front"]
 
 
 def girth_at_rise(size: Measurements, rise: float) -> float:
     """Girth between the hips (rise 0) and the waist (rise 1) [cm]."""
     return blend(size.hips, size.waist, rise)
+
+
+def back_at_rise(size: Measurements, rise: float) -> float:
+    """The back's part of that girth, between its widths at the hips and at the waist [cm]."""
+    return blend(size.hip_back_width, size.waist_back_width, rise)
 
 
 def back_share(size: Measurements, rise: float) -> float:

@@ -9,11 +9,11 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.component import Component
 from gcd_dataset.generator.pattern.edge import Stroke
 from gcd_dataset.generator.pattern.panel import Piece
-from gcd_dataset.generator.pattern.seam import Interface, shared_breaks
+from gcd_dataset.generator.pattern.seam import Interface, Join, shared_breaks
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import panel_order
 
-__all__ = ["assemble"]
+__all__ = ["SewnJoin", "assemble", "panel_of", "sew"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +37,24 @@ class _Part:
     backward: bool
 
 
+@dataclass(frozen=True, slots=True)
+class SewnJoin:
+    """A seam between two interfaces, and how long its sides are without their gathers."""
+
+    join: Join
+    left: float
+    """[cm]"""
+    right: float
+    """[cm]"""
+
+
 def assemble(component: Component, name: str) -> Pattern:
     """The finished pattern. Raises ``PatternError`` for a seam of an edge that is not there or is sewn already."""
+    return sew(component, name)[0]
+
+
+def sew(component: Component, name: str) -> tuple[Pattern, tuple[SewnJoin, ...]]:
+    """The finished pattern, and the lengths of all that is sewn together in it. Raises as ``assemble`` does."""
     walks = [(_walk(component, join.left), _walk(component, join.right)) for join in component.joins]
     _require_sewn_once(component, walks)
     divisions = _divisions(walks)
@@ -52,7 +68,16 @@ def assemble(component: Component, name: str) -> Pattern:
         for left, right in zip(_parts(walk_left, divisions), _parts(walk_right, divisions), strict=True)
     ]
     order = panel_order(tuple(panels.values()))
-    return Pattern(name, tuple(panels[panel] for panel in order), tuple(seams))
+    sewn = tuple(
+        SewnJoin(join, *(sum(stretch.length for stretch in side) for side in walk))
+        for join, walk in zip(component.joins, walks, strict=True)
+    )
+    return Pattern(name, tuple(panels[panel] for panel in order), tuple(seams)), sewn
+
+
+def panel_of(piece: Piece) -> Panel:
+    """The panel that the piece alone is: with no edge divided for a seam."""
+    return _panel(piece, [(stroke,) for stroke in piece.outline.strokes], piece.faces_out)
 
 
 def _walk(component: Component, interface: Interface) -> list[_Stretch]:

@@ -35,9 +35,9 @@ class Component:
             raise PatternError(f"panels {', '.join(sorted(twice))} stand twice in one component")
         return cls(pieces, tuple(join for part in whole for join in part.joins))
 
-    def sewn(self, left: Interface, right: Interface) -> Self:
-        """With one more seam, between interfaces walked the same way."""
-        return replace(self, joins=(*self.joins, Join(left, right)))
+    def sewn(self, left: Interface, right: Interface, *, gathered: bool = False) -> Self:
+        """With one more seam, between interfaces walked the same way; ``gathered``: see ``Join``."""
+        return replace(self, joins=(*self.joins, Join(left, right, gathered)))
 
     def offering(self, **interfaces: Interface) -> Self:
         """With named interfaces for others to be sewn to."""
@@ -85,9 +85,13 @@ class Component:
         return replace(
             self,
             pieces=tuple(_renamed_labels(p.mirrored(p.name.replace(old, new)), old, new) for p in self.pieces),
-            joins=tuple(Join(_renamed(j.left, old, new), _renamed(j.right, old, new)) for j in self.joins),
+            joins=tuple(Join(_renamed(j.left, old, new), _renamed(j.right, old, new), j.gathered) for j in self.joins),
             interfaces={name: _renamed(interface, old, new) for name, interface in self.interfaces.items()},
         )
+
+    def length(self, interface: str) -> float:
+        """Length of an interface along the cloth, its gathers included [cm]."""
+        return sum(self.piece(s.panel).outline.length(s.edge) for s in self.interface(interface))
 
     def points(self, interface: str | None = None) -> Float[np.ndarray, "n 3"]:
         """Points along all contours, or along one interface, in space [cm]."""

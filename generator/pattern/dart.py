@@ -14,7 +14,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.edge import Stroke, chain_from
 from gcd_dataset.generator.pattern.outline import Outline
 
-__all__ = ["cut_corner", "cut_into", "dart", "notch"]
+__all__ = ["cut_corner", "cut_end", "cut_into", "dart", "notch"]
 
 MOUTH_TOLERANCE = 1e-9  # cm²
 MOUTH_STEPS = 20
@@ -39,10 +39,11 @@ def notch(width: float, depth: float, *, name: str = "notch") -> tuple[Stroke, S
 def cut_into(outline: Outline, edge: str, shape: tuple[Stroke, ...], *, at: float) -> Outline:
     """The outline with a shape cut into an edge, its mouth centred ``at`` cm along it, its depth pointing inside.
 
-    The shape runs from the origin along the x axis and dips to positive y. The rest of the edge keeps its name.
+    The shape runs from the origin along the x axis and dips to positive y. The rest of the edge keeps its name; where
+    a cut has divided it already, ``at`` is counted along what is left.
     Raises ``PatternError`` where the mouth does not fit between the ends of the edge.
     """
-    stroke = outline.edge(edge)
+    stroke, at = _piece_at(outline.run(edge), at)
     mouth = hypot(shape[-1].end[0], shape[-1].end[1])
     first, last = _mouth(stroke, at, mouth)
     before, under, after = stroke.split_at([first, last])
@@ -52,20 +53,48 @@ def cut_into(outline: Outline, edge: str, shape: tuple[Stroke, ...], *, at: floa
     return outline.with_strokes((stroke,), (before, *turned, after))
 
 
+def cut_end(outline: Outline, edge: str, shape: tuple[Stroke, ...], *, last: bool) -> Outline:
+    """The outline with a shape cut into the beginning of an edge, or (``last``) into its end; as ``cut_into``.
+
+    Raises ``PatternError`` where the mouth is wider than the edge.
+    """
+    run = outline.run(edge)
+    stroke = run[-1] if last else run[0]
+    mouth = hypot(shape[-1].end[0], shape[-1].end[1])
+    if last:
+        rest, under = stroke.split_at([1 - _chord_parameter(stroke.reversed(), mouth)])
+    else:
+        under, rest = stroke.split_at([_chord_parameter(stroke, mouth)])
+    if outline.area < 0:
+        shape = tuple(_upside_down(piece) for piece in shape)
+    turned = _aligned(shape, under)
+    return outline.with_strokes((stroke,), (rest, *turned) if last else (*turned, rest))
+
+
 def cut_corner(outline: Outline, low: str, high: str, shape: tuple[Stroke, ...]) -> Outline:
     """The outline with the corner between two straight edges exchanged for a shape, which keeps size and direction.
 
-    ``low`` ends at the corner and ``high`` begins there. The shape's ends come to lie on the two edges, which are
-    shortened: with ``a`` and ``b`` the parameters of its ends, ``low(a) + chord = high(b)``, two linear equations.
+    ``low`` ends at the corner and ``high`` begins there (the last and the first piece, of edges that were divided).
+    The shape's ends come to lie on the two, which are shortened: with ``a`` and ``b`` the parameters of its ends,
+    ``low(a) + chord = high(b)``, two linear equations.
     Raises ``PatternError`` where the shape does not fit between the edges.
     """
-    below, above = outline.edge(low), outline.edge(high)
+    below, above = outline.run(low)[-1], outline.run(high)[0]
     chord = (shape[-1].end[0] - shape[0].start[0], shape[-1].end[1] - shape[0].start[1])
     a, b = _corner_parameters(below, above, chord)
     kept_below, _ = below.split_at([a])
     _, kept_above = above.split_at([b])
     placed = chain_from(kept_below.end, *shape)
     return outline.with_strokes((below, above), (kept_below, *placed, kept_above))
+
+
+def _piece_at(pieces: tuple[Stroke, ...], at: float) -> tuple[Stroke, float]:
+    """The piece of an edge that holds the point ``at`` cm along it, and how far along that piece the point is."""
+    for piece in pieces[:-1]:
+        if at <= piece.length:
+            return piece, at
+        at -= piece.length
+    return pieces[-1], at
 
 
 def _corner_parameters(low: Stroke, high: Stroke, chord: Point) -> tuple[float, float]:
@@ -81,6 +110,19 @@ def _corner_parameters(low: Stroke, high: Stroke, chord: Point) -> tuple[float, 
             f"a cut from {low.name} to {high.name} does not fit the corner: it would end at {a:.2f} and {b:.2f} of them"
         )
     return a, b
+
+
+def _chord_parameter(stroke: Stroke, chord: float) -> float:
+    """The curve parameter of the point ``chord`` cm straight from the start; Newton's method on the square."""
+    t = chord / stroke.length
+    for _ in range(MOUTH_STEPS):
+        (x, y), (dx, dy) = stroke.at(t), stroke.velocity(t)
+        ax, ay = x - stroke.start[0], y - stroke.start[1]
+        excess = ax * ax + ay * ay - chord * chord
+        if abs(excess) <= MOUTH_TOLERANCE and 0.0 < t < 1.0:
+            return t
+        t -= excess / (2 * (ax * dx + ay * dy))
+    raise PatternError(f"edge {stroke.name} of {stroke.length:.2f} cm: an opening of {chord:.2f} cm does not fit")
 
 
 def _mouth(stroke: Stroke, at: float, width: float) -> tuple[float, float]:

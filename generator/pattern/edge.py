@@ -37,6 +37,12 @@ from gcd_dataset.errors import PatternError
 __all__ = ["Stroke", "chain_from", "rotate"]
 
 OUTLINE_SAMPLES = np.linspace(0.0, 1.0, 17)  # along a curve, where an outline's extent is asked for
+SWEPT_AREA = {
+    1: ((0, 1, 1 / 2),),
+    2: ((0, 1, 1 / 3), (1, 2, 1 / 3), (0, 2, 1 / 6)),
+    3: ((0, 1, 3 / 10), (0, 2, 3 / 20), (0, 3, 1 / 20), (1, 2, 3 / 20), (1, 3, 3 / 20), (2, 3, 3 / 10)),
+}
+"""Of a Bézier curve of each degree: weights of the cross products of its control points, half of x dy - y dx."""
 ARC_LENGTH_TOLERANCE = 1e-9  # of the stroke's length
 ARC_LENGTH_STEPS = 20
 
@@ -62,6 +68,17 @@ class Stroke:
     def chord(self) -> Point:
         """From start to end [cm]."""
         return (self.end[0] - self.start[0], self.end[1] - self.start[1])
+
+    @property
+    def swept_area(self) -> float:
+        """Signed area between the stroke and the origin, by Green's theorem [cm²]; positive where it turns left."""
+        if isinstance(self.curve, Arc):
+            turn = self.length / self.curve.radius
+            segment = 0.5 * self.curve.radius**2 * (turn - sin(turn))
+            return 0.5 * _cross(self.start, self.end) + (segment if self.curve.right else -segment)
+        points = self.control_points()
+        weights = SWEPT_AREA[len(points) - 1]
+        return sum(weight * _cross(points[i], points[j]) for i, j, weight in weights)
 
     def points(self) -> Float[np.ndarray, "n 2"]:
         """Points along the stroke, ends included, close enough to tell its extent [cm]."""
@@ -181,6 +198,10 @@ def rotate(point: Point, angle: float, about: Point = (0.0, 0.0)) -> Point:
     """A point turned counter-clockwise about another [rad]."""
     x, y = point[0] - about[0], point[1] - about[1]
     return (about[0] + cos(angle) * x - sin(angle) * y, about[1] + sin(angle) * x + cos(angle) * y)
+
+
+def _cross(a: Point, b: Point) -> float:
+    return a[0] * b[1] - a[1] * b[0]
 
 
 def _shift(point: Point, by: Point) -> Point:

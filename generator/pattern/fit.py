@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import hypot
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -11,11 +11,14 @@ from gcd_dataset.curves import QUADRATURE_NODES, QUADRATURE_WEIGHTS, Point
 from gcd_dataset.errors import FitError
 from gcd_dataset.generator.pattern.edge import Stroke
 
-__all__ = ["smooth_cubic"]
+__all__ = ["smooth_cubic", "swayed_cubic"]
 
 SLIDE_WEIGHT = 1e-3  # cm⁻⁴: squared slide of the end against squared curvature, GarmentCode
+FIRM_SLIDE_WEIGHT = 8e-4  # the same where tangents hold exactly: GarmentCode's give way, and its curves slide further
 CURVATURE_NORM = 16  # the mean of this power stands for the peak, and has derivatives
+SWAYED_NORM = 48  # the same for an S, whose peaks are narrower
 FIRST_GUESS = (0.5, 0.35, 0.08)  # arms and slide of a usual armhole's sleeve, in chords
+SWAYED_GUESS = (0.45, 0.0, 0.03)  # arm, departure and slide of a usual hood's neckline
 SHORTEST_ARM = 0.02  # of the chord
 NEWTON_STEPS = 40
 STEP_TOLERANCE = 1e-4  # of the chord
@@ -37,14 +40,31 @@ Batch: TypeAlias = Float[np.ndarray, "n 2"]
 def smooth_cubic(start: Point, end: Point, *, start_tangent: Point, end_tangent: Point, length: float) -> Stroke:
     """The smoothest cubic with these unit tangents and this length [cm], its end free to slide along the chord.
 
-    Smoothest: least ``curvature² + SLIDE_WEIGHT slide²``, the curvature taken at its peak, which is how GarmentCode
-    shapes the opening of a sleeve. Unknown are the lengths of the two control arms and the slide; the length is a
-    constraint. Damped Newton steps on the Lagrangian, with derivatives by differences: about seven.
+    Smoothest: least ``curvature² + FIRM_SLIDE_WEIGHT slide²``, the curvature taken at its peak, which is how
+    GarmentCode shapes the opening of a sleeve. Unknown are the lengths of the two control arms and the slide; the
+    length is a constraint. Damped Newton steps on the Lagrangian, with derivatives by differences: about seven.
 
     Raises ``FitError`` with the residual where no such curve is found.
     """
-    fit = _Fit(start, end, start_tangent, end_tangent, length)
-    unknowns, multiplier = np.array(FIRST_GUESS), 0.0
+    return _fitted(_Fit(start, end, start_tangent, end_tangent, length), FIRST_GUESS)
+
+
+def swayed_cubic(start: Point, end: Point, *, tangent: Point, length: float) -> Stroke:
+    """The smoothest cubic S of this length [cm] that leaves and arrives nearly along a unit tangent.
+
+    It is its own image under a half turn, and its end is free to slide along the chord. Smoothest: least
+    ``curvature² + SLIDE_WEIGHT slide²`` as for ``smooth_cubic``, plus the square of each end's departure from the
+    tangent, which is how GarmentCode shapes the neckline of a hood. Unknown are the length of a control arm, its
+    departure and the slide.
+
+    Raises ``FitError`` with the residual where no such curve is found.
+    """
+    return _fitted(_SwayedFit(start, end, tangent, tangent, length), SWAYED_GUESS)
+
+
+def _fitted(fit: "_Fit", guess: tuple[float, float, float]) -> Stroke:
+    """The curve of least cost that has the length: damped Newton steps from a guess."""
+    unknowns, multiplier = np.array(guess), 0.0
     for _ in range(NEWTON_STEPS):
         step, multiplier = fit.newton_step(unknowns, multiplier)
         step = fit.damped(unknowns, step, multiplier)
@@ -52,10 +72,10 @@ def smooth_cubic(start: Point, end: Point, *, start_tangent: Point, end_tangent:
         if np.abs(step).max() < STEP_TOLERANCE:
             break
     fitted = fit.stroke(unknowns)
-    missing = length - fitted.length
+    missing = fit.length - fitted.length
     if abs(missing) > LENGTH_TOLERANCE * fit.chord:
         raise FitError(
-            f"a smooth curve of {length:.2f} cm over {fit.chord:.2f} cm: {missing:+.3g} cm are missing after "
+            f"a smooth curve of {fit.length:.2f} cm over {fit.chord:.2f} cm: {missing:+.3g} cm are missing after "
             f"{NEWTON_STEPS} steps: bring length or tangents nearer to the chord"
         )
     return fitted
@@ -70,6 +90,10 @@ class _Fit:
     start_tangent: Point
     end_tangent: Point
     length: float
+    least: ClassVar[tuple[float, float, float]] = (SHORTEST_ARM, SHORTEST_ARM, -np.inf)
+    """Bounds of the unknowns."""
+    norm: ClassVar[int] = CURVATURE_NORM
+    slide_weight: ClassVar[float] = FIRM_SLIDE_WEIGHT
 
     @property
     def chord(self) -> float:
@@ -89,9 +113,9 @@ class _Fit:
         velocity, change = _velocity(legs, SAMPLES), _acceleration(legs, SAMPLES)
         cross = velocity[..., 0] * change[..., 1] - velocity[..., 1] * change[..., 0]
         curvature = np.abs(cross) / np.linalg.norm(velocity, axis=2) ** 3
-        peak = np.mean(curvature**CURVATURE_NORM, axis=1) ** (1 / CURVATURE_NORM)
+        peak = np.mean(curvature**self.norm, axis=1) ** (1 / self.norm)
         slide = unknowns[:, 2]
-        return peak**2 + SLIDE_WEIGHT * self.chord**4 * slide**2, speed @ LENGTH_WEIGHTS - self.length / self.chord
+        return peak**2 + self.slide_weight * self.chord**4 * slide**2, speed @ LENGTH_WEIGHTS - self.length / self.chord
 
     def newton_step(self, unknowns: Float[np.ndarray, "3"], multiplier: float) -> tuple[Float[np.ndarray, "3"], float]:
         """Step towards a stationary point of the Lagrangian, and its multiplier."""
@@ -109,9 +133,9 @@ class _Fit:
     ) -> Float[np.ndarray, "3"]:
         """The step, halved until cost and excess together fall and both arms stay arms."""
         trials = unknowns + np.outer([0.0, *STEP_SHARES], step)
-        cost, excess = self.evaluate(np.maximum(trials, [SHORTEST_ARM, SHORTEST_ARM, -np.inf]))
+        cost, excess = self.evaluate(np.maximum(trials, self.least))
         merit = cost + (2 * abs(multiplier) + 1) * np.abs(excess)
-        better = (merit[1:] < merit[0] + 1e-12) & (trials[1:, :2].min(axis=1) > SHORTEST_ARM)
+        better = (merit[1:] < merit[0] + 1e-12) & (trials[1:] > self.least).all(axis=1)
         return step * STEP_SHARES[int(np.argmax(better)) if better.any() else -1]
 
     def stroke(self, unknowns: Float[np.ndarray, "3"]) -> Stroke:
@@ -119,6 +143,27 @@ class _Fit:
         legs = [leg[0] * self.chord for leg in self.controls(unknowns[None])]
         points = np.array(self.start) + np.cumsum([np.zeros(2), *legs], axis=0)
         return Stroke(self.start, self.end).through([(float(x), float(y)) for x, y in points])
+
+
+@dataclass(frozen=True, slots=True)
+class _SwayedFit(_Fit):
+    """The same problem for unknowns (arm, departure, slide), the departure as a tangent."""
+
+    least: ClassVar[tuple[float, float, float]] = (SHORTEST_ARM, -np.inf, -np.inf)
+    norm: ClassVar[int] = SWAYED_NORM
+    slide_weight: ClassVar[float] = SLIDE_WEIGHT
+
+    def controls(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Batch, Batch, Batch]:
+        """The legs of the control polygon [chords]; the last is the first over again."""
+        along = (np.array(self.end) - np.array(self.start)) / self.chord
+        x, y = self.start_tangent
+        arm = unknowns[:, :1] * (np.array([x, y]) + unknowns[:, 1:2] * np.array([-y, x]))
+        return arm, (1 + unknowns[:, 2:]) * along - 2 * arm, arm
+
+    def evaluate(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Cost with both departures [chord⁻²] and excess of length [chords]."""
+        cost, excess = _Fit.evaluate(self, unknowns)
+        return cost + 4 * self.chord**2 * (1 - 1 / np.sqrt(1 + unknowns[:, 1] ** 2)), excess
 
 
 def _velocity(legs: list[Float[np.ndarray, "n 1 2"]], t: Float[np.ndarray, "k 1"]) -> Float[np.ndarray, "n k 2"]:

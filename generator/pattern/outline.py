@@ -106,9 +106,8 @@ class Outline:
 
     @property
     def area(self) -> float:
-        """Area of the polygon through ``points`` [cm²]; positive for a contour drawn counter-clockwise."""
-        x, y = self.points().T
-        return float(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+        """Area of a closed contour [cm²]; positive for one drawn counter-clockwise."""
+        return sum(stroke.swept_area for stroke in self.strokes)
 
 
 def _meet(a: Point, b: Point) -> bool:

@@ -20,6 +20,8 @@ __all__ = ["Piece", "Vector"]
 
 Vector: TypeAlias = tuple[float, float, float]
 
+LYING_FLAT = 0.999  # cosine of the angle between a normal and the vertical: within 2.6 degrees
+
 
 @dataclass(frozen=True, slots=True)
 class Piece:
@@ -81,11 +83,13 @@ class Piece:
     def faces_out(self) -> bool:
         """Whether the drawing runs counter-clockwise as seen from outside the wearer.
 
-        Outside is away from the vertical axis through the wearer. Raises ``PatternError`` for a panel seen edge-on
-        from there.
+        Outside is away from the vertical axis through the wearer, and above for a panel that lies flat. Raises
+        ``PatternError`` for one seen edge-on from there.
         """
-        centre, normal = self.points().mean(axis=0), self.placement.matrix[:, 2]
-        outward = float(normal[0] * centre[0] + normal[2] * centre[2])
+        corners = self.placement.apply(np.array([stroke.start for stroke in self.outline.strokes]))
+        centre, normal = corners.mean(axis=0), self.placement.matrix[:, 2]
+        lies_flat = bool(abs(normal[1]) > LYING_FLAT)
+        outward = float(normal[1] if lies_flat else normal[0] * centre[0] + normal[2] * centre[2])
         if outward == 0.0:
             raise PatternError(f"panel {self.name} has no outer side: turn it, or move it off the wearer's axis")
         return (outward > 0) == (self.outline.area > 0)

@@ -38,6 +38,8 @@ class Join:
 
     left: Interface
     right: Interface
+    gathered: bool = False
+    """Whether the longer side is gathered to the other; else they are meant to be equally long."""
 
 
 def backwards(interface: Interface) -> Interface:

@@ -19,23 +19,36 @@ from gcd_dataset.curves import LINE, Arc, Cubic, Curve, curve_points
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.metrics import mean_scores
 
-TINY = NetConfig(queries=16, contour_points=64, tokens=16, neighbours=8, width=32, heads=2, layers=1)
+PLAIN = """
+[meta]
+upper = { options = ["Shirt", "none"] }
+bottom = { options = ["SkirtCircle", "none"] }
+[sleeve]
+cuff.type = "none"
+[collar]
+component.style = "none"
+[left]
+enable_asym = false
+"""
+TINY = NetConfig(queries=40, contour_points=64, tokens=16, neighbours=8, width=32, heads=2, layers=1)
 
 
 def options(**changes: object) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     small = {"train": 4, "test": 0, "resolution": 4.0, "points": 128, "stored_points": 512, "batch": 4, "lr": 3e-3}
-    network = {"queries": 16, "tokens": 16, "neighbours": 8, "width": 64, "heads": 2, "layers": 1}
+    network = {"queries": 40, "tokens": 16, "neighbours": 8, "width": 64, "heads": 2, "layers": 1}
     return argparse.Namespace(**{**vars(parser.parse_args([])), **small, **network, **changes})
 
 
 @pytest.fixture(scope="module")
-def four() -> Iterator[tuple[Garments, list[Arrays]]]:
-    """Four garments of the generator; tiny networks are quickest on one thread."""
+def four(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Garments, list[Arrays]]]:
+    """Four plain garments of the generator; tiny networks are quickest on one thread."""
+    plain = tmp_path_factory.mktemp("designs") / "plain.toml"
+    plain.write_text(PLAIN)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    yield load(options())
+    yield load(options(design=str(plain)))
     torch.set_num_threads(threads)
 
 
@@ -170,7 +183,7 @@ def test_the_learning_rate_rises_then_falls() -> None:
 
 
 def test_the_case_prints_and_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    small = vars(options(train=6, test=2, steps=2, queries=16))
+    small = vars(options(train=6, test=2, steps=2, queries=40))
     flags = [
         f"--{name.replace('_', '-')}={value}" for name, value in small.items() if name not in ("smoke", "cache_dir")
     ]

@@ -8,7 +8,8 @@ import pytest
 from PIL import Image
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drawing import PAPER, contact_sheet, draw_pattern, jpeg_bytes, picture_of, png_bytes
+from gcd_dataset.generator.colours import PAPER
+from gcd_dataset.generator.drawing import contact_sheet, design_sheet, draw_pattern, jpeg_bytes, picture_of, png_bytes
 from tests.helpers import napkins
 
 
@@ -44,3 +45,15 @@ def test_sheets_and_files() -> None:
     assert picture_of(jpeg_bytes(sheet), 5).shape == (5, 5, 3)
     with pytest.raises(ConfigError, match="pictures of one size"):
         contact_sheet([pictures[0], sheet], columns=1)
+
+
+def test_a_sheet_of_designs_shows_each_under_its_name() -> None:
+    patterns = [replace(napkins(), name=name) for name in ("first", "second", "third")]
+    sheet = design_sheet(patterns, columns=2, size=64)
+    height, width = sheet.shape[0] // 2, sheet.shape[1] // 2
+    cells = [sheet[:height, :width], sheet[:height, -width:], sheet[-height:, :width]]
+    captions = [cell[:14] for cell in cells]
+    assert not any(is_paper(caption).all() for caption in captions)
+    assert not np.array_equal(captions[0][:, :64], captions[1][:, -64:])
+    drawn = draw_pattern(patterns[2], size=64)
+    assert np.array_equal(sheet[-64:, :64], drawn)

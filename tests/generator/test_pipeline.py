@@ -14,6 +14,7 @@ from PIL import Image
 
 from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
+from gcd_dataset.generator.garments import Reject
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.pipeline import make, make_many
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
@@ -136,7 +137,7 @@ def test_a_mesh_that_fails_turns_a_design_down_for_both_bodies(monkeypatch: pyte
     monkeypatch.setattr(pipeline, "build_box_mesh", sometimes)
     neutral, random = make_many(5, [0, 1], replace(MESHED, bodies="both"))
     assert neutral.design == random.design
-    assert "panel front is nearly a line" in neutral.provenance.rejects
+    assert "cannot_be_meshed: panel front is nearly a line" in neutral.provenance.rejects
 
 
 def test_the_last_attempt_is_kept_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,13 +150,12 @@ def test_the_last_attempt_is_kept_as_it_is(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_an_index_without_a_pattern_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    def never(size: object, design: object) -> Pattern:
-        raise PatternError("edge too short")
+    def never(size: object, design: object, *, name: str) -> Reject:
+        return Reject("short_edge", "it is 0.3 cm")
 
-    monkeypatch.setattr(pipeline, "build_pattern", never)
-    with pytest.raises(
-        PatternError, match="sample 7 of seed 5: 3 designs were turned down, the last for: edge too sho"
-    ):
+    monkeypatch.setattr(pipeline, "try_on", never)
+    told = "sample 7 of seed 5: 3 designs were turned down, the last for: short_edge: it is 0.3 cm"
+    with pytest.raises(PatternError, match=told):
         make(5, 7, replace(FLAT, max_attempts=3))
 
 

@@ -8,6 +8,7 @@ import os
 import random
 import re
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, encode_sample, read_index, rebuild_index
 from gcd_dataset.shards.layout import recipe_hash
+from gcd_dataset.shards.manifest import read_manifest
 from gcd_dataset.shards.single import write_single
 from tests.shards.folders import RECIPE, SHARD_SIZE, contents, fill, forbidden, open_writer, public_folder
 
@@ -367,3 +369,14 @@ def test_the_index_comes_back_from_the_shards(whole: Path) -> None:
     assert not path.exists()
     assert rebuild_index(whole) == index
     assert path.read_bytes() == kept
+
+
+def test_the_manifest_counts_why_designs_were_turned_down(tmp_path: Path) -> None:
+    reasons = [(), ("too_long: 180 cm", "too_long: 190 cm"), ("self_crossing: panel a",), ("too_long: 170 cm",)]
+    with open_writer(tmp_path) as writer:
+        for index, rejects in enumerate(reasons):
+            sample = fake_sample(0, index)
+            writer.write(replace(sample, provenance=replace(sample.provenance, rejects=rejects)))
+    split = read_manifest(tmp_path).splits["train"]  # type: ignore[union-attr]
+    assert [dict(shard.rejects) for shard in split.shards] == [{"self_crossing": 1, "too_long": 3}]
+    assert list(split.rejects.items()) == [("too_long", 3), ("self_crossing", 1)]

@@ -23,7 +23,7 @@ MAN = replace(
 )  # fmt: skip
 STOUT = replace(
     WOMAN, bust=128.0, back_width=58.0, waist=124.0, waist_back_width=56.0, hips=130.0, hip_back_width=66.0,
-    shoulder_w=39.0, neck_w=21.0, armscye_depth=15.5, wrist=18.5, bust_line=30.0, vert_bust_line=24.5,
+    shoulder_w=39.0, neck_w=21.0, armscye_depth=15.5, wrist=18.5, leg_circ=76.0, bust_line=30.0, vert_bust_line=24.5,
 )  # fmt: skip
 
 

@@ -7,16 +7,16 @@ import pytest
 from jaxtyping import Float
 
 from gcd_dataset.curves import curve_length, sample_curve
-from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments import (
     OutfitDesign,
-    check_outfit,
+    Reject,
     design_from_dict,
     design_to_dict,
     outfit,
     sample_design,
+    try_on,
 )
-from gcd_dataset.generator.garments.sleeve import NO_SURPLUS
+from gcd_dataset.generator.garments.sleeve import SEWABLE
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 from gcd_dataset.validate import require_valid
@@ -67,7 +67,7 @@ def test_seams_that_do_not_gather_join_equal_lengths(wearer: Measurements, desig
     for seam in pattern.seams:
         names = {pattern.panel(ref.panel).edges[ref.edge].name for ref in (seam.left, seam.right)}
         if names <= plain:
-            assert length(pattern, seam.left) == pytest.approx(length(pattern, seam.right), abs=1.6 * NO_SURPLUS)
+            assert length(pattern, seam.left) == pytest.approx(length(pattern, seam.right), abs=1.6 * SEWABLE)
 
 
 def test_sewn_edges_face_each_other(woman: Measurements, design: OutfitDesign) -> None:
@@ -133,17 +133,6 @@ def test_labels_sit_where_a_drape_looks_for_them(wearer: Measurements, design: O
 
 
 def test_nearly_all_random_designs_can_be_worn(wearer: Measurements) -> None:
-    # 99.4 % of 3 000 over fifteen bodies; a doll's shoulders are too short to sew by hand.
-    accepted = [design for design in map(drawn, range(30)) if worn(wearer, design)]
-    assert len(accepted) >= 27
-
-
-def drawn(seed: int) -> OutfitDesign:
-    return sample_design(np.random.default_rng(seed))
-
-
-def worn(wearer: Measurements, design: OutfitDesign) -> bool:
-    try:
-        return not check_outfit(wearer, design, outfit(wearer, design))
-    except PatternError:
-        return False
+    """Drawn for this very wearer, whatever her size."""
+    drawn = [sample_design(np.random.default_rng(seed), [wearer]) for seed in range(30)]
+    assert sum(isinstance(try_on(wearer, design), Reject) for design in drawn) <= 3

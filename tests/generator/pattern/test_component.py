@@ -133,3 +133,9 @@ def test_gathers_move_the_seam_to_where_the_lengths_say() -> None:
 def test_turning_lifts_what_lies_on_the_turn() -> None:
     turned = rectangle("arm").at(10, 0, 5).turned(0.5 * np.pi)
     assert turned.points("hem") == pytest.approx(np.array([[0.0, 10.0, 5.0], [0.0, 30.0, 5.0]]), abs=1e-9)
+
+
+def test_an_interface_is_as_long_as_its_edges_together() -> None:
+    front, back = rectangle("f").at(-10, 0, 12), rectangle("b", width=26.0).at(-13, 0, -12)
+    gathered = Component.of(front, back).offering(hem=front.along("hem", ruffle=2.0) + back.against("hem"))
+    assert gathered.length("hem") == pytest.approx(46.0)

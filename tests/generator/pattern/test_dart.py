@@ -6,7 +6,7 @@ import pytest
 
 from gcd_dataset.curves import Arc, Cubic, Curve
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.pattern import Outline, Stroke, cut_corner, cut_into, dart, notch
+from gcd_dataset.generator.pattern import Outline, Stroke, cut_corner, cut_end, cut_into, dart, notch
 
 
 def rectangle(*, clockwise: bool = False) -> Outline:
@@ -67,3 +67,42 @@ def test_a_corner_cut_keeps_the_shape_and_shortens_both_edges() -> None:
 def test_a_corner_cut_larger_than_its_edges() -> None:
     with pytest.raises(PatternError, match="a cut from side to top does not fit the corner"):
         cut_corner(rectangle(), "side", "top", (Stroke((0.0, 0.0), (-10.0, 45.0)),))
+
+
+def test_a_second_notch_is_counted_along_what_the_first_has_left() -> None:
+    once = cut_into(rectangle(), "hem", notch(4.0, 10.0), at=40.0)
+    before = cut_into(once, "hem", notch(2.0, 5.0, name="second"), at=10.0)
+    behind = cut_into(once, "hem", notch(2.0, 5.0, name="second"), at=48.0)
+    assert [piece.length for piece in before.run("hem")] == pytest.approx([9.0, 27.0, 18.0])
+    assert [piece.length for piece in behind.run("hem")] == pytest.approx([38.0, 9.0, 7.0])
+
+
+def test_a_corner_is_cut_into_the_pieces_that_meet_there() -> None:
+    corner = (Stroke((0.0, 0.0), (-10.0, 8.0), name="round"),)
+    cut = cut_corner(cut_into(rectangle(), "side", notch(4.0, 10.0), at=20.0), "side", "top", corner)
+    assert [piece.length for piece in cut.run("side")] == pytest.approx([18.0, 10.0])
+    assert cut.edge("top").length == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize("last", [False, True])
+def test_a_cut_at_the_end_of_an_edge_begins_in_its_corner(last: bool, clockwise: bool) -> None:
+    whole = rectangle(clockwise=clockwise)
+    hem = whole.edge("hem")
+    cut = cut_end(whole, "hem", notch(4.0, 10.0), last=last)
+    (rest,) = cut.run("hem")
+    assert rest.length == pytest.approx(hem.length - 4.0)
+    assert (rest.start == hem.start) is last and (rest.end == hem.end) is not last
+    assert abs(cut.area) == pytest.approx(abs(whole.area) - 20.0)
+
+
+def test_a_cut_at_the_end_of_an_arc_is_as_wide_as_asked() -> None:
+    disk = Outline.start(-10, 0).curve(10, 0, Arc(10.0, large=False, right=True), name="hem").close()
+    (rest,) = cut_end(disk, "hem", notch(5.0, 3.0), last=False).run("hem")
+    assert hypot(rest.start[0] + 10, rest.start[1]) == pytest.approx(5.0)
+    assert hypot(*rest.start) == pytest.approx(10.0)
+
+
+def test_a_cut_wider_than_its_edge() -> None:
+    with pytest.raises(PatternError, match=r"an opening of 90\.00 cm does not fit"):
+        cut_end(rectangle(), "hem", notch(90.0, 3.0), last=True)

@@ -1,0 +1,123 @@
+"""What drawing designs costs, how many are accepted, and what they are.
+
+Every design is drawn for the neutral body and for a random one, as ``gcd generate --bodies both --stage pattern`` does
+it; it is accepted when both can wear it. CPU time is that of drawing the design, both patterns and all checks; bodies
+and their measures are counted apart. ``defects`` are patterns in which ``validate`` finds an error or an edge under
+0.5 cm.
+"""
+
+import argparse
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.cases.figures import Figure, Measured
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
+from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, sample_design, sample_kind, try_on
+from gcd_dataset.records import Measurements, Pattern
+from gcd_dataset.seeding import Stage, rng
+from gcd_dataset.validate import Rule, Severity, check_pattern
+
+__all__ = ["add_arguments", "run"]
+
+MOST_ATTEMPTS = 30
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One accepted design."""
+
+    kind: Kind
+    design: OutfitDesign
+    patterns: tuple[Pattern, ...]
+    rejects: tuple[Reject, ...]
+    seconds: float
+    """CPU time, that of what was turned down included."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the case."""
+    parser.add_argument("--count", type=int, default=1000, help="designs to be accepted")
+    parser.add_argument("--seed", type=int, default=0)
+
+
+def run(options: argparse.Namespace) -> Measured:
+    """Draw, and count. Raises ``ConfigError`` for a count of none."""
+    if options.count < 1:
+        raise ConfigError(f"count is {options.count}: give 1 or more")
+    neutral = measure(build_body(neutral_shape()))
+    drawn, body_seconds = [], []
+    for number in range(options.count):
+        begun = time.process_time()
+        size = measure(build_body(draw_shape(rng(options.seed, number, Stage.BODY))))
+        body_seconds.append(time.process_time() - begun)
+        drawn.append(_accepted(options.seed, number, (neutral, size)))
+    return Measured([*_costs(drawn, body_seconds), *_shares(drawn)], _reasons(drawn))
+
+
+def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> Drawn:
+    """Design ``number``: the first that all can wear."""
+    begun = time.process_time()
+    rejects: list[Reject] = []
+    kind = sample_kind(rng(seed, number, Stage.KIND))
+    for attempt in range(MOST_ATTEMPTS):
+        design = sample_design(rng(seed, number, Stage.DESIGN, attempt), sizes, kind=kind)
+        patterns = _worn_by_all(sizes, design)
+        if not isinstance(patterns, Reject):
+            return Drawn(kind, design, patterns, tuple(rejects), time.process_time() - begun)
+        rejects.append(patterns)
+    raise ConfigError(f"design {number} of seed {seed}: {MOST_ATTEMPTS} attempts, the last: {rejects[-1]}")
+
+
+def _worn_by_all(sizes: Sequence[Measurements], design: OutfitDesign) -> tuple[Pattern, ...] | Reject:
+    patterns = []
+    for size in sizes:
+        pattern = try_on(size, design)
+        if isinstance(pattern, Reject):
+            return pattern
+        patterns.append(pattern)
+    return tuple(patterns)
+
+
+def _costs(drawn: Sequence[Drawn], body_seconds: Sequence[float]) -> list[Figure]:
+    cost = 1e3 * np.array([design.seconds for design in drawn])
+    attempts = sum(1 + len(design.rejects) for design in drawn)
+    return [
+        Figure("cpu_ms_mean", float(cost.mean()), "ms per accepted design for two bodies"),
+        Figure("cpu_ms_p95", float(np.quantile(cost, 0.95)), "ms"),
+        Figure("body_cpu_ms", 1e3 * float(np.mean(body_seconds)), "ms per random body with its measures"),
+        Figure("accepted", len(drawn) / attempts, "of attempts"),
+        Figure("designs", len(drawn), ""),
+    ]
+
+
+def _shares(drawn: Sequence[Drawn]) -> list[Figure]:
+    patterns = [pattern for design in drawn for pattern in design.patterns]
+    kinds = Counter(design.kind for design in drawn)
+    figures = [Figure(f"share_{kind.value}", kinds[kind] / len(drawn), "of designs") for kind in Kind]
+    counts = {
+        "panels": [len(pattern.panels) for pattern in patterns],
+        "edges": [sum(len(panel.edges) for panel in pattern.panels) for pattern in patterns],
+        "stitches": [len(pattern.seams) for pattern in patterns],
+    }
+    figures += [Figure(f"{name}_mean", float(np.mean(count)), "per pattern") for name, count in counts.items()]
+    return [*figures, Figure("defects", float(np.mean([_is_defective(p) for p in patterns])), "of patterns")]
+
+
+def _is_defective(pattern: Pattern) -> bool:
+    faults = check_pattern(pattern)
+    return any(fault.severity is Severity.ERROR or fault.rule is Rule.SHORT_EDGE for fault in faults)
+
+
+def _reasons(drawn: Sequence[Drawn]) -> list[dict[str, object]]:
+    """Why designs were turned down, the most frequent reason first, with an example."""
+    rejects = [reject for design in drawn for reject in design.rejects]
+    examples = {reject.rule: reject.figures for reject in reversed(rejects)}
+    return [
+        {"turned down for": rule, "designs": count, "such as": examples[rule]}
+        for rule, count in Counter(reject.rule for reject in rejects).most_common()
+    ]

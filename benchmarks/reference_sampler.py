@@ -1,0 +1,63 @@
+"""GarmentCode's sampler, written anew from its rules: what it draws, and what it accepts.
+
+All parameters are drawn by their own rule; a design that fails one test is drawn whole again. The patterns are ours,
+with GarmentCode's faults left in.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments import outfit
+from gcd_dataset.generator.garments.design import Bottom, OutfitDesign
+from gcd_dataset.generator.garments.rules import LIGHT_LENGTH, LIGHT_SUNS, garment_length, is_gathered, is_heavy_kind
+from gcd_dataset.generator.garments.space import DesignSpace, draw
+from gcd_dataset.records import Measurements
+from gcd_dataset.validate import Rule, check_pattern
+
+__all__ = ["reference_design", "turned_down_for"]
+
+SPACE = DesignSpace.declared(OutfitDesign)
+FLOOR_SLACK = 1.0  # cm
+THIN_BAND = 0.25
+
+
+def reference_design(rng: np.random.Generator) -> OutfitDesign:
+    """A design as GarmentCode's sampler draws it, before any test."""
+    return draw(SPACE, rng)
+
+
+def turned_down_for(design: OutfitDesign, sizes: Sequence[Measurements]) -> str:
+    """The test of GarmentCode's sampler that a design fails, in its order; empty for one that it accepts."""
+    if design.meta.upper is None and design.meta.bottom is None:
+        return "empty"
+    if _slides(design):
+        return "ruffles on a loose belt"
+    if _is_heavy(design):
+        return "heavy flare"
+    return next((reason for size in sizes if (reason := _unfit(design, size))), "")
+
+
+def _slides(design: OutfitDesign) -> bool:
+    loose = design.meta.wb is None or design.waistband.waist > 1
+    return design.meta.upper is None and is_gathered(design) and design.skirt.ruffle > 1 and loose
+
+
+def _is_heavy(design: OutfitDesign) -> bool:
+    band = design.waistband
+    thin = design.meta.wb is None or band.waist > 1 or band.width <= THIN_BAND
+    levels = design.meta.bottom is Bottom.LEVELS
+    length = design.levels_skirt.length if levels else design.flare_skirt.length
+    heavy = length > LIGHT_LENGTH or design.flare_skirt.suns > LIGHT_SUNS
+    return design.meta.upper is None and is_heavy_kind(design) and thin and heavy
+
+
+def _unfit(design: OutfitDesign, size: Measurements) -> str:
+    if garment_length(size, design) > size.height - size.head_l + FLOOR_SLACK:
+        return "too long"
+    try:
+        faults = check_pattern(outfit(size, design, mends=frozenset()))
+    except PatternError:
+        return "cannot be drawn"
+    return "crosses itself" if any(fault.rule is Rule.SELF_CROSSING for fault in faults) else ""

@@ -1,0 +1,49 @@
+"""Armholes: shapes from the underarm up to the shoulder, cut into the corner between side and shoulder."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from enum import Enum
+
+from gcd_dataset.curves import Cubic
+from gcd_dataset.generator.pattern import Outline, Stroke
+
+__all__ = ["Armhole", "armhole"]
+
+CURVE = Cubic((0.2, -0.35), (0.5, -0.2))  # edge frame, from underarm to shoulder, GarmentCode
+
+
+class Armhole(Enum):
+    """The armholes there are."""
+
+    SQUARE = "ArmholeSquare"
+    ANGLE = "ArmholeAngle"
+    CURVE = "ArmholeCurve"
+
+
+def armhole(kind: Armhole, width: float, depth: float, *, corner: float) -> tuple[Stroke, ...]:
+    """From the underarm at (0, 0) to the shoulder, ``width`` inwards and ``depth`` upwards [cm].
+
+    ``corner`` is where the corner of an angled one lies, as a fraction of its width and height.
+    """
+    drawn = DRAWINGS[kind](width, depth, corner)
+    return tuple(replace(stroke, name="armhole", label="right_armhole") for stroke in drawn.strokes)
+
+
+def _square(width: float, depth: float, corner: float) -> Outline:
+    return Outline.start(0, 0).line(width, 0).line(width, depth)
+
+
+def _angle(width: float, depth: float, corner: float) -> Outline:
+    return Outline.start(0, 0).line((1 - corner) * width, corner * depth).line(width, depth)
+
+
+def _curve(width: float, depth: float, corner: float) -> Outline:
+    return Outline.start(0, 0).curve(width, depth, CURVE)
+
+
+DRAWINGS: Mapping[Armhole, Callable[[float, float, float], Outline]] = {
+    Armhole.SQUARE: _square,
+    Armhole.ANGLE: _angle,
+    Armhole.CURVE: _curve,
+}
+"""The drawing of each, from width, depth [cm] and corner."""

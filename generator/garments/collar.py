@@ -1,0 +1,139 @@
+"""What is sewn to a neckline: turtleneck, lapel, hood."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from math import atan2, hypot, pi, sin
+
+from gcd_dataset.curves import Quadratic
+from gcd_dataset.generator.garments.hood import with_hood
+from gcd_dataset.generator.garments.ring import band, sector
+from gcd_dataset.generator.garments.space import Design, choice, flag, integer, real
+from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece
+from gcd_dataset.generator.pattern.panel import Vector
+from gcd_dataset.records import Measurements
+
+__all__ = ["Collar", "CollarDesign", "with_collar"]
+
+TURTLENECK_OUT = 10.0  # cm before and behind the axis, GarmentCode
+LAPEL_FRONT, LAPEL_BACK = 35.0, -10.0  # cm before and behind it, GarmentCode
+LAPEL_EDGE = Quadratic((0.7, 0.2))  # edge frame, from the lower tip to the upper, GarmentCode
+LAID_ROUND = (pi / 2, pi / 4, 0.0)  # rad: flat on the shoulders, GarmentCode
+
+
+class Collar(Enum):
+    """The collars there are."""
+
+    TURTLENECK = "Turtle"
+    LAPEL = "SimpleLapel"
+    HOOD = "Hood2Panels"
+
+
+@dataclass(frozen=True)
+class CollarDesign(Design):
+    """A collar, or none."""
+
+    style: Collar | None = choice(None, *Collar, None, keep=0.6)
+    depth: int = integer(7, 2, 8)
+    """Height of a turtleneck or lapel [cm]."""
+    lapel_standing: bool = flag(False)
+    """Whether a lapel stands up straight at the nape, or lies round."""
+    hood_depth: float = real(1.0, 1.0, 2.0, keep=0.6)
+    """Top edge of the hood, as a fraction of half the neckline's width."""
+    hood_length: float = real(1.0, 1.0, 1.5, keep=0.6)
+    """Height of the hood, as a fraction of nape to crown."""
+
+
+def with_collar(size: Measurements, design: CollarDesign, half: Component) -> Component:
+    """The right half of an upper body with the right half of its collar, if it has one, sewn to the neckline.
+
+    The centre edges of the collar follow on those that the half offers as ``front_centre`` and ``back_centre``.
+    """
+    return half if design.style is None else COLLARS[design.style](size, design, half)
+
+
+def turtleneck(size: Measurements, design: CollarDesign, half: Component) -> Component:
+    """With two rectangles, as long as the neckline's front and back."""
+    front_neck, back_neck = _neck_lengths(half)
+    level = size.height - size.head_l + design.depth
+    front = band("right_collar_front", front_neck, design.depth).at(-0.5 * front_neck, level, TURTLENECK_OUT)
+    back = band("right_collar_back", back_neck, design.depth).at(-0.5 * back_neck, level, -TURTLENECK_OUT)
+    return (
+        Component.of(half, front, back)
+        .sewn(front.along("right"), back.along("right"))
+        .sewn(half.piece("right_ftorso").along("neck"), front.along("bottom"))
+        .sewn(half.piece("right_btorso").along("neck"), back.along("bottom"))
+        .offering(**half.interfaces)
+        .offering(
+            front_centre=half.interface("front_centre") + front.along("left"),
+            back_centre=half.interface("back_centre") + back.along("left"),
+        )
+    )
+
+
+def lapel(size: Measurements, design: CollarDesign, half: Component) -> Component:
+    """With a lapel in front, its wrong side out, and behind it a collar that stands up or lies round.
+
+    The shirt stays sewn at the front; the lapels are not sewn to each other.
+    """
+    level = size.height - size.head_l + 2 * design.depth
+    front_neck, back_neck = _neck_lengths(half)
+    front = _lapel_front(front_neck, design.depth).at(-2 * design.depth, level, LAPEL_FRONT)
+    draw = _standing_back if design.lapel_standing else _round_back
+    back, to_neck, to_front = draw(half.piece("right_btorso"), design.depth, (-back_neck, level, LAPEL_BACK))
+    return (
+        Component.of(half, front, back)
+        .sewn(front.against("top"), to_front)
+        .sewn(half.piece("right_ftorso").along("neck"), front.along("neck"))
+        .sewn(half.piece("right_btorso").along("neck"), to_neck)
+        .offering(**half.interfaces)
+        .offering(back_centre=half.interface("back_centre") + back.along("left"))
+    )
+
+
+def _lapel_front(neck: float, depth: float) -> Piece:
+    """From the tip along the shoulder seam to the neckline, down along that, and back along the free edge."""
+    outline = (
+        Outline.start(0, 0)
+        .line(depth, 0, name="top")
+        .line(depth, -neck, name="neck")
+        .curve(0, 0, LAPEL_EDGE, name="edge")
+    )
+    return Piece("right_collar_front", outline)
+
+
+def _standing_back(torso: Piece, depth: float, hung: Vector) -> tuple[Piece, Interface, Interface]:
+    """A band, the edge for the neckline [from the shoulder on], and that for the lapel [from the neckline up]."""
+    piece = band("right_collar_back", torso.outline.length("neck"), depth).at(*hung)
+    return piece, piece.along("bottom"), piece.against("right")
+
+
+def _round_back(torso: Piece, depth: float, hung: Vector) -> tuple[Piece, Interface, Interface]:
+    """A ring sector that goes round the neckline's own arc, and the same two edges."""
+    neck = torso.outline.edge("neck")
+    width, drop = abs(neck.chord[0]), abs(neck.chord[1])
+    turn = 2 * atan2(drop, width)  # an arc turns by twice the angle between its chord and its level end
+    piece = replace(sector("right_collar_back", neck.length, turn, depth), rotation=LAID_ROUND)
+    # GarmentCode hangs it by its shoulder end after turning x into y; readers of its files turn x into z about there.
+    swung = 0.5 * hypot(width, drop) * sin(LAID_ROUND[1])
+    x, y, z = hung
+    return piece.at(x, y - swung, z - swung), piece.against("top"), piece.along("right")
+
+
+def _neck_lengths(half: Component) -> tuple[float, float]:
+    """Length of the neckline in front and behind [cm]."""
+    front, back = (half.piece(name).outline.length("neck") for name in ("right_ftorso", "right_btorso"))
+    return front, back
+
+
+def hood(size: Measurements, design: CollarDesign, half: Component) -> Component:
+    """With half a hood."""
+    return with_hood(size, half, depth=design.hood_depth, length=design.hood_length)
+
+
+COLLARS: Mapping[Collar, Callable[[Measurements, CollarDesign, Component], Component]] = {
+    Collar.TURTLENECK: turtleneck,
+    Collar.LAPEL: lapel,
+    Collar.HOOD: hood,
+}
+"""What sews each of them to a half."""

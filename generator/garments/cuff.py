@@ -1,0 +1,146 @@
+"""Cuffs of sleeves and trousers: a band, a small skirt, or a band with a skirt on it.
+
+The pieces of the right sleeve's are ``sl_right_cuff_f``, ``sl_right_cuff_skirt_b`` and so on, those of the right
+trouser leg's ``pant_r_cuff_f`` and so on.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from math import pi
+from typing import Protocol, TypeAlias
+
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.ring import band, skirt_panel
+from gcd_dataset.generator.garments.space import Design, choice, real
+from gcd_dataset.generator.pattern import Component, Piece
+from gcd_dataset.records import Measurements
+
+__all__ = ["Cuff", "PantsCuffDesign", "SleeveCuffDesign", "cuff", "sleeve_cuff_length", "with_sleeve_cuff"]
+
+LONGEST_ON_SLEEVE = 0.7  # of the sleeve, GarmentCode
+SHORTEST = 0.1  # cm: less is no piece of cloth
+FRONT, BACK = 15.0, -15.0  # cm before and behind the limb, GarmentCode
+GAP = 2.0  # cm between sleeve, band and skirt before sewing, GarmentCode
+
+
+class Cuff(Enum):
+    """The cuffs there are."""
+
+    BAND = "CuffBand"
+    SKIRT = "CuffSkirt"
+    BAND_SKIRT = "CuffBandSkirt"
+
+
+@dataclass(frozen=True)
+class SleeveCuffDesign(Design):
+    """What ends a sleeve."""
+
+    type: Cuff | None = choice(None, *Cuff, None)
+    top_ruffle: float = real(1.0, 1.0, 3.0)
+    """Gathers at the sleeve's end: sleeve over cuff."""
+    cuff_len: float = real(0.1, 0.05, 0.9, keep=0.7)
+    """Length, as a fraction of the arm."""
+    skirt_fraction: float = real(0.5, 0.1, 0.9, keep=0.5)
+    """The skirt's share of a band with a skirt."""
+    skirt_flare: float = real(1.2, 1.0, 2.0)
+    """Hem of the skirt, as a fraction of its top without gathers."""
+    skirt_ruffle: float = real(1.0, 1.0, 1.5, keep=0.3)
+    """Gathers at the top of the skirt."""
+
+
+@dataclass(frozen=True)
+class PantsCuffDesign(Design):
+    """What ends a trouser leg."""
+
+    type: Cuff | None = choice(None, *Cuff, None, keep=0.5)
+    top_ruffle: float = real(1.0, 1.0, 2.0)
+    """Gathers at the leg's end: leg over cuff."""
+    cuff_len: float = real(0.1, 0.05, 0.9, keep=0.3)
+    """Length, as a fraction of hips to floor; taken off the leg."""
+    skirt_fraction: float = real(0.5, 0.1, 0.9)
+    """The skirt's share of a band with a skirt."""
+    skirt_flare: float = real(1.2, 1.0, 2.0)
+    """Hem of the skirt, as a fraction of its top without gathers."""
+    skirt_ruffle: float = real(1.0, 1.0, 1.5)
+    """Gathers at the top of the skirt."""
+
+
+CuffDesign: TypeAlias = SleeveCuffDesign | PantsCuffDesign
+
+
+class CuffedSleeve(Protocol):
+    """What a cuff must know of the design of its sleeve."""
+
+    @property
+    def length(self) -> float:
+        """As a fraction of armhole to wrist."""
+
+    @property
+    def cuff(self) -> SleeveCuffDesign:
+        """Its cuff."""
+
+
+def sleeve_cuff_length(size: Measurements, design: CuffedSleeve) -> float:
+    """What a sleeve's cuff takes off the sleeve [cm]; none if there is no cuff."""
+    if design.cuff.type is None:
+        return 0.0
+    return min(design.cuff.cuff_len, LONGEST_ON_SLEEVE * design.length) * size.arm_length
+
+
+def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component) -> Component:
+    """The right sleeve, lying along the x axis with its wrist to the left, and its cuff, no tighter than the wrist.
+
+    Offers ``opening`` like the sleeve.
+    """
+    if design.cuff.type is None:
+        return sleeve
+    girth = max(sleeve.length("end") / design.cuff.top_ruffle, size.wrist)
+    drawn = cuff("sl_right", girth, sleeve_cuff_length(size, design), design.cuff.type, design.cuff).labelled("arm")
+    hung = drawn.turned(-pi / 2).placed_by("top", sleeve, "end", gap=GAP, top=True)
+    sewn = Component.of(sleeve, hung).sewn(sleeve.interface("end"), hung.interface("top"), gathered=True)
+    return sewn.offering(opening=sleeve.interface("opening"))
+
+
+def cuff(limb: str, girth: float, length: float, kind: Cuff, design: CuffDesign) -> Component:
+    """A cuff around a limb, hanging down from the origin; offers ``top`` [front from right to left, then back].
+
+    Raises ``PatternError`` for a cuff too short to be cut from cloth.
+    """
+    if kind is Cuff.BAND:
+        return _band(limb, girth, length)
+    if kind is Cuff.SKIRT:
+        return _skirt(limb, girth, length, design)
+    upper = _band(limb, girth, length * (1 - design.skirt_fraction))
+    lower = _skirt(limb, girth, length * design.skirt_fraction, design)
+    hung = lower.placed_by("top", upper, "bottom", gap=GAP)
+    sewn = Component.of(upper, hung).sewn(upper.interface("bottom"), hung.interface("top"), gathered=True)
+    return sewn.offering(top=upper.interface("top"))
+
+
+def _band(limb: str, girth: float, length: float) -> Component:
+    front, back, tube = _tube(f"{limb}_cuff", length, lambda name: band(name, 0.5 * girth, length))
+    return tube.offering(
+        top=front.against("top") + back.along("top"), bottom=front.along("bottom") + back.against("bottom")
+    )
+
+
+def _skirt(limb: str, girth: float, length: float, design: CuffDesign) -> Component:
+    flare = 0.5 * girth * (design.skirt_flare - 1)
+    front, back, tube = _tube(
+        f"{limb}_cuff_skirt",
+        length,
+        lambda name: skirt_panel(name, 0.5 * girth, length, flare=flare, ruffle=design.skirt_ruffle),
+    )
+    return tube.offering(top=front.along("top") + back.against("top"))
+
+
+def _tube(name: str, length: float, half: Callable[[str], Piece]) -> tuple[Piece, Piece, Component]:
+    """Front and back of one shape, and the two sewn at their sides."""
+    if length < SHORTEST:
+        raise PatternError(f"{name} is {length:.2f} cm long: raise cuff_len, or the length of the sleeve or trousers")
+    front, back = half(f"{name}_f").at(0, 0, FRONT), half(f"{name}_b").at(0, 0, BACK)
+    sewn = Component.of(front, back)
+    for side in ("right", "left"):
+        sewn = sewn.sewn(front.along(side), back.along(side))
+    return front, back, sewn

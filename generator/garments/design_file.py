@@ -1,0 +1,84 @@
+"""Designs as GarmentCode's ``design_params.yaml``: a tree whose leaves hold a value ``v`` beside range and type."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import write_whole
+from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.parameter import Space, plain
+from gcd_dataset.generator.garments.space import DesignSpace, from_dict, to_dict
+
+__all__ = ["read_design", "write_design"]
+
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+WANTED = "give GarmentCode's design_params.yaml"
+
+
+def read_design(path: Path | str) -> OutfitDesign:
+    """The design in a ``design_params.yaml``; what the file does not name keeps its default.
+
+    Raises ``ConfigError`` with file and path for a file that is missing or broken, a parameter that there is not, and a
+    value that it cannot take.
+    """
+    content = _parsed(Path(path))
+    if not isinstance(content, Mapping) or not isinstance(content.get("design"), Mapping):
+        raise ConfigError(f"{path}: has no tree named design: {WANTED}")
+    try:
+        return from_dict(OutfitDesign, _values(DesignSpace.declared(OutfitDesign), content["design"], ""))
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def write_design(design: OutfitDesign, path: Path | str) -> None:
+    """The design as a ``design_params.yaml``, every number to its last digit. Raises ``OutputError``."""
+    tree = {"design": _leaves(DesignSpace.declared(OutfitDesign), to_dict(design))}
+    write_whole(path, yaml.dump(tree, Dumper=DUMPER, sort_keys=False).encode())
+
+
+def _parsed(path: Path) -> Any:
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"), Loader=LOADER)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}): {WANTED}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: byte {error.start} is no text in UTF-8: {WANTED}") from error
+    except RecursionError as error:
+        raise ConfigError(f"{path}: nested too deep: {WANTED}") from error
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise ConfigError(f"{path}: {place}{error.problem or error.context}: mend the YAML") from error
+    except (yaml.YAMLError, ValueError) as error:  # a character that YAML forbids; a date that there is not
+        raise ConfigError(f"{path}: {' '.join(str(error).split())}: mend the YAML") from error
+
+
+def _values(space: DesignSpace[Any], tree: Mapping[str, Any], above: str) -> dict[str, Any]:
+    """The tree with each leaf's value in its place; what is not in the space is left as it stands."""
+    spaces = {entry.key: entry.space for entry in space.entries}
+    return {key: _value(spaces.get(key), node, f"{above}{key}") for key, node in tree.items()}
+
+
+def _value(space: Space | DesignSpace[Any] | None, node: Any, path: str) -> Any:
+    if space is None or not isinstance(node, Mapping):
+        return node
+    if isinstance(space, DesignSpace):
+        return _values(space, node, f"{path}.")
+    if "v" not in node:
+        raise ConfigError(f"{path} has no value: write it as v")
+    return node["v"]
+
+
+def _leaves(space: DesignSpace[Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    return {entry.key: _leaf(entry.space, values[entry.key]) for entry in space.entries}
+
+
+def _leaf(space: Space | DesignSpace[Any], value: Any) -> dict[str, Any]:
+    if isinstance(space, DesignSpace):
+        return _leaves(space, value)
+    leaf = {"v": plain(space.read(value)), "range": space.range, "type": space.kind}
+    return leaf if space.keep is None else leaf | {"default_prob": space.keep}

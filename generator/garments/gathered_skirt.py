@@ -1,0 +1,68 @@
+"""The gathered skirt (GarmentCode's ``Skirt2``): two trapezes, ``skirt_front`` and ``skirt_back``."""
+
+from dataclasses import dataclass
+
+from gcd_dataset.generator.garments.mends import Mend
+from gcd_dataset.generator.garments.ring import skirt_panel
+from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, waist_ring
+from gcd_dataset.generator.garments.space import Design, integer, real
+from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
+from gcd_dataset.generator.pattern import Component, Piece
+from gcd_dataset.records import Measurements
+
+__all__ = ["GatheredSkirtDesign", "gathered_skirt", "gathered_skirt_length"]
+
+FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
+
+
+@dataclass(frozen=True)
+class GatheredSkirtDesign(Design):
+    """A skirt of straight pieces, gathered at the top."""
+
+    length: float = real(0.2, -0.2, 0.95)
+    """Below the hips, as a fraction of hips to floor."""
+    rise: float = real(1.0, 0.5, 1.0, keep=0.3)
+    """Where the top sits: 0 at the hips, 1 at the waist."""
+    ruffle: float = real(1.3, 1.0, 2.0, keep=0.3)
+    """Gathers at the top: skirt over body."""
+    bottom_cut: float = real(0.0, 0.0, 0.9, keep=0.3)
+    """Slits at both sides, as a fraction of the part below the hips."""
+    flare: int = integer(0, 0, 20, keep=0.5)
+    """By how much each side of the hem stands out [cm]."""
+
+
+def gathered_skirt(
+    size: Measurements,
+    design: GatheredSkirtDesign,
+    *,
+    rise: float,
+    length: float,
+    mends: frozenset[Mend],
+    tag: str = "",
+) -> Component:
+    """A skirt of ``length`` [cm], at least 5 cm, whose top sits at ``rise``; offers ``top`` and ``bottom`` [rings]."""
+    length, back_width = max(length, SHORTEST), back_at_rise(size, rise)
+    slit = _slit(design, length - rise * size.hips_line, mends)
+
+    def panel(name: str, width: float) -> Piece:
+        return skirt_panel(name, width, length, flare=design.flare, ruffle=design.ruffle, bottom_cut=slit)
+
+    front = panel(f"skirt_front{tag}", girth_at_rise(size, rise) - back_width).at(0, size.waist_level, FRONT)
+    back = panel(f"skirt_back{tag}", back_width).at(0, size.waist_level, BACK)
+    return (
+        Component.of(front, back)
+        .sewn(front.along("right"), back.along("right"))
+        .sewn(front.along("left"), back.along("left"))
+        .offering(top=waist_ring(size, front, back), bottom=hem_ring(front, back))
+    )
+
+
+def gathered_skirt_length(size: Measurements, design: GatheredSkirtDesign, *, rise: float) -> float:
+    """From the top to the hem [cm]."""
+    return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
+
+
+def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]) -> float:
+    """Height of the side slits [cm]; none in a skirt that ends above the hips."""
+    whole = below_hips if Mend.SLIT_LENGTH in mends else design.length
+    return design.bottom_cut * max(whole, 0.0)

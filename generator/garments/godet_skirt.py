@@ -1,0 +1,129 @@
+"""The godet skirt: another skirt with triangles let into its hem."""
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from math import atan2, hypot, sqrt
+
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.space import Design, choice, integer
+from gcd_dataset.generator.pattern import Component, Outline, Piece, chain_from
+
+__all__ = ["GodetBase", "GodetSkirtDesign", "with_godets"]
+
+LEAST_HEM = 0.01  # of the hem left: a cut that leaves less before it begins at once, GarmentCode
+NARROWEST, SHALLOWEST = 1.0, 1.0  # cm, of a cut, GarmentCode
+CLOSED = 1e-6  # cm: less hem than that is none
+STAND_OFF = 5.0  # cm from a panel to its godets, away from the body, GarmentCode
+
+
+class GodetBase(Enum):
+    """Skirts that godets are let into."""
+
+    GATHERED = "Skirt2"
+    PENCIL = "PencilSkirt"
+
+
+@dataclass(frozen=True)
+class GodetSkirtDesign(Design):
+    """Triangles in a hem."""
+
+    base: GodetBase = choice(GodetBase.PENCIL, *GodetBase, keep=0.7)
+    """The skirt, with the parameters of its own section."""
+    insert_w: int = integer(15, 10, 50)
+    """Width of a triangle at the hem [cm]."""
+    insert_depth: int = integer(20, 10, 50)
+    """Its height [cm]."""
+    num_inserts: int = choice(4, 4, 6, 8, 10, 12)
+    """How many, front and back together."""
+    cuts_distance: int = integer(5, 0, 10)
+    """Hem between two cuts [cm]."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Cut:
+    """The cut that a godet is let into [cm]; its sides are as long as the godet's."""
+
+    width: float
+    depth: float
+    distance: float
+    """Hem between two cuts; half of it lies before the first."""
+
+
+def with_godets(skirt: Component, design: GodetSkirtDesign) -> Component:
+    """The skirt of two panels with godets let into both hems; offers ``top`` [ring]."""
+    front, back = skirt.pieces
+    opened = (_opened(front, design, from_right=True), _opened(back, design, from_right=False))
+    godets = tuple(godet for piece in skirt.pieces for godet in _godets(piece, design))
+    whole = replace(skirt, pieces=(*opened, *godets), interfaces={"top": skirt.interface("top")})
+    for piece in opened:
+        for number in range(design.num_inserts // 2):
+            godet = whole.piece(_name(piece, number))
+            whole = whole.sewn(godet.along("right"), piece.against(f"cut_{number}_right"))
+            whole = whole.sewn(godet.against("left"), piece.along(f"cut_{number}_left"))
+    return whole
+
+
+def _name(piece: Piece, number: int) -> str:
+    return f"ins_{piece.name}_{number}"
+
+
+def _godets(piece: Piece, design: GodetSkirtDesign) -> tuple[Piece, ...]:
+    """The triangles of a panel, counted from the wearer's right, side by side at the level of the hem's lower end."""
+    count, width, depth = design.num_inserts // 2, design.insert_w, design.insert_depth
+    triangle = Outline.start(0, 0).line(0.5 * width, depth, name="right").line(width, 0, name="left").close(name="hem")
+    x, y, z = piece.translation
+    hem = piece.outline.edge("bottom")
+    low = y + min(hem.start[1], hem.end[1])
+    out = z + STAND_OFF if z > 0 else z - STAND_OFF
+    return tuple(
+        Piece(_name(piece, number), triangle).at(x + (number - 0.5 * count) * width, low, out)
+        for number in range(count)
+    )
+
+
+def _opened(piece: Piece, design: GodetSkirtDesign, *, from_right: bool) -> Piece:
+    """The panel with the cuts in its straight hem, which is drawn from the wearer's left to her right.
+
+    They begin at one end, and what is left over lies at the other; they are numbered from the right.
+    Raises ``PatternError`` for cuts deeper than the panel.
+    """
+    hem, count = piece.outline.edge("bottom"), design.num_inserts // 2
+    cut, low = _cut(hem.length, count, design), -min(hem.start[1], hem.end[1])
+    if cut.depth >= low:
+        figures = f"a godet asks for a cut {cut.depth:.1f} cm deep in a skirt {low:.1f} cm long"
+        raise PatternError(f"{figures}: lower godet-skirt.insert_depth, or lengthen the skirt")
+    starts = _starts(hem.length, count, cut)
+    if from_right:
+        starts = [hem.length - start - cut.width for start in reversed(starts)]
+    drawn = Outline.start(0, 0)
+    for number, start in zip(reversed(range(count)), starts, strict=True):
+        if start - drawn.pen[0] > CLOSED:
+            drawn = drawn.line(start, 0, name="bottom")
+        drawn = drawn.line(start + 0.5 * cut.width, -cut.depth, name=f"cut_{number}_left")
+        drawn = drawn.line(start + cut.width, 0, name=f"cut_{number}_right")
+    if drawn.pen[0] < hem.length - CLOSED:
+        drawn = drawn.line(hem.length, 0, name="bottom")
+    turned = (stroke.rotated(atan2(hem.chord[1], hem.chord[0])) for stroke in drawn.strokes)
+    return replace(piece, outline=piece.outline.with_strokes((hem,), chain_from(hem.start, *turned)))
+
+
+def _cut(hem: float, count: int, design: GodetSkirtDesign) -> _Cut:
+    """The hem shared out between the cuts; where a godet is too narrow for its share, the cut is flat instead."""
+    width, distance = hem / count - design.cuts_distance, float(design.cuts_distance)
+    if width < NARROWEST:
+        width, distance = NARROWEST, hem / count - NARROWEST
+    side = hypot(0.5 * design.insert_w, design.insert_depth)
+    if side <= 0.5 * width:
+        return _Cut(2 * sqrt(side**2 - SHALLOWEST**2), SHALLOWEST, distance)
+    return _Cut(width, sqrt(side**2 - 0.25 * width**2), distance)
+
+
+def _starts(hem: float, count: int, cut: _Cut) -> list[float]:
+    """Where the cuts begin [cm], from the end of the hem at which they are laid out."""
+    starts: list[float] = []
+    reached, gap = 0.0, 0.5 * cut.distance
+    for _ in range(count):
+        start = reached + gap if gap >= LEAST_HEM * (hem - reached) else reached
+        starts.append(start)
+        reached, gap = start + cut.width, cut.distance
+    return starts

@@ -1,0 +1,66 @@
+"""The hood: two panels, ``right_hood`` and its mirror image, seen from the side."""
+
+from math import pi
+
+from gcd_dataset.curves import Point, Quadratic
+from gcd_dataset.generator.pattern import Component, Outline, Piece, swayed_cubic
+from gcd_dataset.records import Measurements
+
+__all__ = ["hood_outline", "with_hood"]
+
+RAISED, SET_BACK = 9.6, 0.4  # cm; GarmentCode: 10 and 0, then by a truncated pivot up to 1 lower and 1 further back
+FORWARD = 1.2  # of half the neckline's width: how far the hood's opening stands before the shoulder, GarmentCode
+OVER_CROWN = 0.5  # of half the neckline's width: height of the hood over its length, GarmentCode
+BACK_OF_HEAD = Quadratic((0.2, -0.5))  # edge frame, from crown to nape, GarmentCode
+LEVEL: Point = (1.0, 0.0)
+
+
+def with_hood(size: Measurements, half: Component, *, depth: float, length: float) -> Component:
+    """The right half of an upper body with the right half of a hood sewn to its neckline.
+
+    ``depth`` is the top edge as a fraction of half the neckline's width, ``length`` the height as a fraction of nape
+    to crown.
+    """
+    front_neck, back_neck = (half.piece(name) for name in ("right_ftorso", "right_btorso"))
+    outline = hood_outline(
+        _extent(front_neck), front_neck.outline.length("neck"), _extent(back_neck), back_neck.outline.length("neck"),
+        top=depth, height=length * size.head_l,
+    )  # fmt: skip
+    half_width, _ = _extent(back_neck)
+    piece = Piece("right_hood", outline, rotation=(0.0, -pi / 2, 0.0))
+    piece = piece.at(-half_width, size.height - size.head_l + RAISED, -SET_BACK)
+    return (
+        Component.of(half, piece)
+        .sewn(front_neck.along("neck"), piece.along("front_neck"))
+        .sewn(back_neck.along("neck"), piece.against("back_neck"))
+        .offering(**half.interfaces, hood_centre=piece.along("top", "back"))
+    )
+
+
+def _extent(piece: Piece) -> Point:
+    """Width and depth of half a neckline [cm]."""
+    neck = piece.outline.run("neck")
+    return abs(neck[-1].end[0] - neck[0].start[0]), abs(neck[-1].end[1] - neck[0].start[1])
+
+
+def hood_outline(
+    front: Point, front_length: float, back: Point, back_length: float, *, top: float, height: float
+) -> Outline:
+    """From the nape along the neckline to the throat, up along the opening, and back over the head.
+
+    ``front`` and ``back`` are width and depth of the shirt's half necklines, the lengths those of their edges [cm];
+    ``top`` is a fraction of the width, ``height`` that over the shoulder but for ``OVER_CROWN`` [cm]. Both parts of
+    the neckline leave and arrive about level. The shoulder is the origin, but for the slide of the back's end.
+    """
+    half_width = back[0]
+    back_neck = swayed_cubic((-back[0], -back[1]), (0.0, 0.0), tangent=LEVEL, length=back_length)
+    front_neck = swayed_cubic(back_neck.end, (front[0], -front[1]), tangent=LEVEL, length=front_length)
+    opening, crown = FORWARD * half_width, height + OVER_CROWN * half_width
+    return (
+        Outline.start(*back_neck.start)
+        .curve(*back_neck.end, back_neck.curve, name="back_neck")
+        .curve(*front_neck.end, front_neck.curve, name="front_neck")
+        .line(opening, crown, name="opening")
+        .line(opening - top * half_width, crown, name="top")
+        .curve(*back_neck.start, BACK_OF_HEAD, name="back")
+    )

@@ -1,0 +1,74 @@
+"""The panelled skirt (GarmentCode's ``SkirtManyPanels``): ``skirt_panel_0`` and so on around the body."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import atan, atan2, cos, degrees, pi, sin, tan
+
+from gcd_dataset.curves import Arc
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.ring import skirt_panel
+from gcd_dataset.generator.garments.skirt import SHORTEST, across
+from gcd_dataset.generator.garments.space import Design, choice, integer
+from gcd_dataset.generator.garments.trunk import girth_at_rise
+from gcd_dataset.generator.pattern import Component, Piece
+from gcd_dataset.records import Measurements
+
+__all__ = ["PanelSkirtDesign", "panel_skirt"]
+
+
+@dataclass(frozen=True)
+class PanelSkirtDesign(Design):
+    """How a flared skirt is divided into panels."""
+
+    n_panels: int = integer(4, 4, 15)
+    panel_curve: float = choice(0, -0.35, -0.25, -0.15, 0, 0.15, 0.25, 0.35, 0.45)
+    """Bulge of each panel's hem: sagitta over chord, positive outwards."""
+
+
+def panel_skirt(size: Measurements, design: PanelSkirtDesign, *, suns: float, rise: float, length: float) -> Component:
+    """Panels sewn to a ring, each as high as ``length`` [cm], at least 5 cm, the hems as wide as a skirt of ``suns``.
+
+    Offers ``top`` [ring].
+    """
+    length, share = max(length, SHORTEST), 1 / design.n_panels
+    top, flare = share * girth_at_rise(size, rise), share * pi * suns * length
+    panel = _with_bent_hem(skirt_panel("skirt_panel", top, length, flare=flare), design.panel_curve)
+    panels = [
+        _hung(replace(panel, name=f"skirt_panel_{index}"), index, design.n_panels).moved((0, size.waist_level, 0))
+        for index in range(design.n_panels)
+    ]
+    skirt = Component.of(*panels)
+    for before, after in pairwise((*panels, panels[0])):
+        skirt = skirt.sewn(before.against("left"), after.along("right"))
+    return skirt.offering(top=tuple(section for panel in panels for section in across(panel, "top")))
+
+
+def _with_bent_hem(panel: Piece, bulge: float) -> Piece:
+    """The panel with its hem bent to an arc, whose sagitta is ``bulge`` chords, positive outwards.
+
+    Raises ``PatternError`` for a hem that bends inwards over the sides or the top.
+    """
+    if not bulge:
+        return panel
+    hem, side = panel.outline.edge("bottom"), panel.outline.edge("right").chord
+    chord, bend, corner = abs(hem.chord[0]), 2 * atan(2 * abs(bulge)), atan2(side[1], side[0])
+    if bulge < 0 and (bend >= corner or -bulge * chord >= side[1]):
+        figures = f"bends inwards by {degrees(bend):.0f} degrees between sides that stand at {degrees(corner):.0f}"
+        raise PatternError(f"the hem of a skirt panel {figures}: raise flare-skirt.skirt-many-panels.panel_curve")
+    radius = (1 + 4 * bulge**2) / (8 * abs(bulge)) * chord
+    arc = Arc(radius, large=False, right=bulge < 0)  # the hem is drawn from left to right of the wearer
+    return replace(panel, outline=panel.outline.with_strokes((hem,), (replace(hem, curve=arc),)))
+
+
+def _hung(panel: Piece, index: int, count: int) -> Piece:
+    """The panel upright, as one of a ring of panels that begins at the wearer's right and goes on over her front.
+
+    As GarmentCode hangs them: the ring is as far from the axis as a polygon whose sides are the hems; a panel touches
+    it with the right corner of its top, and its middle faces straight outwards.
+    """
+    away = panel.outline.length("bottom") / (2 * tan(pi / count))
+    half = 0.5 * panel.outline.length("top")
+    facing, turn = atan2(-away, half), 2 * pi * index / count
+    x, z = half * cos(facing) - away, -half * sin(facing)
+    around = (x * cos(turn) + z * sin(turn), z * cos(turn) - x * sin(turn))
+    return replace(panel.at(around[0], 0, around[1]), rotation=(0, facing + turn, 0))

@@ -1,0 +1,220 @@
+"""Trousers: ``pant_f_r``, ``pant_b_r`` and their mirror images, with or without cuffs.
+
+A leg panel is drawn from the outer end of its hem up the side seam, over the hip to the waist, across to the centre,
+down into the crotch and back along the inside leg.
+"""
+
+from dataclasses import dataclass
+from math import tan
+from typing import NamedTuple
+
+from gcd_dataset.curves import LINE, Point
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff
+from gcd_dataset.generator.garments.space import Design, part, real
+from gcd_dataset.generator.garments.trunk import blend, girth_at_rise, waist_back, waist_front
+from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
+from gcd_dataset.records import Measurements
+
+__all__ = ["PantsDesign", "pants", "pants_length"]
+
+CROTCH_EASE = 5.0  # cm on top of what the legs are wider than the hips, GarmentCode
+FRONT_CROTCH = 0.25  # of the front's hip: how far the crotch reaches beyond the centre, GarmentCode
+BACK_RAISE = 1.1  # height from hips to waist behind, where the seat needs it, over that in front, GarmentCode
+CENTRE_STRAIGHT = 0.45  # of hips to waist: where the centre seam begins to curve into the crotch, GarmentCode
+INSIDE_DROP = 1.5  # crotch heights: the hem's inner end lies no higher under the hips, GarmentCode
+INSIDE_SHIFT = 2.0  # cm by which the inside leg leans in from the crotch, GarmentCode
+HEM_FULLNESS, INSIDE_FULLNESS = 0.75, 0.3  # of a side seam, an inside leg: where their bend is, GarmentCode
+DART_DEPTH, OUTER_DART = 0.8, 0.9  # legs: of hips to waist; the back's outer dart over its inner one, GarmentCode
+SHORTEST_LEG = 0.2  # of hips to floor, what a cuff leaves, GarmentCode
+CENTRE_GAP, FRONT, BACK = 0.5, 25.0, -20.0  # cm from the crotch to the axis; before and behind it, GarmentCode
+CUFF_GAP = 5.0  # cm between leg and cuff before sewing, GarmentCode
+UP: Point = (0.0, 1.0)
+DOWN: Point = (0.0, -1.0)
+INWARDS: Point = (1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PantsDesign(Design):
+    """Trousers from the hips or the waist."""
+
+    length: float = real(0.3, 0.2, 0.9)
+    """Below the hips, as a fraction of hips to floor; cuffs included."""
+    width: float = real(1.0, 1.0, 1.5, keep=0.5)
+    """Ease at the crotch, as a fraction of the least."""
+    flare: float = real(1.0, 0.5, 1.2, keep=0.3)
+    """Hem, as a fraction of a straight leg's: each edge moves by a quarter of the change."""
+    rise: float = real(1.0, 0.5, 1.0, keep=0.3)
+    """Where the top sits: 0 at the hips, 1 at the waist."""
+    cuff: PantsCuffDesign = part(PantsCuffDesign)
+
+
+class _Dart(NamedTuple):
+    """A dart in the waist [cm]."""
+
+    name: str
+    width: float
+    leg: float
+    from_centre: float
+    """To its middle, along the waist."""
+
+
+@dataclass(frozen=True)
+class _Quarter:
+    """Measures of the front or the back of one leg [cm]."""
+
+    waist: float
+    hips: float
+    depth: float
+    """From the waist to the hips."""
+    lean: float
+    """By how much the side leans in from hips to waist."""
+    crotch: float
+    """How far the crotch reaches beyond the centre."""
+    darts: tuple[_Dart, ...]
+    """They take up what the waist is narrower and the side does not lean in; from the centre outwards."""
+
+
+def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:
+    """Two legs sewn at the crotch; offers ``top`` [ring]."""
+    right = _leg(size, design, rise)
+    left = right.mirrored("_r", "_l")
+    return (
+        Component.of(right, left)
+        .sewn(right.interface("front_crotch"), left.interface("front_crotch"))
+        .sewn(right.interface("back_crotch"), left.interface("back_crotch"))
+        .offering(
+            top=right.interface("front_top")
+            + backwards(left.interface("front_top"))
+            + left.interface("back_top")
+            + backwards(right.interface("back_top"))
+        )
+    )
+
+
+def pants_length(size: Measurements, design: PantsDesign, *, rise: float) -> float:
+    """From the top to the hem, cuffs included [cm]."""
+    return rise * size.hips_line + design.length * size.leg_length
+
+
+def _leg(size: Measurements, design: PantsDesign, rise: float) -> Component:
+    """The right leg; offers each edge that meets the left one, or the waistband."""
+    front_quarter = _front_quarter(size, rise)
+    back_quarter = _back_quarter(size, rise, crotch=_back_crotch(size, design, front_quarter.crotch))
+    front = _panel("pant_f_r", size, design, front_quarter).moved((0, 0, FRONT))
+    back = _panel("pant_b_r", size, design, back_quarter).moved((0, 0, BACK))
+    leg = (
+        Component.of(front, back)
+        .sewn(front.along("outside", "hip"), back.along("outside") + back.along("hip", ruffle=BACK_RAISE))
+        .sewn(front.along("inside"), back.along("inside"))
+        .offering(
+            front_top=front.along("top", ruffle=front_quarter.waist / (0.5 * waist_front(size))),
+            back_top=back.along("top", ruffle=back_quarter.waist / (0.5 * waist_back(size))),
+            front_crotch=front.along("centre", "crotch"),
+            back_crotch=back.along("centre", "crotch"),
+            hem=front.against("hem") + back.along("hem"),
+        )
+    )
+    for piece, quarter in ((front, front_quarter), (back, back_quarter)):
+        for drawn in quarter.darts:
+            leg = leg.sewn(piece.along(f"{drawn.name}.0"), piece.against(f"{drawn.name}.1"))
+    return leg if design.cuff.type is None else _with_cuff(size, design, leg, design.cuff.type)
+
+
+def _with_cuff(size: Measurements, design: PantsDesign, leg: Component, kind: Cuff) -> Component:
+    """The right leg and its cuff, hung under the inner end of the hem."""
+    girth = leg.length("hem") / design.cuff.top_ruffle
+    hung = cuff("pant_r", girth, _cuff_length(size, design), kind, design.cuff)
+    hung = hung.placed_by("top", leg, "hem", gap=CUFF_GAP)
+    inwards = leg.points("hem")[:, 0].max() - hung.points("top")[:, 0].max()
+    hung = hung.moved((float(inwards), 0, 0))
+    sewn = Component.of(leg, hung).sewn(leg.interface("hem"), hung.interface("top"), gathered=True)
+    return sewn.offering(**{name: edges for name, edges in leg.interfaces.items() if name != "hem"})
+
+
+def _cuff_length(size: Measurements, design: PantsDesign) -> float:
+    """What a cuff takes off the leg [cm]; none if there is no cuff."""
+    if design.cuff.type is None:
+        return 0.0
+    return min(design.cuff.cuff_len, design.length - SHORTEST_LEG) * size.leg_length
+
+
+def _back_crotch(size: Measurements, design: PantsDesign, front: float) -> float:
+    """How far the back reaches between the legs, where the front reaches ``front`` [cm].
+
+    Raises ``PatternError`` for legs so thin against the hips that nothing is left for the back.
+    """
+    crotch = design.width * (size.leg_circ - 0.5 * size.hips + CROTCH_EASE) - front
+    if crotch <= 0:
+        raise PatternError(
+            f"trousers: legs of {size.leg_circ:.1f} cm and hips of {size.hips:.1f} cm leave {crotch:.1f} cm of crotch "
+            "to the back: raise pants.width"
+        )
+    return crotch
+
+
+def _front_quarter(size: Measurements, rise: float) -> _Quarter:
+    waist = 0.5 * (girth_at_rise(size, rise) - _back_at_rise(size, rise))
+    hips, depth = 0.5 * (size.hips - size.hip_back_width), rise * size.hips_line
+    lean = _lean(size, depth, hips - waist)
+    width = hips - waist - lean
+    darts = (_Dart("dart", width, DART_DEPTH * depth, 0.5 * size.bust_points + 0.5 * width),) if width > 0 else ()
+    return _Quarter(waist, hips, depth, lean, FRONT_CROTCH * hips, darts)
+
+
+def _back_quarter(size: Measurements, rise: float, *, crotch: float) -> _Quarter:
+    waist, hips, depth = 0.5 * _back_at_rise(size, rise), 0.5 * size.hip_back_width, BACK_RAISE * rise * size.hips_line
+    lean = _lean(size, depth, hips - waist)
+    darts = _back_darts(0.5 * size.bum_points, hips - waist - lean, DART_DEPTH * depth)
+    return _Quarter(waist, hips, depth, lean, crotch, darts)
+
+
+def _back_darts(seat: float, width: float, leg: float) -> tuple[_Dart, ...]:
+    """Two darts of ``width`` together, on both sides of the seat's fullest place, ``seat`` cm from the centre."""
+    if width <= 0:
+        return ()
+    inner = _Dart("inner_dart", 0.5 * width, leg, 0.75 * seat + 0.25 * width)
+    outer = _Dart("outer_dart", 0.5 * width, OUTER_DART * leg, 1.25 * seat + 0.75 * width)
+    return inner, outer
+
+
+def _back_at_rise(size: Measurements, rise: float) -> float:
+    return blend(size.hip_back_width, size.waist_back_width, rise)
+
+
+def _lean(size: Measurements, depth: float, narrower: float) -> float:
+    """By how much the side leans in from hips to waist: as the body does, but no further than the waist is narrower."""
+    return min(depth * tan(size.drawn_hip_inclination), narrower)
+
+
+def _panel(name: str, size: Measurements, design: PantsDesign, quarter: _Quarter) -> Piece:
+    """The front or the back of the right leg, its crotch beside the wearer's axis and its waist at the rise."""
+    leg = design.length * size.leg_length - _cuff_length(size, design)
+    outline = _outline(size, design, quarter, leg)
+    for drawn in quarter.darts:
+        at = quarter.hips - quarter.lean - drawn.from_centre
+        outline = cut_into(outline, "top", dart(drawn.width, drawn.leg, name=drawn.name), at=at)
+    crotch_level = size.waist_level - quarter.depth - size.crotch_hip_diff
+    x, y = outline.edge("crotch").end
+    return Piece(name, outline).at(-CENTRE_GAP - x, crotch_level - y, 0)
+
+
+def _outline(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float) -> Outline:
+    """The panel without its darts; a straight leg's hem begins at the origin, the hips lie ``leg`` cm over it."""
+    flare = 0.25 * size.leg_circ * (design.flare - 1)
+    waist, fork = leg + quarter.depth, (quarter.hips + quarter.crotch, leg - size.crotch_hip_diff)
+    hem, hip, side = (-flare, 0.0), (0.0, leg), (quarter.lean, waist)
+    centre = (quarter.hips, leg + CENTRE_STRAIGHT * quarter.depth)
+    inside = (fork[0] - INSIDE_SHIFT + flare, min(0.0, leg - INSIDE_DROP * size.crotch_hip_diff))
+    down_inside = (flare, inside[1] - fork[1])
+    side_seam = LINE if flare == 0 else tangent_quadratic(hem, hip, end_tangent=UP, at=HEM_FULLNESS)
+    return (
+        Outline.start(*hem)
+        .curve(*hip, side_seam, name="outside")
+        .curve(*side, tangent_quadratic(hip, side, start_tangent=UP), name="hip")
+        .line(quarter.hips, waist, name="top")
+        .line(*centre, name="centre")
+        .curve(*fork, tangent_quadratic(centre, fork, start_tangent=DOWN, end_tangent=INWARDS), name="crotch")
+        .curve(*inside, tangent_quadratic(fork, inside, end_tangent=down_inside, at=INSIDE_FULLNESS), name="inside")
+        .close(name="hem")
+    )

@@ -1,0 +1,215 @@
+"""What one parameter of a design may be: a number, a whole number, one of several options, yes or no."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from math import ceil, floor
+from typing import Any, Self
+
+import numpy as np
+
+from gcd_dataset.errors import ConfigError
+
+__all__ = ["Choice", "Flag", "Integer", "Real", "Space", "plain"]
+
+
+@dataclass(frozen=True)
+class Space(ABC):
+    """The values one parameter may take, and the probability with which a draw keeps its default."""
+
+    default: Any
+    keep: float | None
+    """None: the default is not favoured, and may be drawn like any other value."""
+
+    @property
+    @abstractmethod
+    def kind(self) -> str:
+        """Its type in a design file: ``float``, ``int``, ``bool``, ``select`` or ``select_null``."""
+
+    @property
+    @abstractmethod
+    def range(self) -> list[Any]:
+        """Its range in a design file, as plain values: both ends of a number's, all options of a choice."""
+
+    @abstractmethod
+    def holds(self, value: Any) -> bool:
+        """Whether the parameter can take this value."""
+
+    @abstractmethod
+    def read(self, value: Any) -> Any:
+        """The value for which a plain one stands. Raises ``ConfigError`` where the parameter cannot take it."""
+
+    @abstractmethod
+    def within(self, value: Any, low: float, high: float) -> bool:
+        """Whether a value lies between two numbers; a choice always does."""
+
+    @abstractmethod
+    def pick(self, rng: np.random.Generator, low: float, high: float) -> Any:
+        """A value between two numbers, all equally likely, without a default that ``keep`` already favours."""
+
+    @abstractmethod
+    def narrowed(self, values: Sequence[Any]) -> Self:
+        """The same parameter kept to two ends, or to some of its options; a default left out is favoured no more.
+
+        Raises ``ConfigError`` for what the parameter could not be before.
+        """
+
+    @abstractmethod
+    def favouring(self, keep: float) -> Self:
+        """The same parameter with another probability of its default. Raises ``ConfigError`` where nothing is left.
+
+        In place of a default that a narrowed range has left out stands the nearer end of that range.
+        """
+
+    def draw(self, rng: np.random.Generator, low: float = -np.inf, high: float = np.inf) -> Any:
+        """A value between ``low`` and ``high``: the default with probability ``keep``, else uniform over the others."""
+        kept = self.keep is not None and rng.random() < self.keep
+        return self.default if kept and self.within(self.default, low, high) else self.pick(rng, low, high)
+
+    def _held(self, value: Any) -> Any:
+        if not self.holds(value):
+            raise ConfigError(f"is {plain(value)!r}, not {self}")
+        return value
+
+
+@dataclass(frozen=True)
+class Real(Space):
+    """A number."""
+
+    low: float
+    high: float
+
+    @property
+    def kind(self) -> str:
+        return "float"
+
+    @property
+    def range(self) -> list[Any]:
+        return [self.low, self.high]
+
+    def holds(self, value: Any) -> bool:
+        return isinstance(value, int | float) and not isinstance(value, bool) and self.low <= value <= self.high
+
+    def read(self, value: Any) -> float:
+        return float(self._held(value))
+
+    def within(self, value: Any, low: float, high: float) -> bool:
+        return bool(low <= value <= high)
+
+    def pick(self, rng: np.random.Generator, low: float, high: float) -> float:
+        return float(rng.uniform(*self._clipped(low, high)))
+
+    def narrowed(self, values: Sequence[Any]) -> Self:
+        if len(values) != 2:
+            raise ConfigError(f"has a range of {len(values)} values: give two, the lowest and the highest")
+        low, high = (self.read(value) for value in values)
+        if low > high:
+            raise ConfigError(f"has its range turned round: write [{high:g}, {low:g}]")
+        return replace(self, low=low, high=high, keep=self.keep if low <= self.default <= high else None)
+
+    def favouring(self, keep: float) -> Self:
+        nearest = min(max(self.default, self.low), self.high)
+        if keep == 0 and nearest != self.default:
+            return self
+        if keep == 0 and self.low == self.high:
+            raise ConfigError(f"has no value left: keep is 0, and {nearest:g} is all that its range holds")
+        return replace(self, default=nearest, keep=keep)
+
+    def _clipped(self, low: float, high: float) -> tuple[float, float]:
+        low, high = (min(max(limit, self.low), self.high) for limit in (low, high))
+        return low, max(low, high)
+
+    def __str__(self) -> str:
+        return f"a number from {self.low:g} to {self.high:g}"
+
+
+@dataclass(frozen=True)
+class Integer(Real):
+    """A whole number, both ends included."""
+
+    @property
+    def kind(self) -> str:
+        return "int"
+
+    def holds(self, value: Any) -> bool:
+        return super().holds(value) and float(value).is_integer()
+
+    def read(self, value: Any) -> int:
+        return int(self._held(value))
+
+    def pick(self, rng: np.random.Generator, low: float, high: float) -> int:
+        low, high = self._clipped(low, high)
+        values = range(ceil(low), max(ceil(low), floor(high)) + 1)
+        others = [value for value in values if self.keep is None or value != self.default] or values
+        return others[int(rng.integers(len(others)))]
+
+    def __str__(self) -> str:
+        return f"a whole number from {self.low:g} to {self.high:g}"
+
+
+@dataclass(frozen=True)
+class Choice(Space):
+    """One of several options: names, numbers, or ``None`` for none of them."""
+
+    options: tuple[Any, ...]
+
+    @property
+    def kind(self) -> str:
+        return "select_null" if None in self.options else "select"
+
+    @property
+    def range(self) -> list[Any]:
+        return [plain(option) for option in self.options]
+
+    def holds(self, value: Any) -> bool:
+        return any(_same(value, option) for option in self.options)
+
+    def read(self, value: Any) -> Any:
+        return self._held(next((option for option in self.options if _same(plain(option), value)), value))
+
+    def within(self, value: Any, low: float, high: float) -> bool:
+        return True
+
+    def pick(self, rng: np.random.Generator, low: float, high: float) -> Any:
+        others = [option for option in self.options if self.keep is None or not _same(option, self.default)]
+        others = others or list(self.options)
+        return others[int(rng.integers(len(others)))]
+
+    def narrowed(self, values: Sequence[Any]) -> Self:
+        wanted = [self.read(value) for value in values]
+        options = tuple(option for option in self.options if any(_same(option, value) for value in wanted))
+        if not options:
+            raise ConfigError("has no option left: name one or more")
+        left_in = any(_same(self.default, option) for option in options)
+        return replace(self, options=options, keep=self.keep if left_in else None)
+
+    def favouring(self, keep: float) -> Self:
+        left_in = self.holds(self.default)
+        if keep == 0 and left_in and len(self.options) == 1:
+            raise ConfigError(f"has no option left: keep is 0, and {plain(self.default)} is all there is")
+        if keep > 0 and not left_in:
+            raise ConfigError(f"keeps {plain(self.default)}, which is none of its options: add it, or leave keep out")
+        return replace(self, keep=keep if left_in else None)
+
+    def __str__(self) -> str:
+        return "one of " + ", ".join(str(plain(option)) for option in self.options)
+
+
+@dataclass(frozen=True)
+class Flag(Choice):
+    """Yes or no."""
+
+    @property
+    def kind(self) -> str:
+        return "bool"
+
+
+def plain(value: Any) -> Any:
+    """The value as a design file holds it."""
+    return value.value if isinstance(value, Enum) else value
+
+
+def _same(value: Any, option: Any) -> bool:
+    """Whether they are one option: 0 and 0.0 are, 0 and ``False`` are not."""
+    return value is option or (value == option and isinstance(value, bool) == isinstance(option, bool))

@@ -1,0 +1,217 @@
+"""The pencil skirt: fitted to the hips with darts, ``skirt_front`` and ``skirt_back``."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from math import radians, tan
+
+from gcd_dataset.curves import LINE, Point
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.skirt import hem_ring, length_below_waist, waist_ring
+from gcd_dataset.generator.garments.space import Design, choice, integer, real
+from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
+from gcd_dataset.generator.pattern import (
+    Component,
+    Interface,
+    Outline,
+    Piece,
+    Stroke,
+    cut_into,
+    dart,
+    notch,
+    tangent_quadratic,
+)
+from gcd_dataset.records import Measurements
+
+__all__ = ["PencilSkirtDesign", "StyleCut", "pencil_skirt", "pencil_skirt_length", "without_slits"]
+
+MEASURES_USED = ("hips_line", "bust_points", "bum_points", "hip_inclination")
+FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
+BACK_EASE = 1.05  # of the back between hips and top over the front, which is flatter, GarmentCode
+FRONT_DART, BACK_DART = 0.8, 0.85  # of a leg, over the height of the top above the hips, GarmentCode
+OUTER_DART = 0.9  # of the outer back dart's leg over the inner one's, GarmentCode
+SLIT_WIDTH = 2.0  # cm, GarmentCode
+SIDE_BEND = 0.75  # of a flared side's chord, beside which its control point lies, GarmentCode
+UP, DOWN = (0.0, 1.0), (0.0, -1.0)
+
+
+class StyleCut(Enum):
+    """Ornaments cut into a side seam. They are names only: chance never chooses one, and none is drawn."""
+
+    SUN = "Sun"
+    SIGGRAPH_LOGO = "SIGGRAPH_logo"
+
+
+@dataclass(frozen=True)
+class PencilSkirtDesign(Design):
+    """A narrow skirt."""
+
+    length: float = real(0.4, 0.2, 0.95)
+    """Below the hips, as a fraction of hips to floor."""
+    rise: float = real(1.0, 0.5, 1.0, keep=0.3)
+    """Where the top sits: 0 at the hips, 1 at the waist."""
+    flare: float = real(1.0, 0.6, 1.5, keep=0.3)
+    """Hem, as a fraction of the hips."""
+    low_angle: int = integer(0, -30, 30, keep=0.7)
+    """Tilt of the hem [degrees]."""
+    front_slit: float = real(0.0, 0.0, 0.9, keep=0.4)
+    """Notch in the middle of the front hem, as a fraction of the length."""
+    back_slit: float = real(0.0, 0.0, 0.9, keep=0.4)
+    """The same behind."""
+    left_slit: float = real(0.0, 0.0, 0.9, keep=0.6)
+    """Lower part of the left side seam left open, as a fraction of the seam below the hips."""
+    right_slit: float = real(0.0, 0.0, 0.9, keep=0.6)
+    """The same on the right."""
+    style_side_cut: StyleCut | None = choice(None, *StyleCut, None, keep=1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Dart:
+    at: float
+    """From the middle of the top [cm]; another lies on the other side."""
+    width: float
+    leg: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Shape:
+    """What tells the front from the back [cm]."""
+
+    name: str
+    hips: float
+    """Half of the panel's width at the hips."""
+    height: float
+    """From the hips to the top."""
+    lean: float
+    """By how much the side leans inwards from the hips to the top; the darts take the rest."""
+    darts: tuple[_Dart, ...]
+
+
+def pencil_skirt(
+    size: Measurements, design: PencilSkirtDesign, *, rise: float, length: float, tag: str = ""
+) -> Component:
+    """A skirt of ``length`` [cm] in front, whose top sits at ``rise``; offers ``top`` and ``bottom`` [rings].
+
+    Raises ``PatternError`` for a skirt that does not reach below the hips, and for an ornament, which is not drawn;
+    ``BodyError`` for measures that nobody took.
+    """
+    if design.style_side_cut is not None:
+        raise PatternError(
+            f"no ornament is drawn: set pencil-skirt.style_side_cut, {design.style_side_cut.value}, to null"
+        )
+    below = length - rise * size.require(*MEASURES_USED).hips_line
+    if below <= 0:
+        raise PatternError(f"a pencil skirt ends {-below:.1f} cm above the hips: lengthen it, or choose another skirt")
+    shapes = (_front(size, rise, tag), _back(size, rise, tag))
+    front, back = (_panel(size, design, shape, below) for shape in shapes)
+    front = _slit(front, design.front_slit * below).at(0, size.waist_level, FRONT)
+    back = _slit(back, design.back_slit * below).at(0, size.waist_level, BACK)
+    return (
+        _with_darts_sewn(Component.of(front, back), shapes)
+        .sewn(_side(front.along, "right", ease=1.0), _side(back.along, "right", ease=BACK_EASE))
+        .sewn(_side(front.against, "left", ease=1.0), _side(back.against, "left", ease=BACK_EASE))
+        .offering(top=waist_ring(size, front, back), bottom=hem_ring(front, back))
+    )
+
+
+def pencil_skirt_length(size: Measurements, design: PencilSkirtDesign, *, rise: float) -> float:
+    """From the top to the hem [cm]."""
+    return length_below_waist(size, design.length, rise=rise)
+
+
+def without_slits(design: PencilSkirtDesign) -> PencilSkirtDesign:
+    """The design with its hem and sides closed."""
+    return replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0)
+
+
+def _front(size: Measurements, rise: float, tag: str) -> _Shape:
+    """The front: one dart a side, beside the point of the bust."""
+    hips, waist = 0.5 * (size.hips - size.hip_back_width), 0.5 * (girth_at_rise(size, rise) - back_at_rise(size, rise))
+    height = rise * size.hips_line
+    lean, taken = _sides_and_darts(size, hips - waist, height)
+    single = _Dart(0.5 * (size.bust_points + taken), taken, FRONT_DART * height)
+    return _Shape(f"skirt_front{tag}", hips, height, lean, (single,) if taken else ())
+
+
+def _back(size: Measurements, rise: float, tag: str) -> _Shape:
+    """The back: two darts a side, on both sides of the fullest point."""
+    hips, waist = 0.5 * size.hip_back_width, 0.5 * back_at_rise(size, rise)
+    height = BACK_EASE * rise * size.hips_line
+    lean, taken = _sides_and_darts(size, hips - waist, height)
+    leg = (BACK_DART + BACK_EASE - 1) * rise * size.hips_line
+    point = 0.5 * size.bum_points
+    inner = _Dart(0.75 * point + 0.25 * taken, 0.5 * taken, leg)
+    outer = _Dart(1.25 * point + 0.75 * taken, 0.5 * taken, OUTER_DART * leg)
+    return _Shape(f"skirt_back{tag}", hips, height, lean, (inner, outer) if taken else ())
+
+
+def _sides_and_darts(size: Measurements, excess: float, height: float) -> tuple[float, float]:
+    """How much of the hips' excess over the top [cm] the side takes by leaning, and how much is left to the darts."""
+    lean = min(tan(size.drawn_hip_inclination) * height, excess)
+    return lean, excess - lean
+
+
+def _panel(size: Measurements, design: PencilSkirtDesign, shape: _Shape, below: float) -> Piece:
+    """The panel, hung from the origin, the middle of its top, and drawn from the right end of its hem up."""
+    hem = shape.hips + 0.25 * size.hips * (design.flare - 1)
+    tilt = tan(radians(design.low_angle)) * hem
+    bottom, top = -shape.height - below, shape.hips - shape.lean
+    right, left = (-shape.hips, -shape.height), (shape.hips, -shape.height)
+    right_seam = _below_hips((-hem, bottom + tilt), right, design, "right", design.right_slit)
+    left_seam = _below_hips((hem, bottom - tilt), left, design, "left", design.left_slit)
+    outline = (
+        Outline.start(-hem, bottom + tilt)
+        .then(*right_seam)
+        .curve(-top, 0, tangent_quadratic(right, (-top, 0), start_tangent=UP), name="right_hip")
+        .then(*_darted(shape.name, -top, top, shape.darts))
+        .curve(*left, tangent_quadratic((top, 0), left, end_tangent=DOWN), name="left_hip")
+        .then(*(stroke.reversed() for stroke in reversed(left_seam)))
+        .close(name="bottom")
+    )
+    return Piece(shape.name, outline)
+
+
+def _below_hips(hem: Point, hip: Point, design: PencilSkirtDesign, name: str, open_share: float) -> tuple[Stroke, ...]:
+    """A side from the hem up to the hips, its lower part open."""
+    curve = LINE if design.flare == 1 else tangent_quadratic(hem, hip, end_tangent=UP, at=SIDE_BEND)
+    side = Stroke(hem, hip, curve, name)
+    if not open_share:
+        return (side,)
+    slit, sewn = side.split([open_share])
+    return replace(slit, name=f"{name}_slit"), sewn
+
+
+def _darted(panel: str, right: float, left: float, darts: Sequence[_Dart]) -> tuple[Stroke, ...]:
+    """A straight top between two ends, with darts on both sides of its middle."""
+    top = Outline.start(right, 0)
+    both = [(-fold.at, fold) for fold in reversed(darts)] + [(fold.at, fold) for fold in darts]
+    for number, (middle, fold) in enumerate(both):
+        first, last = middle - 0.5 * fold.width, middle + 0.5 * fold.width
+        if not top.pen[0] < first < last < left:
+            figures = f"a dart of {fold.width:.2f} cm, {abs(middle):.2f} cm from the middle"
+            raise PatternError(f"{panel}: {figures}, does not fit a top of {left - right:.2f} cm: mend the measures")
+        _, tip = dart(fold.width, fold.leg, name=f"{panel}.{number}")[0].end
+        top = top.line(first, 0, name="top").line(middle, -tip, name=f"dart_{number}.0")
+        top = top.line(last, 0, name=f"dart_{number}.1")
+    return top.line(left, 0, name="top").strokes
+
+
+def _slit(piece: Piece, depth: float) -> Piece:
+    """The piece with a slit in the middle of its hem."""
+    if not depth:
+        return piece
+    middle = 0.5 * piece.outline.length("bottom")
+    return replace(piece, outline=cut_into(piece.outline, "bottom", notch(SLIT_WIDTH, depth, name="slit"), at=middle))
+
+
+def _side(walk: Callable[..., Interface], side: str, *, ease: float) -> Interface:
+    """What is sewn of a side, from the hem up; above the hips it is eased in."""
+    return walk(side) + walk(f"{side}_hip", ruffle=ease)
+
+
+def _with_darts_sewn(skirt: Component, shapes: Sequence[_Shape]) -> Component:
+    for shape in shapes:
+        piece = skirt.piece(shape.name)
+        for number in range(2 * len(shape.darts)):
+            skirt = skirt.sewn(piece.along(f"dart_{number}.0"), piece.against(f"dart_{number}.1"))
+    return skirt

@@ -1,0 +1,37 @@
+"""What skirts have in common: a front and a back, as wide at their top as the body, sewn at the sides.
+
+Pieces are drawn symmetrically about x = 0 and hang from the middle of their ``top``; ``right`` is the wearer's.
+"""
+
+from gcd_dataset.generator.garments.trunk import waist_back, waist_front
+from gcd_dataset.generator.pattern import Interface, Piece, backwards
+from gcd_dataset.records import Measurements
+
+__all__ = ["SHORTEST", "across", "hem_ring", "length_below_waist", "waist_ring"]
+
+SHORTEST = 5.0  # cm, GarmentCode
+
+
+def length_below_waist(size: Measurements, below_hips: float, *, rise: float) -> float:
+    """From a top at ``rise`` (0 hips, 1 waist) to a hem so far below the hips, as a fraction of hips to floor [cm]."""
+    return rise * size.hips_line + below_hips * size.leg_length
+
+
+def waist_ring(size: Measurements, front: Piece, back: Piece) -> Interface:
+    """Both tops, gathered so that the side seams come to lie where the body's sides are at the waist."""
+    front_ruffle = front.outline.length("top") / waist_front(size)
+    back_ruffle = back.outline.length("top") / waist_back(size)
+    return across(front, "top", ruffle=front_ruffle) + backwards(across(back, "top", ruffle=back_ruffle))
+
+
+def hem_ring(front: Piece, back: Piece) -> Interface:
+    """Both hems, for what is sewn under them."""
+    return across(front, "bottom") + backwards(across(back, "bottom"))
+
+
+def across(piece: Piece, edge: str, *, ruffle: float = 1.0) -> Interface:
+    """An edge walked from the wearer's right to her left, however it was drawn."""
+    run = piece.outline.run(edge)
+    if run[0].start[0] < run[-1].end[0]:
+        return piece.along(edge, ruffle=ruffle)
+    return piece.against(edge, ruffle=ruffle)

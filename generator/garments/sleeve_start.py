@@ -1,0 +1,50 @@
+"""Where a sleeve hangs before it is sewn in."""
+
+from math import cos, pi, sin
+
+import shapely
+import shapely.affinity
+
+from gcd_dataset.generator.garments.mends import Mend
+from gcd_dataset.generator.garments.sleeve import SleeveDesign, sleeve
+from gcd_dataset.generator.pattern import Component, Piece
+from gcd_dataset.records import Measurements
+
+__all__ = ["with_sleeve"]
+
+SLEEVE_GAP = 1.0  # cm into the armhole, GarmentCode
+SLEEVE_GAP_BY_ANGLE = 18 / pi  # cm/rad: a tenth of a centimetre a degree, GarmentCode
+OVERLAP = 150.0  # cm² of sleeve before the trunk with which plain shirts are sewn together cleanly
+DRAWN_OUT = 24  # cm by which a sleeve may start further out for it
+
+
+def with_sleeve(size: Measurements, design: SleeveDesign, half: Component, *, mends: frozenset[Mend]) -> Component:
+    """The right half of an upper body with a sleeve in its armhole, cut as a curve in front and behind."""
+    front, back = half.piece("right_ftorso"), half.piece("right_btorso")
+    half = half.offering(armhole=front.along("armhole") + back.against("armhole"))
+    gap = SLEEVE_GAP + SLEEVE_GAP_BY_ANGLE * size.arm_pose_angle
+    arm = sleeve(size, design, front.outline.edge("armhole"), back.outline.edge("armhole"), mends=mends)
+    arm = arm.placed_by("opening", half, "armhole", gap=-gap, top=True)
+    if Mend.SLEEVE_START in mends:
+        arm = _clear_of(half, arm, size.arm_pose_angle)
+    return Component.of(arm, half).sewn(arm.interface("opening"), half.interface("armhole")).offering(**half.interfaces)
+
+
+def _clear_of(half: Component, arm: Component, angle: float) -> Component:
+    """The sleeve drawn out along the arm until it hangs no further over the trunk than that of a plain shirt does.
+
+    Wide sides and gathered sleeves that start one in the other are sewn together tangled.
+    """
+    trunk = shapely.union_all([_silhouette(piece) for piece in half.pieces])
+    silhouette = shapely.union_all([_silhouette(piece) for piece in arm.pieces])
+    along = (-cos(angle), -sin(angle))
+    for step in range(DRAWN_OUT):
+        moved = shapely.affinity.translate(silhouette, step * along[0], step * along[1])
+        if moved.intersection(trunk).area <= OVERLAP:
+            return arm.moved((step * along[0], step * along[1], 0.0))
+    return arm.moved((DRAWN_OUT * along[0], DRAWN_OUT * along[1], 0.0))
+
+
+def _silhouette(piece: Piece) -> shapely.Polygon:
+    """A piece as seen from the front [cm]."""
+    return shapely.Polygon(piece.points()[:, :2]).buffer(0)

@@ -1,0 +1,149 @@
+"""The right half of the upper body: with armhole, neckline, sleeve and collar, or cut off over the bust."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.armhole import Armhole, armhole
+from gcd_dataset.generator.garments.bodice import fitted_back, fitted_front
+from gcd_dataset.generator.garments.collar import with_collar
+from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
+from gcd_dataset.generator.garments.neckline import NecklineDesign, half_neckline, neckline_drop, worn_neckline
+from gcd_dataset.generator.garments.shirt import ShirtDesign, straight_back, straight_front
+from gcd_dataset.generator.garments.sleeve import SleeveDesign
+from gcd_dataset.generator.garments.sleeve_start import with_sleeve
+from gcd_dataset.generator.garments.torso import TorsoHalf
+from gcd_dataset.generator.pattern import Component, Piece, Stroke, cut_corner
+from gcd_dataset.records import Measurements
+
+__all__ = ["right_half", "right_torso"]
+
+SEAM_LEFT = 1.0  # cm of side or centre edge left beside an armhole or neckline, GarmentCode
+FRONT, BACK = 30.0, -25.0  # cm before and behind the axis, GarmentCode
+FRONT_NAME, BACK_NAME = "right_ftorso", "right_btorso"
+
+
+def right_half(
+    size: Measurements,
+    shirt: ShirtDesign,
+    neck: NecklineDesign,
+    arm: SleeveDesign,
+    *,
+    fitted: bool,
+    mends: frozenset[Mend],
+) -> Component:
+    """Front, back, sleeve and collar of the right side.
+
+    Offers what meets the left half, ``*_centre``, and the hem, ``front_bottom`` and ``back_bottom``, each walked away
+    from the centre.
+    """
+    half = right_torso(size, shirt, neck, arm, fitted=fitted, mends=mends)
+    if not (fitted and shirt.strapless):
+        half = half if arm.sleeveless else with_sleeve(size, arm, half, mends=mends)
+        half = with_collar(size, neck.component, half)
+    return half.labelled("body")
+
+
+@lru_cache(maxsize=8)  # drawn to see whether it is whole, it is asked for again for the outfit
+def right_torso(
+    size: Measurements,
+    shirt: ShirtDesign,
+    neck: NecklineDesign,
+    arm: SleeveDesign,
+    *,
+    fitted: bool,
+    mends: frozenset[Mend] = ALL_MENDS,
+) -> Component:
+    """Front and back of the right side, cut but for what sleeve and collar add; offers what ``right_half`` does."""
+    if fitted and shirt.strapless:
+        return _strapless(size, neck, arm, mends=mends)
+    worn = worn_neckline(neck)
+    front = fitted_front(size) if fitted else straight_front(size, shirt)
+    back = fitted_back(size) if fitted else straight_back(size, shirt)
+    depth = _armhole_depth(size, arm, front, back, mends=mends)
+    front = _with_neckline(size, worn, _with_armhole(size, arm, front, depth), front=True)
+    back = _with_neckline(size, worn, _with_armhole(size, arm, back, depth), front=False)
+    half = _sewn_at_the_sides(size, front, back)
+    return half.sewn(half.piece(FRONT_NAME).along("shoulder"), half.piece(BACK_NAME).along("shoulder"))
+
+
+def _sewn_at_the_sides(size: Measurements, front: TorsoHalf, back: TorsoHalf) -> Component:
+    """Front and back hung by the bases of their necks, their darts and sides sewn."""
+    before, behind = _hung(size, FRONT_NAME, front, FRONT), _hung(size, BACK_NAME, back, BACK)
+    half = Component.of(before, behind).sewn(before.along("side"), behind.along("side"))
+    for piece, torso in ((before, front), (behind, back)):
+        for name in torso.darts:
+            half = half.sewn(piece.along(f"{name}.0"), piece.against(f"{name}.1"))
+    return half.offering(
+        front_centre=before.along("centre"),
+        back_centre=behind.along("centre"),
+        front_bottom=before.along("bottom", ruffle=front.gather),
+        back_bottom=behind.along("bottom", ruffle=back.gather),
+    )
+
+
+def _hung(size: Measurements, name: str, half: TorsoHalf, z: float) -> Piece:
+    return Piece(name, half.outline).at(0, size.height - size.head_l - half.neck_base, z)
+
+
+def _armhole_depth(
+    size: Measurements, arm: SleeveDesign, front: TorsoHalf, back: TorsoHalf, *, mends: frozenset[Mend]
+) -> float:
+    """Height of the armhole, leaving a centimetre of side seam [cm]."""
+    depth = min(size.eased_armscye_depth * (1 + arm.connecting_width), front.upper_side - SEAM_LEFT)
+    if Mend.ARMHOLE_ROOM not in mends:
+        return depth
+    return min(depth, *(half.armhole_room(0.5 * size.sleeve_balance) - SEAM_LEFT for half in (front, back)))
+
+
+def _with_armhole(size: Measurements, arm: SleeveDesign, half: TorsoHalf, depth: float) -> TorsoHalf:
+    """The half with an armhole cut; sleeves are set into curved ones."""
+    shoulder_end = 0.5 * size.sleeve_balance
+    width, room = half.width_below_shoulder(depth) - shoulder_end, half.armhole_room(shoulder_end)
+    if width <= 0.0:
+        raise PatternError(
+            f"a shirt of {half.width_below_shoulder(depth):.1f} cm from centre to side has no room for armholes "
+            f"{shoulder_end:.1f} cm from the centre: raise shirt.width"
+        )
+    if depth >= room:
+        raise PatternError(
+            f"an armhole of {depth:.1f} cm where {room:.1f} cm reach the end of the side: lower sleeve.connecting_width"
+        )
+    kind = arm.armhole_shape if arm.sleeveless else Armhole.CURVE
+    shape = armhole(kind, width, depth, corner=arm.smoothing_coeff)
+    return half.cut_to(cut_corner(half.outline, "side", "shoulder", shape))
+
+
+def _with_neckline(size: Measurements, neck: NecklineDesign, half: TorsoHalf, *, front: bool) -> TorsoHalf:
+    """The half with its neckline cut, in what the armhole has left of the shoulder."""
+    shape = half_neckline(size, neck, front=front, shoulder=half.shoulder, room=half.room)
+    width, left = shape[-1].end[0] - shape[0].start[0], -half.outline.edge("shoulder").start[0]
+    if width >= left:
+        raise PatternError(
+            f"a neckline {width:.1f} cm from the centre leaves no shoulder beside an armhole at {left:.1f} cm: narrow "
+            "collar.width"
+        )
+    return half.cut_to(cut_corner(half.outline, "shoulder", "centre", shape))
+
+
+def _strapless(size: Measurements, neck: NecklineDesign, arm: SleeveDesign, *, mends: frozenset[Mend]) -> Component:
+    """Front and back of a fitted half that end in a line from the underarm to the lowest point of the neckline."""
+    front, back = fitted_front(size), fitted_back(size)
+    kept = back.armhole_room(0.5 * size.sleeve_balance) - _armhole_depth(size, arm, front, back, mends=mends)
+    behind = _cropped(size, neck, back, kept, front=False)
+    kept = behind.outline.length("side") - (front.outline.length("side") - front.upper_side)
+    return _sewn_at_the_sides(size, _cropped(size, neck, front, kept, front=True), behind)
+
+
+def _cropped(size: Measurements, neck: NecklineDesign, half: TorsoHalf, kept: float, *, front: bool) -> TorsoHalf:
+    """The half cut off by a line to the centre from where ``kept`` cm of its upper side are left."""
+    side, shoulder, centre = half.outline.run("side")[-1], half.outline.edge("shoulder"), half.outline.edge("centre")
+    inner = (0.0, half.level - neckline_drop(size, neck, front=front, room=half.room))
+    if not 0.0 < kept < side.length:
+        raise PatternError(
+            f"{FRONT_NAME if front else BACK_NAME}: a strapless top would leave {kept:.1f} of {side.length:.1f} cm of "
+            "side: change sleeve.connecting_width"
+        )
+    under, _ = side.split([kept / side.length])
+    top = Stroke(under.end, inner, name="top", label="strapless_top")
+    return half.cut_to(half.outline.with_strokes((side, shoulder, centre), (under, top, replace(centre, start=inner))))

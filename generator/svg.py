@@ -1,0 +1,159 @@
+"""Patterns as SVG drawings at true scale: what a printer or a cutter makes of them can be sewn.
+
+One unit is a centimetre. Each panel is a group in its own plane, y up, so that its paths hold the very numbers of the
+pattern: the cloth as one closed path, every edge as a path of its own (``data-edge``, ``data-seam``), the grain line.
+"""
+
+from xml.etree import ElementTree
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic, curve_points, curve_tangents, from_frame
+from gcd_dataset.errors import shown
+from gcd_dataset.generator.colours import INK, RGB, cloth_colour, seam_colour
+from gcd_dataset.generator.lay_plan import LaidPanel, lay_out
+from gcd_dataset.records import Panel, Pattern
+
+__all__ = ["pattern_svg"]
+
+MARGIN = 1.0  # cm
+LINE_WIDTH = 0.12  # cm
+LARGEST_NAME, SMALLEST_NAME = 2.0, 0.3  # cm, height of letters
+LETTER_WIDTH = 0.6  # of its height, in the usual sans serif
+NAME_SHARE = 0.45  # of the room for a name: beside it runs the grain line
+GRAIN_SHARE, ARROW = 0.6, 0.8  # of the room along the grain; cm
+SEAM_NUMBER, SEAM_SHARE = 0.9, 0.3  # cm; of its edge at most
+TINY = 1e-9  # cm
+
+Node = ElementTree.Element
+
+
+def pattern_svg(pattern: Pattern) -> bytes:
+    """The panels side by side with names and grain lines; edges sewn together share a colour and a number.
+
+    The number is the seam's place in the pattern, as in the stitches of a specification file.
+    """
+    plan = lay_out(pattern)
+    width, height = plan.width + 2 * MARGIN, plan.height + 2 * MARGIN
+    root = ElementTree.Element(
+        "svg",
+        {
+            "xmlns": "http://www.w3.org/2000/svg",
+            "width": f"{_number(width)}cm",
+            "height": f"{_number(height)}cm",
+            "viewBox": f"0 0 {_number(width)} {_number(height)}",
+            "font-family": "sans-serif",
+            "text-anchor": "middle",
+            "fill": "none",
+            "stroke-linecap": "round",
+            "stroke-linejoin": "round",
+            "stroke-width": str(LINE_WIDTH),
+        },
+    )
+    ElementTree.SubElement(root, "title").text = shown(pattern.name)
+    for laid in plan.panels:
+        root.append(_panel(laid, height))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+
+
+def _panel(laid: LaidPanel, height: float) -> Node:
+    """A panel with all that is drawn on it, in its own plane."""
+    x, y = laid.shift[0] + MARGIN, height - MARGIN - laid.shift[1]
+    name = shown(laid.panel.name)
+    group = ElementTree.Element("g", {"data-panel": name, "transform": _upright(x, y)})
+    ElementTree.SubElement(group, "title").text = name
+    ElementTree.SubElement(group, "path", {"d": _loop(laid.panel), "fill": _hex(cloth_colour(laid.number))})
+    for index, seam in enumerate(laid.seams):
+        start, end = laid.panel.edge_ends(index)
+        marks = {"data-edge": str(index)} | ({} if seam is None else {"data-seam": str(seam)})
+        line = f"M{_point(start)} {_command(start, end, laid.panel.edges[index].curve)}"
+        ElementTree.SubElement(group, "path", {"d": line, "stroke": _hex(seam_colour(seam)), **marks})
+    group.append(_grain_line(laid))
+    group.append(_name(laid, name))
+    group.extend(_seam_number(laid, index, seam) for index, seam in enumerate(laid.seams) if seam is not None)
+    return group
+
+
+# --------------------------------------------------------------------------------------------------------------- paths
+
+
+def _loop(panel: Panel) -> str:
+    """The outline as one closed path."""
+    first, _ = panel.edge_ends(0)
+    steps = [_command(*panel.edge_ends(index), edge.curve) for index, edge in enumerate(panel.edges)]
+    return " ".join([f"M{_point(first)}", *steps, "Z"])
+
+
+def _command(start: Point, end: Point, curve: Curve) -> str:
+    """The path command that draws an edge from its start, where the pen stands, to its end."""
+    match curve:
+        case Quadratic(control):
+            return f"Q{_point(from_frame(start, end, control))} {_point(end)}"
+        case Cubic(control0, control1):
+            return (
+                f"C{_point(from_frame(start, end, control0))} {_point(from_frame(start, end, control1))} {_point(end)}"
+            )
+        case Arc(radius, large, right):  # a turn from x towards y is the positive one, whichever way y points
+            return f"A{_number(radius)} {_number(radius)} 0 {large:d} {right:d} {_point(end)}"
+        case _:
+            return f"L{_point(end)}"
+
+
+def _grain_line(laid: LaidPanel) -> Node:
+    """A line along the warp with a head at either end: in the panel's plane, its y axis."""
+    (x, y), room = laid.grain_place()
+    half = 0.5 * GRAIN_SHARE * room
+    head = min(ARROW, half)
+    line = f"M{_point((x, y - half))} L{_point((x, y + half))}"
+    heads = [_arrow_head(x, y + way * half, way * head) for way in (1, -1)]
+    return ElementTree.Element("path", {"class": "grain", "d": " ".join([line, *heads]), "stroke": _hex(INK)})
+
+
+def _arrow_head(x: float, tip: float, length: float) -> str:
+    barb = 0.4 * length
+    return f"M{_point((x - barb, tip - length))} L{_point((x, tip))} L{_point((x + barb, tip - length))}"
+
+
+# --------------------------------------------------------------------------------------------------------------- texts
+
+
+def _name(laid: LaidPanel, name: str) -> Node:
+    place, room = laid.name_place()
+    fitting = NAME_SHARE * room / (LETTER_WIDTH * max(len(name), 1))
+    return _text(name, place, min(LARGEST_NAME, max(SMALLEST_NAME, fitting)), INK)
+
+
+def _seam_number(laid: LaidPanel, index: int, seam: int) -> Node:
+    """The number of a seam beside the middle of its edge, on the cloth."""
+    ends, half = (*laid.panel.edge_ends(index), laid.panel.edges[index].curve), np.array([0.5])
+    (dx, dy), middle = curve_tangents(*ends, half)[0], curve_points(*ends, half)[0]
+    size = min(SEAM_NUMBER, SEAM_SHARE * float(np.hypot(*np.subtract(ends[1], ends[0]))))
+    inwards = laid.turn * np.array([-dy, dx]) / max(float(np.hypot(dx, dy)), TINY)
+    return _text(str(seam), middle + 0.7 * size * inwards, size, seam_colour(seam))
+
+
+def _text(text: str, place: Float[np.ndarray, "2"], size: float, colour: RGB) -> Node:
+    marks = {"transform": _upright(*place), "font-size": _number(size), "dy": "0.35em", "fill": _hex(colour)}
+    node = ElementTree.Element("text", marks)
+    node.text = text
+    return node
+
+
+def _upright(x: float, y: float) -> str:
+    """The mirror image about the x axis, moved: from y up to y down and back again."""
+    return f"matrix(1 0 0 -1 {_number(x)} {_number(y)})"
+
+
+def _point(point: Point) -> str:
+    return f"{_number(point[0])} {_number(point[1])}"
+
+
+def _number(value: float) -> str:
+    """To a ten-thousandth of a millimetre or better, and no digit more than that takes."""
+    return f"{value:.6f}".rstrip("0").rstrip(".")
+
+
+def _hex(colour: RGB) -> str:
+    return "#" + "".join(f"{part:02x}" for part in colour)

@@ -1,0 +1,110 @@
+"""Chance designs what can be worn, by GarmentCode's rule."""
+
+from collections import Counter
+from functools import cache
+
+import numpy as np
+import pytest
+
+from gcd_dataset.generator.body import build_body, draw_shape, measure
+from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, sample_design, sample_kind, try_on
+from gcd_dataset.generator.garments.design import Upper
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.garments.rules import garment_length, room_to_floor
+from gcd_dataset.generator.garments.sampling import sections_used
+from gcd_dataset.generator.garments.space import to_dict
+from gcd_dataset.records import Measurements
+from gcd_dataset.seeding import Stage, rng
+
+COUNT = 240
+
+
+@cache
+def wearers() -> tuple[Measurements, ...]:
+    return tuple(measure(build_body(draw_shape(rng(1, number, Stage.BODY)))) for number in range(8))
+
+
+@cache
+def designs() -> tuple[OutfitDesign, ...]:
+    return tuple(sample_design(rng(1, n, Stage.DESIGN), [wearers()[n % 8]]) for n in range(COUNT))
+
+
+def test_a_design_is_its_numbers_alone() -> None:
+    assert sample_design(rng(1, 7, Stage.DESIGN), [wearers()[7]]) == designs()[7]
+
+
+def test_hardly_any_design_is_turned_down() -> None:
+    found = [try_on(wearers()[number % 8], design) for number, design in enumerate(designs())]
+    assert sum(isinstance(pattern, Reject) for pattern in found) <= 0.06 * COUNT
+
+
+def test_kinds_come_alike() -> None:
+    kinds = Counter(sample_kind(rng(0, number, Stage.KIND)) for number in range(900))
+    assert [kinds[kind] / 900 for kind in Kind] == pytest.approx([1 / 3] * 3, abs=0.05)
+
+
+@pytest.mark.parametrize("kind", Kind)
+def test_a_kind_has_its_parts(kind: Kind) -> None:
+    for seed in range(20):
+        meta = sample_design(np.random.default_rng(seed), kind=kind).meta
+        assert (meta.upper is not None, meta.bottom is not None) == {
+            Kind.UPPER: (True, False),
+            Kind.LOWER: (False, True),
+            Kind.FULL: (True, True),
+        }[kind]
+
+
+def test_every_part_is_drawn_sooner_or_later() -> None:
+    metas = [design.meta for design in designs()]
+    assert len({meta.upper for meta in metas} | {meta.bottom for meta in metas} | {meta.wb for meta in metas}) == 13
+
+
+def test_halves_differ_in_a_fifth_of_uppers() -> None:
+    uppers = [design for design in designs() if design.meta.upper]
+    assert np.mean([design.left.enable_asym for design in uppers]) == pytest.approx(0.2, abs=0.1)
+
+
+def test_what_the_garment_does_not_use_keeps_its_default() -> None:
+    plain = to_dict(OutfitDesign())
+    for design in designs():
+        values, used = to_dict(design), sections_used(design)
+        unused = [section for section in plain if section.replace("-", "_") not in used]
+        assert all(values[section] == plain[section] for section in unused)
+
+
+def test_no_hem_reaches_the_floor() -> None:
+    for number, design in enumerate(designs()):
+        size = wearers()[number % 8]
+        assert garment_length(size, design) <= room_to_floor(size, design) + 1e-6
+
+
+def test_a_shirt_with_a_band_or_a_bottom_ends_near_the_waist() -> None:
+    # What holds a band up is the waist: sewn to a longer shirt it would drag the hem up with it.
+    for design in designs():
+        if design.meta.upper is Upper.SHIRT and (design.meta.wb or design.meta.bottom):
+            assert 0.8 <= design.shirt.length <= 1.3
+
+
+def test_free_parameters_follow_their_rule() -> None:
+    """``sleeve_angle`` is uniform; ``smoothing_coeff`` keeps its default with probability 0.8."""
+    sleeves = [design.sleeve for design in designs() if design.meta.upper]
+    assert np.mean([sleeve.sleeve_angle for sleeve in sleeves]) == pytest.approx(30, abs=3.5)
+    assert np.mean([sleeve.smoothing_coeff == 0.25 for sleeve in sleeves]) == pytest.approx(0.8, abs=0.1)
+
+
+def test_an_overlay_is_kept() -> None:
+    hoodies = Overlay.from_dict(
+        {
+            "meta": {"upper": {"options": ["Shirt"]}, "bottom": "none"},
+            "collar": {"component": {"style": "Hood2Panels"}},
+            "left": {"enable_asym": False},
+            "sleeve": {"length": {"range": [0.8, 1.1]}},
+        }
+    )
+    kinds = {sample_kind(rng(0, number, Stage.KIND), hoodies) for number in range(20)}
+    assert kinds == {Kind.UPPER}
+    for seed in range(10):
+        design = sample_design(np.random.default_rng(seed), overlay=hoodies)
+        values = to_dict(design)
+        assert values["collar"]["component"]["style"] == "Hood2Panels"
+        assert 0.8 <= design.sleeve.length <= 1.1
