@@ -13,13 +13,13 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Complex, Float, Int
 
-from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, sample_curve
+from gcd_dataset.curves import Arc, Cubic, Curve, Line, Quadratic, curve_points
 from gcd_dataset.records import Panel
 
 __all__ = ["Crossing", "edge_hulls", "find_crossings"]
 
 TOUCH = 0.01  # cm: how far from a corner two edges of it may still touch; further off they cross
-SAMPLING = 0.25  # cm between the points that stand for a curve when crossings are looked for
+SAMPLING = 0.15  # cm between the points that stand for a curve when crossings are looked for, on the average
 APART = 1e-6  # cm between two boxes, rad between two sectors: more than rounding
 
 
@@ -163,9 +163,12 @@ def _sector(hulls: Complex[np.ndarray, "e 4"]) -> tuple[Complex[np.ndarray, " e"
 
 def _polyline(panel: Panel, index: int, lengths: Sequence[float]) -> shapely.LineString:
     """An edge as a shapely line, finely enough for ``TOUCH``."""
-    curve = panel.edges[index].curve
-    count = 2 if curve == LINE else max(9, int(np.ceil(lengths[index] / SAMPLING)) + 1)
-    return shapely.LineString(sample_curve(*panel.edge_ends(index), curve, count))
+    curve, ends = panel.edges[index].curve, panel.edge_ends(index)
+    if isinstance(curve, Line):
+        return shapely.LineString(ends)
+    points = curve_points(*ends, curve, np.linspace(0.0, 1.0, max(9, int(np.ceil(lengths[index] / SAMPLING)) + 1)))
+    points[0], points[-1] = ends
+    return shapely.LineString(points)
 
 
 def _shared_corners(panel: Panel, i: int, j: int) -> Float[np.ndarray, "n 2"]:

@@ -10,8 +10,9 @@ A curve therefore follows when its end points move. An arc keeps its radius in c
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
-from math import hypot
+from math import asin, atan2, hypot, pi, sqrt
 from typing import ClassVar, TypeAlias
 
 import numpy as np
@@ -122,6 +123,11 @@ def curve_length(start: Point, end: Point, curve: Curve) -> float:
         return hypot(end[0] - start[0], end[1] - start[1])
     if isinstance(curve, Arc):
         return float(curve.radius * abs(arc_centre(start, end, curve)[2]))
+    return _bezier_length((start[0], start[1]), (end[0], end[1]), curve)
+
+
+@lru_cache(maxsize=4096)  # an edge is measured when it is drawn, sewn and checked
+def _bezier_length(start: Point, end: Point, curve: Quadratic | Cubic) -> float:
     nodes = 0.5 * (QUADRATURE_NODES + 1)
     speed = np.linalg.norm(curve_tangents(start, end, curve, nodes), axis=1)
     return float(0.5 * QUADRATURE_WEIGHTS @ speed)
@@ -211,15 +217,14 @@ def arc_centre(start: Point, end: Point, arc: Arc) -> tuple[Float[np.ndarray, "2
 
     Raises ``PatternError`` where the radius is under half the chord.
     """
-    s, e = np.asarray(start, float), np.asarray(end, float)
-    chord = float(np.hypot(*(e - s)))
+    along, across = end[0] - start[0], end[1] - start[1]
+    chord = hypot(along, across)
     if chord == 0.0 or arc.radius < 0.5 * chord * (1 - ARC_TOLERANCE):
         raise PatternError(f"arc of radius {arc.radius:.6g} cm cannot span a chord of {chord:.6g} cm")
-    height = np.sqrt(max(arc.radius**2 - 0.25 * chord**2, 0.0))
     side = 1.0 if arc.right != arc.large else -1.0  # on which side of the chord the centre lies; +1: left
-    normal = np.array([s[1] - e[1], e[0] - s[0]]) / chord
-    centre = 0.5 * (s + e) + side * height * normal
-    half = float(np.arcsin(min(0.5 * chord / arc.radius, 1.0)))
-    turn = 2 * (np.pi - half) if arc.large else 2 * half
-    angle0 = float(np.arctan2(s[1] - centre[1], s[0] - centre[0]))
-    return centre, angle0, turn if arc.right else -turn
+    height = side * sqrt(max(arc.radius**2 - 0.25 * chord**2, 0.0)) / chord
+    x, y = 0.5 * (start[0] + end[0]) - height * across, 0.5 * (start[1] + end[1]) + height * along
+    half = asin(min(0.5 * chord / arc.radius, 1.0))
+    turn = 2 * (pi - half) if arc.large else 2 * half
+    angle0 = atan2(start[1] - y, start[0] - x)
+    return np.array([x, y]), angle0, turn if arc.right else -turn

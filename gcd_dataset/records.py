@@ -8,12 +8,13 @@ Arrays are made read-only when they enter a record; records compare by value.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from math import cos, sin
 from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from gcd_dataset.curves import LINE, Curve
+from gcd_dataset.curves import LINE, Curve, Point, curve_length
 from gcd_dataset.errors import BodyError, PatternError
 
 __all__ = [
@@ -41,12 +42,11 @@ class Record:
     """A frozen dataclass that may hold arrays: made read-only on the way in, compared by value."""
 
     def __post_init__(self) -> None:
-        for entry in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, entry.name)
+        for name, value in vars(self).items():
             if isinstance(value, np.ndarray) and value.flags.writeable:
                 frozen = value.view()
                 frozen.flags.writeable = False
-                object.__setattr__(self, entry.name, frozen)
+                object.__setattr__(self, name, frozen)
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
@@ -246,11 +246,15 @@ class Placement(Record):
     @property
     def matrix(self) -> Float[np.ndarray, "3 3"]:
         """The rotation as a matrix."""
-        (cx, cy, cz), (sx, sy, sz) = np.cos(self.rotation), np.sin(self.rotation)
-        about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-        about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-        about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-        return about_z @ about_y @ about_x
+        x, y, z = self.rotation.tolist()
+        cx, cy, cz, sx, sy, sz = cos(x), cos(y), cos(z), sin(x), sin(y), sin(z)
+        return np.array(
+            [
+                [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+                [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+                [-sy, cy * sx, cy * cx],
+            ]
+        )
 
     def apply(self, points: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
         """Points of the panel's plane in space [cm]."""
@@ -272,11 +276,16 @@ class Panel(Record):
     label: str = ""
     """The part of the body it covers: ``body``, ``arm``, ``leg``; empty if unknown."""
 
-    def edge_ends(self, index: int) -> tuple[tuple[float, float], tuple[float, float]]:
+    def edge_ends(self, index: int) -> tuple[Point, Point]:
         """Start and end point of edge ``index`` [cm]."""
         edge = self.edges[index]
-        (x0, y0), (x1, y1) = self.vertices[edge.start], self.vertices[edge.end]
-        return (float(x0), float(y0)), (float(x1), float(y1))
+        (x0, y0), (x1, y1) = self.vertices[edge.start].tolist(), self.vertices[edge.end].tolist()
+        return (x0, y0), (x1, y1)
+
+    def edge_lengths(self) -> list[float]:
+        """Lengths of all edges [cm]. Raises ``PatternError`` for an arc that does not span its chord."""
+        corners: list[Point] = [(x, y) for x, y in self.vertices.tolist()]
+        return [curve_length(corners[edge.start], corners[edge.end], edge.curve) for edge in self.edges]
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,12 +86,12 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
         return (Fault(Rule.NO_PANEL, "", None, "there is nothing to sew: draw one"),)
     faults = {number: list(_loop_faults(panel)) for number, panel in enumerate(pattern.panels)}
     drawn = {number: edge_hulls(panel) for number, panel in enumerate(pattern.panels) if not faults[number]}
-    for number, hulls in list(drawn.items()):
+    for number in _may_be_large(drawn):
         # Asked before anything is sampled: there is no room for what is huge.
-        if huge := list(_size_faults(pattern.panels[number], hulls)):
+        if huge := list(_size_faults(pattern.panels[number], drawn[number])):
             faults[number] += huge
             del drawn[number]
-    shaped = {number: _edge_lengths(pattern.panels[number]) for number in drawn}
+    shaped = {number: pattern.panels[number].edge_lengths() for number in drawn}
     for number, edges in shaped.items():
         faults[number] += _short_edges(pattern.panels[number], edges)
     for number, fault in _crossings(pattern.panels, drawn, shaped):
@@ -160,6 +160,13 @@ def _loop_faults(panel: Panel) -> Iterator[Fault]:
                 yield Fault(Rule.ARC_RADIUS, panel.name, index, figure)
 
 
+def _may_be_large(drawn: Mapping[int, Complex[np.ndarray, "e 4"]]) -> list[int]:
+    """The panels that are not clearly small: those of a usual pattern are, and none is looked at."""
+    if drawn and np.abs(np.concatenate(list(drawn.values()))).max() < LARGEST / 4:  # a circle is in twice its chord
+        return []
+    return list(drawn)
+
+
 def _size_faults(panel: Panel, hulls: Complex[np.ndarray, "e 4"]) -> Iterator[Fault]:
     """Whether the outline, or a point that bends it, reaches too far."""
     rings = [edge.curve.radius if isinstance(edge.curve, Arc) and edge.curve.large else 0.0 for edge in panel.edges]
@@ -175,10 +182,6 @@ def _short_edges(panel: Panel, lengths: list[float]) -> Iterator[Fault]:
     for index, length in enumerate(lengths):
         if length < SHORTEST_EDGE:
             yield Fault(Rule.SHORT_EDGE, panel.name, index, f"it is {length:.3g} cm: join it to its neighbour")
-
-
-def _edge_lengths(panel: Panel) -> list[float]:
-    return [curve_length(*panel.edge_ends(index), edge.curve) for index, edge in enumerate(panel.edges)]
 
 
 def _crossings(

@@ -183,7 +183,7 @@ def test_crossings_are_told_by_distance_not_by_curve_parameter() -> None:
     """The base is crossed 0.6 cm from the corner, at a hundredth of its length; and then 0.003 cm from it."""
     (fault,) = check_pattern(dipping(0.45))
     assert (fault.rule, fault.edge) == (Rule.SELF_CROSSING, 0)
-    assert "edge 1 at (49.4" in fault.figure
+    assert "edge 1 at (49.38" in fault.figure
     assert check_pattern(dipping(0.002)) == ()
 
 

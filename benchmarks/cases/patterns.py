@@ -11,6 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -32,11 +33,26 @@ class Drawn:
     """One accepted design."""
 
     kind: Kind
-    design: OutfitDesign
-    patterns: tuple[Pattern, ...]
+    counts: tuple["Counts", ...]
+    """Of each of its patterns."""
     rejects: tuple[Reject, ...]
     seconds: float
     """CPU time, that of what was turned down included."""
+
+
+class Counts(NamedTuple):
+    """What is in a pattern."""
+
+    panels: int
+    edges: int
+    stitches: int
+    defective: bool
+
+    @classmethod
+    def of(cls, pattern: Pattern) -> Self:
+        faults = check_pattern(pattern)
+        defective = any(fault.severity is Severity.ERROR or fault.rule is Rule.SHORT_EDGE for fault in faults)
+        return cls(len(pattern.panels), sum(len(p.edges) for p in pattern.panels), len(pattern.seams), defective)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +84,8 @@ def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> Drawn:
         design = sample_design(rng(seed, number, Stage.DESIGN, attempt), sizes, kind=kind)
         patterns = _worn_by_all(sizes, design)
         if not isinstance(patterns, Reject):
-            return Drawn(kind, design, patterns, tuple(rejects), time.process_time() - begun)
+            seconds = time.process_time() - begun
+            return Drawn(kind, tuple(map(Counts.of, patterns)), tuple(rejects), seconds)
         rejects.append(patterns)
     raise ConfigError(f"design {number} of seed {seed}: {MOST_ATTEMPTS} attempts, the last: {rejects[-1]}")
 
@@ -96,21 +113,17 @@ def _costs(drawn: Sequence[Drawn], body_seconds: Sequence[float]) -> list[Figure
 
 
 def _shares(drawn: Sequence[Drawn]) -> list[Figure]:
-    patterns = [pattern for design in drawn for pattern in design.patterns]
+    counts = [counts for design in drawn for counts in design.counts]
     kinds = Counter(design.kind for design in drawn)
     figures = [Figure(f"share_{kind.value}", kinds[kind] / len(drawn), "of designs") for kind in Kind]
-    counts = {
-        "panels": [len(pattern.panels) for pattern in patterns],
-        "edges": [sum(len(panel.edges) for panel in pattern.panels) for pattern in patterns],
-        "stitches": [len(pattern.seams) for pattern in patterns],
-    }
-    figures += [Figure(f"{name}_mean", float(np.mean(count)), "per pattern") for name, count in counts.items()]
-    return [*figures, Figure("defects", float(np.mean([_is_defective(p) for p in patterns])), "of patterns")]
-
-
-def _is_defective(pattern: Pattern) -> bool:
-    faults = check_pattern(pattern)
-    return any(fault.severity is Severity.ERROR or fault.rule is Rule.SHORT_EDGE for fault in faults)
+    panels, edges, stitches, defects = np.mean(counts, axis=0)
+    return [
+        *figures,
+        Figure("panels_mean", float(panels), "per pattern"),
+        Figure("edges_mean", float(edges), "per pattern"),
+        Figure("stitches_mean", float(stitches), "per pattern"),
+        Figure("defects", float(defects), "of patterns"),
+    ]
 
 
 def _reasons(drawn: Sequence[Drawn]) -> list[dict[str, object]]:

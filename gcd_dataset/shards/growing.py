@@ -6,6 +6,7 @@ import json
 import os
 import zlib
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,17 +15,15 @@ import numpy as np
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import open_whole
-from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards.access import reading, writing
-from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.shards.index import ShardTable, whole_samples
-from gcd_dataset.shards.layout import MEMBERS, key_of, member_name, part_path
+from gcd_dataset.shards.index import ShardTable, has_settled, whole_samples
+from gcd_dataset.shards.layout import Bytes, Layout, key_of, member_name, part_path
 from gcd_dataset.shards.manifest import ShardRecord
 from gcd_dataset.shards.tar import BLOCK, END, padded, tar_entry
 
 __all__ = ["GrowingShard", "shard_record"]
 
-META = MEMBERS.index("meta.json")
+META = 0  # every layout begins with meta.json
 
 
 class GrowingShard:
@@ -33,8 +32,8 @@ class GrowingShard:
     A sample belongs to it once its row does: an interrupt, or an error, in the middle of one leaves no trace.
     """
 
-    def __init__(self, path: Path, there: ShardTable) -> None:
-        self.path, self.part = path, part_path(path)
+    def __init__(self, path: Path, there: ShardTable, layout: Layout) -> None:
+        self.path, self.part, self._layout = path, part_path(path), layout
         with contextlib.ExitStack() as on_error:
             self._file = self._opened()
             on_error.callback(self.release)
@@ -43,7 +42,7 @@ class GrowingShard:
 
     def _take_up(self, there: ShardTable) -> None:
         """Begin with what an earlier writer left here, then with what the shard to be replaced holds."""
-        kept = whole_samples(self.part)
+        kept = whole_samples(self.part, self._layout)
         self.rows = [kept[i : i + 1] for i in range(len(kept))]
         with writing(self.part):
             os.ftruncate(self._file, self._end)
@@ -53,23 +52,24 @@ class GrowingShard:
 
     def table(self) -> ShardTable:
         """The samples so far, in the order of the file."""
-        return ShardTable.of(self.rows)
+        return ShardTable.of(self.rows, self._layout)
 
-    def append(self, sample: Sample) -> None:
-        """Add a sample. Raises as ``ShardWriter.write`` does."""
-        index = sample.provenance.index
+    def append(self, index: int, members: Mapping[str, Bytes]) -> None:
+        """Add a sample. Raises as ``ShardWriter.add`` does."""
         if any(row.sample[0] == index for row in self.rows):
             raise ConfigError(f"{self.path}: {key_of(index)} is there already: write what is not in .done")
-        members = encode_sample(sample)
-        data = list(members.values())
-        entries = [tar_entry(member_name(index, member), content) for member, content in members.items()]
+        data = [members[member] for member in self._layout.members]
+        entries = [
+            tar_entry(member_name(index, member), content)
+            for member, content in zip(self._layout.members, data, strict=True)
+        ]
         headers = self._end + np.cumsum([0] + [len(entry) for entry in entries[:-1]])
         row = ShardTable(
             sample=np.array([index], np.int64),
             offset=(headers[None] + BLOCK).astype(np.int64),
             size=np.array([[len(content) for content in data]], np.uint32),
             crc=np.array([[zlib.crc32(content) for content in data]], np.uint32),
-            settled=np.array([sample.drape is not None and sample.drape.outcome is Outcome.SETTLED]),
+            settled=np.array([has_settled(json.loads(bytes(data[META])))]),
         )
         self._write(b"".join(entries))
         self.rows.append(row)
@@ -144,7 +144,7 @@ def shard_record(path: Path, table: ShardTable) -> ShardRecord:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         for offset, size in zip(table.offset[:, META].tolist(), table.size[:, META].tolist(), strict=True):
             meta = json.loads(os.pread(file.fileno(), size, offset))
-            rejects.update(reason.partition(":")[0] for reason in meta["rejects"])
+            rejects.update(reason.partition(":")[0] for reason in meta.get("rejects", ()))
     return ShardRecord(path.name, len(table), path.stat().st_size, digest, dict(sorted(rejects.items())))
 
 

@@ -23,7 +23,7 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import Outcome, Record
 from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.layout import MEMBERS, SCHEMA, index_name, member_name, shards_in
+from gcd_dataset.shards.layout import BODIES, GARMENTS, SCHEMA, Layout, index_name, member_name, shards_in
 from gcd_dataset.shards.tar import Entry, tar_entries
 
 __all__ = [
@@ -37,7 +37,7 @@ __all__ = [
     "whole_samples",
 ]
 
-META = MEMBERS[0]
+META = "meta.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,9 @@ class ShardTable(Record):
     """Whether the drape of each sample ended as ``Outcome.SETTLED``; false where there is none."""
 
     @classmethod
-    def of(cls, rows: Iterable["ShardTable"]) -> Self:
+    def of(cls, rows: Iterable["ShardTable"], layout: Layout = GARMENTS) -> Self:
         """Several tables as one."""
-        parts = [empty_table(), *rows]
+        parts = [empty_table(layout), *rows]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
 
     def __getitem__(self, rows: Any) -> "ShardTable":
@@ -71,9 +71,9 @@ class ShardTable(Record):
 _COLUMNS = ("sample", "offset", "size", "crc", "settled")
 
 
-def empty_table() -> ShardTable:
+def empty_table(layout: Layout = GARMENTS) -> ShardTable:
     """The contents of a shard without samples."""
-    none = np.zeros((0, len(MEMBERS)), np.uint32)
+    none = np.zeros((0, len(layout.members)), np.uint32)
     return ShardTable(np.zeros(0, np.int64), none.astype(np.int64), none, none, np.zeros(0, bool))
 
 
@@ -88,15 +88,16 @@ class ShardIndex(Record):
     shard: Int[np.ndarray, " n"]
     """Row of ``shards`` for each sample."""
     table: ShardTable
+    layout: Layout = GARMENTS
 
     @classmethod
-    def of(cls, folder: Path, tables: Mapping[str, ShardTable]) -> Self:
+    def of(cls, folder: Path, tables: Mapping[str, ShardTable], layout: Layout = GARMENTS) -> Self:
         """The index of shards that lie in ``folder``, from file name to contents."""
         counts = [len(table) for table in tables.values()]
         with reading(folder):
             length = np.array([(folder / name).stat().st_size for name in tables], np.int64)
         shard = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-        return cls(tuple(tables), length, shard, ShardTable.of(tables.values()))
+        return cls(tuple(tables), length, shard, ShardTable.of(tables.values(), layout), layout)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -106,21 +107,24 @@ class ShardIndex(Record):
         file = io.BytesIO()
         arrays: dict[str, Any] = {name: getattr(self.table, name) for name in _COLUMNS}
         arrays |= {"shards": np.array(self.shards, np.str_), "length": self.length, "shard": self.shard}
-        np.savez(file, schema=np.array(SCHEMA), members=np.array(MEMBERS), **arrays)
+        np.savez(file, schema=np.array(SCHEMA), members=np.array(self.layout.members), **arrays)
         write_whole(path, file.getvalue())
 
     @classmethod
-    def read(cls, path: Path) -> Self:
-        """The index in ``path``. Raises ``ShardError`` for a file that is broken or of another schema."""
+    def read(cls, path: Path, layout: Layout = GARMENTS) -> Self:
+        """The index in ``path``. Raises ``ShardError`` for a file that is broken, of another schema or layout."""
         try:
             with reading(path), np.load(path, allow_pickle=False) as file:
                 arrays = dict(file)
             schema, members = int(arrays["schema"]), tuple(arrays["members"].tolist())
             table = ShardTable(*(arrays[name] for name in _COLUMNS))
-            index = cls(tuple(arrays["shards"].tolist()), arrays["length"], arrays["shard"], table)
+            index = cls(tuple(arrays["shards"].tolist()), arrays["length"], arrays["shard"], table, layout)
         except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise ShardError(f"{path}: not an index ({error}): delete it, it is made again from the shards") from error
-        if schema != SCHEMA or members != MEMBERS:
+        for other in (GARMENTS, BODIES):
+            if schema == SCHEMA and members == other.members != layout.members:
+                raise ShardError(f"{path}: an index of {other.kind}, not of {layout.kind}: read with {other.reader}")
+        if schema != SCHEMA or members != layout.members:
             raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {SCHEMA}: delete it")
         return index
 
@@ -130,16 +134,16 @@ class ShardIndex(Record):
         return {name: self.table[first[i] : first[i + 1]] for i, name in enumerate(self.shards)}
 
 
-def read_index(folder: Path | str, split: str = "train") -> ShardIndex:
+def read_index(folder: Path | str, split: str = "train", layout: Layout = GARMENTS) -> ShardIndex:
     """The index of a split, brought up to date with the shards that are there; nothing is written.
 
     Raises ``ShardError`` for a broken index or shard.
     """
     folder = Path(folder)
-    return ShardIndex.of(folder, tables_of(folder, split))
+    return ShardIndex.of(folder, tables_of(folder, split, layout), layout)
 
 
-def rebuild_index(folder: Path | str, split: str = "train") -> ShardIndex:
+def rebuild_index(folder: Path | str, split: str = "train", layout: Layout = GARMENTS) -> ShardIndex:
     """The index of a split, made anew from its shards and kept in the folder.
 
     Raises ``ShardError`` for a broken shard and ``OutputError`` where the folder cannot be written.
@@ -147,55 +151,57 @@ def rebuild_index(folder: Path | str, split: str = "train") -> ShardIndex:
     folder = Path(folder)
     with reading(folder):
         paths = shards_in(folder, split)
-    index = ShardIndex.of(folder, {path.name: scan_shard(path) for path in paths})
+    index = ShardIndex.of(folder, {path.name: scan_shard(path, layout) for path in paths}, layout)
     index.write(folder / index_name(split))
     return index
 
 
-def tables_of(folder: Path, split: str) -> dict[str, ShardTable]:
+def tables_of(folder: Path, split: str, layout: Layout = GARMENTS) -> dict[str, ShardTable]:
     """The contents of each whole shard of a split, from the index where that knows the shard."""
     known: dict[tuple[str, int], ShardTable] = {}
     with reading(folder):
         sizes = {path: path.stat().st_size for path in shards_in(folder, split)}
         has_index = (path := folder / index_name(split)).exists()
     if has_index:
-        index = ShardIndex.read(path)
+        index = ShardIndex.read(path, layout)
         known = dict(zip(zip(index.shards, index.length.tolist(), strict=True), index.tables().values(), strict=True))
     tables = {}
     for shard, size in sizes.items():
         table = known.get((shard.name, size))
-        tables[shard.name] = scan_shard(shard) if table is None else table
+        tables[shard.name] = scan_shard(shard, layout) if table is None else table
     return tables
 
 
 def has_settled(meta: Mapping[str, Any]) -> bool:
     """Whether the sample of a ``meta.json`` has been draped and hangs still."""
-    return meta["drape"] is not None and meta["drape"]["outcome"] == Outcome.SETTLED.name
+    drape = meta.get("drape")  # a body has none
+    return drape is not None and drape["outcome"] == Outcome.SETTLED.name
 
 
-def scan_shard(path: Path) -> ShardTable:
+def scan_shard(path: Path, layout: Layout = GARMENTS) -> ShardTable:
     """The contents of a shard, read from its tar headers and the hashes in each sample's ``meta.json``.
 
-    Raises ``ShardError`` for a damaged archive, or samples that are not of this schema.
+    Raises ``ShardError`` for a damaged archive, or samples that are not of this schema and layout.
     """
     with _opened(path) as file:
         try:
-            return ShardTable.of(_row(file, entries) for entries in _by_sample(tar_entries(file)))
+            samples = _by_sample(tar_entries(file), layout)
+            return ShardTable.of((_row(file, entries, layout) for entries in samples), layout)
         except ShardError as error:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
 
 
-def whole_samples(path: Path) -> ShardTable:
+def whole_samples(path: Path, layout: Layout = GARMENTS) -> ShardTable:
     """The contents of a shard whose writing was broken off: every sample up to the first that is not whole."""
     rows: list[ShardTable] = []
     # An error here is the sample that was being written when the end came.
     with _opened(path) as file, contextlib.suppress(ShardError):
-        for entries in _by_sample(tar_entries(file)):
-            row = _row(file, entries)
+        for entries in _by_sample(tar_entries(file), layout):
+            row = _row(file, entries, layout)
             if any(_crc(file, entry) != crc for entry, crc in zip(entries, row.crc[0].tolist(), strict=True)):
                 break
             rows.append(row)
-    return ShardTable.of(rows)
+    return ShardTable.of(rows, layout)
 
 
 @contextlib.contextmanager
@@ -205,19 +211,19 @@ def _opened(path: Path) -> Iterator[int]:
         yield file.fileno()
 
 
-def _by_sample(entries: Iterator[Entry]) -> Iterator[list[Entry]]:
+def _by_sample(entries: Iterator[Entry], layout: Layout) -> Iterator[list[Entry]]:
     # By number, not by key: to see that a key has changed, one would read into the next sample, which may be torn.
-    while sample := list(islice(entries, len(MEMBERS))):
+    while sample := list(islice(entries, len(layout.members))):
         yield sample
 
 
-def _row(file: int, entries: list[Entry]) -> ShardTable:
+def _row(file: int, entries: list[Entry], layout: Layout) -> ShardTable:
     """The table of one sample."""
     key = entries[0].name.partition(".")[0]
-    meta = _read_meta(file, entries[0], key)
-    if [entry.name for entry in entries] != [member_name(meta["index"], member) for member in MEMBERS]:
-        raise ShardError(f"sample {key} does not have the members of schema {SCHEMA}")
-    crc = [_crc(file, entries[0])] + [meta["crc32"][member] for member in MEMBERS[1:]]
+    meta = _read_meta(file, entries[0], key, layout)
+    if [entry.name for entry in entries] != [member_name(meta["index"], member) for member in layout.members]:
+        raise ShardError(f"sample {key} does not have the members of schema {SCHEMA} for {layout.kind}")
+    crc = [_crc(file, entries[0])] + [meta["crc32"][member] for member in layout.members[1:]]
     return ShardTable(
         sample=np.array([meta["index"]], np.int64),
         offset=np.array([[entry.offset for entry in entries]], np.int64),
@@ -227,18 +233,18 @@ def _row(file: int, entries: list[Entry]) -> ShardTable:
     )
 
 
-def _read_meta(file: int, entry: Entry, key: str) -> dict[str, Any]:
+def _read_meta(file: int, entry: Entry, key: str, layout: Layout) -> dict[str, Any]:
     try:
         meta = json.loads(_content(file, entry))
         if meta["schema"] != SCHEMA:
             raise ShardError(f"sample {key} is of schema {meta['schema']}, and this reader knows schema {SCHEMA}")
         return {
             "index": int(meta["index"]),
-            "crc32": {member: int(meta["crc32"][member]) for member in MEMBERS[1:]},
+            "crc32": {member: int(meta["crc32"][member]) for member in layout.members[1:]},
             "settled": has_settled(meta),
         }
     except (ValueError, KeyError, TypeError) as error:
-        raise ShardError(f"sample {key} does not begin with a {META} of this data set") from error
+        raise ShardError(f"sample {key} does not begin with a {META} of a data set of {layout.kind}") from error
 
 
 def _content(file: int, entry: Entry) -> bytes:

@@ -2,7 +2,7 @@
 
     manifest.json         schema, recipe and seed of each split; count, size and sha256 of each shard
     index-train.npz       where each member of each sample lies
-    train-00000.tar       samples 0 … shard_size-1, each as the files of ``MEMBERS``
+    train-00000.tar       samples 0 … shard_size-1, each as the files of ``MEMBERS``, bodies as those of ``BODIES``
 
 >>> member_name(12, "verts.npy"), shard_name("train", 3)
 ('gcd_000000012.verts.npy', 'train-00003.tar')
@@ -12,16 +12,20 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from gcd_dataset.errors import ConfigError
 
 __all__ = [
+    "BODIES",
     "FIELDS",
+    "GARMENTS",
     "MEMBERS",
     "SCHEMA",
     "Bytes",
+    "Layout",
     "index_name",
     "key_of",
     "known_fields",
@@ -48,6 +52,22 @@ MEMBERS: tuple[str, ...] = (
 
 FIELDS: Mapping[str, str] = {member.split(".")[0]: member for member in MEMBERS}
 """Field of a loaded sample to the member it comes from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What every sample of a data set is made of."""
+
+    kind: str
+    """What the samples are."""
+    members: tuple[str, ...]
+    """The files of a sample in their order; the first is ``meta.json``, which holds the CRC-32 of the others."""
+    reader: str
+    """The data set to read them with."""
+
+
+GARMENTS = Layout("garments", MEMBERS, "GarmentDataset")
+BODIES = Layout("bodies", ("meta.json", "measures.json", "body.npy", "straight.npy", "apart.npy"), "BodyDataset")
 
 
 def key_of(index: int) -> str:

@@ -41,6 +41,8 @@ class SplitRecord:
     shard_size: int
     """Shard k holds the samples from ``k * shard_size`` to ``(k + 1) * shard_size - 1``."""
     shards: tuple[ShardRecord, ...] = ()
+    kind: str = "garments"
+    """What the samples are: ``garments`` or ``bodies``."""
 
     @property
     def rejects(self) -> Mapping[str, int]:

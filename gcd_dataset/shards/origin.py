@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +10,17 @@ import gcd_dataset
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.index import ShardTable, whole_samples
-from gcd_dataset.shards.layout import MEMBERS, recipe_hash, shard_number
+from gcd_dataset.shards.layout import GARMENTS, Layout, recipe_hash, shard_number
 from gcd_dataset.shards.manifest import MANIFEST, SplitRecord, read_manifest
 
 __all__ = ["agreed"]
 
-META = MEMBERS.index("meta.json")
+META = 0  # every layout begins with meta.json
 
 
-def agreed(folder: Path, split: str, tables: Mapping[str, ShardTable], asked: SplitRecord) -> SplitRecord:
+def agreed(
+    folder: Path, split: str, tables: Mapping[str, ShardTable], asked: SplitRecord, layout: Layout = GARMENTS
+) -> SplitRecord:
     """The record of a split to go on with: the manifest's, else what its samples tell, else what is asked for.
 
     ``tables``: the contents of its whole shards. Raises ``ConfigError`` with both sides where they differ from what is
@@ -28,19 +31,19 @@ def agreed(folder: Path, split: str, tables: Mapping[str, ShardTable], asked: Sp
         _require_version(folder / MANIFEST, manifest.generator)
         if split in manifest.splits:
             return _same(folder / MANIFEST, manifest.splits[split], asked)
-    shards = {folder / name: table for name, table in tables.items()} | _half_written(folder, split)
+    shards = {folder / name: table for name, table in tables.items()} | _half_written(folder, split, layout)
     for path, table in shards.items():
         if (table.sample // asked.shard_size != _number(path, split)).any():
             raise ConfigError(f"{path}: its samples are not those of shard_size={asked.shard_size}: give its own")
     for path, table in shards.items():
         if len(table):
-            return _same(path, _told_by(path, table, asked.shard_size), asked)
+            return _same(path, _told_by(path, table, asked), asked)
     return asked
 
 
 def _same(place: Path, there: SplitRecord, asked: SplitRecord) -> SplitRecord:
     """The record that is there, unless it differs from what is asked for."""
-    for name in ("seed", "shard_size"):
+    for name in ("kind", "seed", "shard_size"):
         if getattr(there, name) != getattr(asked, name):
             raise _other(place, name, getattr(there, name), getattr(asked, name))
     for option in sorted(set(there.recipe) | set(asked.recipe)):
@@ -69,20 +72,21 @@ def _number(path: Path, split: str) -> int | None:
     return shard_number(path.name.removesuffix(".part"), split)
 
 
-def _half_written(folder: Path, split: str) -> dict[Path, ShardTable]:
+def _half_written(folder: Path, split: str, layout: Layout) -> dict[Path, ShardTable]:
     """What is whole in the shards that an earlier writer could not finish."""
     parts = sorted(path for path in folder.glob("*.tar.part") if _number(path, split) is not None)
-    return {path: whole_samples(path) for path in parts}
+    return {path: whole_samples(path, layout) for path in parts}
 
 
-def _told_by(path: Path, table: ShardTable, shard_size: int) -> SplitRecord:
+def _told_by(path: Path, table: ShardTable, asked: SplitRecord) -> SplitRecord:
     """How the first sample of a shard was made. Raises ``ConfigError`` for another version of this package."""
     with reading(path), path.open("rb") as file:
         file.seek(int(table.offset[0, META]))
         content = file.read(int(table.size[0, META]))
     try:
         meta = json.loads(content)
-        there, version = SplitRecord(meta["seed"], dict(meta["recipe"]), shard_size), meta["versions"]["gcd_dataset"]
+        there = replace(asked, seed=meta["seed"], recipe=dict(meta["recipe"]))
+        version = meta["versions"]["gcd_dataset"]
     except (ValueError, KeyError, TypeError) as error:
         raise ShardError(
             f"{path}: its first sample does not say how it was made ({error}): choose another folder"

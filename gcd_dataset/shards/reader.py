@@ -13,7 +13,7 @@ from jaxtyping import Bool
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.index import read_index
-from gcd_dataset.shards.layout import MEMBERS, key_of, shard_number
+from gcd_dataset.shards.layout import GARMENTS, Layout, key_of, shard_number
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, read_manifest
 
 __all__ = ["ShardReader", "Verify"]
@@ -25,7 +25,7 @@ OPEN_FILES = 256  # of the 1024 that most systems give a process
 
 
 class ShardReader:
-    """The samples of one split, in the order of their indices.
+    """The samples of one split, of one ``layout``, in the order of their indices.
 
     ``verify``: ``lazy`` checks a member's CRC-32 the first time that this process reads it, ``full`` checks all of them
     at once, ``off`` none. ``settled_only`` leaves out samples that are not draped, or did not settle. May be pickled,
@@ -35,14 +35,21 @@ class ShardReader:
     """
 
     def __init__(
-        self, folder: Path | str, split: str = "train", *, verify: Verify = "lazy", settled_only: bool = False
+        self,
+        folder: Path | str,
+        split: str = "train",
+        *,
+        layout: Layout = GARMENTS,
+        verify: Verify = "lazy",
+        settled_only: bool = False,
     ) -> None:
         if verify not in get_args(Verify):
             raise ConfigError(f"verify={verify!r}: there is {', '.join(get_args(Verify))}")
         self.folder, self.split, self._verify = Path(folder), split, verify
+        self._members = layout.members
         self.manifest = read_manifest(self.folder)
         _require_listed_shards(self.folder, split, self.manifest)
-        self.index = read_index(self.folder, split)
+        self.index = read_index(self.folder, split, layout)
         if not len(self.index):
             raise ShardError(f"{self.folder}: no samples of split {split}: {_way_out(self.folder, split)}")
         # A shard that was filled out of order, or a foreign one, need not be in the order of its numbers.
@@ -55,7 +62,7 @@ class ShardReader:
         self._unchecked = self._all_unchecked()
         if verify == "full":
             for position in range(len(self)):
-                self.read(position, MEMBERS)
+                self.read(position, self._members)
 
     def __len__(self) -> int:
         return len(self._row)
@@ -66,20 +73,20 @@ class ShardReader:
         Raises ``ShardError`` with shard, key and member for a byte that is not what was written.
         """
         row = int(self._row[position])
-        wanted = sorted(MEMBERS.index(member) for member in members)
+        wanted = sorted(self._members.index(member) for member in members)
         table, shard = self.index.table, int(self.index.shard[row])
         places = list(zip(wanted, table.offset[row, wanted].tolist(), table.size[row, wanted].tolist(), strict=True))
         content = {column: data for run in _runs(places) for column, data in self._read_run(shard, run)}
         for column, data in content.items():
             if self._unchecked[row, column]:
                 self._check(row, column, data)
-        return {MEMBERS[column]: data for column, data in content.items()}
+        return {self._members[column]: data for column, data in content.items()}
 
     def check(self, position: int) -> None:
         """Raise ``ShardError`` if any byte of a sample is not what was written."""
         row = int(self._row[position])
-        for member, data in self.read(position, MEMBERS).items():
-            self._check(row, MEMBERS.index(member), data)
+        for member, data in self.read(position, self._members).items():
+            self._check(row, self._members.index(member), data)
 
     def _read_run(self, shard: int, run: Sequence["_Place"]) -> Iterator[tuple[int, memoryview]]:
         """Members that lie close together, by one call."""
@@ -98,7 +105,7 @@ class ShardReader:
         if zlib.crc32(data) != self.index.table.crc[row, column]:
             shard, key = self.index.shards[self.index.shard[row]], key_of(int(self.index.table.sample[row]))
             raise ShardError(
-                f"{self.folder / shard}: sample {key}, member {MEMBERS[column]}: bytes differ from those that were "
+                f"{self.folder / shard}: sample {key}, member {self._members[column]}: bytes differ from those that were "
                 f"written: {REMEDY}"
             )
         self._unchecked[row, column] = False
@@ -122,7 +129,7 @@ class ShardReader:
         self._unchecked = self._all_unchecked()
 
 
-_Place = tuple[int, int, int]  # column of MEMBERS, offset, size
+_Place = tuple[int, int, int]  # column of the layout's members, offset, size
 
 
 class _OpenFile:

@@ -11,9 +11,19 @@ from gcd_dataset.errors import ConfigError, OutputError
 from gcd_dataset.files import make_folder
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import locked, reading
+from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.growing import GrowingShard, shard_record
 from gcd_dataset.shards.index import ShardIndex, empty_table, tables_of
-from gcd_dataset.shards.layout import index_name, key_of, lock_name, shard_name, shard_number
+from gcd_dataset.shards.layout import (
+    GARMENTS,
+    Bytes,
+    Layout,
+    index_name,
+    key_of,
+    lock_name,
+    shard_name,
+    shard_number,
+)
 from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_split
 from gcd_dataset.shards.origin import agreed
 
@@ -32,6 +42,7 @@ class ShardWriter:
 
     From its making to its close it is the only writer of the split; other splits may be written at the same time.
 
+    ``layout``: what a sample is made of; garments by default.
     Raises ``ConfigError`` for a folder made with another recipe, seed, shard size or version of this package,
     ``ShardError`` for one with a broken shard, ``OutputError`` with file and remedy for a place that cannot be written
     or locked, or where another writer is at work.
@@ -45,16 +56,18 @@ class ShardWriter:
         seed: int,
         recipe: Mapping[str, Any],
         shard_size: int = SHARD_SIZE,
+        layout: Layout = GARMENTS,
     ) -> None:
         if shard_size < 1:
             raise ConfigError(f"shard_size is {shard_size}: a shard holds 1 sample or more")
-        self._folder, self._split = make_folder(folder), split
+        self._folder, self._split, self._layout = make_folder(folder), split, layout
         self._open: dict[int, GrowingShard] = {}
         with contextlib.ExitStack() as held:
             held.enter_context(locked(self._folder / lock_name(split), f"writing split {split}"))
             held.callback(_release, self._open)
-            tables = tables_of(self._folder, split)
-            self._record = agreed(self._folder, split, tables, SplitRecord(seed, dict(recipe), shard_size))
+            tables = tables_of(self._folder, split, layout)
+            asked = SplitRecord(seed, dict(recipe), shard_size, kind=layout.kind)
+            self._record = agreed(self._folder, split, tables, asked, layout)
             self._whole = {
                 number: table for name, table in tables.items() if (number := shard_number(name, split)) is not None
             }
@@ -71,19 +84,22 @@ class ShardWriter:
         return frozenset(index for table in tables for index in table.sample.tolist())
 
     def write(self, sample: Sample) -> None:
-        """Add a sample.
+        """Add a garment. Raises as ``add`` does, and ``ShardError`` for one that the format cannot hold."""
+        self.add(sample.provenance.index, encode_sample(sample))
 
-        Raises ``ConfigError`` for one that is there, ``ShardError`` for one that the format cannot hold,
-        ``OutputError`` where it cannot be written, or where this writer is closed.
+    def add(self, index: int, members: Mapping[str, Bytes]) -> None:
+        """Add a sample as the files of the writer's layout.
+
+        Raises ``ConfigError`` for one that is there, ``OutputError`` where it cannot be written, or where this writer
+        is closed.
         """
         if self._closed:
             raise OutputError(f"{self._folder}: this writer is closed: open another to go on")
-        index = sample.provenance.index
         number = index // self._record.shard_size
         if number in self._whole and index in self._whole[number].sample:
             raise ConfigError(f"{self._path(number)}: {key_of(index)} is there already: write what is not in .done")
         shard = self._shard(number)
-        shard.append(sample)
+        shard.append(index, members)
         if len(shard.rows) == self._record.shard_size:
             self._finish(number)
 
@@ -96,7 +112,7 @@ class ShardWriter:
             for number in sorted(self._open):
                 self._finish(number)
             tables = {shard_name(self._split, number): self._whole[number] for number in sorted(self._whole)}
-            ShardIndex.of(self._folder, tables).write(self._folder / index_name(self._split))
+            ShardIndex.of(self._folder, tables, self._layout).write(self._folder / index_name(self._split))
 
     def __enter__(self) -> Self:
         return self
@@ -122,7 +138,8 @@ class ShardWriter:
 
     def _shard(self, number: int) -> GrowingShard:
         if number not in self._open:
-            self._open[number] = GrowingShard(self._path(number), self._whole.get(number, empty_table()))
+            there = self._whole.get(number, empty_table(self._layout))
+            self._open[number] = GrowingShard(self._path(number), there, self._layout)
         return self._open[number]
 
     def _finish(self, number: int) -> None:

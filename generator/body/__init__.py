@@ -1,6 +1,7 @@
 """Bodies: drawn from a shape space or read from files, and their tailor's measures."""
 
-from gcd_dataset.generator.body.files import read_body, read_measurements, write_measurements
+from gcd_dataset.bodyfiles import read_measurements, write_measurements
+from gcd_dataset.generator.body.files import read_body
 from gcd_dataset.generator.body.named import named_body
 from gcd_dataset.generator.body.shape import (
     build_body,

@@ -1,49 +1,27 @@
-"""Bodies and measures from files: OBJ and PLY meshes, part segmentations, GarmentCode's measurement YAML."""
+"""Bodies from mesh files, OBJ and PLY."""
 
 import io
-import json
 import logging
-import reprlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
-import yaml
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
-from gcd_dataset.errors import BodyError, shown
-from gcd_dataset.files import write_whole
+from gcd_dataset.bodyfiles import file_content, read_measurements, read_parts
+from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.pose import stand
 from gcd_dataset.generator.body.tailor import measure
-from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, Measurements
+from gcd_dataset.records import Body, Measurements
 
-__all__ = ["read_body", "read_measurements", "write_measurements"]
+__all__ = ["read_body"]
 
 log = logging.getLogger(__name__)
 
 TALLEST = 300.0  # cm; between this and SHORTEST a body's extent in y says its unit
 SHORTEST = 30.0
-LARGEST_MEASURE = 1e4  # cm, or degrees: no giant has more
-LONGEST_NUMBER = 10**15  # from here on a whole number is not printed
 UNITS = {"centimetres": 1.0, "metres": 100.0, "millimetres": 0.1}
-
-OPTIONAL = frozenset({"underbust", "vert_bust_line"})
-"""No pattern needs them, and GarmentCode's SMPL bodies lack the second."""
-
-SEGMENTS = {
-    "body": BodyPart.TRUNK,
-    "left_arm": BodyPart.LEFT_ARM,
-    "right_arm": BodyPart.RIGHT_ARM,
-    "left_leg": BodyPart.LEFT_LEG,
-    "right_leg": BodyPart.RIGHT_LEG,
-    "head": BodyPart.HEAD,
-    "hands": BodyPart.HANDS,
-    "feet": BodyPart.FEET,
-    "face_internal": BodyPart.INTERNAL,
-}
-"""Names in a segmentation file; those without a part of their own here count as trunk, as do unlisted vertices."""
 
 
 def read_body(
@@ -64,45 +42,9 @@ def read_body(
         )
     if measurements is None and not ours:
         raise BodyError(f"{path}: its landmarks are not known: give its measures (--measurements)")
-    parts = body_model().parts if segmentation is None else _read_parts(Path(segmentation), len(vertices), path)
+    parts = body_model().parts if segmentation is None else read_parts(Path(segmentation), len(vertices), path)
     body = Body(vertices, faces, parts, path.stem)
     return body, measure(body) if measurements is None else read_measurements(measurements)
-
-
-def read_measurements(path: Path | str) -> Measurements:
-    """The measures in a YAML file with a ``body:`` map. Raises ``BodyError`` with the file, the key and a remedy."""
-    path = Path(path)
-    values = _read_yaml(path).get("body")
-    if not isinstance(values, dict):
-        raise BodyError(f"{path}: no map named body: a measurement file begins with 'body:' and one 'key: cm' a line")
-    for key in MEASURES:
-        if key in values and not _is_measure(key, values[key]):
-            wanted = "a number of degrees" if key in ANGLES else "a positive number of centimetres"
-            raise BodyError(f"{path}: body.{key} is {_found(values[key])}: give {wanted}")
-    missing = [key for key in MEASURES if key not in values and key not in OPTIONAL]
-    if missing:
-        raise BodyError(f"{path}: body lacks {', '.join(missing)}: add {'it' if len(missing) == 1 else 'them'}")
-    return Measurements.from_file_values(values)
-
-
-def write_measurements(measurements: Measurements, path: Path | str) -> None:
-    """The measures and what GarmentCode derives from them, as YAML with every digit. Raises ``OutputError``."""
-    values = measurements.to_file_values() | _derived(measurements)
-    write_whole(path, yaml.safe_dump({"body": values}).encode())
-
-
-def _derived(size: Measurements) -> dict[str, float]:
-    """The keys with a leading underscore that GarmentCode's files hold beside the measures."""
-    derived = {
-        "_armscye_depth": size.eased_armscye_depth,
-        "_base_sleeve_balance": size.sleeve_balance,
-        "_bust_line": size.drawn_bust_line,
-        "_hip_inclination": np.degrees(size.drawn_hip_inclination),
-        "_leg_length": size.leg_length,
-        "_shoulder_incl": np.degrees(size.shoulder_incl),
-        "_waist_level": size.waist_level,
-    }
-    return {key: float(value) for key, value in derived.items() if not np.isnan(value)}
 
 
 # ---------------------------------------------------------------------------------------------------------------- mesh
@@ -110,7 +52,7 @@ def _derived(size: Measurements) -> dict[str, float]:
 
 def _read_mesh(path: Path) -> tuple[Float[np.ndarray, "v 3"], np.ndarray]:
     """Vertices [cm] standing at y = 0, and faces seen counter-clockwise from outside."""
-    content = _read(path)
+    content = file_content(path)
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("obj", "ply"):
         raise BodyError(f"{path}: a body is read from .obj or .ply: convert it")
@@ -141,73 +83,3 @@ def _unit(path: Path, vertices: np.ndarray) -> float:
     raise BodyError(
         f"{path}: {height:.4g} tall along y, which is a person's height in no unit: turn y up, scale it to cm"
     )
-
-
-def _read_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray, " v"]:
-    """``BodyPart`` of each vertex."""
-    try:
-        lists = json.loads(_read(path))
-    except ValueError as error:  # broken JSON, broken UTF-8, a number of thousands of digits
-        raise BodyError(f"{path}: not JSON ({error}): give a map from part names to vertex ids") from error
-    except RecursionError as error:
-        raise BodyError(f"{path}: nested too deeply: give a map from part names to lists of vertex ids") from error
-    if not isinstance(lists, dict):
-        raise BodyError(f"{path}: a {type(lists).__name__}: give a map from part names to lists of vertex ids")
-    if not {"left_arm", "right_arm", "left_leg", "right_leg"} <= lists.keys():
-        names = ", ".join(map(shown, lists)) or "nothing"
-        raise BodyError(f"{path}: names {names}: name left_arm, right_arm, left_leg and right_leg")
-    parts = np.full(n_vertices, BodyPart.TRUNK.value, np.uint8)
-    for name, ids in lists.items():
-        vertices = _vertex_ids(path, shown(name), ids)
-        if max(vertices, default=0) >= n_vertices:
-            raise BodyError(
-                f"{path}: {shown(name)} names vertex {_found(max(vertices))}, {mesh} has {n_vertices}: "
-                "give the segmentation of this mesh"
-            )
-        parts[vertices] = SEGMENTS.get(name, BodyPart.TRUNK).value
-    return parts
-
-
-def _vertex_ids(path: Path, name: str, ids: Any) -> list[int]:
-    if not isinstance(ids, list) or not all(type(i) is int and i >= 0 for i in ids):  # True is an int as well
-        raise BodyError(f"{path}: {name} is no list of vertex ids: give whole numbers of 0 and more")
-    return ids
-
-
-# --------------------------------------------------------------------------------------------------------------- files
-
-
-BROKEN_SCALARS = (ValueError, KeyError, IndexError, AttributeError)
-"""What PyYAML lets through of a date that is none, an integer of thousands of digits, ``!!bool maybe``, …"""
-
-
-def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        table = yaml.safe_load(_read(path))
-    except yaml.YAMLError as error:
-        raise BodyError(f"{path}: not YAML ({' '.join(str(error).split())}): mend that line") from error
-    except BROKEN_SCALARS as error:
-        raise BodyError(f"{path}: not YAML ({error}): give one 'key: number' a line") from error
-    except RecursionError as error:
-        raise BodyError(f"{path}: nested too deeply: give one 'key: number' a line") from error
-    return table if isinstance(table, dict) else {}
-
-
-def _is_measure(key: str, value: Any) -> bool:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= LARGEST_MEASURE:
-        return False
-    return key in ANGLES or value > 0
-
-
-def _found(value: Any) -> str:
-    """A value as it stands in a message: short, whatever it is."""
-    if isinstance(value, int) and abs(value) >= LONGEST_NUMBER:
-        return f"{'-' if value < 0 else ''}10**15 or more"
-    return reprlib.repr(value)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise BodyError(f"{path}: cannot be read ({error.strerror}): check the path") from error

@@ -3,9 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+from gcd_dataset.bodyfiles import read_measurements
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.files import read_body, read_measurements
+from gcd_dataset.generator.body.files import read_body
 from gcd_dataset.generator.body.shape import build_body, draw_shape, named_shape
 from gcd_dataset.generator.body.tailor import measure
 from gcd_dataset.records import Body, BodyShape, Measurements

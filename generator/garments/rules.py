@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from gcd_dataset.crossings import edge_hulls, find_crossings
-from gcd_dataset.curves import curve_length
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.bottoms import BOTTOMS
 from gcd_dataset.generator.garments.design import Bottom, OutfitDesign, Upper
@@ -24,7 +23,7 @@ from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.upper import upper_length
 from gcd_dataset.generator.garments.upper_half import right_torso
 from gcd_dataset.generator.garments.waistband import band_rise
-from gcd_dataset.generator.pattern import Component, SewnJoin, sew
+from gcd_dataset.generator.pattern import Component, SewnJoin, panel_of, sew
 from gcd_dataset.records import Measurements, Panel, Pattern
 from gcd_dataset.validate import LARGEST, SHORTEST_EDGE, Fault, Rule, Severity, check_pattern
 
@@ -262,18 +261,15 @@ def bottom_is_whole(size: Measurements, design: OutfitDesign) -> bool:
 def _can_be_sewn(part: Callable[[], Component]) -> bool:
     """Whether a part of an outfit can be drawn, and its panels are whole."""
     try:
-        pattern, joins = sew(part(), "part")
+        return are_whole([panel_of(piece) for piece in part().pieces])
     except PatternError:
         return False
-    return are_whole(pattern.panels) and not any(map(is_mismatched, joins))
 
 
 def are_whole(panels: Sequence[Panel]) -> bool:
     """Whether all panels have the size to be sewn, cross nowhere, and have no short edge and no sharp corner."""
     hulls = [edge_hulls(panel) for panel in panels]
-    lengths = [
-        [curve_length(*panel.edge_ends(i), edge.curve) for i, edge in enumerate(panel.edges)] for panel in panels
-    ]
+    lengths = [panel.edge_lengths() for panel in panels]
     if any(min(edges) < SHORTEST_EDGE or max(edges) > LARGEST for edges in lengths):
         return False
     return corner_angles(hulls).min() >= SHARPEST_CORNER and not any(find_crossings(panels, hulls, lengths))

@@ -181,7 +181,7 @@ class _Draft:
         whose panels are whole."""
         for _ in range(BOTTOMS_TRIED):
             trial = self._light_enough(self._off_the_floor(self._with_bottom_drawn(design)))
-            if all(bottom_is_whole(size, trial) for size in self.sizes):
+            if _is_plain(trial) or all(bottom_is_whole(size, trial) for size in self.sizes):
                 break
         return trial
 
@@ -262,6 +262,13 @@ def sections_used(design: OutfitDesign) -> frozenset[str]:
     if design.meta.upper:
         used |= {"shirt", "collar", "sleeve"} | ({"left"} if design.left.enable_asym else set())
     return frozenset([*used, *_sections_of_bottom(design.meta.bottom), *_sections_of_parts(design)])
+
+
+def _is_plain(design: OutfitDesign) -> bool:
+    """Whether nothing is cut into the bottom that could run into anything else."""
+    if design.meta.bottom is Bottom.CIRCLE:
+        return not design.flare_skirt.cut.add
+    return design.meta.bottom in (Bottom.GATHERED, Bottom.PANTS)
 
 
 def _sections_of_bottom(bottom: Bottom | None) -> tuple[str, ...]:

@@ -117,7 +117,8 @@ def _divisions(walks: Sequence[tuple[list[_Stretch], list[_Stretch]]]) -> dict[t
 
 def _divided(piece: Piece, divisions: Mapping[tuple[str, int], list[float]]) -> list[tuple[Stroke, ...]]:
     """The parts of every stroke of the piece, in drawing order."""
-    return [stroke.split(divisions.get((piece.name, index), [])) for index, stroke in enumerate(piece.outline.strokes)]
+    shares = [divisions.get((piece.name, index)) for index in range(len(piece.outline.strokes))]
+    return [stroke.split(s) if s else (stroke,) for stroke, s in zip(piece.outline.strokes, shares, strict=True)]
 
 
 def _parts(walk: Sequence[_Stretch], divisions: Mapping[tuple[str, int], list[float]]) -> list[_Part]:
@@ -158,5 +159,5 @@ def _panel(piece: Piece, parts: Sequence[tuple[Stroke, ...]], outward: bool) -> 
         Edge(i, (i + 1) % len(loop), stroke.curve, stroke.label, stroke.name) for i, stroke in enumerate(loop)
     )
     rotation = np.array(piece.rotation) + 0.0  # a mirror image has angles of -0.0, which nobody wants in a file
-    hung = Placement(piece.placement.apply(corners[:1])[0], rotation)
+    hung = Placement(np.array(piece.in_space(loop[0].start)), rotation)
     return Panel(piece.name, corners - corners[0], edges, hung, piece.label)

@@ -66,7 +66,7 @@ class Component:
 
     def labelled(self, label: str) -> Self:
         """With the part of the body written on every piece that has none."""
-        return replace(self, pieces=tuple(replace(p, label=p.label or label) for p in self.pieces))
+        return replace(self, pieces=tuple(p if p.label else replace(p, label=label) for p in self.pieces))
 
     def with_edge_label(self, interface: Interface, label: str) -> Self:
         """With a label on the edges of an interface; it stays on every piece they are divided into."""
@@ -130,11 +130,15 @@ def _renamed(interface: Interface, old: str, new: str) -> Interface:
 
 
 def _renamed_labels(piece: Piece, old: str, new: str) -> Piece:
+    if not any(old in stroke.label for stroke in piece.outline.strokes):
+        return piece
     strokes = tuple(replace(stroke, label=stroke.label.replace(old, new)) for stroke in piece.outline.strokes)
     return replace(piece, outline=replace(piece.outline, strokes=strokes))
 
 
 def _labelled(piece: Piece, edges: set[tuple[str, str]], label: str) -> Piece:
+    if not any((piece.name, stroke.name) in edges for stroke in piece.outline.strokes):
+        return piece
     strokes = tuple(
         replace(stroke, label=label) if (piece.name, stroke.name) in edges else stroke
         for stroke in piece.outline.strokes

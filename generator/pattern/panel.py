@@ -10,6 +10,7 @@ from typing import Self, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+from gcd_dataset.curves import Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.edge import rotate
 from gcd_dataset.generator.pattern.outline import Outline
@@ -19,6 +20,8 @@ from gcd_dataset.records import Placement
 __all__ = ["Piece", "Vector"]
 
 Vector: TypeAlias = tuple[float, float, float]
+
+UNTURNED: Vector = (0.0, 0.0, 0.0)
 
 LYING_FLAT = 0.999  # cosine of the angle between a normal and the vertical: within 2.6 degrees
 
@@ -74,9 +77,19 @@ class Piece:
         """Where the plane of the piece lies in space."""
         return Placement(np.array(self.translation), np.array(self.rotation))
 
+    def in_space(self, point: Point) -> Vector:
+        """A point of the drawing in space [cm]."""
+        if self.rotation == UNTURNED:
+            x, y, z = self.translation
+            return (x + point[0], y + point[1], z)
+        x, y, z = self.placement.apply(np.array(point)).tolist()
+        return (x, y, z)
+
     def points(self, edge: str | None = None) -> Float[np.ndarray, "n 3"]:
         """Points along the contour, or along one edge, in space [cm]."""
         flat = self.outline.points() if edge is None else np.concatenate([s.points() for s in self.outline.run(edge)])
+        if self.rotation == UNTURNED:
+            return np.column_stack([flat, np.zeros(len(flat))]) + self.translation
         return self.placement.apply(flat)
 
     @property
@@ -86,10 +99,16 @@ class Piece:
         Outside is away from the vertical axis through the wearer, and above for a panel that lies flat. Raises
         ``PatternError`` for one seen edge-on from there.
         """
+        if self.rotation == UNTURNED:  # nearly all: upright, and in front or behind
+            return self._runs_outwards(self.translation[2])
         corners = self.placement.apply(np.array([stroke.start for stroke in self.outline.strokes]))
         centre, normal = corners.mean(axis=0), self.placement.matrix[:, 2]
         lies_flat = bool(abs(normal[1]) > LYING_FLAT)
         outward = float(normal[1] if lies_flat else normal[0] * centre[0] + normal[2] * centre[2])
+        return self._runs_outwards(outward)
+
+    def _runs_outwards(self, outward: float) -> bool:
+        """Whether the drawing is seen from outside: ``outward`` is positive where its plane's normal points there."""
         if outward == 0.0:
             raise PatternError(f"panel {self.name} has no outer side: turn it, or move it off the wearer's axis")
         return (outward > 0) == (self.outline.area > 0)

@@ -1,0 +1,142 @@
+"""What is told about a body in files: GarmentCode's measurement YAML and its part segmentation JSON."""
+
+import json
+import reprlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jaxtyping import UInt8
+
+from gcd_dataset.errors import BodyError, shown
+from gcd_dataset.files import write_whole
+from gcd_dataset.records import ANGLES, MEASURES, BodyPart, Measurements
+
+__all__ = ["file_content", "read_measurements", "read_parts", "write_measurements"]
+
+LARGEST_MEASURE = 1e4  # cm, or degrees: no giant has more
+LONGEST_NUMBER = 10**15  # from here on a whole number is not printed
+
+OPTIONAL = frozenset({"underbust", "vert_bust_line"})
+"""No pattern needs them, and GarmentCode's SMPL bodies lack the second."""
+
+SEGMENTS = {
+    "body": BodyPart.TRUNK,
+    "left_arm": BodyPart.LEFT_ARM,
+    "right_arm": BodyPart.RIGHT_ARM,
+    "left_leg": BodyPart.LEFT_LEG,
+    "right_leg": BodyPart.RIGHT_LEG,
+    "head": BodyPart.HEAD,
+    "hands": BodyPart.HANDS,
+    "feet": BodyPart.FEET,
+    "face_internal": BodyPart.INTERNAL,
+}
+"""Names in a segmentation file; those without a part of their own here count as trunk, as do unlisted vertices."""
+
+
+def read_measurements(path: Path | str) -> Measurements:
+    """The measures in a YAML file with a ``body:`` map. Raises ``BodyError`` with the file, the key and a remedy."""
+    path = Path(path)
+    values = _read_yaml(path).get("body")
+    if not isinstance(values, dict):
+        raise BodyError(f"{path}: no map named body: a measurement file begins with 'body:' and one 'key: cm' a line")
+    for key in MEASURES:
+        if key in values and not _is_measure(key, values[key]):
+            wanted = "a number of degrees" if key in ANGLES else "a positive number of centimetres"
+            raise BodyError(f"{path}: body.{key} is {_found(values[key])}: give {wanted}")
+    missing = [key for key in MEASURES if key not in values and key not in OPTIONAL]
+    if missing:
+        raise BodyError(f"{path}: body lacks {', '.join(missing)}: add {'it' if len(missing) == 1 else 'them'}")
+    return Measurements.from_file_values(values)
+
+
+def write_measurements(measurements: Measurements, path: Path | str) -> None:
+    """The measures and what GarmentCode derives from them, as YAML with every digit. Raises ``OutputError``."""
+    values = measurements.to_file_values() | _derived(measurements)
+    write_whole(path, yaml.safe_dump({"body": values}).encode())
+
+
+def read_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray, " v"]:
+    """``BodyPart`` of each vertex."""
+    try:
+        lists = json.loads(file_content(path))
+    except ValueError as error:  # broken JSON, broken UTF-8, a number of thousands of digits
+        raise BodyError(f"{path}: not JSON ({error}): give a map from part names to vertex ids") from error
+    except RecursionError as error:
+        raise BodyError(f"{path}: nested too deeply: give a map from part names to lists of vertex ids") from error
+    if not isinstance(lists, dict):
+        raise BodyError(f"{path}: a {type(lists).__name__}: give a map from part names to lists of vertex ids")
+    if not {"left_arm", "right_arm", "left_leg", "right_leg"} <= lists.keys():
+        names = ", ".join(map(shown, lists)) or "nothing"
+        raise BodyError(f"{path}: names {names}: name left_arm, right_arm, left_leg and right_leg")
+    parts = np.full(n_vertices, BodyPart.TRUNK.value, np.uint8)
+    for name, ids in lists.items():
+        vertices = _vertex_ids(path, shown(name), ids)
+        if max(vertices, default=0) >= n_vertices:
+            raise BodyError(
+                f"{path}: {shown(name)} names vertex {_found(max(vertices))}, {mesh} has {n_vertices}: "
+                "give the segmentation of this mesh"
+            )
+        parts[vertices] = SEGMENTS.get(name, BodyPart.TRUNK).value
+    return parts
+
+
+def _vertex_ids(path: Path, name: str, ids: Any) -> list[int]:
+    if not isinstance(ids, list) or not all(type(i) is int and i >= 0 for i in ids):  # True is an int as well
+        raise BodyError(f"{path}: {name} is no list of vertex ids: give whole numbers of 0 and more")
+    return ids
+
+
+def _derived(size: Measurements) -> dict[str, float]:
+    """The keys with a leading underscore that GarmentCode's files hold beside the measures."""
+    derived = {
+        "_armscye_depth": size.eased_armscye_depth,
+        "_base_sleeve_balance": size.sleeve_balance,
+        "_bust_line": size.drawn_bust_line,
+        "_hip_inclination": np.degrees(size.drawn_hip_inclination),
+        "_leg_length": size.leg_length,
+        "_shoulder_incl": np.degrees(size.shoulder_incl),
+        "_waist_level": size.waist_level,
+    }
+    return {key: float(value) for key, value in derived.items() if not np.isnan(value)}
+
+
+# --------------------------------------------------------------------------------------------------------------- files
+
+
+BROKEN_SCALARS = (ValueError, KeyError, IndexError, AttributeError)
+"""What PyYAML lets through of a date that is none, an integer of thousands of digits, ``!!bool maybe``, …"""
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        table = yaml.safe_load(file_content(path))
+    except yaml.YAMLError as error:
+        raise BodyError(f"{path}: not YAML ({' '.join(str(error).split())}): mend that line") from error
+    except BROKEN_SCALARS as error:
+        raise BodyError(f"{path}: not YAML ({error}): give one 'key: number' a line") from error
+    except RecursionError as error:
+        raise BodyError(f"{path}: nested too deeply: give one 'key: number' a line") from error
+    return table if isinstance(table, dict) else {}
+
+
+def _is_measure(key: str, value: Any) -> bool:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= LARGEST_MEASURE:
+        return False
+    return key in ANGLES or value > 0
+
+
+def _found(value: Any) -> str:
+    """A value as it stands in a message: short, whatever it is."""
+    if isinstance(value, int) and abs(value) >= LONGEST_NUMBER:
+        return f"{'-' if value < 0 else ''}10**15 or more"
+    return reprlib.repr(value)
+
+
+def file_content(path: Path) -> bytes:
+    """All bytes of a file. Raises ``BodyError``."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise BodyError(f"{path}: cannot be read ({error.strerror}): check the path") from error

@@ -1,0 +1,89 @@
+"""The skin of a mesh as a surface: its nearest point to any point, whatever its triangles."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from gcd_dataset.records import Record
+
+__all__ = ["Nearest", "Surface", "nearest_on_triangles"]
+
+LONGEST = 6.0  # cm: longer edges are halved first, so that a near triangle has a near middle
+CANDIDATES = 12  # triangles by the distance of their middles
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest(Record):
+    """Where a surface comes nearest to some points."""
+
+    points: Float[np.ndarray, "n 3"]
+    """On the surface [cm]."""
+    faces: Int[np.ndarray, " n"]
+    """The triangle each lies on."""
+    normals: Float[np.ndarray, "n 3"]
+    """Of that triangle, unit length, as the mesh winds it."""
+    distances: Float[np.ndarray, " n"]
+    """[cm]"""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface(Record):
+    """Triangles with a tree over their middles."""
+
+    corners: Float[np.ndarray, "t 3 3"]
+    owners: Int[np.ndarray, " t"]
+    """The face of the mesh that each triangle is a piece of."""
+    normals: Float[np.ndarray, "t 3"]
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Self:
+        """The surface of a mesh; triangles without area are left out."""
+        corners, owners = vertices[faces], np.arange(len(faces))
+        if np.ptp(corners, axis=1).max(initial=0.0) > LONGEST:
+            fine, pieces, owners = trimesh.remesh.subdivide_to_size(vertices, faces, LONGEST, return_index=True)
+            corners = fine[pieces]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        double_area = np.linalg.norm(across, axis=1)
+        solid = double_area > 1e-12
+        corners, owners = corners[solid], owners[solid]
+        return cls(corners, owners, across[solid] / double_area[solid, None], cKDTree(corners.mean(axis=1)))
+
+    def nearest(self, points: Float[np.ndarray, "n 3"]) -> Nearest:
+        """The nearest point of the surface to each point."""
+        near = self.tree.query(points, k=min(CANDIDATES, len(self.corners)))[1].reshape(len(points), -1)
+        on = nearest_on_triangles(points[:, None], self.corners[near])
+        distances = np.linalg.norm(on - points[:, None], axis=2)
+        best = distances.argmin(axis=1)
+        row = np.arange(len(points))
+        chosen = near[row, best]
+        return Nearest(on[row, best], self.owners[chosen], self.normals[chosen], distances[row, best])
+
+
+def nearest_on_triangles(
+    points: Float[np.ndarray, "*n 3"], corners: Float[np.ndarray, "*n 3 3"]
+) -> Float[np.ndarray, "*n 3"]:
+    """The nearest point of each triangle: its foot where that lies inside, else the nearest of its three sides."""
+    a, ab, ac = corners[..., 0, :], corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
+    ap = points - a
+    d00, d01, d11 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
+    d20, d21 = _dot(ap, ab), _dot(ap, ac)
+    scale = d00 * d11 - d01 * d01
+    v, w = (d11 * d20 - d01 * d21) / scale, (d00 * d21 - d01 * d20) / scale
+    foot = a + v[..., None] * ab + w[..., None] * ac
+    inside = (v >= 0) & (w >= 0) & (v + w <= 1)
+    ends = np.roll(corners, -1, axis=-2)
+    along = ends - corners
+    share = np.clip(_dot(points[..., None, :] - corners, along) / _dot(along, along), 0.0, 1.0)
+    on_sides = corners + share[..., None] * along
+    nearest = np.linalg.norm(on_sides - points[..., None, :], axis=-1).argmin(axis=-1)
+    on_side = np.take_along_axis(on_sides, nearest[..., None, None], axis=-2)[..., 0, :]
+    return np.where(inside[..., None], foot, on_side)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("...i,...i->...", a, b)

@@ -1,0 +1,131 @@
+"""Adults as an anthropometric survey found them, and the survey's measures taken on our own bodies.
+
+The survey is ANSUR II; ``generator/data/survey.json`` holds its means, standard deviations and correlations, and says
+measure by measure how its definition differs from ours. Surveys measure the waist at the navel, where tailors take the
+narrowest place, so those measures are taken here once more in the survey's way.
+"""
+
+import functools
+import json
+from dataclasses import dataclass
+from importlib.resources import files
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.section import girth, rough_girths, section_points, tape
+from gcd_dataset.generator.body.subdivide import unique_edges
+from gcd_dataset.records import Body, BodyPart, Measurements, Record
+
+__all__ = ["Survey", "body_weight", "survey_measures", "survey_of"]
+
+X, Y, Z = range(3)
+XZ, ZY = [0, 2], [2, 1]
+BACK = (-1.0, 0.0)  # of an upright section, as (z, y)
+NAVEL = "navel"
+BODY_DENSITY = 1.0
+"""kg a litre, breath half held. Lean tissue has 1.1, fat 0.9 (Siri, 1961): a quarter of fat makes 1.04, and the three
+litres of air in 70 of body bring it to 1.00."""
+CALF = np.linspace(0.14, 0.27, 27)  # of the stature: levels between ankle and knee
+SPINE = 3.0  # cm beside the median plane that count as the spine
+
+
+@dataclass(frozen=True, eq=False)
+class Survey(Record):
+    """What the survey found among the adults of one sex [cm, kg]."""
+
+    measures: tuple[str, ...]
+    mean: Float[np.ndarray, " m"]
+    sd: Float[np.ndarray, " m"]
+    tolerance: Float[np.ndarray, " m"]
+    """By how much our mean may differ; NaN where definitions differ, and only the variation compares."""
+    correlated: tuple[str, ...]
+    """The measures whose correlations are known."""
+    correlation: Float[np.ndarray, "c c"]
+
+
+@functools.cache
+def survey_of(sex: str) -> Survey:
+    """The published figures for ``female`` or ``male``."""
+    table = json.loads((files("gcd_dataset.generator") / "data" / "survey.json").read_bytes())
+    names, found = tuple(table["measures"]), table[sex]
+    mean = np.array([found["mean"][name] for name in names])
+    shares = np.array([table["measures"][name]["mean_tolerance"] for name in names], float)
+    return Survey(
+        measures=names,
+        mean=mean,
+        sd=np.array([found["sd"][name] for name in names]),
+        tolerance=shares * mean,
+        correlated=tuple(table["correlated"]),
+        correlation=np.array(found["correlation"]),
+    )
+
+
+def body_weight(body: Body) -> float:
+    """Mass of a body from its volume [kg]."""
+    a, b, c = (body.vertices[body.faces[:, corner]] for corner in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6 / 1000 * BODY_DENSITY
+
+
+def survey_measures(body: Body, size: Measurements) -> dict[str, float]:
+    """The survey's measures of one of our bodies [cm, kg]; ``size`` are the tailor's measures of it."""
+    sites, vertices = _sites(), body.vertices
+    navel, nape, crotch = (vertices[landmarks().points[name]] for name in (NAVEL, "nape_of_neck", "crotch_point"))
+    bust = vertices[[landmarks().points[name] for name in ("bust_left", "bust_right")]].mean(axis=0)
+    waist, breast = (section_points(vertices, sites.trunk, Y, at[[Y]])[0] for at in (navel, bust))
+    return {
+        "height": size.height,
+        "weight": body_weight(body),
+        "bust": size.bust,
+        "navel_girth": girth(waist[:, XZ]),
+        "hips": size.hips,
+        "thigh": size.leg_circ,
+        "calf": _calf(vertices, sites.leg, size.height),
+        "wrist": size.wrist,
+        "nape_height": float(nape[Y]),
+        "bust_height": float(bust[Y]),
+        "navel_height": float(navel[Y]),
+        "crotch_height": float(crotch[Y]),
+        "nape_to_navel": _down_the_back(vertices, sites.spine, nape, waist),
+        "waist_breadth": float(np.ptp(waist[:, X])),
+        "waist_depth": float(np.ptp(waist[:, Z])),
+        "bust_depth": float(np.ptp(breast[:, Z])),
+        "neck": 2.0 * size.neck_w,
+        "shoulder_w": size.shoulder_w,
+        "arm_length": size.arm_length,
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class _Sites(Record):
+    """Edges that each section can meet."""
+
+    trunk: Int[np.ndarray, "e 2"]
+    leg: Int[np.ndarray, "e 2"]
+    spine: Int[np.ndarray, "e 2"]
+
+
+@functools.cache
+def _sites() -> _Sites:
+    model = body_model()
+    arms = [part.value for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS)]
+    trunk = model.faces[~np.isin(model.parts, arms)[model.faces].any(axis=1)]
+    leg = model.faces[(model.parts == BodyPart.RIGHT_LEG.value)[model.faces].all(axis=1)]
+    middle = (np.abs(model.mean[trunk, X]) < SPINE).all(axis=1) & (model.mean[trunk, Z] < SPINE).all(axis=1)
+    return _Sites(*(unique_edges(faces)[0] for faces in (trunk, leg, trunk[middle])))
+
+
+def _calf(vertices: np.ndarray, leg: np.ndarray, height: float) -> float:
+    points, level = section_points(vertices, leg, Y, CALF * height)
+    fullest = np.unique(level)[rough_girths(points[:, XZ], level).argmax()]
+    return girth(points[level == fullest][:, XZ])
+
+
+def _down_the_back(vertices: np.ndarray, spine: np.ndarray, nape: np.ndarray, waist: np.ndarray) -> float:
+    """Tape from the nape to the level of a section."""
+    middle = waist[np.abs(waist[:, X]) < SPINE]
+    end = middle[middle[:, Z].argmin()]
+    cut = section_points(vertices, spine, X, np.array([0.0]))[0]
+    between = (cut[:, Y] > end[Y]) & (cut[:, Y] < nape[Y])
+    return tape(np.concatenate([cut[between], [nape, end]])[:, ZY], BACK)
