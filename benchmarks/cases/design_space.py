@@ -53,7 +53,11 @@ def run(options: argparse.Namespace) -> Measured:
         Figure("distance_mean", float(np.mean(distances)), "over parameters"),
         Figure("distance_max", max(distances), ""),
         Figure("reference_accepted", options.count / reasons.total(), "of attempts"),
-        *(Figure(f"reference_{reason or 'accepted'}".replace(" ", "_"), n, "") for reason, n in reasons.most_common()),
+        *(
+            Figure(f"reference_{reason}".replace(" ", "_"), count / reasons.total(), "of attempts")
+            for reason, count in reasons.most_common()
+            if reason
+        ),
     ]
     return Measured(figures, sorted(rows, key=lambda row: str(row["distance"]), reverse=True))
 

@@ -21,9 +21,9 @@ from gcd_dataset.generator.garments.mends import ALL_MENDS
 from gcd_dataset.generator.garments.outfit import bottom, bottom_rise, pieces
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.upper import upper_length
-from gcd_dataset.generator.garments.upper_half import right_torso
+from gcd_dataset.generator.garments.upper_half import right_half, right_torso
 from gcd_dataset.generator.garments.waistband import band_rise
-from gcd_dataset.generator.pattern import Component, SewnJoin, panel_of, sew
+from gcd_dataset.generator.pattern import Component, SewnJoin, measure_joins, panel_of, sew
 from gcd_dataset.records import Measurements, Panel, Pattern
 from gcd_dataset.validate import LARGEST, SHORTEST_EDGE, Fault, Rule, Severity, check_pattern
 
@@ -49,7 +49,7 @@ LIGHT_LENGTH = 0.5  # length of a flared skirt up to which a loose or thin band 
 LIGHT_SUNS = 0.75  # flare-skirt.suns, the same
 FIRM_BAND = 0.25  # waistband.width above which a band at the body's own girth holds any skirt, GarmentCode
 SHARPEST_CORNER = 10.0  # degrees: a spike of cloth that no mesh and no seamstress turns
-SEAM_SLACK, SEAM_SHARE = 1.5, 0.08  # cm, and share of the seam, by which its sides may differ without gathers
+SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and share of the seam, by which its sides may differ without gathers
 TIGHTEST_GATHERS = 3.2  # of cloth, over the length it is gathered to: a little more than any design asks for
 
 
@@ -246,11 +246,14 @@ def is_heavy_kind(design: OutfitDesign) -> bool:
 
 
 def upper_is_whole(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether armholes and necklines can be cut into the fronts and backs, and leave them fit to be sewn."""
+    """Whether armholes and necklines can be cut into the fronts and backs, and flared cuffs be sewn."""
     fitted, left = design.meta.upper is Upper.FITTED, design.left_half()
     halves = [design.right_half()] if left is None else [design.right_half(), left]
-    torsos = [partial(right_torso, size, *half, fitted=fitted, mends=ALL_MENDS) for half in halves]
-    return all(map(_can_be_sewn, torsos))
+    parts = [right_half if half[-1].has_flared_cuff else right_torso for half in halves]
+    drawings = [
+        partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS) for draw, half in zip(parts, halves, strict=True)
+    ]
+    return all(map(_can_be_sewn, drawings))
 
 
 def bottom_is_whole(size: Measurements, design: OutfitDesign) -> bool:
@@ -261,7 +264,9 @@ def bottom_is_whole(size: Measurements, design: OutfitDesign) -> bool:
 def _can_be_sewn(part: Callable[[], Component]) -> bool:
     """Whether a part of an outfit can be drawn, and its panels are whole."""
     try:
-        return are_whole([panel_of(piece) for piece in part().pieces])
+        drawn = part()
+        panels = [panel_of(piece) for piece in drawn.pieces]
+        return not any(map(is_mismatched, measure_joins(drawn))) and are_whole(panels)
     except PatternError:
         return False
 

@@ -8,7 +8,7 @@ GarmentCode's sampler, this one
   whole again, which favours what is seldom rejected);
 - leaves a section that the garment has no use for at its defaults;
 - shortens a bottom whose hem would reach the floor, and lets a shirt with something sewn to it end near the waist;
-- fits a bottom without upper to the trunk, and keeps gathers and heavy flares off a loose or missing band;
+- fits a bottom without upper to the trunk, hangs a gathered one on a snug band, and keeps heavy flares off others;
 - draws armholes and necklines, slits, cuts and godets until they leave the panels whole.
 """
 
@@ -180,7 +180,7 @@ class _Draft:
         """With the sections of its bottom, as long and wide as the floor and what holds it allow: the first of some
         whose panels are whole."""
         for _ in range(BOTTOMS_TRIED):
-            trial = self._light_enough(self._off_the_floor(self._with_bottom_drawn(design)))
+            trial = self._light_enough(self._off_the_floor(self._held_up(self._with_bottom_drawn(design))))
             if _is_plain(trial) or all(bottom_is_whole(size, trial) for size in self.sizes):
                 break
         return trial
@@ -213,12 +213,21 @@ class _Draft:
             return design
         return replace(design, **{section: self.within(section, drawn, length=(-np.inf, drawn.length - excess))})
 
+    def _held_up(self, design: OutfitDesign) -> OutfitDesign:
+        """A gathered bottom alone on a band at the body's own girth; where no band may be drawn, without gathers."""
+        if design.meta.upper or not is_gathered(design) or has_snug_band(design):
+            return design
+        bands = _choice(self.sections["meta"], "wb")
+        if all(option is None for option in bands.options):
+            return replace(design, skirt=self.within("skirt", design.skirt, ruffle=(1.0, 1.0)))
+        meta = replace(design.meta, wb=design.meta.wb or _chosen(bands, True).draw(self.rng))
+        band = self.within("waistband", self.drawn("waistband"), waist=(1.0, 1.0))
+        return replace(design, meta=meta, waistband=band)
+
     def _light_enough(self, design: OutfitDesign) -> OutfitDesign:
-        """A bottom alone neither gathered nor heavy where no band holds it."""
+        """A bottom alone not heavy where no firm band holds it."""
         if design.meta.upper:
             return design
-        if is_gathered(design) and not has_snug_band(design):
-            design = replace(design, skirt=self.within("skirt", design.skirt, ruffle=(1.0, 1.0)))
         if is_heavy_kind(design) and not has_firm_band(design):
             section, limits = _length_section(design), {"length": (-np.inf, LIGHT_LENGTH)}
             design = replace(design, **{section: self.within(section, getattr(design, section), **limits)})

@@ -7,7 +7,7 @@ import numpy as np
 
 from gcd_dataset.curves import Point
 from gcd_dataset.generator.garments.armhole import Armhole
-from gcd_dataset.generator.garments.cuff import SleeveCuffDesign, sleeve_cuff_length, with_sleeve_cuff
+from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign, sleeve_cuff_length, with_sleeve_cuff
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, chain_from, rotate, smooth_cubic
@@ -49,6 +49,11 @@ class SleeveDesign(Design):
     smoothing_coeff: float = real(0.25, 0.1, 0.4, keep=0.8)
     """Where the corner of an angled armhole lies, as a fraction of its width and height."""
     cuff: SleeveCuffDesign = part(SleeveCuffDesign)
+
+    @property
+    def has_flared_cuff(self) -> bool:
+        """Whether there is a sleeve that ends in a skirt."""
+        return not self.sleeveless and self.cuff.type in (Cuff.SKIRT, Cuff.BAND_SKIRT)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ A bag, with a slit of 10 cm in the front's hem and open at the top:
 4
 """
 
-from gcd_dataset.generator.pattern.assemble import SewnJoin, assemble, panel_of, sew
+from gcd_dataset.generator.pattern.assemble import SewnJoin, assemble, measure_joins, panel_of, sew
 from gcd_dataset.generator.pattern.component import Component
 from gcd_dataset.generator.pattern.dart import cut_corner, cut_end, cut_into, dart, notch
 from gcd_dataset.generator.pattern.edge import Stroke, chain_from, rotate
@@ -39,6 +39,7 @@ __all__ = [
     "cut_end",
     "cut_into",
     "dart",
+    "measure_joins",
     "notch",
     "panel_of",
     "rotate",

@@ -13,7 +13,7 @@ from gcd_dataset.generator.pattern.seam import Interface, Join, shared_breaks
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import panel_order
 
-__all__ = ["SewnJoin", "assemble", "panel_of", "sew"]
+__all__ = ["SewnJoin", "assemble", "measure_joins", "panel_of", "sew"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +68,21 @@ def sew(component: Component, name: str) -> tuple[Pattern, tuple[SewnJoin, ...]]
         for left, right in zip(_parts(walk_left, divisions), _parts(walk_right, divisions), strict=True)
     ]
     order = panel_order(tuple(panels.values()))
-    sewn = tuple(
+    return Pattern(name, tuple(panels[panel] for panel in order), tuple(seams)), _lengths(component, walks)
+
+
+def measure_joins(component: Component) -> tuple[SewnJoin, ...]:
+    """The lengths of all that is to be sewn. Raises ``PatternError`` for a seam of an edge that is not there."""
+    return _lengths(
+        component, [(_walk(component, join.left), _walk(component, join.right)) for join in component.joins]
+    )
+
+
+def _lengths(component: Component, walks: Sequence[tuple[list[_Stretch], list[_Stretch]]]) -> tuple[SewnJoin, ...]:
+    return tuple(
         SewnJoin(join, *(sum(stretch.length for stretch in side) for side in walk))
         for join, walk in zip(component.joins, walks, strict=True)
     )
-    return Pattern(name, tuple(panels[panel] for panel in order), tuple(seams)), sewn
 
 
 def panel_of(piece: Piece) -> Panel:
