@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 from gcd_dataset.cli import main
+from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.pipeline import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset
@@ -24,6 +25,13 @@ from gcd_dataset.spec import spec_from_pattern, write_pattern
 from tests.helpers import napkins
 from tests.test_validate import sewn_unequally
 
+SKIRT = MakeConfig(
+    bodies="neutral",
+    stage="pattern",
+    design=Overlay.from_dict(
+        {"meta": {"upper": "none", "wb": "none", "bottom": "SkirtCircle"}, "flare-skirt": {"rise": 1.0, "length": 0.2}}
+    ),
+)
 FLAT = ["--stage", "pattern", "--quiet"]
 
 
@@ -31,7 +39,7 @@ FLAT = ["--stage", "pattern", "--quiet"]
 def spec(tmp_path: Path) -> Path:
     """A specification file of a skirt or shirt."""
     path = tmp_path / "garment_specification.json"
-    write_pattern(make(1, 0, MakeConfig(stage="pattern")).pattern, path)
+    write_pattern(make(1, 0, SKIRT).pattern, path)
     return path
 
 
@@ -237,4 +245,23 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: p
 
 def test_a_spec_of_the_pipeline_is_what_validate_reads(spec: Path) -> None:
     written = json.loads(spec.read_text())
-    assert written == json.loads(json.dumps(spec_from_pattern(make(1, 0, MakeConfig(stage="pattern")).pattern)))
+    assert written == json.loads(json.dumps(spec_from_pattern(make(1, 0, SKIRT).pattern)))
+
+
+def test_a_config_narrows_designs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "trousers.toml"
+    config.write_text(
+        'bodies = "neutral"\n[design.meta]\nupper = "none"\nbottom = "Pants"\n[design.pants]\nlength = 0.8\n'
+    )
+    assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 0
+    dataset = GarmentDataset(tmp_path / "out", fields=["design", "spec"])
+    assert all(item["design"]["pants"]["length"] == 0.8 for item in dataset)
+    assert all("pant_f_r" in item["spec"]["pattern"]["panels"] for item in dataset)
+    assert dataset.recipe(0)["recipe"]["design"]["meta"]["bottom"] == {"options": ["Pants"]}
+    config.write_text("[design.pants]\nlenght = 0.8\n")
+    assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 2
+    told = capsys.readouterr().err
+    assert "trousers.toml: design: no design parameter is called pants.lenght: did you mean pants.length?" in told
+    config.write_text("design = 3\n")
+    assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 2
+    assert "trousers.toml: design is 3: write tables such as [design.pants]" in capsys.readouterr().err

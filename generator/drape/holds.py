@@ -13,6 +13,8 @@ from gcd_dataset.records import BodyPart, BoxMesh, Measurements
 __all__ = ["held_from_below", "holds", "unseen_parts"]
 
 NECKLINE = frozenset({"left_collar", "right_collar"})
+SLIDING_DROP = 18.0  # cm below its level at which a held edge counts as slid off: about armpits to waist
+UNDER_HIPS = 4.0  # cm below the hips at which they hold nothing any more
 COLLAR_SLACK = 2.0  # cm by which the collar may lie nearer to the middle than the neck is wide
 
 
@@ -39,14 +41,17 @@ def _half_spaces(size: Measurements) -> dict[str, tuple[tuple[float, float, floa
 
 
 def held_from_below(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
-    """The vertices that keep the garment up, by label, and the level they are held at [cm].
+    """The vertices that keep the garment up, by label, and the level below which it has slid off [cm].
 
-    None for a garment with a neckline: shoulders keep it up, and its waist may hang where it likes.
+    What is held at the waist may slide to the hips, which hold it too; a strapless top has slid off at the waist. None
+    for a garment with a neckline: shoulders keep it up, and its waist may hang where it likes.
     """
-    spaces, labels = _half_spaces(job.measurements), job.box_mesh.labels
-    for label in ("strapless_top", "lower_interface"):
-        if label in labels and np.isfinite(spaces[label][1]) and not NECKLINE & labels.keys():
-            return np.asarray(labels[label]), spaces[label][1]
+    size, labels = job.measurements, job.box_mesh.labels
+    drops = {"strapless_top": SLIDING_DROP, "lower_interface": max(SLIDING_DROP, size.hips_line + UNDER_HIPS)}
+    for label, drop in drops.items():
+        lowest = _half_spaces(size)[label][1] - drop
+        if label in labels and np.isfinite(lowest) and not NECKLINE & labels.keys():
+            return np.asarray(labels[label]), lowest
     return np.zeros(0, int), 0.0
 
 

@@ -10,8 +10,6 @@ from gcd_dataset.records import Outcome
 
 __all__ = ["judge", "slid_off", "stretch"]
 
-SLIDING_DROP = 18.0  # cm below its level at which a held edge counts as slid off: about waist to hips
-
 
 def judge(
     job: DrapeJob,
@@ -45,8 +43,8 @@ def judge(
 
 def slid_off(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
     """Whether the edge that keeps the garment up hangs far below where it was held."""
-    ids, level = held_from_below(job)
-    return len(ids) > 0 and bool(vertices[ids, 1].mean() < level - SLIDING_DROP)
+    ids, lowest = held_from_below(job)
+    return len(ids) > 0 and bool(vertices[ids, 1].mean() < lowest)
 
 
 def stretch(topology: Topology, vertices: Float[np.ndarray, "v 3"]) -> tuple[float, float]:

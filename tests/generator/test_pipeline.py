@@ -14,11 +14,14 @@ from PIL import Image
 
 from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
-from gcd_dataset.generator.garments import Reject
+from gcd_dataset.generator.body import build_body, draw_shape, measure
+from gcd_dataset.generator.garments import Reject, design_from_dict
+from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.pipeline import make, make_many
+from gcd_dataset.generator.pipeline import build_pattern, fit, make, make_many
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.records import BoxMesh, Drape, Outcome, Pattern
+from gcd_dataset.seeding import Stage, rng
 
 FLAT = MakeConfig(stage="pattern")
 MESHED = MakeConfig(stage="mesh", resolution=4.0, points=64)
@@ -186,3 +189,36 @@ def test_a_recipe_tells_no_difference_between_2_and_2_0() -> None:
         recipe_of(replace(DRAPED, resolution=2.0))
     )
     assert recipe_of(DRAPED)["device"] == "cpu"
+
+
+def only(**meta: str) -> Overlay:
+    return Overlay.from_dict({"meta": meta})
+
+
+def test_trousers_are_put_on_legs_apart() -> None:
+    """Measured with legs together, as every body is."""
+    trousers = make(5, 0, replace(FLAT, design=only(upper="none", bottom="Pants")))
+    skirt = make(5, 0, replace(FLAT, design=only(upper="none", bottom="PencilSkirt")))
+    assert trousers.shape is not None
+    assert skirt.shape is not None
+    assert (trousers.shape.legs_apart, skirt.shape.legs_apart) == (True, False)
+    assert trousers.measurements == skirt.measurements == measure(build_body(skirt.shape))
+
+
+def test_an_overlay_is_part_of_the_recipe() -> None:
+    hoodies = Overlay.from_dict({"meta": {"upper": "Shirt"}, "collar": {"component": {"style": "Hood2Panels"}}})
+    config = replace(FLAT, design=hoodies)
+    assert {"left_hood", "right_hood"} <= {panel.name for panel in make(5, 0, config).pattern.panels}
+    assert Overlay.from_dict(recipe_of(config)["design"]) == hoodies
+    assert recipe_of(config) != recipe_of(FLAT)
+
+
+def test_one_design_fits_many_bodies() -> None:
+    sizes = [measure(build_body(draw_shape(rng(3, number, Stage.BODY)))) for number in range(3)]
+    design = design_from_dict({"meta": {"upper": "FittedShirt", "bottom": "PencilSkirt"}})
+    patterns = fit(design, sizes)
+    assert [pattern.name for pattern in patterns] == ["wearer_0", "wearer_1", "wearer_2"]
+    assert patterns[1] == build_pattern(sizes[1], design, name="wearer_1")
+    tall = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.9}})
+    with pytest.raises(PatternError, match=r"wearer 0: too_heavy: length 0\.90 .*: change the design, or leave"):
+        fit(tall, sizes)
