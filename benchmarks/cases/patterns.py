@@ -10,14 +10,17 @@ import argparse
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from benchmarks.cases.figures import Figure, Measured
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
+from gcd_dataset.generator.drawing import design_sheet, jpeg_bytes
 from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, sample_design, sample_kind, try_on
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
@@ -26,6 +29,7 @@ from gcd_dataset.validate import Rule, Severity, check_pattern
 __all__ = ["add_arguments", "run"]
 
 MOST_ATTEMPTS = 30
+ON_SHEET = 64
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the case."""
     parser.add_argument("--count", type=int, default=1000, help="designs to be accepted")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--sheet", type=Path, help="JPEG with the first 64 designs, drawn for their random bodies")
 
 
 def run(options: argparse.Namespace) -> Measured:
@@ -66,17 +71,22 @@ def run(options: argparse.Namespace) -> Measured:
     if options.count < 1:
         raise ConfigError(f"count is {options.count}: give 1 or more")
     neutral = measure(build_body(neutral_shape()))
-    drawn, body_seconds = [], []
+    drawn, body_seconds, shown = [], [], []
     for number in range(options.count):
         begun = time.process_time()
         size = measure(build_body(draw_shape(rng(options.seed, number, Stage.BODY))))
         body_seconds.append(time.process_time() - begun)
-        drawn.append(_accepted(options.seed, number, (neutral, size)))
+        design, (_, pattern) = _accepted(options.seed, number, (neutral, size))
+        drawn.append(design)
+        if options.sheet and number < ON_SHEET:
+            shown.append(replace(pattern, name=f"{number}: {design.kind.value}"))
+    if shown:
+        write_whole(options.sheet, jpeg_bytes(design_sheet(shown, columns=8, size=240)))
     return Measured([*_costs(drawn, body_seconds), *_shares(drawn)], _reasons(drawn))
 
 
-def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> Drawn:
-    """Design ``number``: the first that all can wear."""
+def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> tuple[Drawn, tuple[Pattern, ...]]:
+    """Design ``number`` and its patterns: the first that all can wear."""
     begun = time.process_time()
     rejects: list[Reject] = []
     kind = sample_kind(rng(seed, number, Stage.KIND))
@@ -85,7 +95,7 @@ def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> Drawn:
         patterns = _worn_by_all(sizes, design)
         if not isinstance(patterns, Reject):
             seconds = time.process_time() - begun
-            return Drawn(kind, tuple(map(Counts.of, patterns)), tuple(rejects), seconds)
+            return Drawn(kind, tuple(map(Counts.of, patterns)), tuple(rejects), seconds), patterns
         rejects.append(patterns)
     raise ConfigError(f"design {number} of seed {seed}: {MOST_ATTEMPTS} attempts, the last: {rejects[-1]}")
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import TypeAlias
 
 from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.gathered_skirt import GatheredSkirtDesign
@@ -15,7 +16,7 @@ from gcd_dataset.generator.garments.sleeve import LeftSleeveDesign, SleeveDesign
 from gcd_dataset.generator.garments.space import Design, choice, flag, part
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 
-__all__ = ["T_SHIRT", "Bottom", "LeftDesign", "MetaDesign", "OutfitDesign", "Upper"]
+__all__ = ["T_SHIRT", "Bottom", "LeftDesign", "MetaDesign", "OutfitDesign", "Upper", "UpperHalf"]
 
 
 class Upper(Enum):
@@ -36,6 +37,10 @@ class Bottom(Enum):
     PANELS = "SkirtManyPanels"
     PENCIL = "PencilSkirt"
     LEVELS = "SkirtLevels"
+
+
+UpperHalf: TypeAlias = tuple[ShirtDesign, NecklineDesign, SleeveDesign]
+"""What one half of the upper body is drawn from."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +79,14 @@ class OutfitDesign(Design):
     levels_skirt: LevelsSkirtDesign = part(LevelsSkirtDesign, key="levels-skirt")
     pants: PantsDesign = part(PantsDesign)
 
-    def right_half(self) -> tuple[ShirtDesign, NecklineDesign, SleeveDesign]:
+    def right_half(self) -> UpperHalf:
         """What the right half of the upper body is drawn from; it has a collar only if the left one is its image."""
         if not self.left.enable_asym:
             return self.shirt, self.collar, self.sleeve
         bare = replace(self.collar, component=replace(self.collar.component, style=None))
         return self.shirt, bare, self.sleeve
 
-    def left_half(self) -> tuple[ShirtDesign, NecklineDesign, SleeveDesign] | None:
+    def left_half(self) -> UpperHalf | None:
         """What the left half is drawn from; ``None`` for the mirror image of the right one."""
         if not self.left.enable_asym:
             return None

@@ -1,4 +1,18 @@
-"""Faults of GarmentCode's programs that ours mend; each can be put back, to compare patterns with GarmentCode's."""
+"""Faults of GarmentCode's programs that ours mend; each can be put back, to compare patterns with GarmentCode's.
+
+Mended without a switch, since no outline or place hangs on them:
+
+- an edge that a seam divides keeps its label on every piece;
+- panels and seams have one order, the same in every run;
+- designs are written with all their digits, and not three of them;
+- crossings are told by distance, so edges that touch at the start of both are no crossing, and arcs are not cut short;
+- seams of one design and body never depend on a solver's path: curves are closed forms, or solved to rounding;
+- a design without upper and bottom, a belt alone included, is refused with its reason.
+
+In the curves that GarmentCode leaves to a minimiser with too few conditions (one end tangent of a quadratic, the cap of
+a sleeve, the seam of a hood), ours meets length and tangents exactly, and follows what the minimiser prefers elsewhere
+(``pattern/tangent.py``, ``pattern/fit.py``).
+"""
 
 from enum import Enum
 

@@ -14,7 +14,7 @@ from jaxtyping import Complex, Float
 from gcd_dataset.crossings import edge_hulls, find_crossings
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.bottoms import BOTTOMS
-from gcd_dataset.generator.garments.design import Bottom, OutfitDesign, Upper
+from gcd_dataset.generator.garments.design import Bottom, OutfitDesign, Upper, UpperHalf
 from gcd_dataset.generator.garments.godet_skirt import GodetBase
 from gcd_dataset.generator.garments.levels_skirt import LevelsBase
 from gcd_dataset.generator.garments.mends import ALL_MENDS
@@ -34,6 +34,7 @@ __all__ = [
     "bottom_is_whole",
     "check_outfit",
     "garment_length",
+    "half_is_whole",
     "has_firm_band",
     "has_snug_band",
     "is_asymmetric",
@@ -42,7 +43,6 @@ __all__ = [
     "room_to_floor",
     "top_girth",
     "try_on",
-    "upper_is_whole",
 ]
 
 LIGHT_LENGTH = 0.5  # length of a flared skirt up to which a loose or thin band holds it, GarmentCode
@@ -245,15 +245,11 @@ def is_heavy_kind(design: OutfitDesign) -> bool:
     return design.meta.bottom in (Bottom.CIRCLE, Bottom.ASYMMETRIC_CIRCLE, Bottom.PANELS)
 
 
-def upper_is_whole(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether armholes and necklines can be cut into the fronts and backs, and flared cuffs be sewn."""
-    fitted, left = design.meta.upper is Upper.FITTED, design.left_half()
-    halves = [design.right_half()] if left is None else [design.right_half(), left]
-    parts = [right_half if half[-1].has_flared_cuff else right_torso for half in halves]
-    drawings = [
-        partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS) for draw, half in zip(parts, halves, strict=True)
-    ]
-    return all(map(_can_be_sewn, drawings))
+def half_is_whole(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
+    """Whether armhole and neckline can be cut into front and back of one half, and a flared cuff be sewn."""
+    drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
+    fitted = design.meta.upper is Upper.FITTED
+    return all(_can_be_sewn(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
 
 
 def bottom_is_whole(size: Measurements, design: OutfitDesign) -> bool:

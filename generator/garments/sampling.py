@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments.design import Bottom, LeftDesign, MetaDesign, OutfitDesign, Upper
+from gcd_dataset.generator.garments.design import Bottom, LeftDesign, MetaDesign, OutfitDesign, Upper, UpperHalf
 from gcd_dataset.generator.garments.godet_skirt import GodetBase
 from gcd_dataset.generator.garments.levels_skirt import Level, LevelsBase
+from gcd_dataset.generator.garments.neckline import LeftNecklineDesign
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice, Space
 from gcd_dataset.generator.garments.rules import (
@@ -31,6 +32,7 @@ from gcd_dataset.generator.garments.rules import (
     LIGHT_SUNS,
     bottom_is_whole,
     garment_length,
+    half_is_whole,
     has_firm_band,
     has_snug_band,
     is_asymmetric,
@@ -38,7 +40,6 @@ from gcd_dataset.generator.garments.rules import (
     is_heavy_kind,
     room_to_floor,
     top_girth,
-    upper_is_whole,
 )
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.space import DesignSpace, draw, from_dict, to_dict
@@ -172,9 +173,26 @@ class _Draft:
             trial = replace(design, shirt=self._shirt(design), sleeve=self.drawn("sleeve"), left=self._left())
             for _ in range(NECKLINES_TRIED):
                 trial = replace(trial, collar=self.drawn("collar"))
-                if all(upper_is_whole(size, trial) for size in self.sizes):
-                    return trial
+                if self._is_whole(trial, trial.right_half()):
+                    break
+            else:
+                continue
+            if (whole := self._with_left_neckline(trial)) is not None:
+                return whole
         return trial
+
+    def _with_left_neckline(self, design: OutfitDesign) -> OutfitDesign | None:
+        """With a left half whose panels are whole too; none, if no neckline was found for it."""
+        for _ in range(NECKLINES_TRIED):
+            half = design.left_half()
+            if half is None or self._is_whole(design, half):
+                return design
+            collar = draw(self.sections["left"].of(LeftNecklineDesign), self.rng)
+            design = replace(design, left=replace(design.left, collar=collar))
+        return None
+
+    def _is_whole(self, design: OutfitDesign, half: UpperHalf) -> bool:
+        return all(half_is_whole(size, design, half) for size in self.sizes)
 
     def with_bottom(self, design: OutfitDesign) -> OutfitDesign:
         """With the sections of its bottom, as long and wide as the floor and what holds it allow: the first of some

@@ -1,5 +1,6 @@
 """Where a sleeve hangs before it is sewn in."""
 
+from bisect import bisect_left
 from math import cos, pi, sin
 
 import shapely
@@ -38,11 +39,13 @@ def _clear_of(half: Component, arm: Component, angle: float) -> Component:
     trunk = shapely.union_all([_silhouette(piece) for piece in half.pieces])
     silhouette = shapely.union_all([_silhouette(piece) for piece in arm.pieces])
     along = (-cos(angle), -sin(angle))
-    for step in range(DRAWN_OUT):
+
+    def is_clear(step: int) -> bool:
         moved = shapely.affinity.translate(silhouette, step * along[0], step * along[1])
-        if moved.intersection(trunk).area <= OVERLAP:
-            return arm.moved((step * along[0], step * along[1], 0.0))
-    return arm.moved((DRAWN_OUT * along[0], DRAWN_OUT * along[1], 0.0))
+        return bool(moved.intersection(trunk).area <= OVERLAP)
+
+    step = 0 if is_clear(0) else bisect_left(range(DRAWN_OUT), True, lo=1, key=is_clear)
+    return arm.moved((step * along[0], step * along[1], 0.0)) if step else arm
 
 
 def _silhouette(piece: Piece) -> shapely.Polygon:

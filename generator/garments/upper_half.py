@@ -23,6 +23,7 @@ FRONT, BACK = 30.0, -25.0  # cm before and behind the axis, GarmentCode
 FRONT_NAME, BACK_NAME = "right_ftorso", "right_btorso"
 
 
+@lru_cache(maxsize=8)
 def right_half(
     size: Measurements,
     shirt: ShirtDesign,

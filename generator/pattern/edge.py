@@ -7,6 +7,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from math import cos, hypot, pi, sin
 from typing import Self
@@ -84,7 +85,7 @@ class Stroke:
         """Points along the stroke, ends included, close enough to tell its extent [cm]."""
         if isinstance(self.curve, Line):
             return np.array([self.start, self.end])
-        return curve_points(self.start, self.end, self.curve, OUTLINE_SAMPLES)
+        return _extent_points(self.start, self.end, self.curve)
 
     def at(self, t: float) -> Point:
         """The point at curve parameter ``t`` [cm]."""
@@ -208,6 +209,13 @@ def rotate(point: Point, angle: float, about: Point = (0.0, 0.0)) -> Point:
     """A point turned counter-clockwise about another [rad]."""
     x, y = point[0] - about[0], point[1] - about[1]
     return (about[0] + cos(angle) * x - sin(angle) * y, about[1] + sin(angle) * x + cos(angle) * y)
+
+
+@lru_cache(maxsize=1024)  # a component is placed by the extent of all its pieces, and of its interface
+def _extent_points(start: Point, end: Point, curve: Curve) -> Float[np.ndarray, "n 2"]:
+    points = curve_points(start, end, curve, OUTLINE_SAMPLES)
+    points.flags.writeable = False
+    return points
 
 
 def _between(points: Sequence[Point], t: float) -> list[Point]:
