@@ -13,7 +13,7 @@ from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import ANGLES, MEASURES, BodyPart, Measurements
 
-__all__ = ["file_content", "read_measurements", "read_parts", "write_measurements"]
+__all__ = ["file_content", "measurements_text", "read_measurements", "read_parts", "write_measurements"]
 
 LARGEST_MEASURE = 1e4  # cm, or degrees: no giant has more
 LONGEST_NUMBER = 10**15  # from here on a whole number is not printed
@@ -53,8 +53,12 @@ def read_measurements(path: Path | str) -> Measurements:
 
 def write_measurements(measurements: Measurements, path: Path | str) -> None:
     """The measures and what GarmentCode derives from them, as YAML with every digit. Raises ``OutputError``."""
-    values = measurements.to_file_values() | _derived(measurements)
-    write_whole(path, yaml.safe_dump({"body": values}).encode())
+    write_whole(path, measurements_text(measurements).encode())
+
+
+def measurements_text(measurements: Measurements) -> str:
+    """What ``write_measurements`` writes."""
+    return str(yaml.safe_dump({"body": measurements.to_file_values() | _derived(measurements)}))
 
 
 def read_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray, " v"]:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.garments import OutfitDesign, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
     from gcd_dataset.generator.mesh import build_box_mesh
+    from gcd_dataset.generator.people import make_person
     from gcd_dataset.generator.pipeline import build_pattern, fit, make, make_many
     from gcd_dataset.generator.recipe import MakeConfig
 
@@ -30,6 +31,7 @@ __all__ = [
     "fit",
     "make",
     "make_many",
+    "make_person",
     "measure",
     "named_body",
     "read_overlay",
@@ -42,6 +44,7 @@ _HOMES = {
     "garments": ("OutfitDesign", "sample_design"),
     "garments.overlay": ("Overlay", "read_overlay"),
     "mesh": ("build_box_mesh",),
+    "people": ("make_person",),
     "pipeline": ("build_pattern", "fit", "make", "make_many"),
     "recipe": ("MakeConfig",),
 }

@@ -9,8 +9,10 @@ from benchmarks.cases.figures import Case
 __all__ = ["CASES", "load_case"]
 
 CASES: Mapping[str, str] = {
+    "bodies": "benchmarks.cases.bodies",
     "design_space": "benchmarks.cases.design_space",
     "drape": "benchmarks.cases.drape",
+    "measures": "benchmarks.cases.measures",
     "parity": "benchmarks.cases.parity",
     "patterns": "benchmarks.cases.patterns",
     "reconstruction": "benchmarks.cases.reconstruction",

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
+BODY_STAGE = "body"  # the wearers alone, in both poses, with their measures
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,7 +58,10 @@ def _generate(options: argparse.Namespace) -> int:
 
     given = _read_config(options.config, {field.name for field in fields(MakeConfig)}) if options.config else {}
     named = {name: getattr(options, name) for name in ("bodies", "stage", "resolution", "device", "on_fail")}
-    config = MakeConfig(**{**given, **{name: value for name, value in named.items() if value is not None}})
+    given |= {name: value for name, value in named.items() if value is not None}
+    if given.get("stage") == BODY_STAGE:
+        return _generate_people(options, given)
+    config = MakeConfig(**given)
     task = plan(options.out, options.count, seed=options.seed, config=config)
     made = rejected = failed = 0
     samples = generate(task, workers=options.workers)
@@ -75,6 +79,32 @@ def _generate(options: argparse.Namespace) -> int:
     print(f"{options.out}: {task.count} garments, {made} of them made now, {rejected} designs or drapes turned down")
     if failed:
         print(f"  {failed} did not settle: each holds its outcome in meta.json")
+    return 0
+
+
+def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
+    from tqdm import tqdm
+
+    from gcd_dataset.cli.bodies import generate_people, plan_people
+
+    if idle := sorted(given.keys() - {"stage", "bodies"}):
+        raise ConfigError(
+            f"{idle[0].replace('_', '-')} is for garments, and stage {BODY_STAGE} makes none: leave it out"
+        )
+    if given.get("bodies", "random") != "random":
+        raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
+    task = plan_people(options.out, options.count, seed=options.seed)
+    people = generate_people(task, workers=options.workers)
+    made = 0
+    try:
+        for _ in tqdm(people, total=task.count, initial=task.there, unit="body", disable=options.quiet):
+            made += 1
+    except KeyboardInterrupt:
+        people.close()
+        there = f"{task.there + made} of {task.count}"
+        print(f"gcd generate: stopped at {there}: the same command goes on from there", file=sys.stderr)
+        return INTERRUPTED
+    print(f"{options.out}: {task.count} bodies in two poses, {made} of them made now")
     return 0
 
 
@@ -118,6 +148,25 @@ def _drape(options: argparse.Namespace) -> int:
         if drape.outcome.name != "SETTLED":
             print(f"  {drape.outcome.value}")
     print(f"{folder}: meshes, pictures and report.json")
+    return 0
+
+
+def _measure(options: argparse.Namespace) -> int:
+    from gcd_dataset.cli.measure import measured_text
+    from gcd_dataset.files import write_whole
+
+    if (options.mesh is None) == (options.shape is None):
+        raise ConfigError("give a mesh file or --shape neutral|female|male|random:SEED, one of them")
+    if options.mesh is None and (options.landmarks or options.segmentation) is not None:
+        raise ConfigError("--landmarks and --segmentation are for a mesh file: those of our own bodies are known")
+    text = measured_text(
+        options.mesh if options.shape is None else options.shape, options.landmarks, options.segmentation
+    )
+    if options.out is None:
+        print(text, end="")
+    else:
+        write_whole(options.out, text.encode())
+        print(options.out)
     return 0
 
 
@@ -173,10 +222,14 @@ def _parser() -> argparse.ArgumentParser:
 
     generate = _verb(verbs, "generate", _generate, "make a data set")
     generate.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; made if it is not there")
-    generate.add_argument("--count", type=_natural, required=True, help="number of garments")
+    generate.add_argument("--count", type=_natural, required=True, help="number of garments, or of bodies")
     generate.add_argument("--seed", type=_natural, default=0, help="names the data set (default: 0)")
     generate.add_argument("--bodies", choices=("neutral", "random", "both"), help="who wears them (default: random)")
-    generate.add_argument("--stage", choices=("pattern", "mesh", "drape"), help="last step taken (default: drape)")
+    generate.add_argument(
+        "--stage",
+        choices=(BODY_STAGE, "pattern", "mesh", "drape"),
+        help="last step taken; body: the wearers alone, in two poses, with their measures (default: drape)",
+    )
     generate.add_argument("--resolution", type=float, metavar="CM", help="length of mesh edges [cm] (default: 1.0)")
     generate.add_argument("--device", help="auto, cpu or cuda:0 (default: auto)")
     generate.add_argument("--on-fail", choices=("retry", "keep"), help="a drape that fails (default: retry)")
@@ -194,11 +247,26 @@ def _parser() -> argparse.ArgumentParser:
     drape = _verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
     drape.add_argument("--body", default="neutral", help="neutral, female, male, random:SEED or a mesh file")
-    drape.add_argument("--measurements", type=Path, metavar="YAML", help="of a body from a mesh file [cm, degrees]")
-    drape.add_argument("--segmentation", type=Path, metavar="JSON", help="vertex ids by body part, for a mesh file")
+    drape.add_argument(
+        "--measurements", type=Path, metavar="YAML", help="of a body from a mesh file [cm, degrees]; else taken"
+    )
+    drape.add_argument(
+        "--segmentation", type=Path, metavar="JSON", help="vertex ids by body part, for a mesh file; else found"
+    )
     drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")
     drape.add_argument("--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (1.0)")
     drape.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
+
+    measure = _verb(verbs, "measure", _measure, "the tailor's measures of a body, as YAML [cm, degrees]")
+    measure.add_argument(
+        "mesh", nargs="?", metavar="MESH", help="OBJ or PLY of one body in m, cm or mm, closed or with small holes"
+    )
+    measure.add_argument("--shape", metavar="NAME", help="neutral, female, male or random:SEED, instead of a mesh")
+    measure.add_argument(
+        "--landmarks", type=Path, metavar="JSON", help="landmarks by name: vertex id or [x, y, z] as in the mesh file"
+    )
+    measure.add_argument("--segmentation", type=Path, metavar="JSON", help="vertex ids by body part; else found")
+    measure.add_argument("--out", type=Path, metavar="YAML", help="file for the measures (default: printed)")
 
     validate = _verb(verbs, "validate", _validate, "what is wrong with a pattern; exit 1 if anything")
     validate.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")

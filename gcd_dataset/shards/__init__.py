@@ -5,15 +5,20 @@ The same tars are read by ``webdataset`` and by ``datasets.load_dataset("webdata
 
 from gcd_dataset.shards.codec import decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.index import ShardIndex, read_index, rebuild_index
-from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMA
+from gcd_dataset.shards.layout import BODIES, FIELDS, GARMENTS, MEMBERS, SCHEMA, Layout
 from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, read_manifest
+from gcd_dataset.shards.people import BodyWriter
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.writer import ShardWriter
 
 __all__ = [
+    "BODIES",
     "FIELDS",
+    "GARMENTS",
     "MEMBERS",
     "SCHEMA",
+    "BodyWriter",
+    "Layout",
     "Manifest",
     "ShardIndex",
     "ShardReader",

@@ -123,7 +123,10 @@ class ShardIndex(Record):
             raise ShardError(f"{path}: not an index ({error}): delete it, it is made again from the shards") from error
         for other in (GARMENTS, BODIES):
             if schema == SCHEMA and members == other.members != layout.members:
-                raise ShardError(f"{path}: an index of {other.kind}, not of {layout.kind}: read with {other.reader}")
+                raise ShardError(
+                    f"{path}: an index of {other.kind}, not of {layout.kind}: read them with {other.reader}, or choose "
+                    "another folder"
+                )
         if schema != SCHEMA or members != layout.members:
             raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {SCHEMA}: delete it")
         return index

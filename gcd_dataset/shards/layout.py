@@ -2,6 +2,7 @@
 
     manifest.json         schema, recipe and seed of each split; count, size and sha256 of each shard
     index-train.npz       where each member of each sample lies
+    mesh-train.npz        of bodies: triangles and parts, which all of them share
     train-00000.tar       samples 0 … shard_size-1, each as the files of ``MEMBERS``, bodies as those of ``BODIES``
 
 >>> member_name(12, "verts.npy"), shard_name("train", 3)
@@ -31,6 +32,7 @@ __all__ = [
     "known_fields",
     "lock_name",
     "member_name",
+    "mesh_name",
     "part_path",
     "recipe_hash",
     "shard_name",
@@ -90,6 +92,11 @@ def index_name(split: str) -> str:
     return f"index-{split}.npz"
 
 
+def mesh_name(split: str) -> str:
+    """The name of the mesh that all bodies of a split share."""
+    return f"mesh-{split}.npz"
+
+
 def lock_name(split: str) -> str:
     """The name of the file that a writer of the split holds."""
     return f".{split}.lock"
@@ -117,17 +124,18 @@ def shards_in(folder: Path, split: str) -> tuple[Path, ...]:
     return tuple(numbered[number] for number in sorted(numbered))
 
 
-def known_fields(fields: Iterable[str] | None) -> tuple[str, ...]:
-    """The fields asked for, in the order of ``MEMBERS``; all of them for ``None``.
+def known_fields(fields: Iterable[str] | None, there: Iterable[str] = FIELDS) -> tuple[str, ...]:
+    """The fields asked for, in the order of those that are ``there``; all of them for ``None``.
 
     Raises ``ConfigError`` with the fields there are.
     """
+    known = tuple(there)
     if fields is None:
-        return tuple(FIELDS)
+        return known
     asked = {fields} if isinstance(fields, str) else set(fields)
-    if unknown := sorted(asked - set(FIELDS)):
-        raise ConfigError(f"no field {', '.join(unknown)}: there are {', '.join(FIELDS)}")
-    return tuple(field for field in FIELDS if field in asked)
+    if unknown := sorted(asked - set(known)):
+        raise ConfigError(f"no field {', '.join(unknown)}: there are {', '.join(known)}")
+    return tuple(field for field in known if field in asked)
 
 
 def recipe_hash(recipe: Mapping[str, Any]) -> str:

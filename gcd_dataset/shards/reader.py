@@ -105,8 +105,8 @@ class ShardReader:
         if zlib.crc32(data) != self.index.table.crc[row, column]:
             shard, key = self.index.shards[self.index.shard[row]], key_of(int(self.index.table.sample[row]))
             raise ShardError(
-                f"{self.folder / shard}: sample {key}, member {self._members[column]}: bytes differ from those that were "
-                f"written: {REMEDY}"
+                f"{self.folder / shard}: sample {key}, member {self._members[column]}: bytes differ from those that "
+                f"were written: {REMEDY}"
             )
         self._unchecked[row, column] = False
 

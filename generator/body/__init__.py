@@ -2,6 +2,8 @@
 
 from gcd_dataset.bodyfiles import read_measurements, write_measurements
 from gcd_dataset.generator.body.files import read_body
+from gcd_dataset.generator.body.fit_shape import FittedShape, fit_shape
+from gcd_dataset.generator.body.measuring import measure
 from gcd_dataset.generator.body.named import named_body
 from gcd_dataset.generator.body.shape import (
     build_body,
@@ -11,12 +13,13 @@ from gcd_dataset.generator.body.shape import (
     named_shape,
     neutral_shape,
 )
-from gcd_dataset.generator.body.tailor import measure
 
 __all__ = [
+    "FittedShape",
     "build_body",
     "draw_shape",
     "female_shape",
+    "fit_shape",
     "male_shape",
     "measure",
     "named_body",

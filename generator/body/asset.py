@@ -21,7 +21,18 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.subdivide import refine
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = ["MIRROR", "BodyModel", "Landmarks", "body_model", "landmarks", "mirrored", "own_half", "refinement"]
+__all__ = [
+    "COARSE_PARTS",
+    "MIRROR",
+    "BodyModel",
+    "Landmarks",
+    "body_model",
+    "checked_data",
+    "landmarks",
+    "mirrored",
+    "own_half",
+    "refinement",
+]
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 COARSE_PARTS = (BodyPart.HEAD, BodyPart.HANDS, BodyPart.FEET, BodyPart.INTERNAL)  # dense enough as they are
@@ -53,12 +64,16 @@ class Landmarks(Record):
     points: Mapping[str, int]
     rings: Mapping[str, Int[np.ndarray, " n"]]
     """Vertices along closed rings and open lines, in order."""
+    levels: Mapping[str, float]
+    """How far above its ring the search for a girth is centred, as a share of the body's height."""
+    beside: Mapping[str, Float[np.ndarray, "3"]]
+    """How far from the model's points those of other meshes lie, as shares of the body's height."""
 
 
 @functools.cache
 def body_model() -> BodyModel:
     """The model, refined to the mesh that cloth meets. Raises ``BodyError`` where the file is damaged."""
-    with np.load(io.BytesIO(_checked("body.npz"))) as file:
+    with np.load(io.BytesIO(checked_data("body.npz"))) as file:
         half = {name: file[name] for name in file.files}
     return _model_from(half)
 
@@ -88,7 +103,18 @@ def landmarks() -> Landmarks:
     """The landmarks of our own mesh."""
     table = json.loads(_data("landmarks.json"))
     rings = {name: np.array(ids) for name, ids in table["rings"].items()}
-    return Landmarks({name: entry["vertex"] for name, entry in table["points"].items()}, rings)
+    return Landmarks(
+        {name: entry["vertex"] for name, entry in table["points"].items()},
+        rings,
+        table["levels"],
+        _beside(table["beside"]),
+    )
+
+
+def _beside(shares: Mapping[str, list[float]]) -> dict[str, Float[np.ndarray, "3"]]:
+    """For the points on the right, and mirrored for those on the left."""
+    right = {f"{name}_right": np.array(share) * MIRROR for name, share in shares.items()}
+    return right | {f"{name}_left": np.array(share) for name, share in shares.items()}
 
 
 def refinement(
@@ -116,7 +142,8 @@ def mirrored(half: Float[np.ndarray, "*k h 3"], mirror: Int[np.ndarray, " v"]) -
     return whole
 
 
-def _checked(name: str) -> bytes:
+def checked_data(name: str) -> bytes:
+    """A file of ``generator/data``. Raises ``BodyError`` where it is not what was shipped."""
     content = _data(name)
     expected = _data(f"{name}.sha256").split()[0].decode()
     found = hashlib.sha256(content).hexdigest()

@@ -1,57 +1,134 @@
-"""Bodies from mesh files, OBJ and PLY."""
+"""Bodies from mesh files, OBJ and PLY: read as they are, made to stand, measured where nobody gave their measures."""
 
 import io
 import logging
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.bodyfiles import file_content, read_measurements, read_parts
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.marks import own_marks, read_marks
+from gcd_dataset.generator.body.measuring import Fitted, fit_tape
 from gcd_dataset.generator.body.pose import stand
-from gcd_dataset.generator.body.tailor import measure
-from gcd_dataset.records import Body, Measurements
+from gcd_dataset.generator.body.tailor import Taken, own_sites, take
+from gcd_dataset.generator.body.upright import UNITS, unit_of
+from gcd_dataset.records import Body, Measurements, Record
 
-__all__ = ["read_body"]
+__all__ = ["measure_file", "read_body"]
 
 log = logging.getLogger(__name__)
 
-TALLEST = 300.0  # cm; between this and SHORTEST a body's extent in y says its unit
-SHORTEST = 30.0
-UNITS = {"centimetres": 1.0, "metres": 100.0, "millimetres": 0.1}
+ADULT = (120.0, 230.0)  # cm; outside it the unit may be one that is not known, such as inches
+UNLIKE = 0.6  # cm of misfit, over which a body is told to be unusual; the published means have 0.3 to 0.4
+UNSURE = 0.5  # of a landmark's confidence, under which it is named
+
+
+@dataclass(frozen=True, eq=False)
+class _Mesh(Record):
+    """A file's mesh in its own coordinates."""
+
+    path: Path
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    unit: float
+    """[cm]"""
+
+    @property
+    def stands_as_ours(self) -> bool:
+        """Whether it is a body of our own mesh, upright and facing +z."""
+        if not np.array_equal(self.faces, body_model().faces):
+            return False
+        at = {name: self.vertices[vertex] for name, vertex in landmarks().points.items()}
+        tall = np.ptp(self.vertices, axis=0)[1]
+        return bool(
+            at["nape_of_neck"][1] - at["crotch_point"][1] > 0.25 * tall
+            and at["shoulder_left"][0] - at["shoulder_right"][0] > 0.1 * tall
+            and at["bust_left"][2] > at["nape_of_neck"][2]
+        )
 
 
 def read_body(
-    mesh: Path | str, measurements: Path | str | None = None, segmentation: Path | str | None = None
+    mesh: Path | str,
+    measurements: Path | str | None = None,
+    segmentation: Path | str | None = None,
+    given: Path | str | None = None,
 ) -> tuple[Body, Measurements]:
     """The body in a mesh file and its measures.
 
-    The mesh stands upright along y and faces +z, in metres, centimetres or millimetres; its vertices keep their order.
-    ``measurements`` (YAML) and ``segmentation`` (JSON: part name to vertex ids) may be left out only for a mesh of our
-    own, whose landmarks are known. Raises ``BodyError`` with the file and a remedy.
+    The mesh is in metres, centimetres or millimetres; its vertices keep their order. Where ``measurements`` (YAML) or
+    ``segmentation`` (JSON: part name to vertex ids) is left out, the body is found in the mesh: turned upright and to
+    +z where it was not, and measured; ``given`` (JSON, see ``marks``) says where landmarks are. Raises ``BodyError``
+    with the file and a remedy.
     """
-    path = Path(mesh)
-    vertices, faces = _read_mesh(path)
-    ours = np.array_equal(faces, body_model().faces)
-    if segmentation is None and not ours:
-        raise BodyError(
-            f"{path}: which vertices are arms and legs is not known: give a part segmentation (--segmentation)"
+    raw = _read_mesh(Path(mesh))
+    faces = _outward(raw)
+    if segmentation is not None:
+        parts = read_parts(Path(segmentation), len(raw.vertices), raw.path)
+    if measurements is not None and segmentation is not None:
+        unit_of(float(np.ptp(raw.vertices[:, 1])), f"{raw.path}: along y")
+        return Body(stand(raw.vertices * raw.unit), faces, parts, raw.path.stem), read_measurements(measurements)
+    if raw.stands_as_ours:
+        vertices = stand(raw.vertices * raw.unit)
+        taken, found_parts = take(vertices, own_marks(vertices), own_sites()), body_model().parts
+    else:
+        fitted = _fitted(raw, given, None if segmentation is None else parts)
+        for remark in _remarks(raw, fitted):
+            log.info("%s: %s", raw.path, remark)
+        vertices, taken, found_parts = fitted.placing.apply(raw.vertices * raw.unit), fitted.taken, fitted.parts
+    body = Body(vertices, faces, found_parts if segmentation is None else parts, raw.path.stem)
+    return body, taken.measurements if measurements is None else read_measurements(measurements)
+
+
+def measure_file(
+    mesh: Path | str, given: Path | str | None = None, segmentation: Path | str | None = None
+) -> tuple[Taken, list[str]]:
+    """The measures of the body in a mesh file, and remarks on how they were found.
+
+    The skin need not be closed: see ``measuring.fit_tape``. Raises ``BodyError`` with the file and a remedy.
+    """
+    raw = _read_mesh(Path(mesh))
+    if raw.stands_as_ours and given is None and segmentation is None:
+        vertices = stand(raw.vertices * raw.unit)
+        return take(vertices, own_marks(vertices), own_sites()), ["our own mesh: landmarks known by vertex"]
+    parts = None if segmentation is None else read_parts(Path(segmentation), len(raw.vertices), raw.path)
+    fitted = _fitted(raw, given, parts)
+    return fitted.taken, _remarks(raw, fitted)
+
+
+def _fitted(raw: _Mesh, given: Path | str | None, parts: UInt8[np.ndarray, " v"] | None) -> Fitted:
+    marks = None if given is None else read_marks(Path(given), raw.vertices, raw.unit)
+    return fit_tape(raw.vertices * raw.unit, raw.faces, str(raw.path), given=marks, parts=parts)
+
+
+def _remarks(raw: _Mesh, fitted: Fitted) -> list[str]:
+    """What a user must know about how a body was found and measured, in lines."""
+    height = fitted.taken.measurements.height
+    unit = next(name for name, factor in UNITS.items() if factor == raw.unit)
+    remarks = [f"taken to be in {unit}, {height:.1f} cm tall"]
+    if not ADULT[0] < height < ADULT[1]:
+        remarks.append(f"doubtful: {height:.1f} cm is no adult's height: a doll, a giant, or another unit")
+    if fitted.placing.turned:
+        remarks.append("did not stand upright facing +z and was turned")
+    remarks.append(f"landmarks found {fitted.misfit:.2f} cm from the nearest body of our shape space on average")
+    if fitted.misfit > UNLIKE:
+        remarks.append("doubtful: unlike any adult of our shape space: check the measures")
+    unsure = [f"{name} {sure:.2f}" for name, sure in fitted.marks.confidence.items() if sure < UNSURE]
+    if unsure:
+        remarks.append(
+            f"doubtful: unsure landmarks (1 is sure): {', '.join(unsure)}: check the measures that hang on them"
         )
-    if measurements is None and not ours:
-        raise BodyError(f"{path}: its landmarks are not known: give its measures (--measurements)")
-    parts = body_model().parts if segmentation is None else read_parts(Path(segmentation), len(vertices), path)
-    body = Body(vertices, faces, parts, path.stem)
-    return body, measure(body) if measurements is None else read_measurements(measurements)
+    return remarks
 
 
 # ---------------------------------------------------------------------------------------------------------------- mesh
 
 
-def _read_mesh(path: Path) -> tuple[Float[np.ndarray, "v 3"], np.ndarray]:
-    """Vertices [cm] standing at y = 0, and faces seen counter-clockwise from outside."""
+def _read_mesh(path: Path) -> _Mesh:
     content = file_content(path)
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("obj", "ply"):
@@ -65,21 +142,19 @@ def _read_mesh(path: Path) -> tuple[Float[np.ndarray, "v 3"], np.ndarray]:
     vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, int)
     if not len(faces) or not np.isfinite(vertices).all():
         raise BodyError(f"{path}: holds no triangles, or positions that are no numbers: export the mesh again")
+    unit, factor = unit_of(float(np.ptp(vertices, axis=0).max()), str(path))
+    log.info("%s: taken to be in %s", path, unit)
+    return _Mesh(path, vertices, faces, factor)
+
+
+def _outward(raw: _Mesh) -> Int[np.ndarray, "f 3"]:
+    """The faces, seen counter-clockwise from outside. Raises ``BodyError`` where inside and outside are not known."""
+    mesh = trimesh.Trimesh(raw.vertices, raw.faces, process=False)
     if not mesh.is_watertight:
-        raise BodyError(f"{path}: the skin is not closed, so inside and outside are not known: fill its holes")
-    if mesh.volume < 0:
-        log.info("%s: its faces look inwards and were turned", path)
-        faces = faces[:, ::-1]
-    return stand(vertices * _unit(path, vertices)), faces
-
-
-def _unit(path: Path, vertices: np.ndarray) -> float:
-    """The factor to centimetres, by the height of a person."""
-    height = np.ptp(vertices[:, 1])
-    for name, factor in UNITS.items():
-        if SHORTEST < height * factor < TALLEST:
-            log.info("%s: taken to be in %s, %.1f cm tall", path, name, height * factor)
-            return factor
-    raise BodyError(
-        f"{path}: {height:.4g} tall along y, which is a person's height in no unit: turn y up, scale it to cm"
-    )
+        raise BodyError(f"{raw.path}: the skin is not closed, so inside and outside are not known: fill its holes")
+    if not mesh.is_winding_consistent:
+        raise BodyError(f"{raw.path}: some faces look inwards and some outwards: turn them to one side")
+    if mesh.volume > 0:
+        return raw.faces
+    log.info("%s: its faces look inwards and were turned", raw.path)
+    return raw.faces[:, ::-1]

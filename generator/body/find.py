@@ -1,41 +1,79 @@
 """Landmarks and parts of a mesh from its geometry alone: our body model is laid over it and tells where they are."""
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Float, UInt8
-from scipy.spatial import cKDTree
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.spatial import ConvexHull, cKDTree
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.marks import Marks, own_marks
-from gcd_dataset.generator.body.register import Registration
+from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.marks import Marks, levels_of, own_marks
+from gcd_dataset.generator.body.register import Registration, model_height
 from gcd_dataset.generator.body.scan import Scan
+from gcd_dataset.generator.body.section import girth, outline, section, section_points
+from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.generator.body.surface import Surface
-from gcd_dataset.records import BodyPart, Record
+from gcd_dataset.records import BodyPart
 
 __all__ = ["found_marks", "found_parts"]
 
 AROUND = 6.0  # cm about a landmark, where the model's misfit tells how sure it is
+WRIST_SEARCH = np.arange(-6, 7) * 0.5  # cm along the forearm
+WRIST_REACH = 7.0  # cm from the ring within which skin is the wrist's: clear of the trunk
+BRIDGED = 2.0  # cm of patch in the way of the wrist's tape
 HALF_SURE = 1.5  # cm of misfit at which it is as likely wrong as right
 
 
-def found_marks(scan: Scan, surface: Surface, registration: Registration) -> Marks:
-    """The model's landmarks on the nearest skin. ``surface`` is the scan's."""
+def found_marks(
+    scan: Scan, surface: Surface, registration: Registration, scale: float, shift: Float[np.ndarray, "3"]
+) -> Marks:
+    """The model's landmarks on the nearest skin; ``surface`` is the scan's, times ``scale`` and shifted."""
     model = own_marks(registration.vertices)
-    near = {name: surface.nearest(np.atleast_2d(at)) for name, at in (model.points | model.rings).items()}
+    beside = {name: model_height() * share for name, share in landmarks().beside.items()}
+    sought = {name: (at + beside.get(name, 0.0))[None] for name, at in model.points.items()} | dict(model.rings)
+    near = {name: surface.nearest(at) for name, at in sought.items()}
     tree = cKDTree(registration.vertices)
     confidence = {}
     for name, at in near.items():
-        around = np.unique(np.concatenate(tree.query_ball_point(at.points, AROUND) + [[]]).astype(int))
+        around = np.unique(np.concatenate([*tree.query_ball_point(at.points, AROUND), []])).astype(int)
         misfit = np.sqrt((registration.distances[around] ** 2).mean()) if len(around) else np.inf
         patched = scan.patched[at.faces].mean()
         confidence[name] = float((1 - patched) / (1 + (misfit / HALF_SURE) ** 2))
-    return Marks(
-        {name: near[name].points[0] for name in model.points},
-        {name: near[name].points for name in model.rings},
-        confidence,
+    points = {name: (near[name].points[0] - shift) / scale for name in model.points}
+    rings = {name: (near[name].points - shift) / scale for name in model.rings}
+    wrist = _near(scan.vertices, rings["wrist_right"], WRIST_REACH / scale)[scan.faces].all(axis=1)
+    rings["wrist_right"] = narrowest_ring(
+        scan.vertices, scan.faces[wrist], rings["wrist_right"], WRIST_SEARCH / scale, scan.patched[wrist]
     )
+    return Marks(points, rings, levels_of(rings, float(np.ptp(scan.vertices[:, 1]))), confidence)
+
+
+def narrowest_ring(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    ring: Float[np.ndarray, "n 3"],
+    offsets: Float[np.ndarray, " o"],
+    patched: Bool[np.ndarray, " f"],
+) -> Float[np.ndarray, "m 3"]:
+    """The tape of the narrowest section of a limb that is parallel to the plane of a ring, and near it.
+
+    Raises ``BodyError`` where nothing is cut, or the tape runs over a hole or the end of the limb.
+    """
+    middle = ring.mean(axis=0)
+    across, along, normal = np.linalg.svd(ring - middle)[2]
+    turned = (vertices - middle) @ np.stack([across, normal, along], axis=1)
+    points, level = section_points(turned, unique_edges(faces)[0], 1, offsets)
+    if len(np.unique(level)) < len(offsets):
+        raise BodyError("no skin is met round the right wrist: mend the mesh there")
+    if any(outline(section(turned, faces[patched], 1, offset)) > BRIDGED for offset in offsets):
+        raise BodyError("the skin round the right wrist has a hole: close it, and give a whole hand")
+    loops = [points[level == offset] for offset in offsets]
+    narrowest = min(loops, key=lambda loop: girth(loop[:, [0, 2]]))
+    hull = narrowest[ConvexHull(narrowest[:, [0, 2]]).vertices]
+    return hull @ np.stack([across, normal, along]) + middle
+
+
+def _near(vertices: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
+    return cKDTree(points).query(vertices, distance_upper_bound=radius)[0] < radius
 
 
 def found_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) -> UInt8[np.ndarray, " v"]:

@@ -1,19 +1,27 @@
-"""A tailor's landmarks on one body: points and rings by name, and how sure it is that they are right."""
+"""A tailor's landmarks on one body: points and rings by name, and how sure it is that they are right.
 
+Given by hand, they are a JSON file such as ``{"shoulder_right": 1557, "waist": [[0.12, 1.08, 0.03]]}``: each name has
+one vertex id or one position in the coordinates of the mesh file, a ring has a list of them.
+"""
+
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Self
+from pathlib import Path
+from typing import Any, Protocol, Self
 
 import numpy as np
 from jaxtyping import Float
 
+from gcd_dataset.bodyfiles import file_content
+from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body.asset import landmarks
 from gcd_dataset.records import Record
 
-__all__ = ["CLOSED_RINGS", "Marks", "own_marks"]
+__all__ = ["LEVEL_RINGS", "GivenMarks", "Marks", "levels_of", "own_marks", "read_marks"]
 
-CLOSED_RINGS = frozenset({"wrist_right"})
-"""Rings whose length is a measure from the last point back to the first."""
+LEVEL_RINGS = ("bust", "underbust", "waist", "hips", "leg_right")
+"""Rings that only say at which height a girth is taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,13 +31,16 @@ class Marks(Record):
     points: Mapping[str, Float[np.ndarray, "3"]]
     """[cm]"""
     rings: Mapping[str, Float[np.ndarray, "n 3"]]
-    """Points along closed rings and open lines, in order [cm]; one point is enough to give a girth its level."""
+    """Points along closed rings and open lines, in order [cm]; one point is enough for a level."""
+    levels: Mapping[str, float]
+    """Heights about which girths are searched [cm]."""
     confidence: Mapping[str, float]
     """1 for what is known, near 0 for what was hardly found; by the name of a point or ring."""
 
-    def level(self, ring: str) -> float:
-        """Mean height of a ring [cm]."""
-        return float(self.rings[ring][:, 1].mean())
+    def with_rings(self, rings: Mapping[str, Float[np.ndarray, "n 3"]]) -> Self:
+        """The marks with some rings elsewhere; levels that hang on them lie at their means."""
+        means = {name: float(ring[:, 1].mean()) for name, ring in rings.items() if name in self.levels}
+        return replace(self, rings={**self.rings, **rings}, levels={**self.levels, **means})
 
     def moved(self, points: Mapping[str, Float[np.ndarray, "3"]]) -> Self:
         """The marks with some points elsewhere."""
@@ -41,4 +52,71 @@ def own_marks(vertices: Float[np.ndarray, "v 3"]) -> Marks:
     table = landmarks()
     points = {name: vertices[vertex] for name, vertex in table.points.items()}
     rings = {name: vertices[ring] for name, ring in table.rings.items()}
-    return Marks(points, rings, dict.fromkeys([*points, *rings], 1.0))
+    return Marks(points, rings, levels_of(rings, float(np.ptp(vertices[:, 1]))), dict.fromkeys([*points, *rings], 1.0))
+
+
+def levels_of(rings: Mapping[str, Float[np.ndarray, "n 3"]], height: float) -> dict[str, float]:
+    """Heights about which the girths of a body of that height are searched [cm]: near the means of their rings."""
+    above = landmarks().levels
+    return {name: float(rings[name][:, 1].mean()) + above.get(name, 0.0) * height for name in LEVEL_RINGS}
+
+
+# ------------------------------------------------------------------------------------------------------- given by hand
+
+
+class _Places(Protocol):
+    """What turns positions of a file into ours."""
+
+    def apply(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class GivenMarks(Record):
+    """Landmarks that a person gave, in the mesh's coordinates."""
+
+    points: Mapping[str, Float[np.ndarray, "3"]]
+    rings: Mapping[str, Float[np.ndarray, "n 3"]]
+
+    def over(self, found: Marks, placing: _Places) -> Marks:
+        """The landmarks found, with those given in their place."""
+        points = {name: placing.apply(at[None])[0] for name, at in self.points.items()}
+        rings = {name: placing.apply(ring) for name, ring in self.rings.items()}
+        sure = dict.fromkeys([*points, *rings], 1.0)
+        return replace(found.moved(points).with_rings(rings), confidence={**found.confidence, **sure})
+
+
+def read_marks(path: Path, vertices: Float[np.ndarray, "v 3"], unit: float) -> GivenMarks:
+    """The landmarks in a JSON file; ``vertices`` and positions come out times ``unit``. Raises ``BodyError``."""
+    try:
+        table = json.loads(file_content(path))
+    except (ValueError, RecursionError) as error:
+        raise BodyError(f"{path}: not JSON ({error}): give a map from landmarks to vertex ids or positions") from error
+    if not isinstance(table, dict):
+        raise BodyError(f"{path}: a {type(table).__name__}: give a map from landmarks to vertex ids or positions")
+    known = landmarks()
+    for name in table:
+        if name not in known.points and name not in known.rings:
+            names = ", ".join([*known.points, *known.rings])
+            raise BodyError(f"{path}: no landmark is called {shown(name)}: there are {names}")
+    points = {name: _position(path, name, at, vertices) * unit for name, at in table.items() if name in known.points}
+    rings = {name: _ring(path, name, at, vertices) * unit for name, at in table.items() if name in known.rings}
+    return GivenMarks(points, rings)
+
+
+def _ring(path: Path, name: str, value: Any, vertices: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    if not isinstance(value, list) or not value:
+        raise BodyError(f"{path}: {name} is {shown(repr(value)[:40])}: a ring is a list of vertex ids or positions")
+    if name not in LEVEL_RINGS and len(value) < 3 and name != "bust_line":
+        raise BodyError(f"{path}: {name} has {len(value)} points: its length is a measure, so give them all, in order")
+    return np.stack([_position(path, name, at, vertices) for at in value])
+
+
+def _position(path: Path, name: str, value: Any, vertices: np.ndarray) -> Float[np.ndarray, "3"]:
+    if type(value) is int and 0 <= value < len(vertices):
+        return vertices[value]
+    numbers = isinstance(value, list) and len(value) == 3 and all(type(n) in (int, float) for n in value)
+    if not numbers or not np.isfinite(np.array(value, float)).all():
+        raise BodyError(
+            f"{path}: {name} is {shown(repr(value)[:40])}: give a vertex id under {len(vertices)}, or [x, y, z]"
+        )
+    return np.array(value, float)

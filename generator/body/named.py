@@ -7,12 +7,12 @@ from gcd_dataset.bodyfiles import read_measurements
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.files import read_body
+from gcd_dataset.generator.body.measuring import measure
 from gcd_dataset.generator.body.shape import build_body, draw_shape, named_shape
-from gcd_dataset.generator.body.tailor import measure
 from gcd_dataset.records import Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["named_body"]
+__all__ = ["named_body", "shape_by_name"]
 
 
 def named_body(
@@ -27,7 +27,7 @@ def named_body(
     ``name_or_path`` is ``neutral``, ``female``, ``male``, ``random:SEED`` or a mesh file (see ``read_body``), which
     stands as it stands. Measures are taken with the legs straight, as GarmentCode takes them. Raises ``BodyError``.
     """
-    shape = _named(str(name_or_path), legs_apart=legs_apart)
+    shape = shape_by_name(str(name_or_path), legs_apart=legs_apart)
     if shape is None:
         return *read_body(name_or_path, measurements, segmentation), None
     if segmentation is not None:
@@ -38,7 +38,7 @@ def named_body(
     return body, measure(build_body(replace(shape, legs_apart=False))), shape
 
 
-def _named(name: str, *, legs_apart: bool) -> BodyShape | None:
+def shape_by_name(name: str, *, legs_apart: bool) -> BodyShape | None:
     """The shape of that name, or ``None`` for what can only be a file."""
     if name.startswith("random:"):
         return draw_shape(rng(_seed(name), 0, Stage.BODY), legs_apart=legs_apart)

@@ -3,10 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["LEGS_APART", "set_pose", "stand"]
+__all__ = ["LEGS_APART", "T_POSE", "set_pose", "stand"]
 
 LEGS_APART = np.radians(3.0)
 """Turn of each thigh when the legs are apart [rad]: moves the feet from 15 to 19 cm off the middle."""
+
+T_POSE = np.radians(45.0)
+"""``arm_angle`` that lifts the upper arms from the A-pose to the horizontal [rad]."""
 
 LEFT_ARM, LEFT_LEG, LEFT_FOOT, RIGHT_ARM, RIGHT_LEG, RIGHT_FOOT = range(6)
 
@@ -23,12 +26,11 @@ def set_pose(
     posed = vertices.copy()
     for side, shoulder, hip, ankle in ((1, LEFT_ARM, LEFT_LEG, LEFT_FOOT), (-1, RIGHT_ARM, RIGHT_LEG, RIGHT_FOOT)):
         if arm:
-            posed += skin[:, shoulder, None] * (_turned(vertices, joints[shoulder], side * arm) - vertices)
+            _turn(posed, joints[shoulder], side * arm, skin[:, shoulder])
         if leg:
-            spread = _turned(vertices, joints[hip], side * leg)
-            foot = _turned(joints[ankle], joints[hip], side * leg)
-            posed += skin[:, hip, None] * (spread - vertices)
-            posed += skin[:, ankle, None] * (_turned(spread, foot, -side * leg) - spread)
+            foot = _turned(joints[ankle, :2], joints[hip], side * leg)
+            _turn(posed, joints[hip], side * leg, skin[:, hip])
+            _turn(posed, foot, -side * leg, skin[:, ankle])
     return posed
 
 
@@ -37,6 +39,14 @@ def stand(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
     return vertices - [0.0, vertices[:, 1].min(), 0.0]
 
 
-def _turned(points: np.ndarray, centre: np.ndarray, angle: float) -> np.ndarray:
+def _turn(points: Float[np.ndarray, "v 3"], centre: np.ndarray, angle: float, share: Float[np.ndarray, " v"]) -> None:
+    """Turn points about an axis along z in place, each as far as its share says: blended, not turned by less."""
+    rows = np.flatnonzero(share)
+    before = points[rows, :2]
+    points[rows, :2] += share[rows, None] * (_turned(before, centre, angle) - before)
+
+
+def _turned(points: Float[np.ndarray, "*n 2"], centre: np.ndarray, angle: float) -> Float[np.ndarray, "*n 2"]:
     cos, sin = np.cos(angle), np.sin(angle)
-    return (points - centre) @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]) + centre
+    x, y = points[..., 0] - centre[0], points[..., 1] - centre[1]
+    return np.stack([cos * x - sin * y + centre[0], sin * x + cos * y + centre[1]], axis=-1)

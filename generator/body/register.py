@@ -18,11 +18,11 @@ from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.surface import Surface
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = ["Guess", "Registration", "coarse_guess", "model_height", "register"]
+__all__ = ["Guess", "Registration", "coarse_guess", "model_height", "quick_guess", "register"]
 
 ROUGH, FINE = 500, 1600  # points of the model that are laid on the surface
 ALONG = 0.2  # how much a slide along the surface counts beside a step off it
-STILL = 0.01  # cm; a step that moves no point further ends the fit
+STILL = 0.002  # cm; a step that moves the points less than this on average ends the fit
 ARM_STARTS = (0.0, 0.8)  # rad; arms raised from the A-pose that a fit starts from: A-pose and T-pose
 PIVOT = np.array([0.0, 100.0, 0.0])  # cm; about which the whole model turns
 LEFT_ARM, LEFT_LEG, RIGHT_ARM, RIGHT_LEG = 0, 1, 3, 4  # joints of the model
@@ -52,7 +52,7 @@ class Guess(Record):
 
 @dataclass(frozen=True, eq=False)
 class Registration(Record):
-    """The model as it lies on a mesh, in the mesh's own place and size."""
+    """The model as it lies on a surface."""
 
     vertices: Float[np.ndarray, "v 3"]
     """[cm]"""
@@ -71,8 +71,9 @@ class _Stage:
     outlier: float  # cm
 
 
+QUICK = (_Stage(200, 5, 0.3, 10.0),)
 COARSE = (_Stage(ROUGH, 8, 0.3, 10.0),)
-CLOSER = (_Stage(FINE, 8, 0.06, 5.0), _Stage(FINE, 25, 0.012, 3.0))
+CLOSER = (_Stage(FINE, 8, 0.06, 5.0), _Stage(FINE, 12, 0.01, 3.0), _Stage(FINE, 40, 0.0003, 3.0))
 
 
 def model_height() -> float:
@@ -85,11 +86,16 @@ def coarse_guess(surface: Surface) -> Guess:
     return min((_fitted(surface, _start(raised), COARSE) for raised in ARM_STARTS), key=lambda guess: guess.misfit)
 
 
-def register(surface: Surface, guess: Guess, scale: float) -> Registration:
-    """The model on a surface that was ``scale`` times the mesh, from a coarse guess."""
+def quick_guess(surface: Surface) -> Guess:
+    """A guess that is good enough to tell one way of standing from another."""
+    return _fitted(surface, _start(ARM_STARTS[-1] / 2), QUICK)
+
+
+def register(surface: Surface, guess: Guess) -> Registration:
+    """The model laid closely on a surface as tall as itself, from a coarse guess."""
     guess = _fitted(surface, guess, CLOSER)
     vertices = _posed(guess, np.arange(len(body_model().mean)))[0]
-    return Registration(vertices / scale, surface.nearest(vertices).distances / scale, guess)
+    return Registration(vertices, surface.nearest(vertices).distances, guess)
 
 
 def _start(raised: float) -> Guess:
@@ -112,7 +118,7 @@ def _step(surface: Surface, guess: Guess, ids: np.ndarray, stage: _Stage) -> tup
     """One Gauss-Newton step, and how far it moved a point on average [cm]."""
     points, frames = _posed(guess, ids)
     near = surface.nearest(points)
-    trust = 1 / (1 + (near.distances / stage.outlier) ** 2)  # the root of Geman and McClure's weight
+    trust = near.real / (1 + (near.distances / stage.outlier) ** 2)  # the root of Geman and McClure's weight
     slopes = np.concatenate(
         [_place_slopes(guess, ids, points), np.einsum("vij,kvj->vik", frames, body_model().components[:, ids])], axis=2
     )
@@ -155,11 +161,7 @@ def _turn_axes(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     if angle < 1e-6:
         return np.eye(3) + cross / 2
-    return (
-        np.eye(3)
-        + (1 - np.cos(angle)) / angle**2 * cross
-        + (angle - np.sin(angle)) / angle**3 * cross @ cross
-    )
+    return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
 
 
 def _joints(guess: Guess) -> Float[np.ndarray, "n 3"]:

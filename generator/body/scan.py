@@ -7,14 +7,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.records import Record
 
 __all__ = ["Scan"]
 
 FEWEST_FACES = 500  # with fewer a body's girths are off by more than a centimetre: see the case `measures`
+BODY_SHARE = 0.8  # of all area: the least by which the largest piece is taken for the body
 WELD = 1e-5  # of the mesh's size: positions nearer than this are one
 
 
@@ -41,9 +42,12 @@ class Scan(Record):
             raise BodyError(f"{name}: vertex {bad[0]} and {len(bad) - 1} more have positions that are no numbers")
         welded, source = _welded(vertices, used)
         faces = source[faces]
-        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+        faces = faces[_solid(welded, faces)]
         if len(faces) < FEWEST_FACES:
-            raise BodyError(f"{name}: {len(faces)} triangles, a body has {FEWEST_FACES} and more: give a finer mesh")
+            raise BodyError(
+                f"{name}: {len(faces)} triangles with an area, a body has {FEWEST_FACES} and more: give a finer mesh"
+            )
+        welded, faces, source = _largest_piece(welded, faces, source)
         middles, patches = _patches(welded, faces)
         return cls(
             np.concatenate([welded, middles]),
@@ -62,10 +66,37 @@ def _welded(vertices: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndar
     return vertices[used[first]], source
 
 
+def _solid(vertices: np.ndarray, faces: np.ndarray) -> Bool[np.ndarray, " f"]:
+    """Whether each face has an area."""
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12
+
+
+def _largest_piece(
+    vertices: np.ndarray, faces: np.ndarray, source: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The mesh without its loose pieces (eyes, scraps); all of it, where no piece is clearly the body.
+
+    What came from a vertex that is gone is its nearest one.
+    """
+    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
+    graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(len(vertices), len(vertices)))
+    piece = connected_components(graph, directed=False)[1]
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    areas = np.bincount(piece[faces[:, 0]], np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=piece.max() + 1)
+    largest = int(areas.argmax())
+    own = (piece == largest) if areas[largest] > BODY_SHARE * areas.sum() else np.isin(piece, piece[faces[:, 0]])
+    number = np.full(len(vertices), -1)
+    number[own] = np.arange(own.sum())
+    number[~own] = cKDTree(vertices[own]).query(vertices[~own])[1]
+    return vertices[own], number[faces[own[faces[:, 0]]]], number[source]
+
+
 def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middles of the holes' rims, and fans of triangles from them to the rims."""
-    edges, face_edges = unique_edges(faces)
-    rim = edges[np.bincount(face_edges.ravel(), minlength=len(edges)) == 1]
+    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    _, side, faces_at = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True, return_counts=True)
+    rim = sides[faces_at[side.ravel()] == 1]
     if not len(rim):
         return np.empty((0, 3)), np.empty((0, 3), int)
     corners, ends = np.unique(rim, return_inverse=True)
@@ -74,5 +105,6 @@ def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nd
     count, hole = connected_components(graph, directed=False)
     size = np.bincount(hole, minlength=count)
     middles = np.stack([np.bincount(hole, vertices[corners, i], count) for i in range(3)], axis=1) / size[:, None]
-    fans = np.concatenate([rim, len(vertices) + hole[ends[:, :1]]], axis=1)
+    # The other way round than the faces beside them, so that all look to the same side.
+    fans = np.concatenate([rim[:, ::-1], len(vertices) + hole[ends[:, :1]]], axis=1)
     return middles, fans

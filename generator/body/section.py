@@ -5,8 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 from jaxtyping import Float, Int
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
-__all__ = ["clipped", "girth", "outline", "rough_girths", "section", "section_points", "tape"]
+__all__ = ["clipped", "girth", "loops", "outline", "rough_girths", "section", "section_points", "tape"]
 
 DIRECTIONS = 48  # widths a rough girth is averaged over: picks a level whose tape is at most 0.01 cm off the best
 
@@ -79,6 +81,14 @@ def _tight(points: np.ndarray) -> Float[np.ndarray, "h 2"]:
 def outline(segments: Float[np.ndarray, "s 2 3"]) -> float:
     """Length of a section as it is, hollows included."""
     return float(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum())
+
+
+def loops(segments: Float[np.ndarray, "s 2 3"]) -> Int[np.ndarray, " s"]:
+    """The loop that each segment of a section is part of."""
+    ends = np.unique(np.round(segments.reshape(-1, 3), 6), axis=0, return_inverse=True)[1].reshape(-1, 2)
+    size = int(ends.max(initial=0)) + 1
+    graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(size, size))
+    return connected_components(graph, directed=False)[1][ends[:, 0]]
 
 
 def rough_girths(points: Float[np.ndarray, "n 2"], group: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:

@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 import trimesh
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.records import Record
@@ -13,7 +13,7 @@ from gcd_dataset.records import Record
 __all__ = ["Nearest", "Surface", "nearest_on_triangles"]
 
 LONGEST = 6.0  # cm: longer edges are halved first, so that a near triangle has a near middle
-CANDIDATES = 12  # triangles by the distance of their middles
+CANDIDATES = 8  # triangles by the distance of their middles
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +28,8 @@ class Nearest(Record):
     """Of that triangle, unit length, as the mesh winds it."""
     distances: Float[np.ndarray, " n"]
     """[cm]"""
+    real: Bool[np.ndarray, " n"]
+    """Whether it is skin, and no patch over a hole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +40,17 @@ class Surface(Record):
     owners: Int[np.ndarray, " t"]
     """The face of the mesh that each triangle is a piece of."""
     normals: Float[np.ndarray, "t 3"]
+    real: Bool[np.ndarray, " t"]
     tree: cKDTree
 
     @classmethod
-    def of(cls, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Self:
-        """The surface of a mesh; triangles without area are left out."""
+    def of(
+        cls,
+        vertices: Float[np.ndarray, "v 3"],
+        faces: Int[np.ndarray, "f 3"],
+        patched: Bool[np.ndarray, " f"] | None = None,
+    ) -> Self:
+        """The surface of a mesh, of which some faces are patches; triangles without area are left out."""
         corners, owners = vertices[faces], np.arange(len(faces))
         if np.ptp(corners, axis=1).max(initial=0.0) > LONGEST:
             fine, pieces, owners = trimesh.remesh.subdivide_to_size(vertices, faces, LONGEST, return_index=True)
@@ -51,7 +59,8 @@ class Surface(Record):
         double_area = np.linalg.norm(across, axis=1)
         solid = double_area > 1e-12
         corners, owners = corners[solid], owners[solid]
-        return cls(corners, owners, across[solid] / double_area[solid, None], cKDTree(corners.mean(axis=1)))
+        real = np.ones(len(owners), bool) if patched is None else ~patched[owners]
+        return cls(corners, owners, across[solid] / double_area[solid, None], real, cKDTree(corners.mean(axis=1)))
 
     def nearest(self, points: Float[np.ndarray, "n 3"]) -> Nearest:
         """The nearest point of the surface to each point."""
@@ -61,7 +70,9 @@ class Surface(Record):
         best = distances.argmin(axis=1)
         row = np.arange(len(points))
         chosen = near[row, best]
-        return Nearest(on[row, best], self.owners[chosen], self.normals[chosen], distances[row, best])
+        return Nearest(
+            on[row, best], self.owners[chosen], self.normals[chosen], distances[row, best], self.real[chosen]
+        )
 
 
 def nearest_on_triangles(

@@ -1,7 +1,8 @@
-"""The tailor's measures of our own bodies, as GarmentCode's measurement files define them.
+"""A tailor at work: finds the level of each girth, moves the landmarks there, and takes the 26 measures.
 
-Girths are tapes drawn tight round level sections. The level is searched near a ring of vertices: fullest bust, fullest
-hips, narrowest waist; the points beside them (bust, sides, buttocks, mid back) are moved to the section found.
+Girths are tapes drawn tight round level sections. The level is searched near a ring of points: fullest bust, fullest
+hips, narrowest waist; the points beside them (bust, sides, buttocks, mid back) are moved to the section found. On our
+own mesh landmarks are known by vertex; on any other they are found first (``find_landmarks``).
 """
 
 import functools
@@ -13,63 +14,112 @@ from jaxtyping import Float, Int, UInt8
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body import measures as m
 from gcd_dataset.generator.body.asset import body_model, landmarks
 from gcd_dataset.generator.body.geodesic import WayNet
-from gcd_dataset.generator.body.section import clipped, girth, outline, rough_girths, section, section_points, tape
+from gcd_dataset.generator.body.marks import Marks, own_marks
+from gcd_dataset.generator.body.section import clipped, girth, rough_girths, section, section_points
 from gcd_dataset.generator.body.subdivide import unique_edges
-from gcd_dataset.records import Body, BodyPart, Measurements, Record
+from gcd_dataset.records import BodyPart, Measurements, Record
 
-__all__ = ["Sites", "find_sites", "measure", "take_measures"]
+__all__ = ["Sites", "Taken", "arm_net", "find_sites", "own_sites", "room", "sites_of", "take", "take_measures"]
 
 GIRTHS = ("bust", "underbust", "waist", "hips")
-X, Y = 0, 1
-XZ, ZY = [0, 2], [2, 1]
-BACK = (0.0, -1.0)  # in the (x, z) plane of a level section, and as (z, y) = (-1, 0) in an upright one
-SEARCH = np.arange(-4, 5) * 0.5  # cm about the ring's mean height, GarmentCodeData
+BESIDE = {
+    "bust": ("bust_left", "bust_right", "bust_side_left", "bust_side_right"),
+    "waist": ("waist_side_left", "waist_side_right", "mid_waist_back"),
+    "hips": ("hips_side_left", "hips_side_right", "bum_left", "bum_right"),
+}
+"""Points that move to the section found."""
+X, Y, Z = 0, 1, 2
+XZ = [0, 2]
+SEARCH = np.arange(-4, 5) * 0.5  # cm about the ring's mean height, GarmentCodeData; on a body of USUAL_HEIGHT
 LEG_STEP = 0.5  # cm by which the thigh's section is lowered until the legs part
-NECK_CLEARANCE = 0.5  # cm by which the plane over the bust keeps outside the side of the neck
-SIDEWAYS = -0.4  # a tape's normal may lean this far away and still count as front or back, GarmentCodeData
+LEG_STEPS = 30
+USUAL_HEIGHT = 172.0  # cm; that of the bodies the widths of sites are for
+MIDDLES = np.array([0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0])  # cm beside the crotch
+NECK_CLEARANCE = 1.4  # cm that the plane over the bust keeps outside the side of the neck, as on the published bodies
 
-_Points = dict[str, np.ndarray]
 
+@dataclass(frozen=True)
+class Taken:
+    """The measures of a body, and where their girths were found."""
 
-def measure(body: Body) -> Measurements:
-    """The measures of a body of our own mesh. Raises ``BodyError`` for another: its landmarks are not known."""
-    if not np.array_equal(body.faces, body_model().faces):
-        raise BodyError(
-            f"{body.name}: no mesh of ours ({len(body.vertices)} vertices), so its landmarks are not known: "
-            "give its measures in a file (--measurements)"
-        )
-    return take_measures(np.asarray(body.vertices, float), _own_sites())
+    measurements: Measurements
+    levels: Mapping[str, float]
+    """Height at which each girth was taken [cm]."""
+    at_border: Mapping[str, float]
+    """Girths that go on growing (bust, hips) or shrinking (waist) where the search ends: by the end reached [cm].
+
+    Also the leg's, where it was lowered as far or further, until the legs parted.
+    """
 
 
 def take_measures(vertices: Float[np.ndarray, "v 3"], sites: "Sites") -> Measurements:
-    """The measures of any body whose mesh the sites belong to."""
-    points: _Points = {name: vertices[vertex] for name, vertex in landmarks().points.items()}
-    bust = _ring(vertices, sites, "bust", np.argmax)
-    waist = _ring(vertices, sites, "waist", np.argmin)
-    hips = _ring(vertices, sites, "hips", np.argmax)
-    underbust = _level_section(vertices, sites, "underbust")
-    _move(points, bust, "bust_left", "bust_right", "bust_side_left", "bust_side_right")
-    _move(points, waist, "waist_side_left", "waist_side_right", "mid_waist_back")
-    _move(points, hips, "hips_side_left", "hips_side_right", "bum_left", "bum_right")
-    over_bust = _over_bust(vertices, sites, points)
-    return Measurements(
-        bust=girth(bust[:, XZ]),
-        underbust=girth(underbust[:, XZ]),
-        waist=girth(waist[:, XZ]),
-        hips=girth(hips[:, XZ]),
-        leg_circ=_leg_girth(vertices, sites),
-        back_width=_back_width(bust, points["bust_side_left"], points["bust_side_right"]),
-        waist_back_width=_back_width(waist, points["waist_side_left"], points["waist_side_right"]),
-        hip_back_width=_back_width(hips, points["hips_side_left"], points["hips_side_right"]),
-        waist_line=_waist_line(vertices, sites, points),
-        bust_line=_tape_down_to(points["bust_right"][Y], over_bust, (1.0, 1.0), 0.0),
-        waist_over_bust_line=_tape_down_to(points["mid_waist_back"][Y], over_bust, (1.0, 0.5), SIDEWAYS),
+    """The measures of a body of our own mesh."""
+    return take(vertices, own_marks(vertices), sites).measurements
+
+
+def take(vertices: Float[np.ndarray, "v 3"], marks: Marks, sites: "Sites") -> Taken:
+    """The measures of any body, with the landmarks on it and the sites on its mesh. Raises ``BodyError``."""
+    tall = float(m.height(vertices))
+    wide = tall / USUAL_HEIGHT
+    found = {
+        "bust": _searched(vertices, sites, marks, "bust", np.argmax, wide),
+        "underbust": _at_level(vertices, sites, marks, "underbust"),
+        "waist": _searched(vertices, sites, marks, "waist", np.argmin, wide),
+        "hips": _searched(vertices, sites, marks, "hips", np.argmax, wide),
+    }
+    bust, underbust, waist, hips = found.values()
+    at = dict(marks.points)
+    for name, beside in BESIDE.items():
+        cut = section(vertices, sites.bands[name], Y, found[name][0, Y])
+        at |= zip(beside, _nearest_on(cut, np.stack([at[point] for point in beside])), strict=True)
+    over_bust = _over_bust(vertices, sites, marks, wide)
+    spine = section(vertices, sites.spine, X, (at["nape_of_neck"][X] + at["mid_waist_back"][X]) / 2).reshape(-1, 3)
+    leg_level, leg_circ = _leg_girth(vertices, sites, marks, wide)
+    measurements = Measurements(
+        height=tall,
+        head_l=float(m.head_l(vertices, at["nape_of_neck"])),
+        neck_w=float(m.neck_w(marks.rings["neck_back"])),
+        shoulder_w=float(m.shoulder_w(at["shoulder_left"], at["shoulder_right"])),
+        shoulder_incl=float(m.shoulder_incl(at["neck_right"], at["shoulder_right"])),
+        armscye_depth=float(m.armscye_depth(at["shoulder_right"], at["underarm_right"])),
         arm_length=sites.arm.length(vertices),
-        **_along_rings(vertices),
-        **_between_points(vertices, points),
+        arm_pose_angle=float(m.arm_pose_angle(at["shoulder_right"], at["wrist_right"])),
+        wrist=float(m.wrist(marks.rings["wrist_right"])),
+        bust=m.bust(bust),
+        underbust=m.underbust(underbust),
+        waist=m.waist(waist),
+        hips=m.hips(hips),
+        leg_circ=leg_circ,
+        waist_back_width=m.waist_back_width(waist, at["waist_side_left"], at["waist_side_right"]),
+        back_width=m.back_width(bust, at["bust_side_left"], at["bust_side_right"]),
+        hip_back_width=m.hip_back_width(hips, at["hips_side_left"], at["hips_side_right"]),
+        bust_points=float(m.bust_points(at["bust_left"], at["bust_right"])),
+        bum_points=float(m.bum_points(at["bum_left"], at["bum_right"])),
+        waist_line=m.waist_line(spine, at["nape_of_neck"], at["mid_waist_back"]),
+        waist_over_bust_line=m.waist_over_bust_line(over_bust, at["mid_waist_back"]),
+        bust_line=m.bust_line(over_bust, at["bust_right"]),
+        vert_bust_line=float(m.vert_bust_line(at["nape_of_neck"], at["bust_side_right"])),
+        hips_line=float(m.hips_line(at["waist_side_right"], at["hips_side_right"])),
+        hip_inclination=float(m.hip_inclination(at["waist_side_right"], at["hips_side_right"])),
+        crotch_hip_diff=float(m.crotch_hip_diff(at["hips_side_right"], at["crotch_point"])),
     )
+    levels = {name: float(points[0, Y]) for name, points in found.items()} | {"leg_circ": leg_level}
+    return Taken(measurements, levels, _at_border(levels, marks, SEARCH[-1] * wide))
+
+
+def room(vertices: Float[np.ndarray, "v 3"]) -> float:
+    """By how much a body is taller than the usual one: the tailor's steps grow with it."""
+    return float(m.height(vertices)) / USUAL_HEIGHT
+
+
+def _at_border(levels: Mapping[str, float], marks: Marks, reach: float) -> dict[str, float]:
+    """Girths whose search ended on its border, and on which."""
+    looked_for = {**marks.levels, "leg_circ": marks.levels["leg_right"]}
+    off = {name: levels[name] - looked_for[name] for name in ("bust", "waist", "hips", "leg_circ")}
+    return {name: round(by, 3) for name, by in off.items() if abs(by) > reach - 1e-6}
 
 
 # --------------------------------------------------------------------------------------------------------------- sites
@@ -80,7 +130,9 @@ class Sites(Record):
     """Where on the mesh each measure is taken: what its plane can meet on any body of the population."""
 
     rings: Mapping[str, Int[np.ndarray, "e 2"]]
-    """Edges about each girth."""
+    """Edges about each girth, for many levels at once."""
+    bands: Mapping[str, Int[np.ndarray, "f 3"]]
+    """The faces of these edges."""
     thighs: Int[np.ndarray, "f 3"]
     breast: Int[np.ndarray, "f 3"]
     spine: Int[np.ndarray, "f 3"]
@@ -88,34 +140,52 @@ class Sites(Record):
 
 
 @functools.cache
-def _own_sites() -> Sites:
+def own_sites() -> Sites:
+    """The sites on our own mesh."""
     model = body_model()
     return find_sites(model.mean, model.faces, model.parts)
 
 
 def find_sites(mean: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]) -> Sites:
-    """The sites on a mean body, with room for bodies unlike it."""
-    rings, points = landmarks().rings, landmarks().points
+    """The sites on our own mean body, with room for bodies unlike it."""
+    points = landmarks().points
+    arm = arm_net(mean, faces, points["shoulder_right"], points["wrist_right"])
+    return sites_of(mean, faces, parts, own_marks(mean), arm)
+
+
+def sites_of(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    parts: UInt8[np.ndarray, " v"],
+    marks: Marks,
+    arm: WayNet,
+) -> Sites:
+    """The sites on any mesh, as wide as bodies of one mesh may differ; taller bodies have wider ones."""
+    wide = room(vertices)
     arms = [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value]
     trunk = faces[~np.isin(parts, arms)[faces].any(axis=1)]
 
     def between(low: float, high: float) -> Int[np.ndarray, "f 3"]:
-        height = mean[trunk, Y]
-        return trunk[(height.max(axis=1) > low) & (height.min(axis=1) < high)]
+        heights = vertices[trunk, Y]
+        return trunk[(heights.max(axis=1) > low) & (heights.min(axis=1) < high)]
 
-    level = {name: mean[ring, Y].mean() for name, ring in rings.items()}
-    torso = between(level["waist"] - 8.0, mean[points["neck_right"], Y] + 4.0)
-    x = mean[torso, X]
+    nape, leg = marks.points["nape_of_neck"], marks.levels["leg_right"]
+    torso = between(marks.levels["waist"] - 8.0 * wide, marks.points["neck_right"][Y] + 4.0 * wide)
+    x = (vertices[torso, X] - nape[X]) / wide
+    back = (nape[Z] + marks.points["bust_right"][Z]) / 2
+    level = {name: marks.levels[name] for name in GIRTHS}
+    bands = {name: between(at - 7.0 * wide, at + 7.0 * wide) for name, at in level.items()}
     return Sites(
-        rings={name: unique_edges(between(level[name] - 7.0, level[name] + 7.0))[0] for name in GIRTHS},
-        thighs=between(level["leg_right"] - 18.0, level["leg_right"] + 8.0),
+        rings={name: unique_edges(band)[0] for name, band in bands.items()},
+        bands=bands,
+        thighs=between(leg - 18.0 * wide, leg + 8.0 * wide),
         breast=torso[(x.max(axis=1) < -2.0) & (x.min(axis=1) > -22.0)],
-        spine=torso[(np.abs(x).max(axis=1) < 4.0) & (mean[torso, 2].mean(axis=1) < 2.0)],
-        arm=_arm_net(mean, faces, points["shoulder_right"], points["wrist_right"]),
+        spine=torso[(np.abs(x).max(axis=1) < 4.0) & (vertices[torso, Z].mean(axis=1) < back)],
+        arm=arm,
     )
 
 
-def _arm_net(mean: np.ndarray, faces: np.ndarray, shoulder: int, wrist: int) -> WayNet:
+def arm_net(mean: np.ndarray, faces: np.ndarray, shoulder: int, wrist: int) -> WayNet:
     """A net over the skin near the arm's shortest way on the mean body."""
     straight = np.linspace(mean[shoulder], mean[wrist], 100)
     rough = WayNet.over(faces[_near(mean, straight, 9.0)[faces].all(axis=1)], shoulder, wrist, points_per_edge=1)
@@ -131,112 +201,82 @@ def _near(vertices: np.ndarray, path: np.ndarray, radius: float) -> np.ndarray:
 # ------------------------------------------------------------------------------------------------------ level sections
 
 
-def _ring(
-    vertices: np.ndarray, sites: Sites, name: str, best: Callable[[np.ndarray], np.intp]
+def _searched(
+    vertices: np.ndarray,
+    sites: Sites,
+    marks: Marks,
+    name: str,
+    best: Callable[[np.ndarray], np.intp],
+    wide: float,
 ) -> Float[np.ndarray, "n 3"]:
     """The points of the section with the greatest or smallest girth near a ring."""
-    levels = vertices[landmarks().rings[name], Y].mean() + SEARCH
+    levels = marks.levels[name] + SEARCH * wide
     points, level = section_points(vertices, sites.rings[name], Y, levels)
+    if len(np.unique(level)) < len(levels):
+        raise BodyError(f"no skin is met at the level of the {name}, {marks.levels[name]:.1f} cm: mend the mesh there")
     chosen = best(rough_girths(points[:, XZ], level))
     return points[level == levels[chosen]]
 
 
-def _level_section(vertices: np.ndarray, sites: Sites, name: str) -> Float[np.ndarray, "n 3"]:
-    levels = vertices[landmarks().rings[name], Y].mean(keepdims=True)
-    return section_points(vertices, sites.rings[name], Y, levels)[0]
+def _at_level(vertices: np.ndarray, sites: Sites, marks: Marks, name: str) -> Float[np.ndarray, "n 3"]:
+    level = marks.levels[name]
+    points = section_points(vertices, sites.rings[name], Y, np.array([level]))[0]
+    if not len(points):
+        raise BodyError(f"no skin is met at the level of the {name}, {level:.1f} cm: mend the mesh there")
+    return points
 
 
-def _move(points: _Points, ring: np.ndarray, *names: str) -> None:
-    """Named points go to the nearest point of the section."""
-    for name in names:
-        points[name] = ring[((ring - points[name]) ** 2).sum(axis=1).argmin()]
+def _nearest_on(segments: Float[np.ndarray, "s 2 3"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """The nearest point of a section to each point."""
+    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
+    length = np.maximum(np.einsum("si,si->s", along, along), 1e-12)
+    ahead = np.einsum("ni,si->ns", points, along) - np.einsum("si,si->s", start, along)
+    nearest = start + np.clip(ahead / length, 0.0, 1.0)[:, :, None] * along
+    off = nearest - points[:, None]
+    return nearest[np.arange(len(points)), np.einsum("nsi,nsi->ns", off, off).argmin(axis=1)]
 
 
-def _back_width(ring: np.ndarray, left: np.ndarray, right: np.ndarray) -> float:
-    """Tape over the back from side to side."""
-    x, z = (left - right)[XZ]
-    behind = (ring - left)[:, XZ] @ [z, -x] >= 0
-    return tape(np.concatenate([ring[behind], [left, right]])[:, XZ], BACK, over=SIDEWAYS)
-
-
-def _leg_girth(vertices: np.ndarray, sites: Sites) -> float:
-    """Outline of the larger thigh at the first level below the crotch where the legs are two.
+def _leg_girth(vertices: np.ndarray, sites: Sites, marks: Marks, wide: float) -> tuple[float, float]:
+    """Level and girth of the larger thigh at the first level below the crotch where the legs are two.
 
     Where thighs overlap all the way down, the tape round the right one's share of the lowest section.
     """
-    start = vertices[landmarks().rings["leg_right"], Y].mean()
-    steps = np.arange(30)
-    middle = section(vertices, sites.thighs, X, 0.0)[:, 0, Y]
-    joined = middle.min(initial=np.inf, where=middle > start - LEG_STEP * steps[-1])
-    parted = np.flatnonzero(start - LEG_STEP * steps < joined)
-    cut = section(vertices, sites.thighs, Y, start - LEG_STEP * (parted[0] if len(parted) else steps[-1]))
-    right = cut[:, :, X].mean(axis=1) < 0
-    if not len(parted):
-        return girth(cut[right, 0][:, XZ])
-    return max(outline(cut[right]), outline(cut[~right]))
+    start = marks.levels["leg_right"]
+    levels = start - LEG_STEP * wide * np.arange(LEG_STEPS)
+    middle, joined = _between_legs(vertices, sites, marks, levels, wide)
+    parted = np.flatnonzero(levels < joined)
+    level = float(levels[parted[0] if len(parted) else -1])
+    cut = section(vertices, sites.thighs, Y, level)
+    right = cut[:, :, X].mean(axis=1) < middle
+    if not right.any() or right.all():
+        raise BodyError(f"no two legs are met at {level:.1f} cm: mend the mesh there")
+    return level, m.leg_circ(cut, middle) if len(parted) else girth(cut[right, 0][:, XZ])
+
+
+def _between_legs(
+    vertices: np.ndarray, sites: Sites, marks: Marks, levels: Float[np.ndarray, " l"], wide: float
+) -> tuple[float, float]:
+    """The x of an upright plane that passes between the legs at all levels, or the one that does so longest.
+
+    With it comes the lowest height above the last level at which it meets skin: legs part beside the crotch point, too.
+    """
+    best = (float(marks.points["crotch_point"][X]), -np.inf)
+    for middle in best[0] + MIDDLES * wide:
+        met = section(vertices, sites.thighs, X, middle)[:, :, Y]
+        joined = float(met.min(initial=np.inf, where=met > levels[-1]))
+        if joined > levels[0]:
+            return middle, joined
+        best = max(best, (middle, joined), key=lambda one: one[1])
+    return best
 
 
 # ---------------------------------------------------------------------------------------------------- upright sections
 
 
-def _over_bust(vertices: np.ndarray, sites: Sites, points: _Points) -> Float[np.ndarray, "s 2 3"]:
+def _over_bust(vertices: np.ndarray, sites: Sites, marks: Marks, wide: float) -> Float[np.ndarray, "s 2 3"]:
     """The upright section over the right breast, in front of the upright plane along the shoulder."""
-    x = min(vertices[landmarks().rings["bust_line"], X].mean(), points["neck_right"][X] - NECK_CLEARANCE)
-    along = points["neck_right"] - points["shoulder_right"]
-    forward = np.array([-along[2], 0.0, along[0]])
-    return clipped(section(vertices, sites.breast, X, x), forward, points["shoulder_right"])
-
-
-def _tape_down_to(level: float, cut: np.ndarray, facing: tuple[float, float], over: float) -> float:
-    """Tape over the part of an upright section above a level."""
-    above = clipped(cut, (0.0, 1.0, 0.0), np.array([0.0, level, 0.0]))
-    return tape(above.reshape(-1, 3)[:, ZY], facing, over=over)
-
-
-def _waist_line(vertices: np.ndarray, sites: Sites, points: _Points) -> float:
-    """Tape down the spine from the nape to the waist."""
-    nape, waist = points["nape_of_neck"], points["mid_waist_back"]
-    cut = section(vertices, sites.spine, X, (nape[X] + waist[X]) / 2)[:, 0]
-    between = (cut[:, Y] < nape[Y]) & (cut[:, Y] > waist[Y])
-    return tape(np.concatenate([cut[between], [nape, waist]])[:, ZY], (-1.0, 0.0))
-
-
-# --------------------------------------------------------------------------------------------------- rings and points
-
-
-def _along_rings(vertices: np.ndarray) -> dict[str, float]:
-    rings = landmarks().rings
-    neck, wrist = vertices[rings["neck_back"]], vertices[rings["wrist_right"]]
-    return {
-        "neck_w": float(np.linalg.norm(np.diff(neck, axis=0), axis=1).sum()),
-        "wrist": float(np.linalg.norm(wrist - np.roll(wrist, 1, axis=0), axis=1).sum()),
-    }
-
-
-def _between_points(vertices: np.ndarray, points: _Points) -> dict[str, float]:
-    """Heights, straight distances, and inclinations [rad]."""
-    top = vertices[:, Y].max()
-    shoulder, hips, waist = points["shoulder_right"], points["hips_side_right"], points["waist_side_right"]
-    return {
-        "height": float(top - vertices[:, Y].min()),
-        "head_l": float(top - points["nape_of_neck"][Y]),
-        "shoulder_w": _apart(points["shoulder_left"], shoulder),
-        "armscye_depth": _apart(shoulder, points["underarm_right"]),
-        "bust_points": _apart(points["bust_left"], points["bust_right"]),
-        "bum_points": _apart(points["bum_left"], points["bum_right"]),
-        "vert_bust_line": float(abs(points["nape_of_neck"][Y] - points["bust_side_right"][Y])),
-        "hips_line": float(abs(hips[Y] - waist[Y])),
-        "crotch_hip_diff": float(abs(hips[Y] - points["crotch_point"][Y])),
-        "shoulder_incl": _lean(points["neck_right"], shoulder, Y),
-        "arm_pose_angle": _lean(shoulder, points["wrist_right"], Y),
-        "hip_inclination": -_lean(hips, waist, X),
-    }
-
-
-def _apart(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.linalg.norm(a - b))
-
-
-def _lean(start: np.ndarray, end: np.ndarray, axis: int) -> float:
-    """How far the way from ``start`` to ``end`` sinks against an axis [rad]."""
-    return float(np.arcsin((start - end)[axis] / np.linalg.norm(end - start)))
+    neck, shoulder = marks.points["neck_right"], marks.points["shoulder_right"]
+    x = min(marks.rings["bust_line"][:, X].mean(), neck[X] - NECK_CLEARANCE * wide)
+    along = neck - shoulder
+    forward = np.array([-along[Z], 0.0, along[X]])
+    return clipped(section(vertices, sites.breast, X, x), forward, shoulder)

@@ -157,22 +157,14 @@ def test_broken_files_are_named_with_place_and_remedy(
     assert "\n" not in message
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        (("mesh", "parts"), "--measurements"),
-        (("mesh", "size"), "--segmentation"),
-    ],
-)
-def test_a_foreign_mesh_needs_measures_and_parts(given: tuple[str, ...], said: str, mannequin: dict[str, Path]) -> None:
-    files = {key: mannequin[key] for key in given}
-    with pytest.raises(BodyError, match=said):
-        read_body(files["mesh"], files.get("size"), files.get("parts"))
+def test_what_is_not_told_is_sought_and_a_box_has_no_landmarks(mannequin: dict[str, Path]) -> None:
+    with pytest.raises(BodyError, match=r"box\.obj: 12 triangles with an area, a body has 500 and more"):
+        read_body(mannequin["mesh"], mannequin["size"])
 
 
 def test_a_body_of_no_persons_height_is_turned_down(mannequin: dict[str, Path]) -> None:
     trimesh.creation.box((1.0, 20.0, 1.0)).export(mannequin["mesh"])
-    with pytest.raises(BodyError, match="20 tall along y"):
+    with pytest.raises(BodyError, match="20 tall, which is a person's height in no unit"):
         read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
 
 

@@ -18,6 +18,7 @@ from gcd_dataset.generator.body import (
     neutral_shape,
 )
 from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.generator.body.pose import T_POSE
 from gcd_dataset.records import Body, BodyPart, BodyShape
 from gcd_dataset.seeding import Stage, rng
 
@@ -79,6 +80,18 @@ def test_raising_the_arms_lifts_the_hands() -> None:
     weights = neutral_shape().weights
     angles = [measure(build_body(BodyShape(weights, angle))).arm_pose_angle for angle in (-0.2, 0.0, 0.2)]
     assert np.diff(angles) == pytest.approx([-0.2, -0.2], abs=0.01)
+
+
+def test_arms_are_level_in_the_t_pose() -> None:
+    """Forearm and upper arm alike, and the trunk stays as it is."""
+    weights = neutral_shape().weights
+    arms = [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value]
+    standing, level = build_body(BodyShape(weights)), build_body(BodyShape(weights, T_POSE))
+    outer = np.isin(level.parts, arms) & (np.abs(level.vertices[:, 0]) > 25.0)
+    assert np.ptp(level.vertices[outer, 1]) < 15.0  # the girth of an arm, and its bend
+    assert np.ptp(level.vertices[:, 0]) == pytest.approx(level.vertices[:, 1].max(), rel=0.08)  # span and height
+    assert abs(np.degrees(measure(level).arm_pose_angle)) < 6.0
+    assert measure(level).waist == pytest.approx(measure(standing).waist, abs=0.01)
 
 
 def test_same_generator_same_body_and_another_one_another() -> None:

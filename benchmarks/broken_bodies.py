@@ -1,0 +1,341 @@
+"""Meshes of bodies that something has happened to, each with the measures that a careful tailor would still take."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from gcd_dataset.generator.body import build_body, draw_shape, measure
+from gcd_dataset.records import Body, BodyPart, Measurements
+
+__all__ = ["KINDS", "BrokenBody", "broken_body", "grown_together"]
+
+SMOOTHING = 10 * (0.5, -0.53)
+"""Steps to and from the neighbours' mean, which take the stairs of cells away and leave the size (Taubin, 1995)."""
+
+
+@dataclass(frozen=True)
+class BrokenBody:
+    """A file's content, and the truth about it."""
+
+    kind: str
+    content: bytes
+    truth: Measurements | None
+    """``None`` where nothing true can be said."""
+
+    def write(self, folder: Path) -> Path:
+        """The file, an OBJ."""
+        path = folder / f"{self.kind}.obj"
+        path.write_bytes(self.content)
+        return path
+
+
+_Mesh = tuple[np.ndarray, np.ndarray]  # vertices [cm], faces
+_Damage = Callable[[Body, np.random.Generator], tuple[_Mesh, Body | None]]
+
+
+def broken_body(kind: str, rng: np.random.Generator) -> BrokenBody:
+    """A drawn body, damaged; ``kind`` is one of ``KINDS``."""
+    body = build_body(draw_shape(rng))
+    # In another order the mesh is not known to be ours, so that its landmarks have to be found.
+    body = replace(body, faces=np.roll(body.faces, 1, axis=0))
+    (vertices, faces), true_body = KINDS[kind](body, rng)
+    content = _obj(vertices, faces)
+    if kind == "truncated file":
+        content = content[: int(rng.uniform(0.0, 0.95) * len(content))]
+    if kind == "empty file":
+        content = b""
+    truth = None if true_body is None else measure(replace(true_body, faces=np.roll(true_body.faces, -1, axis=0)))
+    return BrokenBody(kind, content, truth)
+
+
+def _obj(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    lines = ["v %.9g %.9g %.9g" % tuple(v) for v in vertices] + ["f %d %d %d" % tuple(f) for f in faces + 1]  # noqa: UP031
+    return ("\n".join(lines) + "\n").encode()
+
+
+# ---------------------------------------------------------------------------------------------------------------- skin
+
+
+def _whole(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    return (body.vertices, body.faces), body
+
+
+def _hole(radius: tuple[float, float]) -> _Damage:
+    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+        middle = body.vertices[rng.integers(len(body.vertices))]
+        near = np.linalg.norm(body.vertices - middle, axis=1) < rng.uniform(*radius)
+        return (body.vertices, body.faces[~near[body.faces].any(axis=1)]), body
+
+    return damage
+
+
+def _pinholes(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    return (body.vertices, body.faces[rng.random(len(body.faces)) > 0.01]), body
+
+
+def _some_flipped(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    flipped = rng.random(len(body.faces)) < rng.uniform(0.01, 0.5)
+    return (body.vertices, np.where(flipped[:, None], body.faces[:, ::-1], body.faces)), body
+
+
+def _inward(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    return (body.vertices, body.faces[:, ::-1]), body
+
+
+def _unwelded(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    return (body.vertices[body.faces].reshape(-1, 3), np.arange(body.faces.size).reshape(-1, 3)), body
+
+
+def _renumbered(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    order = rng.permutation(len(body.vertices))
+    return (body.vertices[order], np.argsort(order)[body.faces]), body
+
+
+def _noisy(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    return (body.vertices + rng.normal(0.0, 0.05, body.vertices.shape), body.faces), body
+
+
+def _not_finite(value: float) -> _Damage:
+    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+        vertices = body.vertices.copy()
+        vertices[rng.integers(len(vertices), size=rng.integers(1, 50))] = value
+        return (vertices, body.faces), None
+
+    return damage
+
+
+def _out_of_range(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    faces = body.faces.copy()
+    faces[rng.integers(len(faces))] = len(body.vertices) + 7
+    return (body.vertices, faces), None
+
+
+def _collapsed(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    return (body.vertices * [0.0, 1.0, 0.0], body.faces), None
+
+
+def _spike(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    vertices = body.vertices.copy()
+    vertices[rng.integers(len(vertices))] += rng.uniform(30, 200) * rng.choice([-1, 1]) * np.eye(3)[rng.integers(3)]
+    return (vertices, body.faces), body
+
+
+# ----------------------------------------------------------------------------------------------------- units and turns
+
+
+def _scaled(factor: float, *, known: bool = True) -> _Damage:
+    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+        return (body.vertices * factor, body.faces), body if known else None
+
+    return damage
+
+
+def _turned(*turn: float) -> _Damage:
+    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+        return (body.vertices @ Rotation.from_rotvec(np.radians(turn)).as_matrix().T, body.faces), body
+
+    return damage
+
+
+def _skewed(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    return _turned(*rng.uniform(-25, 25, size=3))(body, rng)
+
+
+def _moved(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    return (body.vertices + rng.uniform(-500, 500, size=3), body.faces), body
+
+
+def _larger(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    larger = replace(body, vertices=body.vertices * rng.choice([0.6, 0.8, 1.1, 1.4]))
+    return (larger.vertices, larger.faces), larger
+
+
+def _squashed(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    squashed = replace(body, vertices=body.vertices * np.exp(rng.uniform(-0.5, 0.5, size=3)))
+    return (squashed.vertices, squashed.faces), squashed
+
+
+# ------------------------------------------------------------------------------------------------- too much, too little
+
+
+def _joined(*meshes: _Mesh) -> _Mesh:
+    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    faces = [faces + offset for (_, faces), offset in zip(meshes, offsets, strict=False)]
+    return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(faces)
+
+
+def _with(shape: trimesh.Trimesh) -> _Mesh:
+    return np.asarray(shape.vertices, float), np.asarray(shape.faces, int)
+
+
+def _two_bodies(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    beside = body.vertices + [rng.choice([-1, 1]) * rng.uniform(20, 90), 0.0, rng.uniform(-20, 20)]
+    return _joined((body.vertices, body.faces), (beside, body.faces)), body
+
+
+def _floor(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    floor = trimesh.creation.box((rng.uniform(60, 200), 2.0, rng.uniform(60, 200)))
+    floor.apply_translation([0.0, -1.0, 0.0])
+    return _joined((body.vertices, body.faces), _with(floor)), body
+
+
+def _scrap(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=rng.uniform(0.5, 12.0))
+    ball.apply_translation(rng.uniform([-60, 5, -40], [60, 190, 40]))
+    return _joined((body.vertices, body.faces), _with(ball)), body
+
+
+def _without(*parts: BodyPart) -> _Damage:
+    def damage(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+        gone = np.isin(body.parts, [part.value for part in parts])
+        return (body.vertices, body.faces[~gone[body.faces].any(axis=1)]), body
+
+    return damage
+
+
+def _upper_half(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    below = body.vertices[:, 1] < rng.uniform(0.2, 0.6) * np.ptp(body.vertices[:, 1])
+    return (body.vertices, body.faces[~below[body.faces].any(axis=1)]), body
+
+
+def _twelve_vertices(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    vertices, faces = _with(trimesh.creation.icosahedron())
+    return (vertices * [20.0, 85.0, 12.0], faces), None
+
+
+def _no_body(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    shapes = (
+        trimesh.creation.icosphere(subdivisions=4, radius=85.0),
+        trimesh.creation.box((50.0, 170.0, 30.0)).subdivide().subdivide().subdivide().subdivide(),
+        trimesh.creation.cylinder(20.0, 170.0, sections=1000),
+        trimesh.creation.torus(60.0, 20.0),
+    )
+    return _with(shapes[rng.integers(len(shapes))]), None
+
+
+# ------------------------------------------------------------------------------------------------------ grown together
+
+
+def _arms_down(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    shape = replace(draw_shape(rng), arm_angle=-np.radians(rng.uniform(32, 42)))
+    return grown_together(build_body(shape), rng.uniform(1.2, 2.0)), None
+
+
+def _fused(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
+    return grown_together(body, rng.uniform(0.6, 0.8)), body
+
+
+def grown_together(body: Body, cell: float) -> _Mesh:
+    """The body as a scanner that fuses depth pictures gives it: skin about filled cells of ``cell`` cm, one a vertex.
+
+    Surface nets (Gibson, 1998) on the solid cells; parts that touch grow together.
+    """
+    low = body.vertices.min(axis=0) - 2 * cell
+    shape = np.ceil((body.vertices.max(axis=0) + 2 * cell - low) / cell).astype(int)
+    solid = _filled(body, low, shape, cell)
+    quads, corners = [], np.full(tuple(shape + 1), -1)
+    for axis in range(3):
+        beyond = np.roll(solid, -1, axis=axis)
+        for inside, flip in ((solid & ~beyond, False), (~solid & beyond, True)):
+            at = np.argwhere(inside)
+            u, v = np.eye(3, dtype=int)[(axis + 1) % 3], np.eye(3, dtype=int)[(axis + 2) % 3]
+            base = at + np.eye(3, dtype=int)[axis]
+            quad = np.stack([base, base + u, base + u + v, base + v], axis=1)
+            quads.append(quad[:, ::-1] if flip else quad)
+    grid = np.concatenate(quads)
+    keys, index = np.unique(grid.reshape(-1, 3), axis=0, return_inverse=True)
+    faces4 = index.reshape(-1, 4)
+    corners = low + keys * cell
+    for share in SMOOTHING:
+        corners = _smoothed(corners, faces4, share)
+    return corners, np.concatenate([faces4[:, [0, 1, 2]], faces4[:, [0, 2, 3]]])
+
+
+def _smoothed(corners: np.ndarray, quads: np.ndarray, share: float) -> np.ndarray:
+    sides = np.stack([quads, np.roll(quads, -1, axis=1)], axis=-1).reshape(-1, 2)
+    ends = np.concatenate([sides, sides[:, ::-1]])
+    count = np.bincount(ends[:, 0], minlength=len(corners))[:, None]
+    mean = np.stack([np.bincount(ends[:, 0], corners[ends[:, 1], i], len(corners)) for i in range(3)], axis=1) / count
+    return corners + share * (mean - corners)
+
+
+def _filled(body: Body, low: np.ndarray, shape: np.ndarray, cell: float) -> np.ndarray:
+    """Which cells have their middle inside: an odd number of skins in front of it, or a signed sum that is not 0."""
+    corners = body.vertices[body.faces]
+    depth = np.zeros(tuple(shape), int)
+    nx, _, nz = shape
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    for x in range(nx):
+        px = low[0] + (x + 0.5) * cell
+        near = (corners[:, :, 0].min(axis=1) <= px) & (corners[:, :, 0].max(axis=1) > px)
+        for i in np.flatnonzero(near):
+            y0, y1 = corners[i, :, 1].min(), corners[i, :, 1].max()
+            rows = np.arange(
+                max(int(np.ceil((y0 - low[1]) / cell - 0.5)), 0), int(np.floor((y1 - low[1]) / cell - 0.5)) + 1
+            )
+            if not len(rows):
+                continue
+            py = low[1] + (rows + 0.5) * cell
+            d = (b[i, 0] - a[i, 0]) * (c[i, 1] - a[i, 1]) - (c[i, 0] - a[i, 0]) * (b[i, 1] - a[i, 1])
+            if d == 0:
+                continue
+            s = ((px - a[i, 0]) * (c[i, 1] - a[i, 1]) - (c[i, 0] - a[i, 0]) * (py - a[i, 1])) / d
+            t = ((b[i, 0] - a[i, 0]) * (py - a[i, 1]) - (px - a[i, 0]) * (b[i, 1] - a[i, 1])) / d
+            hit = (s >= 0) & (t > 0) & (s + t <= 1)
+            z = a[i, 2] + s * (b[i, 2] - a[i, 2]) + t * (c[i, 2] - a[i, 2])
+            for row, height in zip(rows[hit], z[hit], strict=True):
+                first = int(np.clip(np.ceil((height - low[2]) / cell - 0.5), 0, nz))
+                depth[x, row, first:] += -1 if d > 0 else 1
+    return depth > 0
+
+
+KINDS: Mapping[str, _Damage] = {
+    "whole": _whole,
+    "pinholes": _pinholes,
+    "small hole": _hole((1.0, 3.0)),
+    "large hole": _hole((4.0, 15.0)),
+    "some faces flipped": _some_flipped,
+    "faces inward": _inward,
+    "unwelded": _unwelded,
+    "renumbered": _renumbered,
+    "noisy": _noisy,
+    "not a number": _not_finite(np.nan),
+    "infinite": _not_finite(np.inf),
+    "face out of range": _out_of_range,
+    "collapsed": _collapsed,
+    "spike": _spike,
+    "metres": _scaled(0.01),
+    "millimetres": _scaled(10.0),
+    "inches": _scaled(1 / 2.54, known=False),
+    "kilometres": _scaled(1e-5, known=False),
+    "on its back": _turned(-90, 0, 0),
+    "on its face": _turned(90, 0, 0),
+    "on its side": _turned(0, 0, 90),
+    "upside down": _turned(0, 0, 180),
+    "facing away": _turned(0, 180, 0),
+    "facing aside": _turned(0, 90, 0),
+    "skewed": _skewed,
+    "moved": _moved,
+    "larger": _larger,
+    "squashed": _squashed,
+    "two bodies": _two_bodies,
+    "on a floor": _floor,
+    "with a scrap": _scrap,
+    "no head": _without(BodyPart.HEAD, BodyPart.INTERNAL),
+    "no arm": _without(BodyPart.RIGHT_ARM),
+    "no leg": _without(BodyPart.LEFT_LEG),
+    "no hands": _without(BodyPart.HANDS),
+    "no feet": _without(BodyPart.FEET),
+    "upper half": _upper_half,
+    "twelve vertices": _twelve_vertices,
+    "no body": _no_body,
+    "arms grown to the trunk": _arms_down,
+    "fused": _fused,
+    "empty file": _whole,
+    "truncated file": _hole((0.0, 0.0)),
+}
+"""What happened, by name."""

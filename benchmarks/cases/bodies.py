@@ -1,0 +1,227 @@
+"""Bodies: what one costs, whether those drawn are the people of a survey, and whether cloth can be hung on them.
+
+A third of the bodies is drawn from the pooled shape space, a third are women, a third men; each stands with its legs
+straight and with its legs apart. Women and men are held against ANSUR II, measure by measure in the survey's own
+definitions (``generator/data/survey.json``): a row of the table each. "within" counts the measures whose mean differs
+by 2 % at most, or whose standard deviation by 10 %; neck, shoulder width and arm length are defined otherwise there, so
+only their variation is compared. As in a survey all stand alike, arms in the A-pose. ``failed`` counts bodies with a
+measure that is not a positive number, ``crossing`` those whose trunk, arms or legs pass through themselves or each
+other, ``clearance`` is the gap between arm and trunk 3 cm below the underarm point.
+"""
+
+import argparse
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from benchmarks.cases.figures import Figure, Measured
+from benchmarks.skin import skin_crossings
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.body import build_body, draw_shape, measure
+from gcd_dataset.generator.body.clearance import arm_clearance
+from gcd_dataset.generator.body.population import SEXES
+from gcd_dataset.generator.body.survey import Survey, survey_measures, survey_of
+from gcd_dataset.records import ANGLES, MEASURES, Body, BodyShape, Measurements
+from gcd_dataset.seeding import Stage, rng
+
+__all__ = ["add_arguments", "run"]
+
+KINDS = (None, *SEXES)
+MEAN_WITHIN, SD_WITHIN = 0.02, 0.10
+FOLLOW_HEIGHT = {"weight": "weight", "navel_girth": "waist", "hips": "hips"}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One body in both poses."""
+
+    sex: str | None
+    mesh_seconds: float
+    measure_seconds: float
+    taken: Mapping[str, float]
+    """The survey's measures [cm, kg]."""
+    failed: bool
+    crossings: int
+    clearance: float
+    """[cm]"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the case."""
+    parser.add_argument("--count", type=int, default=600, help="bodies")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--plot", type=Path, help="PNG of the histograms over the published distributions")
+
+
+def run(options: argparse.Namespace) -> Measured:
+    """Draw, build, measure. Raises ``ConfigError`` for too few bodies to have a spread."""
+    if options.count < 2 * len(KINDS):
+        raise ConfigError(f"count is {options.count}: give {2 * len(KINDS)} or more, two of each kind")
+    draw(options.seed, 0)  # loads the asset and compiles the kernel
+    people = [draw(options.seed, number) for number in range(options.count)]
+    values = {sex: _values(people, sex) for sex in SEXES}
+    if options.plot:
+        _plot(values, options.plot)
+    figures = [*_costs(people), *_population(values), *_soundness(people)]
+    return Measured(figures, [row for sex in SEXES for row in _rows(sex, values[sex])])
+
+
+def draw(seed: int, number: int) -> Drawn:
+    """Body ``number``: pooled, female and male by turns."""
+    sex = KINDS[number % len(KINDS)]
+    shape = draw_shape(rng(seed, number, Stage.BODY), sex=sex)
+    begun = time.process_time()
+    body = build_body(shape)
+    built = time.process_time()
+    size = measure(body)
+    measured = time.process_time()
+    apart = build_body(replace(shape, legs_apart=True))
+    return Drawn(
+        sex=sex,
+        mesh_seconds=built - begun,
+        measure_seconds=measured - built,
+        taken=_surveyed(shape),
+        failed=_is_failed(size) or _is_failed(measure(apart)),
+        crossings=skin_crossings(body) + skin_crossings(apart),
+        clearance=_least_clearance(body, apart),
+    )
+
+
+def _surveyed(shape: BodyShape) -> Mapping[str, float]:
+    """The survey's measures; raised arms lift the shoulders, so for them all stand with the arms alike."""
+    body = build_body(replace(shape, arm_angle=0.0))
+    return survey_measures(body, measure(body))
+
+
+def _is_failed(size: Measurements) -> bool:
+    lengths = np.array([getattr(size, name) for name in MEASURES if name not in ANGLES])
+    angles = np.array([getattr(size, name) for name in ANGLES])
+    return not (np.isfinite(angles).all() and (lengths > 0).all())
+
+
+def _least_clearance(*poses: Body) -> float:
+    return min(arm_clearance(body) for body in poses)
+
+
+# ------------------------------------------------------------------------------------------------------------- figures
+
+
+def _costs(people: Sequence[Drawn]) -> list[Figure]:
+    return [
+        Figure("mesh_cpu_ms", 1e3 * float(np.mean([p.mesh_seconds for p in people])), "ms, shape to posed mesh"),
+        Figure("measure_cpu_ms", 1e3 * float(np.mean([p.measure_seconds for p in people])), "ms, all 26 measures"),
+    ]
+
+
+def _soundness(people: Sequence[Drawn]) -> list[Figure]:
+    clearance = np.array([p.clearance for p in people])
+    return [
+        Figure("bodies", len(people), "in two poses each"),
+        Figure("failed", sum(p.failed for p in people), "bodies with a measure that failed"),
+        Figure("crossing", sum(p.crossings > 0 for p in people), "bodies that pass through themselves"),
+        Figure("clearance_min", float(clearance.min()), "cm"),
+        Figure("clearance_p1", float(np.quantile(clearance, 0.01)), "cm"),
+        Figure("clearance_under_1cm", int((clearance < 1.0).sum()), "bodies"),
+    ]
+
+
+def _population(values: Mapping[str, Float[np.ndarray, "n m"]]) -> list[Figure]:
+    figures = []
+    for sex, found in values.items():
+        survey = survey_of(sex)
+        means, sds = _differences(survey, found)
+        comparable = np.isfinite(means)
+        figures += [
+            Figure(
+                f"{sex}_means", int((np.abs(means[comparable]) <= MEAN_WITHIN).sum()), f"of {comparable.sum()} within"
+            ),
+            Figure(f"{sex}_sds", int((np.abs(sds) <= SD_WITHIN).sum()), f"of {len(sds)} within"),
+        ]
+        for name, called in FOLLOW_HEIGHT.items():
+            own, published = _correlation(survey, found, name)
+            figures.append(Figure(f"{sex}_height_{called}", own, f"correlation, published {published:.3f}"))
+        figures.append(Figure(f"{sex}_correlation_rms", _correlation_rms(survey, found), "off the published ones"))
+    return figures
+
+
+def _values(people: Sequence[Drawn], sex: str) -> Float[np.ndarray, "n m"]:
+    """The survey's measures of everybody of a sex."""
+    return np.array([[p.taken[name] for name in survey_of(sex).measures] for p in people if p.sex == sex])
+
+
+def _differences(survey: Survey, found: Float[np.ndarray, "n m"]) -> tuple[np.ndarray, np.ndarray]:
+    """Means and standard deviations over the published ones, minus one; NaN for means that do not compare."""
+    means = np.where(np.isfinite(survey.tolerance), found.mean(axis=0) / survey.mean - 1, np.nan)
+    return means, found.std(axis=0, ddof=1) / survey.sd - 1
+
+
+def _correlation(survey: Survey, found: Float[np.ndarray, "n m"], name: str) -> tuple[float, float]:
+    height, other = (survey.measures.index(measure) for measure in ("height", name))
+    published = survey.correlation[survey.correlated.index("height"), survey.correlated.index(name)]
+    return float(np.corrcoef(found[:, height], found[:, other])[0, 1]), float(published)
+
+
+def _correlation_rms(survey: Survey, found: Float[np.ndarray, "n m"]) -> float:
+    columns = [survey.measures.index(name) for name in survey.correlated]
+    off = np.corrcoef(found[:, columns].T) - survey.correlation
+    return float(np.sqrt((off[np.triu_indices(len(off), 1)] ** 2).mean()))
+
+
+def _rows(sex: str, found: Float[np.ndarray, "n m"]) -> list[dict[str, Any]]:
+    survey = survey_of(sex)
+    means, sds = _differences(survey, found)
+    own = zip(found.mean(axis=0), found.std(axis=0, ddof=1), strict=True)
+    return [
+        {
+            "sex": sex,
+            "measure [cm, kg]": name,
+            "published mean": f"{survey.mean[i]:.2f}",
+            "mean": f"{mean:.2f}",
+            "off": f"{means[i]:+.1%}" if np.isfinite(means[i]) else "defined otherwise",
+            "published sd": f"{survey.sd[i]:.2f}",
+            "sd": f"{sd:.2f}",
+            "sd off": f"{sds[i]:+.1%}",
+        }
+        for i, (name, (mean, sd)) in enumerate(zip(survey.measures, own, strict=True))
+    ]
+
+
+# ---------------------------------------------------------------------------------------------------------------- plot
+
+COLOURS = {"female": "#b5446e", "male": "#3a6ea5"}
+
+
+def _plot(values: Mapping[str, Float[np.ndarray, "n m"]], path: Path) -> None:
+    """Histograms of what was drawn over the survey's normal curves; where definitions differ the curve is moved."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Page
+
+    names = survey_of(SEXES[0]).measures
+    page = Page(figsize=(13, 11), layout="constrained")
+    FigureCanvasAgg(page)
+    for index, (name, axes) in enumerate(zip(names, page.subplots(4, 5).flat, strict=False)):
+        for sex, found in values.items():
+            _plot_one(axes, survey_of(sex), found[:, index], index, sex)
+        axes.set_title(f"{name} [{'kg' if name == 'weight' else 'cm'}]", fontsize=9)
+        axes.set_yticks([])
+        axes.tick_params(labelsize=7)
+    page.axes[len(names)].axis("off")
+    page.axes[0].legend(fontsize=7)
+    page.suptitle(
+        "Drawn bodies (bars) and ANSUR II (curves; dashed: defined otherwise, moved to our mean)", fontsize=11
+    )
+    page.savefig(path, dpi=80)
+
+
+def _plot_one(axes: Any, survey: Survey, found: Float[np.ndarray, " n"], index: int, sex: str) -> None:
+    comparable = bool(np.isfinite(survey.tolerance[index]))
+    mean, sd = (survey.mean[index] if comparable else found.mean()), survey.sd[index]
+    at = np.linspace(mean - 4 * sd, mean + 4 * sd, 120)
+    axes.hist(found, bins=25, density=True, color=COLOURS[sex], alpha=0.35)
+    curve = np.exp(-(((at - mean) / sd) ** 2) / 2) / (sd * np.sqrt(2 * np.pi))
+    axes.plot(at, curve, "-" if comparable else "--", color=COLOURS[sex], lw=1.2, label=sex)

@@ -1,0 +1,45 @@
+"""Whether a body's skin passes through itself."""
+
+import functools
+
+import numpy as np
+import warp as wp
+from jaxtyping import Int
+
+from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
+from gcd_dataset.generator.body.subdivide import unique_edges
+from gcd_dataset.generator.drape.device import resolve_device
+from gcd_dataset.generator.drape.kernels.crossing import count_self_crossings
+from gcd_dataset.records import Body
+
+__all__ = ["skin_crossings"]
+
+
+def skin_crossings(body: Body) -> int:
+    """Edges of trunk, arms and legs of a body of ours that pass through the skin. Heads, hands and feet are folded."""
+    faces, edges = _skin()
+    corners = body.vertices[faces].astype(np.float32)
+    device = resolve_device("cpu")
+
+    def vectors(points: np.ndarray) -> wp.array:
+        return wp.array(points, dtype=wp.vec3, device=device)
+
+    # The drape's kernel, for one world. The tree is named: the kernel knows its number, which keeps nothing alive.
+    bvh = wp.Bvh(vectors(corners.min(axis=1)), vectors(corners.max(axis=1)), groups=_zeros(len(faces), device))
+    integers = [wp.array(edges, dtype=wp.vec2i, device=device), wp.array(faces, dtype=wp.vec3i, device=device)]
+    count = _zeros(1, device)
+    inputs = [_zeros(len(body.vertices), device), *integers, bvh.id, vectors(body.vertices)]
+    wp.launch(count_self_crossings, dim=len(edges), inputs=inputs, outputs=[count], device=device)
+    return int(count.numpy()[0])
+
+
+def _zeros(count: int, device: str) -> wp.array:
+    return wp.zeros(count, dtype=int, device=device)
+
+
+@functools.cache
+def _skin() -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, "e 2"]]:
+    model = body_model()
+    folded = np.isin(model.parts, [part.value for part in COARSE_PARTS])
+    faces = model.faces[~folded[model.faces].any(axis=1)]
+    return faces, unique_edges(faces)[0]

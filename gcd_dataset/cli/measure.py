@@ -1,0 +1,36 @@
+"""The text that ``gcd measure`` prints: a measurement file whose comments say how the measures were found."""
+
+from pathlib import Path
+
+from gcd_dataset.bodyfiles import measurements_text
+from gcd_dataset.errors import shown
+from gcd_dataset.generator.body import build_body
+from gcd_dataset.generator.body.files import measure_file
+from gcd_dataset.generator.body.measuring import measure_closely
+from gcd_dataset.generator.body.named import shape_by_name
+from gcd_dataset.generator.body.tailor import Taken
+
+__all__ = ["measured_text"]
+
+
+def measured_text(body: str, landmarks: Path | None = None, segmentation: Path | None = None) -> str:
+    """The measures of a mesh file or of a body of ours by name. Raises ``BodyError``.
+
+    Ours are measured in the A-pose with legs straight.
+    """
+    shape = shape_by_name(body, legs_apart=False)
+    if shape is None:
+        taken, remarks = measure_file(body, landmarks, segmentation)
+    else:
+        taken, remarks = measure_closely(build_body(shape, name=body)), ["our own mesh: landmarks known by vertex"]
+    comments = [f"measures of {shown(body)} [cm, degrees]", *remarks, *_border_remarks(taken)]
+    return "".join(f"# {comment}\n" for comment in comments) + measurements_text(taken.measurements)
+
+
+def _border_remarks(taken: Taken) -> list[str]:
+    """One line a girth whose search ended on its border."""
+    return [
+        f"{girth}: taken at {taken.levels[girth]:.1f} cm, {abs(by):.0f} cm {'above' if by > 0 else 'below'} where it "
+        f"was looked for, {'where the legs part' if girth == 'leg_circ' else 'at the end of the search'}"
+        for girth, by in taken.at_border.items()
+    ]

@@ -1,0 +1,69 @@
+"""Work shared out over processes that end with this one."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from itertools import islice
+from multiprocessing.connection import Connection
+from typing import TypeVar
+
+from gcd_dataset.errors import GcdError
+
+__all__ = ["side_by_side"]
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+AHEAD = 2  # tasks in work for each process, so that none waits for the writer
+
+
+def side_by_side(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
+    """The results of the tasks, in order, from ``workers`` processes. Raises ``GcdError`` where one is killed."""
+    waiting = iter(tasks)
+    with _processes(workers) as pool:
+
+        def submitted(count: int) -> Iterator[Future[Result]]:
+            return (pool.submit(work, task) for task in islice(waiting, count))
+
+        at_work = deque(submitted(AHEAD * workers))
+        while at_work:
+            yield _result(at_work.popleft())
+            at_work.extend(submitted(1))
+
+
+def _result(task: Future[Result]) -> Result:
+    try:
+        return task.result()
+    except BrokenProcessPool as error:
+        raise GcdError("a worker process was killed, by lack of memory perhaps: go on with fewer --workers") from error
+
+
+@contextmanager
+def _processes(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that leave Ctrl-C to this one, and that end with the block, or with this process however it ends."""
+    # Not forked: threads that Warp or torch may have started here would not live on there.
+    context = multiprocessing.get_context("spawn")
+    lifeline, held = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(lifeline,))
+    try:
+        yield pool
+    finally:
+        held.close()
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin(lifeline: Connection) -> None:
+    """In a worker: leave interrupts to the parent, and end when it lets go of its end of the lifeline."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+
+
+def _end_with(lifeline: Connection) -> None:
+    lifeline.poll(None)
+    os._exit(1)

@@ -1,0 +1,206 @@
+"""A set of bodies in shards: a person as the files of ``BODIES``, and back; the mesh of all of them beside the shards.
+
+=================  =====================================================================================================
+``meta.json``      schema, key, index, seed, versions, recipe and its hash; name of the person; arm_angle: how far both
+                   arms are raised from the A-pose [rad]; CRC-32 of every other member
+``measures.json``  the tailor's measures: cm, inclinations in degrees, as in a GarmentCode measurement file
+``body.npy``       f64 [k]: weights of the body's shape components [standard deviations]
+``straight.npy``   f32 [v, 3]: vertex positions with the legs straight [cm]
+``apart.npy``      f32 [v, 3]: the same vertices with the legs apart
+=================  =====================================================================================================
+
+``mesh-train.npz`` holds faces, u16 or u32 [f, 3], and parts, u8 [v], without rows where they are not known. Its hash is
+part of the recipe, so that no set is gone on with on another mesh.
+
+Vertices are stored, 600 kB a person, and not built from the weights on the way in: that costs 8 CPU-ms against 0.3, and
+whoever reads the shards would need the body model of the very version that wrote them.
+"""
+
+import contextlib
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from gcd_dataset import __version__
+from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
+from gcd_dataset.errors import ShardError
+from gcd_dataset.files import write_whole
+from gcd_dataset.records import BodyShape, Measurements
+from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.shards.codec import read_json
+from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
+from gcd_dataset.shards.npy import read_npy, write_npy
+from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
+
+__all__ = ["MEMBER_OF", "BodyWriter", "decode_fields", "decode_person", "encode_person", "read_mesh"]
+
+MEMBER_OF: Mapping[str, str] = {
+    "name": "meta.json",
+    "arm_angle": "meta.json",
+    "measures": "measures.json",
+    "shape": "body.npy",
+    "straight": "straight.npy",
+    "apart": "apart.npy",
+}
+"""Field of a loaded person to the member it comes from."""
+
+
+# -------------------------------------------------------------------------------------------------------------- writing
+
+
+class BodyWriter:
+    """Writes the people of one split, who share a mesh, into a folder: to be used as ``ShardWriter``, whose rules hold.
+
+    Raises as ``ShardWriter`` does; ``ConfigError`` for a set on another mesh too.
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        mesh: BodyMesh,
+        *,
+        split: str = "train",
+        seed: int,
+        recipe: Mapping[str, Any],
+        versions: Mapping[str, str] | None = None,
+        shard_size: int = SHARD_SIZE,
+    ) -> None:
+        self._mesh, self._recipe = mesh, {**recipe, "mesh": mesh.sha256}
+        self._origin = {"seed": seed, "versions": {"gcd_dataset": __version__, **(versions or {})}}
+        with contextlib.ExitStack() as on_error:
+            self._shards = on_error.enter_context(
+                ShardWriter(folder, split=split, seed=seed, recipe=self._recipe, shard_size=shard_size, layout=BODIES)
+            )
+            _keep_mesh(Path(folder) / mesh_name(split), mesh)
+            on_error.pop_all()
+
+    @property
+    def done(self) -> frozenset[int]:
+        """Indices of the people who are whole on disk."""
+        return self._shards.done
+
+    def write(self, index: int, person: Person) -> None:
+        """Add a person. Raises as ``ShardWriter.add`` does, and ``ShardError`` for one on another mesh."""
+        for pose in POSES:
+            if len(getattr(person, pose)) != self._mesh.n_vertices:
+                raise ShardError(
+                    f"person {person.name} cannot be stored: {len(getattr(person, pose))} vertices {pose}, the mesh of "
+                    f"this set has {self._mesh.n_vertices}"
+                )
+        self._shards.add(index, encode_person(person, {**self._origin, "index": index, "recipe": self._recipe}))
+
+    def close(self) -> None:
+        """Make whole shards of those still open, and write the index. Raises ``OutputError``."""
+        self._shards.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._shards.__exit__(kind, error, trace)
+
+
+def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]:
+    """The members of a person; ``origin``: index, seed, recipe and versions it was made with.
+
+    The same person gives the same bytes. Raises ``ShardError`` for what is no number.
+    """
+    try:
+        content = _content(person)
+        meta = {
+            "schema": SCHEMA,
+            "key": key_of(origin["index"]),
+            **origin,
+            "recipe_sha256": recipe_hash(origin["recipe"]),
+            "name": person.name,
+            "arm_angle": person.shape.arm_angle,
+            "crc32": {member: zlib.crc32(data) for member, data in content.items()},
+        }
+        return {"meta.json": _json(meta), **content}
+    except (ShardError, ValueError) as error:
+        raise ShardError(f"person {person.name} cannot be stored: {error}") from error
+
+
+def _content(person: Person) -> dict[str, bytes]:
+    """All members but the first."""
+    arrays = {"body": np.asarray(person.shape.weights, float)}
+    arrays |= {pose: np.asarray(getattr(person, pose), np.float32) for pose in POSES}
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise ShardError(f"{name} holds what is no number")
+    content = {f"{name}.npy": write_npy(array) for name, array in arrays.items()}
+    return {"measures.json": _json(person.measurements.to_file_values()), **content}
+
+
+def _keep_mesh(path: Path, mesh: BodyMesh) -> None:
+    """Keep the mesh as ``path``, unless it is there. Raises ``OutputError``."""
+    file = io.BytesIO()
+    faces = np.asarray(mesh.faces, np.uint16 if mesh.n_vertices <= 1 << 16 else np.uint32)
+    np.savez(file, faces=faces, parts=np.zeros(0, np.uint8) if mesh.parts is None else mesh.parts)
+    with reading(path):
+        there = path.read_bytes() if path.exists() else b""
+    if there != file.getvalue():
+        write_whole(path, file.getvalue())
+
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
+
+
+# -------------------------------------------------------------------------------------------------------------- reading
+
+
+def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str]) -> dict[str, Any]:
+    """Field name to value as stored: name, arm_angle [rad], measures in the order of ``MEASURES``, arrays.
+
+    Raises ``ShardError`` with the member's name for content that is not what it should be.
+    """
+    found = {member: _decoded(member, members[member]) for member in {MEMBER_OF[field] for field in fields}}
+    values = {field: found[MEMBER_OF[field]] for field in fields}
+    for field in values.keys() & {"name", "arm_angle"}:
+        values[field] = values[field][field]
+    if "measures" in values:
+        values["measures"] = measure_row(Measurements.from_file_values(values["measures"]))
+    return values
+
+
+def decode_person(members: Mapping[str, Bytes]) -> Person:
+    """The person that was encoded. Raises ``ShardError`` for content that is not what it should be."""
+    value = decode_fields(members, ("name", "arm_angle", "shape", *POSES))
+    return Person(
+        name=value["name"],
+        shape=BodyShape(value["shape"], value["arm_angle"]),
+        straight=value["straight"],
+        apart=value["apart"],
+        measurements=Measurements.from_file_values(_decoded("measures.json", members["measures.json"])),
+    )
+
+
+def read_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
+    """The mesh of a split. Raises ``ShardError`` for a missing or broken file, or a mesh of another hash."""
+    path = folder / mesh_name(split)
+    try:
+        with reading(path), np.load(path, allow_pickle=False) as file:
+            faces, parts = file["faces"].astype(np.int32), file["parts"]
+        mesh = BodyMesh(faces, parts if len(parts) else None)
+    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ShardError(f"{path}: not the mesh of a body set ({error}): {REMEDY}") from error
+    if mesh.sha256 != sha256:
+        raise ShardError(f"{path}: not the mesh of these bodies: {REMEDY}")
+    return mesh
+
+
+def _decoded(member: str, data: Bytes) -> Any:
+    try:
+        return read_json(data) if member.endswith(".json") else read_npy(data)
+    except ShardError as error:
+        raise ShardError(f"member {member}: {error}: {REMEDY}") from error

@@ -1,0 +1,121 @@
+"""What forbids to measure a mesh, although a body was found in it: parts without skin, strange things, merged limbs."""
+
+import numpy as np
+from jaxtyping import Int, UInt8
+from scipy.spatial import cKDTree
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.generator.body.marks import Marks
+from gcd_dataset.generator.body.register import Registration
+from gcd_dataset.generator.body.scan import Scan
+from gcd_dataset.generator.body.section import loops, outline, section
+from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.generator.body.tailor import GIRTHS, Sites, Taken, room
+from gcd_dataset.records import BodyPart
+
+__all__ = ["require_body_alone", "require_free_limbs", "require_skin"]
+
+BARE = 3.0  # cm from the model within which a part's skin lies, on the middle of its points
+STRAY = 8.0  # cm from the model at which a surface is no body's
+STRAY_SHARE = 0.02  # of the mesh's area that may be stray: a bun, a heel, a lost scrap
+STICKS_OUT = 6.0  # cm over the model's head or under its soles
+BRIDGED = 3.0  # cm of patch in a tape's way: straight over it the tape is at most 0.1 cm short
+JOINED = 8.0  # cm of arms' outline that may hang together with a girth's section; drawn bodies have none
+TRUNK_LEAST = 20.0  # cm of trunk or legs that make a loop the trunk's
+
+NEEDED = {
+    BodyPart.TRUNK: "the trunk",
+    BodyPart.LEFT_ARM: "the left arm",
+    BodyPart.RIGHT_ARM: "the right arm",
+    BodyPart.LEFT_LEG: "the left leg",
+    BodyPart.RIGHT_LEG: "the right leg",
+    BodyPart.HEAD: "the head",
+    BodyPart.HANDS: "the hands",
+    BodyPart.FEET: "the feet",
+}
+POINT_PLACES = ("nape_of_neck", "neck_right", "shoulder_left", "shoulder_right", "underarm_right", "crotch_point")
+X, Y = 0, 1
+
+
+def require_body_alone(scan: Scan, surface: Surface, registration: Registration, name: str) -> None:
+    """Raise ``BodyError`` where a part of the body is missing, or something else is in the mesh.
+
+    ``surface`` is the scan's, as tall as the model.
+    """
+    parts = body_model().parts
+    for part, words in NEEDED.items():
+        own = parts == part.value
+        # Side by side: of two hands one may be missing.
+        halves = [own & (side * registration.vertices[:, X] > 0) for side in (-1, 1)]
+        off = max(float(np.median(registration.distances[half])) for half in halves if half.any())
+        if off > BARE:
+            raise BodyError(f"{name}: no skin is found where {words} should be, {off:.0f} cm around: give a whole body")
+    corners = surface.corners
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    far = cKDTree(registration.vertices).query(corners.mean(axis=1))[0] > STRAY
+    share = float(area[far & ~scan.patched[surface.owners]].sum() / area.sum())
+    if share > STRAY_SHARE:
+        raise BodyError(
+            f"{name}: {share:.0%} of its surface lies more than {STRAY:.0f} cm off the body in it: "
+            "leave nothing but the body (no floor, chair, loose clothes or second person)"
+        )
+    for end, model, words in (
+        (corners[..., Y].max(), registration.vertices[:, Y].max(), "above the head"),
+        (-corners[..., Y].min(), -registration.vertices[:, Y].min(), "below the soles"),
+    ):
+        if end - model > STICKS_OUT:
+            raise BodyError(f"{name}: something lies {end - model:.0f} cm {words}: leave nothing but the body")
+
+
+def require_skin(scan: Scan, marks: Marks, sites: Sites, taken: Taken, name: str) -> None:
+    """Raise ``BodyError`` where a landmark or a tape lies on a patch over a hole."""
+    patches = scan.faces[scan.patched]
+    if not len(patches):
+        return
+    for point in POINT_PLACES:
+        if marks.confidence[point] == 0:
+            raise BodyError(f"{name}: the {point.replace('_', ' ')} lies in a hole: close the skin there")
+    for girth, level in taken.levels.items():
+        band = sites.thighs if girth == "leg_circ" else sites.bands[girth]
+        _require_bridgeable(scan, _common(patches, band), Y, level, girth, name)
+    _require_bridgeable(scan, _common(patches, sites.spine), X, marks.points["nape_of_neck"][X], "waist_line", name)
+    over_bust = float(marks.rings["bust_line"][:, X].mean())
+    _require_bridgeable(scan, _common(patches, sites.breast), X, over_bust, "waist_over_bust_line", name)
+
+
+def _require_bridgeable(scan: Scan, patches: np.ndarray, axis: int, level: float, measure: str, name: str) -> None:
+    bridged = outline(section(scan.vertices, patches, axis, level)) if len(patches) else 0.0
+    if bridged > BRIDGED * room(scan.vertices):
+        raise BodyError(f"{name}: {measure} runs over {bridged:.0f} cm of hole in the skin: close it")
+
+
+def _common(patches: Int[np.ndarray, "a 3"], band: Int[np.ndarray, "b 3"]) -> Int[np.ndarray, "c 3"]:
+    """The faces of the first that are among the second."""
+    known = {tuple(face) for face in band.tolist()}
+    chosen = [face for face in patches.tolist() if tuple(face) in known]
+    return np.array(chosen, int).reshape(-1, 3)
+
+
+def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], taken: Taken, name: str) -> None:
+    """Raise ``BodyError`` where an arm has grown to the trunk at a girth's level, as in a scan with arms held down."""
+    arms = np.isin(parts, [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value])
+    for girth in GIRTHS:
+        if joined_arm_outline(scan, arms, taken.levels[girth]) > JOINED * room(scan.vertices):
+            raise BodyError(
+                f"{name}: an arm hangs together with the trunk at the level of the {girth}, "
+                f"{taken.levels[girth]:.0f} cm: raise the arms, or part them in the mesh"
+            )
+
+
+def joined_arm_outline(scan: Scan, arms: np.ndarray, level: float) -> float:
+    """Outline of arms in those loops of a level section that are part trunk [cm]."""
+    heights = scan.vertices[scan.faces, Y]
+    cut = scan.faces[(heights.min(axis=1) <= level) & (heights.max(axis=1) > level)]
+    segments = section(scan.vertices, cut, Y, level)
+    of_arm = arms[cut].any(axis=1)
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    loop = loops(segments)
+    trunk_share = np.bincount(loop, weights=length * ~of_arm)
+    arm_share = np.bincount(loop, weights=length * of_arm)
+    return float(arm_share[trunk_share > TRUNK_LEAST * room(scan.vertices)].sum())

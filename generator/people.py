@@ -1,0 +1,36 @@
+"""People for a body set: drawn from the population, standing in both poses, measured."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gcd_dataset.bodies import BodyMesh, Person
+from gcd_dataset.generator.body import build_body, draw_shape, measure
+from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.seeding import Stage, rng
+
+__all__ = ["PEOPLE_RECIPE", "make_person", "own_mesh"]
+
+PEOPLE_RECIPE: dict[str, Any] = {"stage": "body", "bodies": "random"}
+"""What people are made by, beside seed, index and mesh."""
+
+
+def make_person(seed: int, index: int) -> Person:
+    """Person ``index`` of ``seed``: who wears design ``index`` of a data set with random bodies and the same seed."""
+    name = f"random:{seed}:{index}"
+    shape = draw_shape(rng(seed, index, Stage.BODY))
+    straight, apart = build_body(shape, name=name), build_body(replace(shape, legs_apart=True), name=name)
+    return Person(
+        name=name,
+        shape=shape,
+        straight=straight.vertices.astype(np.float32),
+        apart=apart.vertices.astype(np.float32),
+        measurements=measure(straight),
+    )
+
+
+def own_mesh() -> BodyMesh:
+    """The mesh of all our bodies."""
+    model = body_model()
+    return BodyMesh(model.faces, model.parts)

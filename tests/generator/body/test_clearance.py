@@ -1,0 +1,33 @@
+"""Arms that hang clear of the trunk."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gcd_dataset.generator.body import build_body, draw_shape, neutral_shape
+from gcd_dataset.generator.body.clearance import arm_clearance
+from gcd_dataset.records import BodyPart, BodyShape
+from gcd_dataset.seeding import Stage, rng
+
+
+def test_arms_moved_outwards_are_clear_by_so_much_more() -> None:
+    body = build_body(BodyShape(neutral_shape().weights, np.radians(10.0)))
+    arms = np.isin(body.parts, [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value])
+    beside = (np.sign(body.vertices[:, 0]) * arms)[:, None] * [4.0, 0.0, 0.0]
+    moved = arm_clearance(replace(body, vertices=body.vertices + beside)) - arm_clearance(body)
+    assert 3.9 < moved < 4.0 + 1e-9  # the gap also runs a little forward
+
+
+def test_raised_arms_are_further_off() -> None:
+    weights = neutral_shape().weights
+    gaps = [arm_clearance(build_body(BodyShape(weights, np.radians(angle)))) for angle in (-15.0, 0.0, 15.0)]
+    assert 0.0 < gaps[0] < gaps[1] < gaps[2]
+
+
+def test_arms_of_all_who_are_drawn_are_clear_by_a_centimetre() -> None:
+    """Whichever way they were to hang."""
+    for index in range(25):
+        for sex in (None, "female", "male"):
+            shape = draw_shape(rng(13, index, Stage.BODY), sex=sex)
+            assert arm_clearance(build_body(shape)) > 1.0
+            assert abs(shape.arm_angle) <= np.radians(15.0)

@@ -1,0 +1,189 @@
+"""Bodies of which nothing is known: landmarks, parts and measures from the geometry alone."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from benchmarks.broken_bodies import broken_body
+from benchmarks.cases.measures import tolerance
+from gcd_dataset.cli import main
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body import build_body, draw_shape, female_shape, measure, read_body, read_measurements
+from gcd_dataset.generator.body.files import measure_file
+from gcd_dataset.generator.body.marks import read_marks
+from gcd_dataset.generator.body.measuring import Fitted, fit_tape
+from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, Measurements
+from gcd_dataset.seeding import Stage, rng
+
+SAME = 0.2  # cm, degrees: what may change with the mesh of one skin
+
+
+def unknown(body: Body) -> Body:
+    """The same skin with its faces in another order: no mesh of ours."""
+    return replace(body, faces=np.roll(body.faces, 1, axis=0))
+
+
+@cache
+def woman() -> Body:
+    return unknown(build_body(female_shape()))
+
+
+@cache
+def fitted_woman() -> Fitted:
+    return fit_tape(woman().vertices, woman().faces)
+
+
+def off(found: Measurements, known: Measurements) -> dict[str, float]:
+    values, expected = found.to_file_values(), known.to_file_values()
+    return {key: values[key] - expected[key] for key in MEASURES}
+
+
+def too_far(found: Measurements, known: Measurements) -> dict[str, float]:
+    """What lies outside half a centimetre (heights, girths), 1.5 cm (what hangs on a landmark) or 3 degrees."""
+    return {key: by for key, by in off(found, known).items() if abs(by) > tolerance(key)}
+
+
+@pytest.mark.parametrize("name", ["all", "female", "male"])
+def test_the_published_means_have_the_published_measures(name: str, examples: Path) -> None:
+    path = examples / "bodies" / f"mean_{name}.obj"
+    taken, remarks = measure_file(path)
+    assert not too_far(taken.measurements, read_measurements(path.with_suffix(".yaml")))
+    assert "metres" in remarks[0]
+    assert set(taken.at_border) == {"bust", "waist", "hips"}  # as in the publication: see reference, mean bodies
+
+
+@pytest.mark.parametrize("index", [3, 8])
+def test_found_landmarks_give_the_measures_of_known_ones(index: int) -> None:
+    body = build_body(draw_shape(rng(2, index, Stage.BODY)))
+    assert not too_far(measure(unknown(body)), measure(body))
+
+
+def test_found_parts_are_those_of_the_model() -> None:
+    skin = woman().parts != BodyPart.INTERNAL.value
+    assert (fitted_woman().parts == woman().parts)[skin].mean() > 0.99
+
+
+def test_numbering_and_subdivision_do_not_change_a_body() -> None:
+    vertices, faces = woman().vertices, woman().faces
+    order = rng(0, 0, Stage.BODY).permutation(len(vertices))
+    fine = trimesh.remesh.subdivide(vertices, faces)
+    for other in ((vertices[order], np.argsort(order)[faces]), fine):
+        change = off(fit_tape(*other).taken.measurements, fitted_woman().taken.measurements)
+        assert max(map(abs, change.values())) < SAME
+
+
+def test_a_body_scaled_and_moved_has_scaled_measures() -> None:
+    larger = fit_tape(1.1 * woman().vertices + [250.0, -30.0, 80.0], woman().faces).taken.measurements.to_file_values()
+    for key, value in fitted_woman().taken.measurements.to_file_values().items():
+        assert larger[key] == pytest.approx(value if key in ANGLES else 1.1 * value, abs=SAME)
+
+
+def test_our_own_measures_scale_exactly() -> None:
+    body = build_body(female_shape())
+    small, large = measure(body).to_file_values(), measure(replace(body, vertices=1.1 * body.vertices)).to_file_values()
+    for key in MEASURES:
+        assert large[key] == pytest.approx(small[key] * (1.0 if key in ANGLES else 1.1), rel=1e-6)
+
+
+RIGHT = ("some faces flipped", "facing away")
+ERRORS = {
+    "not a number": "no numbers",
+    "collapsed": "with an area",
+    "on a floor": "off the body in it",
+    "no hands": "wrist",
+    "twelve vertices": "20 triangles",
+    "arms grown to the trunk": "hangs together with the trunk",
+    "empty file": "no triangles",
+}
+
+
+@pytest.mark.parametrize("kind", RIGHT)
+def test_damage_that_does_not_matter(kind: str, tmp_path: Path) -> None:
+    made = broken_body(kind, rng(1, RIGHT.index(kind), Stage.BODY))
+    assert made.truth is not None
+    taken, remarks = measure_file(made.write(tmp_path))
+    assert not too_far(taken.measurements, made.truth)
+    assert any("turned" in remark for remark in remarks) == (kind == "facing away")
+
+
+@pytest.mark.parametrize("kind", ERRORS)
+def test_damage_that_forbids_to_measure(kind: str, tmp_path: Path) -> None:
+    path = broken_body(kind, rng(1, list(ERRORS).index(kind), Stage.BODY)).write(tmp_path)
+    with pytest.raises(BodyError, match=ERRORS[kind]) as caught:
+        measure_file(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_body_file_needs_neither_measures_nor_parts(tmp_path: Path) -> None:
+    path = tmp_path / "scan.obj"
+    trimesh.Trimesh(woman().vertices * 10.0, woman().faces, process=False).export(path)
+    body, size = read_body(path)
+    assert np.abs(body.vertices - woman().vertices).max() < 0.01
+    assert size.waist == pytest.approx(measure(build_body(female_shape())).waist, abs=0.1)
+    assert set(np.unique(body.parts)) >= {part.value for part in BodyPart} - {BodyPart.INTERNAL.value}
+    hands = body.vertices[body.parts == BodyPart.LEFT_ARM.value, 0]
+    assert hands.min() > 8.0
+
+
+def test_given_landmarks_take_the_place_of_those_found(tmp_path: Path) -> None:
+    nape = fitted_woman().marks.points["nape_of_neck"]
+    marks = {"nape_of_neck": [0.0, float(nape[1] - 5.0), float(nape[2])], "waist": [[0.0, 100.0, 0.0]]}
+    (tmp_path / "marks.json").write_text(json.dumps(marks))
+    given = read_marks(tmp_path / "marks.json", woman().vertices, 1.0)
+    size = fit_tape(woman().vertices, woman().faces, given=given)
+    assert size.taken.measurements.head_l == pytest.approx(fitted_woman().taken.measurements.head_l + 5.0, abs=0.01)
+    assert size.taken.levels["waist"] == pytest.approx(100.0, abs=2.1)
+    assert size.marks.confidence["nape_of_neck"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("{", "not JSON"),
+        ("[]", "a list: give a map"),
+        ('{"elbow": 3}', "no landmark is called elbow"),
+        ('{"nape_of_neck": 99999999}', "nape_of_neck is 99999999: give a vertex id under"),
+        ('{"nape_of_neck": [1, 2]}', r"nape_of_neck is \[1, 2\]"),
+        ('{"nape_of_neck": [1, 2, NaN]}', "nape_of_neck is"),
+        ('{"nape_of_neck": true}', "nape_of_neck is True"),
+        ('{"waist": 7}', "a ring is a list"),
+        ('{"neck_back": [1, 2]}', "neck_back has 2 points"),
+    ],
+)
+def test_broken_landmark_files(content: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "marks.json"
+    path.write_text(content)
+    with pytest.raises(BodyError, match=said) as caught:
+        read_marks(path, np.zeros((10, 3)), 1.0)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_gcd_measure_writes_what_the_pattern_programs_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["measure", "--shape", "random:3", "--out", str(tmp_path / "a.yaml")]) == 0
+    body = build_body(draw_shape(rng(3, 0, Stage.BODY)))
+    assert read_measurements(tmp_path / "a.yaml").to_file_values() == pytest.approx(measure(body).to_file_values())
+    assert main(["measure", "--shape", "female"]) == 0
+    assert "\n# bust: taken at" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "said"),
+    [
+        ([], 2, "give a mesh file or --shape"),
+        (["a.obj", "--shape", "female"], 2, "one of them"),
+        (["--shape", "female", "--landmarks", "x.json"], 2, "are for a mesh file"),
+        (["nowhere.obj"], 1, "nowhere.obj: cannot be read"),
+        (["--shape", "giant"], 1, "no body named giant"),
+    ],
+)
+def test_wrong_usage_of_gcd_measure(
+    options: list[str], code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["measure", *options]) == code
+    assert said in capsys.readouterr().err

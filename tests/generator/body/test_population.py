@@ -1,0 +1,138 @@
+"""Women and men drawn from the calibrated shape space, and the calibration's closed form."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
+from gcd_dataset.generator.body.calibrate import nearest_covariance
+from gcd_dataset.generator.body.population import FURTHEST, Adults, adults_of, draw_weights
+from gcd_dataset.generator.body.survey import body_weight, survey_measures, survey_of
+from gcd_dataset.records import MEASURES, Body
+from gcd_dataset.seeding import Stage, rng
+from tests.helpers import body_from
+
+PEOPLE = 200
+
+
+def taken(sex: str) -> dict[str, np.ndarray]:
+    bodies = [build_body(draw_shape(rng(3, index, Stage.BODY), sex=sex)) for index in range(PEOPLE)]
+    rows = [survey_measures(body, measure(body)) for body in bodies]
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+@pytest.mark.parametrize("sex", ["female", "male"])
+def test_drawn_adults_are_those_of_the_survey(sex: str) -> None:
+    """Within the targets, plus what 200 people leave to chance."""
+    survey, found = survey_of(sex), taken(sex)
+    assert tuple(found) == survey.measures
+    means = np.array([found[name].mean() for name in survey.measures])
+    sds = np.array([found[name].std() for name in survey.measures])
+    chance = 3 * survey.sd / np.sqrt(PEOPLE)
+    close = np.abs(means - survey.mean) < 0.02 * survey.mean + chance
+    assert close[np.isfinite(survey.tolerance)].sum() >= 12
+    assert (np.abs(sds / survey.sd - 1) < 0.1 + 3 / np.sqrt(2 * PEOPLE)).sum() >= 12
+    for name in ("weight", "navel_girth", "hips"):
+        published = survey.correlation[0, survey.correlated.index(name)]
+        assert np.corrcoef(found["height"], found[name])[0, 1] == pytest.approx(
+            published, abs=0.1 + 3 / np.sqrt(PEOPLE)
+        )
+
+
+def test_every_drawn_adult_can_be_measured() -> None:
+    for index in range(20):
+        for sex in ("female", "male"):
+            size = measure(build_body(draw_shape(rng(8, index, Stage.BODY), sex=sex, legs_apart=True)))
+            assert all(np.isfinite(getattr(size, name)) for name in MEASURES)
+
+
+def test_asking_for_a_sex_changes_nothing_for_those_who_do_not() -> None:
+    assert draw_shape(rng(3, 5, Stage.BODY)) == draw_shape(rng(3, 5, Stage.BODY), sex=None)
+    woman = draw_shape(rng(3, 5, Stage.BODY), sex="female")
+    assert woman == draw_shape(rng(3, 5, Stage.BODY), sex="female")
+    assert woman != draw_shape(rng(3, 5, Stage.BODY), sex="male")
+
+
+def test_an_unknown_sex_is_told_which_there_are() -> None:
+    with pytest.raises(BodyError, match="'Female': give female or male, or None"):
+        draw_shape(rng(0, 0, Stage.BODY), sex="Female")
+
+
+def test_drawn_weights_have_the_mean_and_axes_of_the_adults() -> None:
+    axes = np.diag([2.0, 0.5, 1.0])
+    adults, generator = Adults(np.array([1.0, -2.0, 0.0]), axes), np.random.default_rng(0)
+    drawn = np.array([draw_weights(generator, adults) for _ in range(4000)])
+    assert drawn.mean(axis=0) == pytest.approx(adults.mean, abs=0.1)
+    assert np.cov(drawn.T) == pytest.approx(axes**2, abs=0.2)
+    assert (np.abs(drawn - adults.mean) <= FURTHEST * np.diag(axes) + 1e-12).all()
+
+
+def test_adults_stay_within_what_the_model_can_show() -> None:
+    for sex in ("female", "male"):
+        adults = adults_of(sex)
+        assert np.linalg.norm(adults.axes, axis=0).max() < 2.5  # standard deviations of the model
+        assert np.abs(adults.mean).max() < 4.0
+
+
+# --------------------------------------------------------------------------------------------------------- calibration
+
+
+def test_the_nearest_covariance_keeps_what_nothing_is_asked_of() -> None:
+    """With a prior of one and a condition on the first axis, only that axis changes."""
+    slopes, wanted = np.array([[2.0, 0.0, 0.0]]), np.array([[16.0]])
+    assert nearest_covariance(np.eye(3), [(slopes, wanted)]) == pytest.approx(np.diag([4.0, 1.0, 1.0]))
+
+
+def test_the_nearest_covariance_meets_all_conditions() -> None:
+    generator = np.random.default_rng(2)
+    together, alone = generator.standard_normal((3, 6)), generator.standard_normal((1, 6))
+    root = generator.standard_normal((3, 3))
+    wanted, variance = root @ root.T + np.eye(3), np.array([[2.5]])
+    found = nearest_covariance(np.eye(6), [(together, wanted), (alone, variance)])
+    assert together @ found @ together.T == pytest.approx(wanted, abs=1e-6)
+    assert alone @ found @ alone.T == pytest.approx(variance, abs=1e-6)
+    assert np.linalg.eigvalsh(found).min() > 0
+
+
+# --------------------------------------------------------------------------------------------------------------- survey
+
+
+def test_a_ball_of_a_litre_weighs_a_kilogram() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=(3000 / (4 * np.pi)) ** (1 / 3))
+    assert body_weight(body_from(ball)) == pytest.approx(1.0, rel=2e-3)
+
+
+def test_the_surveys_measures_of_the_neutral_body_make_sense() -> None:
+    body = build_body(neutral_shape())
+    size = measure(body)
+    found = survey_measures(body, size)
+    assert size.waist < found["navel_girth"] < found["hips"]
+    assert 2 * (found["waist_breadth"] + found["waist_depth"]) > found["navel_girth"]
+    assert np.pi * found["waist_depth"] < found["navel_girth"]
+    assert (
+        found["crotch_height"] < found["navel_height"] < found["bust_height"] < found["nape_height"] < found["height"]
+    )
+    assert (
+        found["nape_height"] - found["navel_height"]
+        < found["nape_to_navel"]
+        < 1.1 * (found["nape_height"] - found["navel_height"])
+    )
+    assert size.wrist < found["calf"] < found["thigh"]
+
+
+def test_the_surveys_measures_grow_with_the_body() -> None:
+    body = build_body(neutral_shape())
+    larger = Body(1.1 * body.vertices, body.faces, body.parts)
+    small, large = (survey_measures(each, measure(each)) for each in (body, larger))
+    for name in ("navel_girth", "waist_breadth", "waist_depth", "nape_to_navel", "calf", "bust_depth"):
+        assert large[name] == pytest.approx(1.1 * small[name], rel=1e-6)
+    assert large["weight"] == pytest.approx(1.1**3 * small["weight"])
+
+
+def test_published_correlations_are_correlations() -> None:
+    for sex in ("female", "male"):
+        matrix = survey_of(sex).correlation
+        assert np.array_equal(matrix, matrix.T)
+        assert np.diag(matrix) == pytest.approx(np.ones(len(matrix)))
+        assert np.linalg.eigvalsh(matrix).min() > 0

@@ -1,0 +1,101 @@
+"""Nearest points, patched holes and loops, on shapes where they are known."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body import measures
+from gcd_dataset.generator.body.find import narrowest_ring
+from gcd_dataset.generator.body.geodesic import net_between
+from gcd_dataset.generator.body.scan import Scan
+from gcd_dataset.generator.body.section import girth, loops, outline, section
+from gcd_dataset.generator.body.surface import Surface
+
+
+def torus() -> trimesh.Trimesh:
+    """A ring of radius 20 and thickness 2 · 5, standing in the plane z = 0."""
+    return trimesh.creation.torus(20.0, 5.0, major_sections=256, minor_sections=128)
+
+
+def test_nearest_points_of_a_box_whatever_its_triangles() -> None:
+    box = trimesh.creation.box((40.0, 100.0, 20.0))
+    points = np.array([(30.0, 11.0, 3.0), (1.0, 60.0, 2.0), (25.0, 55.0, 13.0), (19.0, 0.0, 0.0)])
+    near = Surface.of(box.vertices, box.faces).nearest(points)
+    assert near.points == pytest.approx(
+        np.array([(20.0, 11.0, 3.0), (1.0, 50.0, 2.0), (20.0, 50.0, 10.0), (20.0, 0, 0)])
+    )
+    assert near.distances == pytest.approx([10.0, 10.0, np.hypot(np.hypot(5, 5), 3), 1.0])
+    assert np.all(near.faces < len(box.faces))
+
+
+def test_two_loops_of_a_torus_are_told_apart() -> None:
+    shape = torus()
+    cut = section(shape.vertices, shape.faces, 1, 0.01)
+    loop = loops(cut)
+    assert len(np.unique(loop)) == 2
+    for each in (0, 1):
+        assert outline(cut[loop == each]) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
+    assert measures.leg_circ(cut, 0.0) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
+    assert girth(cut[:, 0][:, [0, 2]]) == pytest.approx(2 * np.pi * 5.0 + 80.0, rel=1e-3)  # one tape round both
+
+
+def test_girths_of_an_ellipse_and_a_box() -> None:
+    angle = np.linspace(0.0, 2 * np.pi, 2000, endpoint=False)
+    ellipse = np.stack([15.0 * np.cos(angle), 0.0 * angle, 10.0 * np.sin(angle)], axis=1)
+    ramanujan = np.pi * (3 * 25.0 - np.sqrt((3 * 15.0 + 10.0) * (15.0 + 3 * 10.0)))
+    assert measures.waist(ellipse) == pytest.approx(ramanujan, rel=1e-4)
+    box = np.array([(x, 0.0, z) for x in (-12.0, 12.0) for z in (-7.0, 7.0)])
+    assert measures.hips(box) == pytest.approx(2 * (24.0 + 14.0))
+    left, right = np.array([12.0, 0.0, 0.0]), np.array([-12.0, 0.0, 0.0])
+    assert measures.back_width(box, left, right) == pytest.approx(24.0 + 2 * 7.0)
+
+
+def test_distances_are_taken_in_batches() -> None:
+    points = np.random.default_rng(0).normal(size=(2, 5, 3))
+    assert measures.shoulder_w(*points) == pytest.approx(
+        [measures.shoulder_w(a, b) for a, b in zip(*points, strict=True)]
+    )
+    rings = np.random.default_rng(1).normal(size=(4, 9, 3))
+    assert measures.wrist(rings) == pytest.approx([measures.wrist(ring) for ring in rings])
+
+
+def test_a_way_between_any_two_points_of_a_ball() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=10.0)
+    surface = Surface.of(ball.vertices, ball.faces)
+    start, end = surface.nearest(np.array([(1.0, 9.0, 3.0), (9.0, 1.0, -2.0)])).points
+    net, vertices = net_between(ball.vertices, ball.faces, start, end)
+    angle = np.arccos(start @ end / np.linalg.norm(start) / np.linalg.norm(end))
+    assert net.length(vertices) == pytest.approx(10.0 * angle, rel=0.01)
+
+
+def test_the_narrowest_ring_of_an_hourglass() -> None:
+    y = np.linspace(-10.0, 10.0, 81)
+    turned = np.stack([4.0 + 0.05 * (y - 1.0) ** 2, y], axis=1)
+    glass = trimesh.creation.revolve(turned, sections=200)
+    glass.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
+    angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
+    ring = np.stack([4.0 * np.cos(angle), 0 * angle, 4.0 * np.sin(angle)], axis=1)
+    skin = np.zeros(len(glass.faces), bool)
+    found = narrowest_ring(glass.vertices, glass.faces, ring, np.arange(-6, 7) * 0.5, skin)
+    assert measures.wrist(found) == pytest.approx(2 * np.pi * 4.0, rel=1e-3)
+    assert found[:, 1] == pytest.approx(found[0, 1])
+
+
+def test_a_scan_is_welded_and_its_holes_are_patched() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=50.0)
+    open_faces = ball.faces[ball.vertices[ball.faces][:, :, 1].max(axis=1) < 45.0]
+    scan = Scan.of(ball.vertices[open_faces].reshape(-1, 3), np.arange(open_faces.size).reshape(-1, 3), "ball")
+    mesh = trimesh.Trimesh(scan.vertices, scan.faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert scan.patched.sum() == len(scan.faces) - len(open_faces)
+    corner = ball.vertices[open_faces[5, 1]]
+    assert scan.vertices[scan.source[5 * 3 + 1]] == pytest.approx(corner)
+
+
+def test_a_scan_of_nothing_is_turned_down() -> None:
+    with pytest.raises(BodyError, match="0 triangles with an area"):
+        Scan.of(np.zeros((3, 3)), np.array([[0, 1, 2]]), "flat")
+    with pytest.raises(BodyError, match="names vertex 3 of 3"):
+        Scan.of(np.zeros((3, 3)), np.array([[0, 1, 3]]), "flat")

@@ -1,0 +1,294 @@
+"""Bodies through the door that users take: from shards and from the published folder, the same items."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from gcd_dataset.errors import BodyError, ConfigError, ShardError
+from gcd_dataset.generator.body import build_body, measure
+from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, own_mesh
+from gcd_dataset.generator.pipeline import make
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
+from gcd_dataset.records import MEASURES, BodyPart
+from gcd_dataset.shards import BODIES, BodyWriter
+from tests.shards.people import MESH, fake_person, fill, publish, segmentation
+
+COUNT = 3
+SEED = 5
+
+
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three people of our own in shards."""
+    folder = tmp_path_factory.mktemp("ours")
+    with BodyWriter(folder, own_mesh(), seed=SEED, recipe=PEOPLE_RECIPE) as writer:
+        for index in range(COUNT):
+            writer.write(index, make_person(SEED, index))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def published(ours: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same people in the published layout."""
+    ds = BodyDataset(ours)
+    return publish(tmp_path_factory.mktemp("published") / "5000", [ds.person(i) for i in range(COUNT)], ds.mesh)
+
+
+@pytest.fixture
+def few(tmp_path: Path) -> Path:
+    """Two people of four vertices in the published layout."""
+    return publish(tmp_path / "few", [fake_person(0), fake_person(1)], MESH)
+
+
+def assert_same(item: Mapping[str, Any], other: Mapping[str, Any]) -> None:
+    assert item.keys() == other.keys()
+    for field, value in item.items():
+        if isinstance(value, torch.Tensor):
+            assert value.dtype == other[field].dtype
+            assert torch.equal(value, other[field]), field
+
+
+# --------------------------------------------------------------------------------------------------------------- ours
+
+
+def test_a_shape_builds_the_meshes_that_are_stored(ours: Path) -> None:
+    ds = BodyDataset(ours)
+    for index in range(COUNT):
+        person = ds.person(index)
+        assert person == make_person(SEED, index)
+        assert np.array_equal(person.straight, build_body(person.shape).vertices.astype(np.float32))
+
+
+def test_an_item_holds_what_the_person_is(ours: Path) -> None:
+    ds = BodyDataset(ours)
+    item, person = ds[1], ds.person(1)
+    assert item["name"] == f"random:{SEED}:1"
+    for field in ("straight", "apart"):
+        assert torch.equal(item[field], torch.from_numpy(np.array(getattr(person, field))))
+    assert torch.equal(item["shape"], torch.tensor(person.shape.weights, dtype=torch.float32))
+    assert item["arm_angle"].item() == pytest.approx(person.shape.arm_angle, rel=1e-6)
+    measures = dict(zip(ds.columns, item["measures"].tolist(), strict=True))
+    assert measures == pytest.approx(person.measurements.to_file_values(), rel=1e-6)
+
+
+def test_one_person_has_the_same_measures_in_both_poses(ours: Path) -> None:
+    ds = BodyDataset(ours)
+    for index in range(COUNT):
+        person = ds.person(index)
+        stored = person.measurements.to_file_values()
+        straight = measure(person.body(ds.mesh)).to_file_values()
+        apart = measure(person.body(ds.mesh, legs_apart=True)).to_file_values()
+        assert straight == pytest.approx(stored, abs=0.01)
+        # The legs hang on the pelvis: what is measured above it does not know how they stand.
+        above = (
+            "head_l",
+            "neck_w",
+            "shoulder_w",
+            "shoulder_incl",
+            "arm_length",
+            "wrist",
+            "bust",
+            "waist",
+            "waist_line",
+        )
+        assert {name: apart[name] for name in above} == pytest.approx({name: stored[name] for name in above}, abs=0.02)
+        # Legs of one length, spread, carry the body lower; and feet further apart.
+        assert apart["height"] < straight["height"]
+        feet = np.flatnonzero(ds.mesh.parts == BodyPart.FEET.value)
+        assert np.ptp(person.apart[feet, 0]) > np.ptp(person.straight[feet, 0]) + 4.0
+        assert person.straight[:, 1].min() == person.apart[:, 1].min() == 0.0
+
+
+def test_a_person_is_who_wears_the_design_of_that_number(ours: Path) -> None:
+    sample = make(SEED, 2, MakeConfig(stage="pattern"))
+    person = BodyDataset(ours).person(2)
+    assert sample.shape is not None
+    assert np.array_equal(sample.shape.weights, person.shape.weights)
+    assert sample.provenance.body_name == person.name
+    assert sample.measurements.to_file_values() == pytest.approx(person.measurements.to_file_values(), rel=1e-15)
+
+
+def test_the_mesh_is_there_once(ours: Path) -> None:
+    ds = BodyDataset(ours)
+    assert ds.faces.dtype == torch.int32 and ds.parts is not None
+    assert ds.faces.max() + 1 == len(ds.parts) == len(ds[0]["straight"])
+    inwards = ds[0]["straight"][ds.faces.long()]
+    volume = torch.linalg.det(inwards.double()).sum() / 6
+    assert 40_000 < volume < 150_000  # cm³: a person, faces outwards
+
+
+@pytest.mark.parametrize(("workers", "context"), [(0, None), (2, "fork"), (1, "spawn")])
+def test_a_plain_loader_stacks_people(ours: Path, published: Path, workers: int, context: str | None) -> None:
+    for ds in (BodyDataset(ours), PublishedBodies(published)):
+        (batch,) = DataLoader(ds, batch_size=COUNT, num_workers=workers, multiprocessing_context=context)
+        assert batch["measures"].shape == (COUNT, len(MEASURES))
+        assert batch["apart"].shape == (COUNT, len(ds[0]["apart"]), 3)
+        assert batch["arm_angle"].shape == (COUNT,)
+        for index in range(COUNT):
+            assert_same(ds[index], {field: values[index] for field, values in batch.items()})
+
+
+def test_damage_is_named(tmp_path: Path) -> None:
+    folder = fill(tmp_path, range(2))
+    ds = BodyDataset(folder)
+    place = int(ds._reader.index.table.offset[1, BODIES.members.index("apart.npy")]) + 130
+    shard = bytearray((folder / "train-00000.tar").read_bytes())
+    shard[place] ^= 1
+    (folder / "train-00000.tar").write_bytes(shard)
+    with pytest.raises(ShardError, match=r"sample gcd_000000001, member apart\.npy: bytes differ"):
+        BodyDataset(folder)[1]
+    with pytest.raises(ShardError, match=r"member apart\.npy"):
+        BodyDataset(folder, fields=["straight"]).verify(1)
+    assert BodyDataset(folder, fields=["straight"])[1]["straight"].shape == (4, 3)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", None])
+def test_a_damaged_mesh_is_named(tmp_path: Path, content: bytes | None) -> None:
+    folder, other = fill(tmp_path / "a", range(1)), fill(tmp_path / "b", range(1), mesh=own_mesh_of_four())
+    (folder / "mesh-train.npz").write_bytes((other / "mesh-train.npz").read_bytes() if content is None else content)
+    with pytest.raises(ShardError, match=r"mesh-train\.npz: not the mesh of"):
+        BodyDataset(folder)
+
+
+def own_mesh_of_four() -> Any:
+    return type(MESH)(MESH.faces[:, [1, 2, 0]], MESH.parts)
+
+
+# ---------------------------------------------------------------------------------------------------------- published
+
+
+def test_the_published_layout_gives_the_same_items(ours: Path, published: Path, tmp_path: Path) -> None:
+    shards = BodyDataset(ours)
+    parts = segmentation(tmp_path / "parts.json", shards.mesh)
+    folder = PublishedBodies(published, segmentation=parts)
+    assert len(folder) == len(shards) == COUNT
+    for index in range(COUNT):
+        assert_same(folder[index], shards[index])
+    assert folder.names == tuple(folder[i]["name"] for i in range(COUNT)) == ("00000", "00001", "00002")
+    assert torch.equal(folder.faces, shards.faces)
+    assert folder.parts is not None and shards.parts is not None
+    assert torch.equal(folder.parts, shards.parts)
+    dressed = folder.person(1).body(folder.mesh, legs_apart=True)
+    assert dressed.vertices.dtype == float and len(dressed.vertices) == len(dressed.parts)
+
+
+def test_published_people_go_into_shards_as_they_are(few: Path, tmp_path: Path) -> None:
+    folder = PublishedBodies(few, segmentation=segmentation(tmp_path / "parts.json", MESH))
+    with BodyWriter(tmp_path / "shards", folder.mesh, seed=0, recipe={"published": "few"}) as writer:
+        for index in range(len(folder)):
+            writer.write(index, folder.person(index))
+    for item, other in zip(BodyDataset(tmp_path / "shards"), folder, strict=True):
+        assert_same(item, other)
+
+
+def test_only_what_is_asked_for_is_read(ours: Path, few: Path) -> None:
+    for ds in (BodyDataset(ours, fields=("measures", "name")), PublishedBodies(few, fields=("measures", "name"))):
+        assert list(ds[0]) == ["name", "measures"]
+        assert isinstance(ds, Bodies)
+        with pytest.raises(
+            ConfigError, match="no field waist: there are name, shape, arm_angle, measures, straight, apart"
+        ):
+            type(ds)(few, fields=["waist"])
+        with pytest.raises(IndexError, match="person 7 of"):
+            ds[7]
+    assert PublishedBodies(few, fields=["measures"], transform=lambda item: item["measures"][0])[-1] > 0
+    for path in (few / "meshes").iterdir():
+        path.unlink()
+    assert PublishedBodies(few, fields=["shape"])[0]["shape"].shape == (3,)
+
+
+def test_what_is_missing_is_named(few: Path) -> None:
+    (few / "meshes" / "00001_apart.obj").unlink()
+    with pytest.raises(ShardError, match=r"meshes/00001_apart\.obj: missing, as 1 of 8 files are: extract"):
+        PublishedBodies(few)
+    assert len(PublishedBodies(few, names=["00000"])) == 1
+    assert PublishedBodies(few, fields=["straight"])[1]["straight"].shape == (4, 3)
+    without = PublishedBodies(few, fields=["straight"])
+    assert without.parts is None
+    with pytest.raises(BodyError, match="00000: which vertices are arms and legs is not known"):
+        without.person(0).body(without.mesh)
+
+
+def test_no_such_folder_is_told(tmp_path: Path, few: Path) -> None:
+    archive = tmp_path / "5000_body_shapes_and_measures.tar.gz"
+    archive.write_bytes(b"\x1f\x8b")
+    with pytest.raises(ShardError, match="extract it"):
+        PublishedBodies(archive)
+    with pytest.raises(ShardError, match="neither 5000_body_shapes_and_measures nor a folder that holds it"):
+        PublishedBodies(tmp_path / "nowhere")
+    few.rename(tmp_path / "5000_body_shapes_and_measures")
+    assert len(PublishedBodies(tmp_path)) == 2
+
+
+def edited(path: Path, pattern: str, put: str) -> None:
+    text, count = re.subn(pattern, put, path.read_text(), count=1, flags=re.M)
+    assert count
+    path.write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "put", "told"),
+    [
+        (r"^v (\S+) ", "v nan ", "a position that is no number"),
+        (r"^v (\S+) \S+ \S+", r"v \1", "a vertex that is not three numbers"),
+        (r"^f (.*)$", r"f \1 4", r"a face that is no triangle \(f 1 3 2 4\)"),
+        (r"^f (.*)$", "f 1 2 9", "a face with a vertex that is not one of its 4"),
+        (r"^f (.*)$", "f 1 2 x", "a face without vertex numbers"),
+        (r"^f (.*)$", "f 3 2 1", "not the mesh of 00000_straight.obj, on which everybody should be"),
+        (r"^v (\S+) (\S+) (\S+)$", r"v 0 0 0\nv \1 \2 \3", "not the mesh of"),
+        (r"^v (\S+) (1\.\S+) ", r"v \1 \g<2>e3 ", "m tall: published meshes are in metres"),
+    ],
+)
+def test_a_broken_mesh_is_named(few: Path, pattern: str, put: str, told: str) -> None:
+    edited(few / "meshes" / "00001_apart.obj", pattern, put)
+    with pytest.raises(BodyError, match=rf"00001_apart\.obj: .*{told}"):
+        PublishedBodies(few)[1]
+
+
+def test_faces_may_be_written_in_another_way(few: Path) -> None:
+    before = PublishedBodies(few)[1]
+    path = few / "meshes" / "00001_straight.obj"
+    path.write_text(re.sub(r"^f (\d+) (\d+) (\d+)$", r"f \1/7/7 \2//9 \3", path.read_text(), flags=re.M))
+    assert_same(PublishedBodies(few)[1], before)
+
+
+@pytest.mark.parametrize(
+    ("meta", "told"),
+    [
+        ("{", "no map with pca_weights"),
+        ("[]", "no map with pca_weights"),
+        ('{"pca_weights": [1.0]}', "arm_inclination"),
+        ('{"pca_weights": [], "arm_inclination": 1}', r"pca_weights \[\]"),
+        ('{"pca_weights": [NaN], "arm_inclination": 1}', r"pca_weights \[nan\]"),
+        ('{"pca_weights": [1.0], "arm_inclination": "1"}', "arm_inclination '1'"),
+    ],
+)
+def test_broken_weights_are_named(few: Path, meta: str, told: str) -> None:
+    (few / "meta" / "00001_meta.json").write_text(meta)
+    with pytest.raises(BodyError, match=rf"00001_meta\.json: .*{told}"):
+        PublishedBodies(few, fields=["shape"])[1]
+
+
+def test_the_published_example_is_read(examples: Path) -> None:
+    root = examples / "published" / "GarmentCodeData_v2_unpacked"
+    parts = examples / "bodies" / "ggg_body_segmentation.json"
+    with pytest.raises(ShardError, match="missing"):  # only one of four meshes was unpacked
+        PublishedBodies(root)
+    ds = PublishedBodies(root, fields=("name", "measures", "shape", "straight"), names=["00345"], segmentation=parts)
+    item, height = ds[0], ds.columns.index("height")
+    assert item["straight"].shape == (23752, 3)
+    assert ds.faces.shape == (47500, 3)
+    assert item["measures"][height] == pytest.approx(173.175)
+    assert item["straight"][:, 1].max() == pytest.approx(166.2, abs=0.1)  # cm: the mean woman stands in for this person
+    assert ds.parts is not None
+    assert (ds.parts == BodyPart.LEFT_ARM.value).sum() == 3094
+    everybody = PublishedBodies(root, fields=["measures"])
+    assert everybody.names == ("00345", "00377")
+    assert everybody[1]["measures"][height] == pytest.approx(178.0073)

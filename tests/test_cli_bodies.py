@@ -1,0 +1,51 @@
+"""``gcd generate --stage body`` as a user meets it."""
+
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.cli import main
+from gcd_dataset.loaders import BodyDataset
+from tests.shards.folders import contents
+
+BODIES = ["--stage", "body", "--quiet"]
+
+
+def test_it_goes_on_to_the_bytes_of_one_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, at_once = tmp_path / "data", tmp_path / "at_once"
+    for folder, count, workers in ((out, "2", "0"), (out, "5", "2"), (at_once, "5", "0"), (at_once, "5", "0")):
+        options = ["--count", count, "--seed", "3", "--workers", workers]
+        assert main(["generate", str(folder), *options, *BODIES]) == 0
+    assert [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()] == [
+        "2 bodies in two poses, 2 of them made now",
+        "5 bodies in two poses, 3 of them made now",
+        "5 bodies in two poses, 5 of them made now",
+        "5 bodies in two poses, 0 of them made now",
+    ]
+    assert contents(out) == contents(at_once)
+    assert [item["name"] for item in BodyDataset(out, fields=["name"])] == [f"random:3:{i}" for i in range(5)]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--resolution", "2"], "resolution is for garments"),
+        (["--on-fail", "keep"], "on-fail is for garments"),
+        (["--bodies", "neutral"], "bodies is 'neutral': stage body makes random ones"),
+        (["--count", "0"], "count is 0"),
+    ],
+)
+def test_options_for_garments_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], told: str
+) -> None:
+    assert main(["generate", str(tmp_path / "out"), "--count", "1", *options, *BODIES]) == 2
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_garments_are_not_put_among_bodies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["generate", str(tmp_path), "--count", "1", *BODIES]) == 0
+    before = contents(tmp_path)
+    assert main(["generate", str(tmp_path), "--count", "1", "--stage", "pattern", "--quiet"]) == 1
+    assert "an index of bodies, not of garments" in capsys.readouterr().err
+    assert contents(tmp_path) == before
