@@ -95,7 +95,7 @@ ERRORS = {
     "not a number": "no numbers",
     "collapsed": "with an area",
     "on a floor": "off the body in it",
-    "no hands": "wrist",
+    "no hands": "wrist|hands",
     "twelve vertices": "20 triangles",
     "arms grown to the trunk": "hangs together with the trunk",
     "empty file": "no triangles",
