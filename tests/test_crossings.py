@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import shapely
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from gcd_dataset import crossings
@@ -59,6 +59,7 @@ def test_an_edge_stays_within_its_hull(loop: list[tuple[float, float, Curve]]) -
 
 
 @given(loops)
+@example([(0.0, 0.0, LINE), (-1.5, -3.0, Quadratic((-0.5, 0.0))), (-1.0, -3.5, LINE)])
 def test_what_is_proved_apart_is_apart(loop: list[tuple[float, float, Curve]]) -> None:
     """Pairs without a search meet nowhere but where the second follows the first; edges without one, nowhere."""
     shape = drawn(loop)
@@ -69,8 +70,8 @@ def test_what_is_proved_apart_is_apart(loop: list[tuple[float, float, Curve]]) -
     for i, j in set(combinations(range(len(loop)), 2)) - suspects:
         met = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
         corner = shape.vertices[sorted({i, (i + 1) % len(loop)} & {j, (j + 1) % len(loop)})]
-        assert len(met) <= len(corner) == 1 or not len(met)
-        assert met == pytest.approx(corner[: len(met)], abs=1e-9)
+        assert len(corner) == 1 or not len(met)
+        assert np.abs(met - corner[:1]).max(initial=0) < 1e-9  # one point, which rounding may give twice
 
 
 def test_a_common_outline_is_not_sampled(monkeypatch: pytest.MonkeyPatch) -> None:

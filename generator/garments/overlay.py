@@ -29,7 +29,7 @@ from typing import Any, Self
 from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.parameter import Choice, Space
-from gcd_dataset.generator.garments.space import DesignSpace, Leaf, require_known
+from gcd_dataset.generator.garments.space import DesignSpace, Leaf, leaves, require_known
 from gcd_dataset.tomlfile import read_toml
 
 __all__ = ["NO_OVERLAY", "Overlay", "read_overlay"]
@@ -53,11 +53,16 @@ class Overlay:
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The overlay of nested plain values, as TOML and JSON hold them.
 
-        Raises ``ConfigError`` with the path of a name that no parameter has, or of what it could not be before.
+        Raises ``ConfigError`` with the path of a name that no parameter has, or of what it could not be before, and
+        where no garment is left.
         """
         declared = DesignSpace.declared(OutfitDesign)
         require_known(declared, values)
-        return cls(tuple(_changes(declared, values, "")))
+        overlay = cls(tuple(_changes(declared, values, "")))
+        left = {leaf.path: leaf.space.range for leaf in leaves(overlay.space)}
+        if left["meta.upper"] == left["meta.bottom"] == [None]:
+            raise ConfigError("meta.upper and meta.bottom are both none, so there is no garment: leave one of them in")
+        return overlay
 
     def to_dict(self) -> dict[str, Any]:
         """Nested plain values, which ``from_dict`` reads: for the manifest of a data set."""

@@ -3,38 +3,31 @@
 Each rule is a function of a ``Fitted`` outfit that returns a ``Reject`` or ``None``; ``check_outfit`` asks them all.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Self
 
-import numpy as np
-from jaxtyping import Complex, Float
-
-from gcd_dataset.crossings import edge_hulls, find_crossings
+from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.bottoms import BOTTOMS
-from gcd_dataset.generator.garments.design import Bottom, OutfitDesign, Upper, UpperHalf
+from gcd_dataset.generator.garments.design import Bottom, OutfitDesign
 from gcd_dataset.generator.garments.godet_skirt import GodetBase
 from gcd_dataset.generator.garments.levels_skirt import LevelsBase
-from gcd_dataset.generator.garments.mends import ALL_MENDS
-from gcd_dataset.generator.garments.outfit import bottom, bottom_rise, pieces
+from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.upper import upper_length
-from gcd_dataset.generator.garments.upper_half import right_half, right_torso
 from gcd_dataset.generator.garments.waistband import band_rise
-from gcd_dataset.generator.pattern import Component, SewnJoin, measure_joins, panel_of, sew
-from gcd_dataset.records import Measurements, Panel, Pattern
-from gcd_dataset.validate import LARGEST, SHORTEST_EDGE, Fault, Rule, Severity, check_pattern
+from gcd_dataset.generator.garments.wholeness import SHARPEST_CORNER, corner_angles, is_mismatched
+from gcd_dataset.generator.pattern import SewnJoin, sew
+from gcd_dataset.records import Measurements, Pattern
+from gcd_dataset.validate import Fault, Rule, Severity, check_pattern
 
 __all__ = [
     "RULES",
     "Fitted",
     "Reject",
-    "bottom_is_whole",
     "check_outfit",
     "garment_length",
-    "half_is_whole",
     "has_firm_band",
     "has_snug_band",
     "is_asymmetric",
@@ -48,9 +41,6 @@ __all__ = [
 LIGHT_LENGTH = 0.5  # length of a flared skirt up to which a loose or thin band holds it, GarmentCode
 LIGHT_SUNS = 0.75  # flare-skirt.suns, the same
 FIRM_BAND = 0.25  # waistband.width above which a band at the body's own girth holds any skirt, GarmentCode
-SHARPEST_CORNER = 10.0  # degrees: a spike of cloth that no mesh and no seamstress turns
-SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and share of the seam, by which its sides may differ without gathers
-TIGHTEST_GATHERS = 3.2  # of cloth, over the length it is gathered to: a little more than any design asks for
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,14 +187,9 @@ def room_to_floor(size: Measurements, design: OutfitDesign) -> float:
 def garment_length(size: Measurements, design: OutfitDesign) -> float:
     """Upper, band and bottom, one under the other [cm]."""
     meta = design.meta
-    bottom = BOTTOMS[meta.bottom].length(size, design, bottom_rise(design)) if meta.bottom else 0.0
-    return length_above_bottom(size, design) + bottom
-
-
-def length_above_bottom(size: Measurements, design: OutfitDesign) -> float:
-    """Upper and band, one under the other [cm]."""
-    upper = upper_length(size, design) if design.meta.upper else 0.0
-    return upper + (design.waistband.width * size.hips_line if design.meta.wb else 0.0)
+    upper = upper_length(size, design) if meta.upper else 0.0
+    band = design.waistband.width * size.hips_line if meta.wb else 0.0
+    return upper + band + (BOTTOMS[meta.bottom].length(size, design, bottom_rise(design)) if meta.bottom else 0.0)
 
 
 def top_girth(size: Measurements, design: OutfitDesign) -> float:
@@ -213,6 +198,11 @@ def top_girth(size: Measurements, design: OutfitDesign) -> float:
     if design.meta.wb is None:
         return girth_at_rise(size, rise)
     return design.waistband.waist * girth_at_rise(size, band_rise(design.waistband, rise) + design.waistband.width)
+
+
+def has_snug_band(design: OutfitDesign) -> bool:
+    """Whether there is a band at the body's own girth."""
+    return design.meta.wb is not None and design.waistband.waist <= 1
 
 
 def has_firm_band(design: OutfitDesign) -> bool:
@@ -227,8 +217,8 @@ def is_gathered(design: OutfitDesign) -> bool:
             return design.godet_skirt.base is GodetBase.GATHERED
         case Bottom.LEVELS:
             return design.levels_skirt.base is LevelsBase.GATHERED
-        case bottom:
-            return bottom is Bottom.GATHERED
+        case other:
+            return other is Bottom.GATHERED
 
 
 def is_asymmetric(design: OutfitDesign) -> bool:
@@ -245,55 +235,6 @@ def is_heavy_kind(design: OutfitDesign) -> bool:
     return design.meta.bottom in (Bottom.CIRCLE, Bottom.ASYMMETRIC_CIRCLE, Bottom.PANELS)
 
 
-def half_is_whole(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
-    """Whether armhole and neckline can be cut into front and back of one half, and a flared cuff be sewn."""
-    drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
-    fitted = design.meta.upper is Upper.FITTED
-    return all(_can_be_sewn(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
-
-
-def bottom_is_whole(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether the bottom can be drawn, slits and darts and godets cut into it, and be sewn."""
-    return _can_be_sewn(partial(bottom, size, design, ALL_MENDS))
-
-
-def _can_be_sewn(part: Callable[[], Component]) -> bool:
-    """Whether a part of an outfit can be drawn, and its panels are whole."""
-    try:
-        drawn = part()
-        panels = [panel_of(piece) for piece in drawn.pieces]
-        return not any(map(is_mismatched, measure_joins(drawn))) and are_whole(panels)
-    except PatternError:
-        return False
-
-
-def are_whole(panels: Sequence[Panel]) -> bool:
-    """Whether all panels have the size to be sewn, cross nowhere, and have no short edge and no sharp corner."""
-    hulls = [edge_hulls(panel) for panel in panels]
-    lengths = [panel.edge_lengths() for panel in panels]
-    if any(min(edges) < SHORTEST_EDGE or max(edges) > LARGEST for edges in lengths):
-        return False
-    return corner_angles(hulls).min() >= SHARPEST_CORNER and not any(find_crossings(panels, hulls, lengths))
-
-
-def is_mismatched(sewn: SewnJoin) -> bool:
-    """Whether the sides of a seam differ too much in length."""
-    shorter, longer = sorted((sewn.left, sewn.right))
-    return longer - shorter > max(SEAM_SLACK, (TIGHTEST_GATHERS - 1 if sewn.join.gathered else SEAM_SHARE) * shorter)
-
-
-def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarray, " corners"]:
-    """The angles inside panels where their edges start, panel after panel, 0 to 360 [degrees], from ``edge_hulls``."""
-    edges, sizes = np.concatenate(hulls), np.array([len(panel) for panel in hulls])
-    first = np.cumsum(sizes) - sizes
-    before, after = np.arange(len(edges)) - 1, np.arange(len(edges)) + 1
-    before[first], after[first + sizes - 1] = first + sizes - 1, first
-    leaving, arriving = edges[:, 1] - edges[:, 0], (edges[:, 3] - edges[:, 2])[before]
-    corners = edges[:, 0]
-    around = np.sign(np.add.reduceat((corners.conj() * corners[after]).imag, first))
-    return np.degrees(np.pi - np.repeat(around, sizes) * np.angle(leaving / arriving))
-
-
 def _fault(outfit: Fitted, name: str, concerns: Callable[[Rule], bool]) -> Reject | None:
     for fault in outfit.faults:
         if concerns(fault.rule):
@@ -303,8 +244,3 @@ def _fault(outfit: Fitted, name: str, concerns: Callable[[Rule], bool]) -> Rejec
 
 def _alone(design: OutfitDesign) -> bool:
     return design.meta.upper is None and design.meta.bottom is not None
-
-
-def has_snug_band(design: OutfitDesign) -> bool:
-    """Whether there is a band at the body's own girth."""
-    return design.meta.wb is not None and design.waistband.waist <= 1

@@ -30,9 +30,7 @@ from gcd_dataset.generator.garments.parameter import Choice, Space
 from gcd_dataset.generator.garments.rules import (
     LIGHT_LENGTH,
     LIGHT_SUNS,
-    bottom_is_whole,
     garment_length,
-    half_is_whole,
     has_firm_band,
     has_snug_band,
     is_asymmetric,
@@ -43,6 +41,7 @@ from gcd_dataset.generator.garments.rules import (
 )
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.space import DesignSpace, draw, from_dict, to_dict
+from gcd_dataset.generator.garments.wholeness import bottom_is_whole, half_is_whole
 from gcd_dataset.records import Measurements
 
 __all__ = ["Kind", "design_from_dict", "design_to_dict", "sample_design", "sample_kind", "sections_used"]

@@ -173,3 +173,9 @@ def test_a_bad_overlay_is_told_in_one_line_with_its_name(text: str, tmp_path: Pa
 def test_an_overlay_that_is_not_there_is_told(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"missing\.toml: cannot be read \(No such file or directory\)"):
         read_overlay(tmp_path / "missing.toml")
+
+
+def test_an_overlay_leaves_something_to_wear() -> None:
+    with pytest.raises(ConfigError, match=r"meta\.upper and meta\.bottom are both none"):
+        Overlay.from_dict({"meta": {"upper": "none", "bottom": "none"}})
+    Overlay.from_dict({"meta": {"upper": "none"}})

@@ -10,7 +10,7 @@ import pytest
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.curves import LINE
 from gcd_dataset.generator.garments import Fitted, Reject, check_outfit, design_from_dict, try_on
-from gcd_dataset.generator.garments.rules import corner_angles
+from gcd_dataset.generator.garments.wholeness import corner_angles
 from gcd_dataset.records import Edge, Measurements, Panel, Placement
 
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}

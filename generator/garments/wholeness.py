@@ -1,0 +1,79 @@
+"""Whether what has been drawn is whole: no crossing, no spike, no sliver, and seams whose sides fit each other."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from gcd_dataset.crossings import edge_hulls, find_crossings
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.design import OutfitDesign, Upper, UpperHalf
+from gcd_dataset.generator.garments.mends import ALL_MENDS
+from gcd_dataset.generator.garments.outfit import bottom
+from gcd_dataset.generator.garments.upper_half import right_half, right_torso
+from gcd_dataset.generator.pattern import Component, SewnJoin, measure_joins, panel_of
+from gcd_dataset.records import Measurements, Panel
+from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
+
+__all__ = [
+    "SHARPEST_CORNER",
+    "are_whole",
+    "bottom_is_whole",
+    "corner_angles",
+    "half_is_whole",
+    "is_mismatched",
+]
+
+SHARPEST_CORNER = 10.0  # degrees: a spike of cloth that no mesh and no seamstress turns
+SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and share of the seam, by which its sides may differ without gathers
+TIGHTEST_GATHERS = 3.2  # of cloth, over the length it is gathered to: a little more than any design asks for
+
+
+def half_is_whole(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
+    """Whether armhole and neckline can be cut into front and back of one half, and a flared cuff be sewn."""
+    drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
+    fitted = design.meta.upper is Upper.FITTED
+    return all(_can_be_sewn(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
+
+
+def bottom_is_whole(size: Measurements, design: OutfitDesign) -> bool:
+    """Whether the bottom can be drawn, slits and darts and godets cut into it, and be sewn."""
+    return _can_be_sewn(partial(bottom, size, design, ALL_MENDS))
+
+
+def _can_be_sewn(part: Callable[[], Component]) -> bool:
+    """Whether a part of an outfit can be drawn, and its panels are whole."""
+    try:
+        drawn = part()
+        panels = [panel_of(piece) for piece in drawn.pieces]
+        return not any(map(is_mismatched, measure_joins(drawn))) and are_whole(panels)
+    except PatternError:
+        return False
+
+
+def are_whole(panels: Sequence[Panel]) -> bool:
+    """Whether all panels have the size to be sewn, cross nowhere, and have no short edge and no sharp corner."""
+    hulls = [edge_hulls(panel) for panel in panels]
+    lengths = [panel.edge_lengths() for panel in panels]
+    if any(min(edges) < SHORTEST_EDGE or max(edges) > LARGEST for edges in lengths):
+        return False
+    return corner_angles(hulls).min() >= SHARPEST_CORNER and not any(find_crossings(panels, hulls, lengths))
+
+
+def is_mismatched(sewn: SewnJoin) -> bool:
+    """Whether the sides of a seam differ too much in length."""
+    shorter, longer = sorted((sewn.left, sewn.right))
+    return longer - shorter > max(SEAM_SLACK, (TIGHTEST_GATHERS - 1 if sewn.join.gathered else SEAM_SHARE) * shorter)
+
+
+def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarray, " corners"]:
+    """The angles inside panels where their edges start, panel after panel, 0 to 360 [degrees], from ``edge_hulls``."""
+    edges, sizes = np.concatenate(hulls), np.array([len(panel) for panel in hulls])
+    first = np.cumsum(sizes) - sizes
+    before, after = np.arange(len(edges)) - 1, np.arange(len(edges)) + 1
+    before[first], after[first + sizes - 1] = first + sizes - 1, first
+    leaving, arriving = edges[:, 1] - edges[:, 0], (edges[:, 3] - edges[:, 2])[before]
+    corners = edges[:, 0]
+    around = np.sign(np.add.reduceat((corners.conj() * corners[after]).imag, first))
+    return np.degrees(np.pi - np.repeat(around, sizes) * np.angle(leaving / arriving))
