@@ -61,8 +61,8 @@ class DrapeConfig:
 
     substeps: int = 40
     """Time steps in a frame; their length follows from the mesh and the fabric."""
-    detect_every: int = 8
-    """Time steps from one search for contacts to the next."""
+    search_every: int = 4
+    """Time steps after which it is asked whether contacts must be searched anew."""
     max_frames: int = 400
     """Frames after which a garment that still moves is given up."""
     sewing_time: float = 0.2

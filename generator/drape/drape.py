@@ -7,15 +7,16 @@ import numpy as np
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import resolve_device
-from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, RUNNING
-from gcd_dataset.generator.drape.model import ClothModel, build_model
-from gcd_dataset.generator.drape.outcome import judge, slid_off, stretch
+from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.outcome import judge
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Drape
 
 __all__ = ["drape_batch"]
 
 DEFAULT = DrapeConfig()
+POLL_EVERY = 4  # frames after which the device is asked whether any garment still moves
 
 
 def drape_batch(jobs: Sequence[DrapeJob], config: DrapeConfig = DEFAULT, *, device: str = "auto") -> list[Drape]:
@@ -31,51 +32,22 @@ def drape_batch(jobs: Sequence[DrapeJob], config: DrapeConfig = DEFAULT, *, devi
         if len(job.box_mesh.faces) == 0:
             raise DrapeError(f"garment {number} has no faces: build its box mesh from a pattern with panels")
     device = resolve_device(device)
-    model = build_model(jobs, config, device)
-    solver = Solver(model, config)
-    frames = _play(solver, jobs)
-    return _collect(solver, jobs, frames)
+    solver = Solver(build_model(jobs, config, device), config)
+    while solver.running and solver.frames < config.max_frames:
+        for _ in range(min(POLL_EVERY, config.max_frames - solver.frames)):
+            solver.frame()
+    return _collect(solver, jobs)
 
 
-def _play(solver: Solver, jobs: Sequence[DrapeJob]) -> np.ndarray:
-    """Run frames until every garment rests, has slid off or the frames are used up; returns frames by world."""
-    config, model, state = solver.config, solver.model, solver.state
-    worlds = model.worlds.numpy()
-    sizes = np.diff(model.vertex_offset)
-    loose_after = worlds["sewing_time"] + worlds["held_time"] + 2 * config.substeps * worlds["dt"]
-    frames = np.zeros(model.n_worlds, int)
-    while solver.frames < config.max_frames:
-        solver.frame()
-        status = state.status.numpy()
-        frames[status == RUNNING] = solver.frames
-        loose = state.time.numpy() > loose_after
-        still = state.moving.numpy() <= config.moving_share * sizes
-        ended = (status == RUNNING) & loose & (still | _slid(solver, jobs, status, loose))
-        if ended.any():
-            state.status.assign(np.where(ended, DONE, status).astype(np.int32))
-        if not ((status == RUNNING) & ~ended).any():
-            break
-    return frames
-
-
-def _slid(solver: Solver, jobs: Sequence[DrapeJob], status: np.ndarray, loose: np.ndarray) -> np.ndarray:
-    """Worlds whose held edge has gone down too far; looked at every tenth frame."""
-    slid = np.zeros(len(jobs), bool)
-    if solver.frames % 10 == 0 and (loose & (status == RUNNING)).any():
-        x = solver.state.x.numpy()
-        for world in map(int, np.flatnonzero(loose & (status == RUNNING))):
-            slid[world] = slid_off(jobs[world], _own(x, solver.model, world))
-    return slid
-
-
-def _collect(solver: Solver, jobs: Sequence[DrapeJob], frames: np.ndarray) -> list[Drape]:
-    x, status = solver.state.x.numpy(), solver.state.status.numpy()
-    overfull = solver.state.overfull.numpy()
+def _collect(solver: Solver, jobs: Sequence[DrapeJob]) -> list[Drape]:
+    x, status, frames = solver.state.x.numpy(), solver.state.status.numpy(), solver.state.frames.numpy()
+    overfull, stretches = solver.state.contacts.overfull.numpy(), solver.stretches()
     self_crossings, body_crossings = solver.self_crossings(), solver.body_crossings()
+    vertex_offset, edge_offset = solver.model.topology.vertex_offset, solver.model.topology.edge_offset
     drapes = []
     for world, job in enumerate(jobs):
-        vertices = np.array(_own(x, solver.model, world), np.float32)
-        median, p99 = stretch(solver.model.topologies[world], vertices)
+        vertices = np.array(x[vertex_offset[world] : vertex_offset[world + 1]], np.float32)
+        median, p99 = np.percentile(stretches[edge_offset[world] : edge_offset[world + 1]], [50, 99])
         outcome = judge(
             job,
             vertices,
@@ -85,7 +57,7 @@ def _collect(solver: Solver, jobs: Sequence[DrapeJob], frames: np.ndarray) -> li
             overfull=bool(overfull[world]),
             self_crossings=int(self_crossings[world]),
             body_crossings=int(body_crossings[world]),
-            stretch_p99=p99,
+            stretch_p99=float(p99),
         )
         drapes.append(
             Drape(
@@ -94,12 +66,8 @@ def _collect(solver: Solver, jobs: Sequence[DrapeJob], frames: np.ndarray) -> li
                 frames=int(frames[world]),
                 self_crossings=int(self_crossings[world]),
                 body_crossings=int(body_crossings[world]),
-                stretch_median=median,
-                stretch_p99=p99,
+                stretch_median=float(median),
+                stretch_p99=float(p99),
             )
         )
     return drapes
-
-
-def _own(x: np.ndarray, model: ClothModel, world: int) -> np.ndarray:
-    return x[model.vertex_offset[world] : model.vertex_offset[world + 1]]

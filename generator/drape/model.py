@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
-from jaxtyping import Float, Int
 
 from gcd_dataset.generator.drape.body_field import BodyField, body_field
-from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.holds import holds, unseen_parts
-from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD
-from gcd_dataset.generator.drape.kernels.world import World
+from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
+from gcd_dataset.generator.drape.holds import held_from_below, holds, unseen_parts
+from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
+from gcd_dataset.generator.drape.kernels.topology import add_inertia
+from gcd_dataset.generator.drape.kernels.world import Cloth, World
 from gcd_dataset.generator.drape.topology import Topology, build_topology
 
 __all__ = ["ClothModel", "build_model"]
@@ -26,157 +26,121 @@ INERTIA_GAIN = 1.3  # inertia over mass at the typical vertex: a longer step for
 
 @dataclass(frozen=True)
 class ClothModel:
-    """Device arrays of a batch; ``v e f w`` vertices, edges, faces and worlds of all garments together."""
+    """What a drape needs of the garments and their bodies, on its device."""
 
     device: str
     worlds: wp.array
     """(w) ``World``."""
-    vertex_world: wp.array
-    """(v) the world of each vertex."""
-    mass: wp.array
-    """(v) what weighs [g]."""
-    inertia: wp.array
-    """(v) what resists acceleration [g]: the mass, or more where the time step needs it."""
-    row_start: wp.array
-    row_vertex: wp.array
-    row_weight: wp.array
-    """Rows of the elastic gather: (stiffness [g/s²], flat length [cm], start length [cm], bending weight [g/s²])."""
-    bend_diagonal: wp.array
-    edges: wp.array
-    edge_opposite: wp.array
-    edge_face: wp.array
-    face_edges: wp.array
-    faces: wp.array
+    cloth: Cloth
+    rows: Rows
+    topology: Topology
     face_world: wp.array
-    hold_normal: wp.array
-    """(v) direction in which a held vertex is pushed; zero for none."""
-    hold_offset: wp.array
-    """(v) it is pushed while ``x · normal`` is less than this [cm]."""
-    unseen_parts: wp.array
-    """(v) bit set of the body parts that do not stop this vertex."""
-    field: wp.array
-    field_parts: wp.array
-    body_mesh: wp.array
-    """(w) handle of each world's skin."""
-    start: np.ndarray
-    """(v, 3) start positions [cm]."""
-    vertex_offset: np.ndarray
-    """(w + 1) first vertex of each world."""
-    topologies: tuple[Topology, ...]
+    """(f) the garment of each face."""
+    reach: float
+    """The largest distance of vertices that may belong to watched pairs [cm]."""
     bodies: tuple[BodyField, ...]
-    """Kept alive for the handles above."""
+    """Kept alive for the handles in ``cloth``."""
 
     @property
     def n_worlds(self) -> int:
-        return len(self.topologies)
+        return len(self.bodies)
+
+    @property
+    def n_vertices(self) -> int:
+        return int(self.topology.vertex_offset[-1])
+
+    @property
+    def n_edges(self) -> int:
+        return int(self.topology.edge_offset[-1])
 
 
 def build_model(jobs: Sequence[DrapeJob], config: DrapeConfig, device: str) -> ClothModel:
     """The batch on a device, in the order of the jobs."""
-    topologies = tuple(build_topology(job.box_mesh) for job in jobs)
+    topology = build_topology(jobs, device)
     bodies = tuple(body_field(job.body, device) for job in jobs)
-    garments = [_garment(job, topology) for job, topology in zip(jobs, topologies, strict=True)]
-    vertices = np.cumsum([0, *(len(job.box_mesh.vertices) for job in jobs)])
-    edges = np.cumsum([0, *(len(t.edges) for t in topologies)])
-    faces = np.cumsum([0, *(len(job.box_mesh.faces) for job in jobs)])
     fields, offsets, parts = _join_fields(bodies, device)
+    steps = _time_steps(topology)
+    held, keepers = [holds(job) for job in jobs], [held_from_below(job) for job in jobs]
 
-    def put(arrays: Sequence[np.ndarray], dtype: type, shift: np.ndarray | None = None) -> wp.array:
-        moved = arrays if shift is None else [a + np.where(a >= 0, s, 0) for a, s in zip(arrays, shift, strict=False)]
-        return wp.array(np.ascontiguousarray(np.concatenate(moved)), dtype=dtype, device=device)
+    def put(arrays: Sequence[np.ndarray], kind: type, dtype: type) -> wp.array:
+        return wp.array(np.concatenate(arrays).astype(kind, copy=False), dtype=dtype, device=device)
 
-    held = [holds(job) for job in jobs]
-    row_shift = np.cumsum([0, *(len(g.row_vertex) for g in garments)])
-    row_start = [g.row_start[:-1] + s for g, s in zip(garments, row_shift, strict=False)] + [row_shift[-1:]]
+    cloth = Cloth()
+    cloth.vertex_world, cloth.mass = topology.vertex_world, topology.mass
+    cloth.inertia = _inertia(topology, steps, device)
+    cloth.faces, cloth.edges, cloth.edge_opposite = topology.faces, topology.edges, topology.opposite
+    cloth.vertex_faces, cloth.first_face = topology.vertex_faces, topology.first_face
+    cloth.vertex_edges, cloth.first_edge = topology.vertex_edges, topology.first_edge
+    cloth.hold_normal = put([normal for normal, _ in held], np.float32, wp.vec3)
+    cloth.hold_offset = put([offset for _, offset in held], np.float32, float)
+    cloth.keeper = put(
+        [np.isin(np.arange(len(job.box_mesh.vertices)), ids) for job, (ids, _) in zip(jobs, keepers, strict=True)],
+        np.uint8,
+        wp.uint8,
+    )
+    cloth.unseen_parts = put([unseen_parts(job.box_mesh) for job in jobs], np.int32, int)
+    cloth.field, cloth.field_parts = fields, parts
+    cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
+    near = _near(topology, config)
+    worlds = [_world(job, config) for job in jobs]
+    for number, (world, body, (ids, lowest)) in enumerate(zip(worlds, bodies, keepers, strict=True)):
+        first, end = topology.vertex_offset[number : number + 2]
+        first_edge, end_edge = topology.edge_offset[number : number + 2]
+        world.first, world.size = int(first), int(end - first)
+        world.first_edge, world.edges = int(first_edge), int(end_edge - first_edge)
+        world.dt = float(steps[number])
+        world.near = float(near[number])
+        world.loose_after = config.sewing_time + config.held_time + 2 * config.substeps * world.dt
+        world.clear = config.body_gap + world.travel + config.search_every * config.max_speed * world.dt
+        world.still = config.still_speed * config.substeps * world.dt
+        world.restless = config.moving_share * world.size
+        world.keepers, world.lowest = len(ids), lowest
+        world.field_offset = offsets[number]
+        world.field_size = wp.vec3i(*body.distance.shape)
+        world.field_origin = wp.vec3(*body.origin)
+        world.field_cell = body.cell
     return ClothModel(
         device=device,
-        worlds=wp.array(
-            [_world(*pair, config) for pair in zip(jobs, garments, bodies, offsets, strict=True)],
-            dtype=World,
-            device=device,
+        worlds=wp.array(worlds, dtype=World, device=device),
+        cloth=cloth,
+        rows=topology.rows,
+        topology=topology,
+        face_world=wp.array(
+            np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset)), dtype=int, device=device
         ),
-        vertex_world=put([np.full(len(j.box_mesh.vertices), w) for w, j in enumerate(jobs)], int),
-        mass=put([g.mass for g in garments], float),
-        inertia=put([g.inertia for g in garments], float),
-        row_start=put(row_start, int),
-        row_vertex=put([g.row_vertex for g in garments], int, vertices),
-        row_weight=put([g.row_weight for g in garments], wp.vec4),
-        bend_diagonal=put([g.bend_diagonal for g in garments], float),
-        edges=put([t.edges for t in topologies], wp.vec2i, vertices),
-        edge_opposite=put([t.opposite for t in topologies], wp.vec2i, vertices),
-        edge_face=put([t.edge_face for t in topologies], int, faces),
-        face_edges=put([t.face_edges for t in topologies], wp.vec3i, edges),
-        faces=put([job.box_mesh.faces for job in jobs], wp.vec3i, vertices),
-        face_world=put([np.full(len(j.box_mesh.faces), w) for w, j in enumerate(jobs)], int),
-        hold_normal=put([normal for normal, _ in held], wp.vec3),
-        hold_offset=put([offset for _, offset in held], float),
-        unseen_parts=put([unseen_parts(job.box_mesh) for job in jobs], int),
-        field=fields,
-        field_parts=parts,
-        body_mesh=wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device),
-        start=np.concatenate([job.box_mesh.vertices for job in jobs]).astype(np.float32),
-        vertex_offset=vertices,
-        topologies=topologies,
+        reach=float(near.max()),
         bodies=bodies,
     )
 
 
-@dataclass(frozen=True)
-class _Garment:
-    """One garment's share of the model."""
-
-    mass: Float[np.ndarray, " v"]
-    inertia: Float[np.ndarray, " v"]
-    row_start: Int[np.ndarray, " v+1"]
-    row_vertex: Int[np.ndarray, " r"]
-    row_weight: Float[np.ndarray, "r 4"]
-    bend_diagonal: Float[np.ndarray, " v"]
-    dt: float
+def _time_steps(topology: Topology) -> np.ndarray:
+    """The longest stable time step of each garment [s]."""
+    ratio = topology.mass.numpy() / np.maximum(topology.stiffness.numpy(), 1e-9)
+    spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
+    return np.sqrt(SAFETY * STABLE * INERTIA_GAIN * np.array([np.median(ratio[a:b]) for a, b in spans]))
 
 
-def _garment(job: DrapeJob, topology: Topology) -> _Garment:
-    fabric, n = job.fabric, len(topology.area)
-    row_start, row_vertex, row_weight = _rows(topology, fabric, n)
-    diagonal = fabric.rigidity * topology.bending.diagonal()
-    mass = fabric.mass * topology.area
-    stiffness = _largest_stiffness(row_start, row_weight, diagonal)
-    dt = float(np.sqrt(SAFETY * STABLE * INERTIA_GAIN * np.median(mass / stiffness)))
-    inertia = np.maximum(mass, stiffness * dt**2 / (SAFETY * STABLE))
-    return _Garment(mass, inertia, row_start, row_vertex, row_weight, diagonal, dt)
+def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
+    inertia = wp.empty_like(topology.mass)
+    step_sq = wp.array((steps**2 / (SAFETY * STABLE)).astype(np.float32), dtype=float, device=device)
+    inputs = [topology.vertex_world, topology.mass, topology.stiffness, step_sq]
+    wp.launch(add_inertia, dim=len(inertia), inputs=inputs, outputs=[inertia], device=device)
+    return inertia
 
 
-def _rows(topology: Topology, fabric: Fabric, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Springs and bending weights merged into one row for each vertex.
+def _near(topology: Topology, config: DrapeConfig) -> np.ndarray:
+    """How near the nearest vertices of two parts within the margin are, in each garment [cm].
 
-    A spring's stiffness is Van Gelder's (1998) for a membrane: stiffness × area / length², summed over its faces.
+    Two edges of the typical length that cross in their middles at the margin; triangles are nearer to their corners.
     """
-    a, b = topology.edges.T
-    bending = (fabric.rigidity * topology.bending).tocoo()
-    off = bending.row != bending.col
-    rows = np.concatenate([a, b, bending.row[off]])
-    columns = np.concatenate([b, a, bending.col[off]])
-    spring = np.stack([fabric.membrane * topology.spread, topology.flat_length, topology.start_length], axis=1)
-    weights = np.zeros((len(rows), 4))
-    weights[: 2 * len(a), :3] = np.tile(spring, (2, 1))
-    weights[2 * len(a) :, 3] = bending.data[off]
-    order = np.lexsort((columns, rows))
-    rows, columns, weights = rows[order], columns[order], weights[order]
-    first = np.flatnonzero(np.r_[True, (np.diff(rows) != 0) | (np.diff(columns) != 0)])
-    merged = np.add.reduceat(weights, first, axis=0)
-    return np.searchsorted(rows[first], np.arange(n + 1)), columns[first], merged
+    flat = topology.spring.numpy()[:, 1]
+    spans = zip(topology.edge_offset[:-1], topology.edge_offset[1:], strict=True)
+    return np.hypot(config.contact_margin, [float(np.median(flat[a:b])) for a, b in spans])
 
 
-def _largest_stiffness(
-    row_start: Int[np.ndarray, " v+1"], row_weight: Float[np.ndarray, "r 4"], diagonal: Float[np.ndarray, " v"]
-) -> Float[np.ndarray, " v"]:
-    """Gershgorin bound on what a vertex's row adds to the stiffness matrix [g/s²]."""
-    total = 2 * row_weight[:, 0] + np.abs(row_weight[:, 3])
-    return np.maximum(np.add.reduceat(total, row_start[:-1]) + np.abs(diagonal), 1e-9)
-
-
-def _world(job: DrapeJob, garment: _Garment, body: BodyField, offset: int, config: DrapeConfig) -> World:
+def _world(job: DrapeJob, config: DrapeConfig) -> World:
+    """What the options and the fabric alone decide."""
     world = World()
-    world.dt = garment.dt
     world.damping = config.damping
     world.sewing_damping = config.sewing_damping
     world.sewing_time = config.sewing_time
@@ -186,10 +150,8 @@ def _world(job: DrapeJob, garment: _Garment, body: BodyField, offset: int, confi
     world.friction = job.fabric.friction
     world.thickness = job.fabric.thickness
     world.body_gap = config.body_gap
-    world.field_offset = offset
-    world.field_size = wp.vec3i(*body.distance.shape)
-    world.field_origin = wp.vec3(*body.origin)
-    world.field_cell = body.cell
+    world.margin = config.contact_margin
+    world.travel = 0.4 * (config.contact_margin - job.fabric.thickness)
     return world
 
 

@@ -5,10 +5,9 @@ from jaxtyping import Float
 
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import held_from_below
-from gcd_dataset.generator.drape.topology import Topology
 from gcd_dataset.records import Outcome
 
-__all__ = ["judge", "slid_off", "stretch"]
+__all__ = ["judge", "slid_off"]
 
 
 def judge(
@@ -45,10 +44,3 @@ def slid_off(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
     """Whether the edge that keeps the garment up hangs far below where it was held."""
     ids, lowest = held_from_below(job)
     return len(ids) > 0 and bool(vertices[ids, 1].mean() < lowest)
-
-
-def stretch(topology: Topology, vertices: Float[np.ndarray, "v 3"]) -> tuple[float, float]:
-    """Median and 99th percentile of the edges' length over their flat length."""
-    a, b = topology.edges.T
-    ratio = np.linalg.norm(vertices[b] - vertices[a], axis=1) / topology.flat_length
-    return float(np.median(ratio)), float(np.percentile(ratio, 99))

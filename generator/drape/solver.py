@@ -1,20 +1,23 @@
 """The time steps of a batch: one frame recorded as a graph, on the CPU as on a GPU, and played until all is at rest."""
 
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 import warp as wp
 
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.device import load_kernels
-from gcd_dataset.generator.drape.kernels import body_contact, crossing, elastic, self_contact, stillness, world
+from gcd_dataset.generator.drape.kernels import body_contact, boxes, contacts, crossing, elastic, search, stillness
+from gcd_dataset.generator.drape.kernels.world import Contacts
 from gcd_dataset.generator.drape.model import ClothModel
 
-KERNELS = (body_contact, crossing, elastic, self_contact, stillness, world)
 __all__ = ["ClothState", "Solver", "new_state"]
 
+KERNELS: tuple[ModuleType, ...] = (body_contact, boxes, contacts, crossing, elastic, search, stillness)
 REBUILD_EVERY = 10  # frames after which the tree of boxes is built anew
-GPU_THREADS = 132 * 1024  # enough to fill the largest GPU; longer lists are walked in strides
+GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; longer lists are walked in strides
+GRID = 128  # cells of the grid along each axis, which repeats itself beyond
 
 
 @dataclass(frozen=True)
@@ -31,63 +34,78 @@ class ClothState:
     v_new: wp.array
     x_seen: wp.array
     """(v) positions one frame ago [cm]."""
+    x_searched: wp.array
+    """(v) positions at the last search for contacts [cm]."""
+    skin: wp.array
+    """(v) distance from the skin then [cm]."""
     push: wp.array
     """(v, 4) displacements asked for by contacts, as whole numbers."""
+    tangled: wp.array
+    """(v) whether an edge or a face of the vertex crossed the cloth."""
     time: wp.array
     """(w) simulated time [s]."""
     status: wp.array
     """(w) ``RUNNING``, ``DONE`` or ``DIVERGED``."""
-    moving: wp.array
+    frames: wp.array
+    """(w) frames it has run."""
+    moved: wp.array
     """(w) vertices that moved in the last frame."""
-    overfull: wp.array
-    """(w) whether a list of pairs ran over."""
+    moving: wp.array
+    kept_height: wp.array
+    moved_far: wp.array
+    """(w) whether a vertex has moved so far that contacts must be searched anew."""
+    searching: wp.array
+    crossing_due: wp.array
+    any_search: wp.array
+    any_crossing: wp.array
+    any_running: wp.array
     lower: wp.array
+    """(f) boxes round the faces [cm]."""
     upper: wp.array
-    tangled: wp.array
-    near: wp.array
-    point_pairs: wp.array
-    edge_pairs: wp.array
-    edge_normals: wp.array
-    crossings: wp.array
-    point_count: wp.array
-    edge_count: wp.array
-    crossing_count: wp.array
+    contacts: Contacts
 
 
 def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
     """The start: every garment where its panels hang, at rest."""
-    n, worlds, faces = len(model.start), model.n_worlds, model.faces.shape[0]
-    room = config.contact_capacity * n
+    n, worlds, faces = model.n_vertices, model.n_worlds, len(model.face_world)
+    room = config.contact_capacity
 
-    def array(size: int, dtype: type) -> wp.array:
+    def zeros(size: int, dtype: type) -> wp.array:
         return wp.zeros(size, dtype=dtype, device=model.device)
 
-    def positions() -> wp.array:
-        return wp.array(model.start, dtype=wp.vec3, device=model.device)
-
+    lists = Contacts()
+    lists.room = room
+    lists.near, lists.edges, lists.crossings = (zeros(room * n, wp.vec2i) for _ in range(3))
+    lists.points, lists.normals, lists.long_edges = zeros(room * n, wp.vec3i), zeros(room * n, wp.vec3), zeros(room * n, int)
+    lists.near_count, lists.point_count, lists.edge_count = (zeros(worlds, int) for _ in range(3))
+    lists.long_count, lists.crossing_count, lists.overfull = (zeros(worlds, int) for _ in range(3))
+    start = model.topology.start
     return ClothState(
-        x=positions(),
-        v=array(n, wp.vec3),
-        ahead=positions(),
-        x_new=positions(),
-        v_new=array(n, wp.vec3),
-        x_seen=positions(),
+        x=wp.clone(start),
+        v=zeros(n, wp.vec3),
+        ahead=wp.clone(start),
+        x_new=wp.clone(start),
+        v_new=zeros(n, wp.vec3),
+        x_seen=wp.clone(start),
+        x_searched=wp.clone(start),
+        skin=zeros(n, float),
         push=wp.zeros((n, 4), dtype=int, device=model.device),
-        time=array(worlds, float),
-        status=array(worlds, int),
-        moving=array(worlds, int),
-        overfull=array(worlds, int),
-        lower=array(faces, wp.vec3),
-        upper=array(faces, wp.vec3),
-        tangled=array(n, int),
-        near=array(n, int),
-        point_pairs=array(room, wp.vec3i),
-        edge_pairs=array(room, wp.vec2i),
-        edge_normals=array(room, wp.vec3),
-        crossings=array(room, wp.vec2i),
-        point_count=array(1, int),
-        edge_count=array(1, int),
-        crossing_count=array(1, int),
+        tangled=zeros(n, int),
+        time=zeros(worlds, float),
+        status=zeros(worlds, int),
+        frames=zeros(worlds, int),
+        moved=zeros(worlds, int),
+        moving=zeros(worlds, int),
+        kept_height=zeros(worlds, int),
+        moved_far=wp.ones(worlds, dtype=int, device=model.device),
+        searching=zeros(worlds, int),
+        crossing_due=wp.ones(worlds, dtype=int, device=model.device),
+        any_search=zeros(1, int),
+        any_crossing=wp.ones(1, dtype=int, device=model.device),
+        any_running=wp.ones(1, dtype=int, device=model.device),
+        lower=zeros(faces, wp.vec3),
+        upper=zeros(faces, wp.vec3),
+        contacts=lists,
     )
 
 
@@ -95,12 +113,20 @@ class Solver:
     """Steps a batch frame by frame. The first frame records the graph; the rest replay it."""
 
     def __init__(self, model: ClothModel, config: DrapeConfig) -> None:
+        load_kernels("drape", *KERNELS, device=model.device)
         self.model, self.config = model, config
         self.state = new_state(model, config)
         self.frames = 0
         self._bound()
         self._bvh = wp.Bvh(self.state.lower, self.state.upper, groups=model.face_world)
+        self._grid = wp.HashGrid(GRID, GRID, GRID, device=model.device)
+        self._grid.reserve(model.n_vertices, with_groups=True)
         self._graph: wp.Graph | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether any garment still moves."""
+        return bool(self.state.any_running.numpy()[0])
 
     def frame(self) -> None:
         """One frame: ``config.substeps`` time steps, and the count of what still moves."""
@@ -108,7 +134,6 @@ class Solver:
             self._bound()
             self._bvh.rebuild()
         if self._graph is None:
-            load_kernels("drape", *KERNELS, device=self.model.device)
             with wp.ScopedCapture(device=self.model.device) as capture:
                 self._record_frame()
             self._graph = capture.graph
@@ -117,141 +142,119 @@ class Solver:
 
     def self_crossings(self) -> np.ndarray:
         """Edges of each world that cross its cloth."""
-        m, s = self.model, self.state
+        m = self.model
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
         self._bound()
         self._bvh.refit()
-        self._launch(
-            crossing.count_self_crossings,
-            m.edges.shape[0],
-            [m.vertex_world, m.edges, m.faces, self._bvh.id, s.x],
-            [counts],
-        )
+        self._launch(crossing.count_self_crossings, m.n_edges, [m.cloth, self._bvh.id, self.state.x], [counts])
         return counts.numpy()
 
     def body_crossings(self) -> np.ndarray:
         """Edges of each world that cross its body."""
         m = self.model
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
-        inputs = [m.vertex_world, m.edges, m.body_mesh, self.state.x]
-        self._launch(crossing.count_body_crossings, m.edges.shape[0], inputs, [counts])
+        self._launch(crossing.count_body_crossings, m.n_edges, [m.cloth, self.state.x], [counts])
         return counts.numpy()
 
+    def stretches(self) -> np.ndarray:
+        """(e) length of every edge over its flat length."""
+        m = self.model
+        ratio = wp.empty(m.n_edges, dtype=float, device=m.device)
+        self._launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.topology.spring, self.state.x], [ratio])
+        return ratio.numpy()
+
     def _record_frame(self) -> None:
-        self._find_crossings()
-        for step in range(self.config.substeps):
-            if step % self.config.detect_every == 0:
-                self._detect()
-            self._step()
         m, s = self.model, self.state
-        s.moving.zero_()
+        wp.capture_if(s.any_crossing, self._find_crossings)
+        for step in range(self.config.substeps):
+            if step % self.config.search_every == 0:
+                s.any_search.zero_()
+                self._launch(
+                    search.plan_search,
+                    m.n_worlds,
+                    [step == 0, s.status],
+                    [s.moved_far, s.contacts, s.searching, s.crossing_due, s.any_search],
+                )
+                wp.capture_if(s.any_search, self._search)
+            self._step()
+        s.any_crossing.zero_()
+        s.any_running.zero_()
+        threads = self._threads
         self._launch(
-            stillness.count_moving,
-            s.x.shape[0],
-            [m.worlds, m.vertex_world, self.config.still_speed, self.config.substeps],
-            [s.status, s.x, s.x_seen, s.moving],
+            stillness.watch_frame,
+            (m.n_worlds, threads),
+            [m.worlds, m.cloth, threads, s.x, s.crossing_due],
+            [s.status, s.x_seen, s.tangled, s.moving, s.kept_height],
+        )
+        self._launch(
+            stillness.end_frame,
+            m.n_worlds,
+            [m.worlds, s.time, s.crossing_due],
+            [s.status, s.moving, s.kept_height]
+            + [s.moved, s.frames, s.contacts.crossing_count, s.any_crossing, s.any_running],
         )
 
     def _step(self) -> None:
         m, s = self.model, self.state
-        n = s.x.shape[0]
+        n, threads = m.n_vertices, self._threads
         self._launch(
-            elastic.advance,
-            n,
-            [m.worlds, m.vertex_world, m.mass, m.inertia, m.row_start, m.row_vertex, m.row_weight, m.bend_diagonal]
-            + [s.status, s.time, s.x, s.v, s.ahead],
-            [s.x_new, s.v_new],
+            elastic.advance, n, [m.worlds, m.cloth, m.rows, s.status, s.time, s.x, s.v, s.ahead], [s.x_new, s.v_new]
         )
-        self._push()
+        for announce in (True, False):
+            self._launch(
+                contacts.push_contacts,
+                (m.n_worlds, threads),
+                [m.worlds, m.cloth, s.contacts, announce, threads, s.status, s.x, s.x_new],
+                [s.time, s.push],
+            )
         self._launch(
             body_contact.finish_step,
             n,
-            [m.worlds, m.vertex_world, m.unseen_parts, m.hold_normal, m.hold_offset, m.field, m.field_parts]
-            + [s.status, s.time, s.x_new, s.v_new],
-            [s.push, s.x, s.v, s.ahead],
-        )
-        self._launch(world.tick, m.n_worlds, [m.worlds, s.status], [s.time])
-
-    def _push(self) -> None:
-        """What contacts and crossings ask of the vertices: first how many share each, then how far they push."""
-        m, s = self.model, self.state
-        room, stride = s.point_pairs.shape[0], self._stride
-        for announce in (True, False):
-            self._launch(
-                self_contact.push_point_triangle,
-                stride,
-                [m.worlds, m.vertex_world, m.faces, m.inertia, announce, stride, room]
-                + [s.status, s.point_pairs, s.point_count, s.x, s.x_new],
-                [s.push],
-            )
-            self._launch(
-                self_contact.push_edge_edge,
-                stride,
-                [m.worlds, m.vertex_world, m.edges, m.inertia, announce, stride, room]
-                + [s.status, s.edge_pairs, s.edge_normals, s.edge_count, s.x, s.x_new],
-                [s.push],
-            )
-            self._launch(
-                body_contact.push_long_edges,
-                m.edges.shape[0],
-                [m.worlds, m.vertex_world, m.edges, m.unseen_parts, m.field, m.field_parts, announce]
-                + [s.status, s.x, s.x_new],
-                [s.push],
-            )
-        self._launch(
-            crossing.part_crossings,
-            stride,
-            [m.worlds, m.vertex_world, m.edges, m.edge_opposite, m.faces, m.inertia, stride, room]
-            + [s.status, s.crossings, s.crossing_count, s.x_new],
-            [s.push],
+            [m.worlds, m.cloth, s.status, s.time, s.x_new, s.v_new, s.x_searched, s.skin],
+            [s.push, s.x, s.v, s.ahead, s.moved_far],
         )
 
     def _find_crossings(self) -> None:
         """Where the cloth crosses itself: marked, so that contacts do not lock it in."""
         m, s = self.model, self.state
-        room = s.crossings.shape[0]
-        s.tangled.zero_()
-        s.crossing_count.zero_()
         self._bound()
         self._bvh.refit()
         self._launch(
             crossing.find_crossings,
-            m.edges.shape[0],
-            [m.vertex_world, m.edges, m.faces, self._bvh.id, room, s.status, s.x],
-            [s.tangled, s.crossings, s.crossing_count, s.overfull],
+            m.n_edges,
+            [m.worlds, m.cloth, self._bvh.id, s.crossing_due, s.x],
+            [s.tangled, s.contacts],
         )
 
-    def _detect(self) -> None:
-        """The pairs that may touch before the next search."""
+    def _search(self) -> None:
+        """The pairs that may touch before the next search, of the worlds that need one."""
         m, s = self.model, self.state
-        n, e = s.x.shape[0], m.edges.shape[0]
-        margin, room = self.config.contact_margin, s.point_pairs.shape[0]
-        for array in (s.near, s.point_count, s.edge_count):
-            array.zero_()
-        self._bound()
-        self._bvh.refit()
-        tree = self._bvh.id
+        threads = self._threads
+        self._grid.build(s.x, m.reach, groups=m.cloth.vertex_world)
         self._launch(
-            self_contact.find_point_triangle,
-            n,
-            [m.worlds, m.vertex_world, m.faces, tree, margin, room, s.status, s.tangled, s.x],
-            [s.near, s.point_pairs, s.point_count, s.overfull],
+            search.find_near,
+            m.n_vertices,
+            [m.worlds, m.cloth, self._grid.id, s.searching, s.x],
+            [s.x_searched, s.skin, s.contacts],
         )
         self._launch(
-            self_contact.find_edge_edge,
-            e,
-            [m.vertex_world, m.edges, m.face_edges, m.edge_face, tree, margin, room, s.status, s.tangled, s.near, s.x],
-            [s.edge_pairs, s.edge_normals, s.edge_count, s.overfull],
+            search.find_pairs,
+            (m.n_worlds, threads),
+            [m.worlds, m.cloth, threads, s.searching, s.tangled, s.x],
+            [s.contacts],
         )
+        self._launch(search.find_long_edges, m.n_edges, [m.worlds, m.cloth, s.searching, s.x], [s.contacts])
 
     def _bound(self) -> None:
         m, s = self.model, self.state
-        self._launch(self_contact.bound_triangles, m.faces.shape[0], [m.faces, s.x], [s.lower, s.upper])
+        self._launch(boxes.bound_faces, len(m.face_world), [m.cloth, s.x], [s.lower, s.upper])
 
     @property
-    def _stride(self) -> int:
-        """Threads that walk a list of pairs together."""
-        return 1 if self.model.device == "cpu" else min(GPU_THREADS, self.state.point_pairs.shape[0])
+    def _threads(self) -> int:
+        """Threads that walk the lists of one world together."""
+        if self.model.device == "cpu":
+            return 1
+        return max(256, min(GPU_THREADS // self.model.n_worlds, 16384))
 
-    def _launch(self, kernel: wp.Kernel, dim: int, inputs: list, outputs: list) -> None:
+    def _launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.model.device)

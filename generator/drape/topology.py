@@ -1,132 +1,144 @@
-"""What a box mesh's triangles say about its edges and hinges: lengths, stiffness shares and bending weights.
+"""A batch's box meshes as edges, hinges and rows of elastic weights, on the device that drapes them."""
 
-Everything is taken from the flat corner coordinates of the faces, so it does not matter where the panels stand.
-"""
-
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy import sparse
+import warp as wp
 
-from gcd_dataset.records import BoxMesh
+from gcd_dataset.generator.drape.config import DrapeJob
+from gcd_dataset.generator.drape.device import load_kernels
+from gcd_dataset.generator.drape.kernels import topology as kernels
+from gcd_dataset.generator.drape.kernels.elastic import Rows
 
 __all__ = ["Topology", "build_topology"]
-
-LARGEST_BEND_WEIGHT = 8.0  # about two corners of 14°: hinges of sharper slivers bend more easily than they should
 
 
 @dataclass(frozen=True)
 class Topology:
-    """A box mesh seen by its edges; ``e`` counts edges, each with the one or two faces on its sides."""
+    """``v e f`` vertices, edges and faces of all garments, one garment after the other."""
 
-    edges: Int[np.ndarray, "e 2"]
-    opposite: Int[np.ndarray, "e 2"]
-    """The vertex across from the edge in its first and second face; -1 for no second face."""
-    edge_face: Int[np.ndarray, " e"]
-    """The first face of each edge."""
-    face_edges: Int[np.ndarray, "f 3"]
-    """Edges (0, 1), (1, 2), (2, 0) of each face."""
-    flat_length: Float[np.ndarray, " e"]
-    """Length in the flat [cm]; where a gathered seam joins two lengths, the shorter."""
-    start_length: Float[np.ndarray, " e"]
-    """Length before sewing [cm]."""
-    spread: Float[np.ndarray, " e"]
-    """Area over squared length, summed over the faces of each edge [1]."""
-    area: Float[np.ndarray, " v"]
-    """A third of the area of the faces round each vertex [cm²]."""
-    bending: sparse.csr_array
-    """Quadratic bending energy as a (v, v) matrix: ``E = rigidity / 2 xᵀ Q x`` [1/cm²]."""
+    vertex_world: wp.array
+    """(v) the garment of each vertex."""
+    start: wp.array
+    """(v) positions before sewing [cm]."""
+    faces: wp.array
+    edges: wp.array
+    """(e) lower and higher vertex, in the order of both."""
+    opposite: wp.array
+    """(e) the vertices across from the edge in its first and second face; -1 for no second face."""
+    spring: wp.array
+    """(e) area over squared length summed over the faces; flat length; start length [1, cm, cm]."""
+    vertex_faces: wp.array
+    first_face: wp.array
+    """(v + 1) where the faces round each vertex begin among ``vertex_faces``."""
+    vertex_edges: wp.array
+    first_edge: wp.array
+    mass: wp.array
+    """(v) [g]"""
+    stiffness: wp.array
+    """(v) bound on what the vertex adds to the largest eigenvalue of the stiffness matrix [g/s²]."""
+    rows: Rows
+    vertex_offset: np.ndarray
+    """(w + 1) first vertex of each garment; so for faces and edges."""
+    face_offset: np.ndarray
+    edge_offset: np.ndarray
 
 
-def build_topology(mesh: BoxMesh) -> Topology:
-    """Edges, hinges and flat shape of a box mesh."""
-    n = len(mesh.vertices)
-    flat = mesh.uv[mesh.corners].astype(float)
-    sides = np.roll(flat, -1, axis=1) - flat
-    lengths = np.linalg.norm(sides, axis=2)
-    areas = 0.5 * np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
-    edges, face_edges = _number_edges(mesh.faces, n)
-    count = len(edges)
-    flat_length = np.full(count, np.inf)
-    np.minimum.at(flat_length, face_edges.ravel(), lengths.ravel())
-    spread = np.bincount(face_edges.ravel(), (areas[:, None] / lengths**2).ravel(), minlength=count)
-    opposite, edge_face, corner_of = _sides_of_edges(mesh.faces, face_edges, count)
+def build_topology(jobs: Sequence[DrapeJob], device: str) -> Topology:
+    """The topology of all garments, in the order of the jobs."""
+    load_kernels("drape's topology", kernels, device=device)
+    meshes = [job.box_mesh for job in jobs]
+    vertices = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    corners = np.cumsum([0, *(len(mesh.uv) for mesh in meshes)])
+    faces = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
+    n, sides = int(vertices[-1]), 3 * int(faces[-1])
+
+    def launch(kernel: wp.Kernel, dim: int, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device)
+
+    def empty(size: int | tuple[int, ...], dtype: type) -> wp.array:
+        return wp.empty(size, dtype=dtype, device=device)
+
+    def put(arrays: Sequence[np.ndarray], kind: type, dtype: type, shift: np.ndarray | None = None) -> wp.array:
+        joined = np.concatenate(arrays).astype(kind, copy=False)
+        if shift is not None:
+            joined = joined + np.repeat(shift[:-1], [len(a) for a in arrays])[:, None].astype(kind)
+        return wp.array(np.ascontiguousarray(joined), dtype=dtype, device=device)
+
+    start = put([mesh.vertices for mesh in meshes], np.float32, wp.vec3)
+    world = wp.array(np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(vertices)), dtype=int, device=device)
+    face = put([mesh.faces for mesh in meshes], np.int32, wp.vec3i, vertices)
+    flat = empty((int(faces[-1]), 3), wp.vec2d)
+    corner = put([mesh.corners for mesh in meshes], np.int32, wp.vec3i, corners)
+    launch(kernels.lay_flat, int(faces[-1]), [corner, put([m.uv for m in meshes], np.float64, wp.vec2d)], [flat])
+
+    keys, order, number = empty(2 * sides, wp.int64), empty(2 * sides, int), empty(sides, int)
+    launch(kernels.key_sides, sides, [face], [keys, order])
+    wp.utils.radix_sort_pairs(keys, order, sides)
+    keys = keys[:sides]
+    launch(kernels.mark_firsts, sides, [keys], [number])
+    wp.utils.array_scan(number, number, inclusive=True)
+    first_sides = wp.array(3 * faces.astype(np.int32), dtype=int, device=device)
+    edge_offset = empty(len(jobs) + 1, int)
+    launch(kernels.count_edges, len(jobs) + 1, [first_sides, number], [edge_offset])
+    edge_offsets = edge_offset.numpy()
+    count = int(edge_offsets[-1])
+    edges, opposite, spring = empty(count, wp.vec2i), empty(count, wp.vec2i), empty(count, wp.vec3)
+    hinge, hinge_scale, side_edge = empty(count, wp.vec4), empty(count, float), empty(sides, int)
+    launch(
+        kernels.describe_edges,
+        sides,
+        [face, flat, start, keys, order, number],
+        [edges, opposite, spring, hinge, hinge_scale, side_edge],
+    )
+
+    def round_vertices(kernel: wp.Kernel, things: wp.array, size: int) -> tuple[wp.array, wp.array]:
+        at, owner, first = empty(2 * size, int), empty(2 * size, int), empty(n + 1, int)
+        launch(kernel, size, [things], [at, owner])
+        wp.utils.radix_sort_pairs(at, owner, size)
+        launch(kernels.find_firsts, size + 1, [at, size], [first])
+        return owner[:size], first
+
+    vertex_faces, first_face = round_vertices(kernels.key_corners, face, sides)
+    vertex_edges, first_edge = round_vertices(kernels.key_ends, edges, 2 * count)
+    widest = int(np.diff(first_edge.numpy()).max())
+    rows = Rows()
+    rows.count, rows.bend_diagonal = empty(n, wp.vec2i), empty(n, float)
+    rows.spring_vertex, rows.spring_weight = _table(widest, n, int, device), _table(widest, n, wp.vec4, device)
+    rows.bend_vertex, rows.bend_weight = _table(widest, n, int, device), _table(widest, n, float, device)
+    mass, stiffness = empty(n, float), empty(n, float)
+    fabric = np.array([[job.fabric.mass, job.fabric.membrane, job.fabric.rigidity] for job in jobs], np.float32)
+    launch(
+        kernels.weigh_rows,
+        n,
+        [face, flat, edges, opposite, side_edge, vertex_faces, first_face, vertex_edges, first_edge]
+        + [spring, hinge, hinge_scale, world, wp.array(fabric, dtype=wp.vec3, device=device)],
+        [mass, stiffness, rows.bend_diagonal, rows.count]
+        + [rows.spring_vertex, rows.spring_weight, rows.bend_vertex, rows.bend_weight],
+    )
     return Topology(
+        vertex_world=world,
+        start=start,
+        faces=face,
         edges=edges,
         opposite=opposite,
-        edge_face=edge_face,
-        face_edges=face_edges,
-        flat_length=flat_length,
-        start_length=np.linalg.norm(mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]], axis=1),
-        spread=spread,
-        area=np.bincount(mesh.faces.ravel(), np.repeat(areas / 3, 3), minlength=n),
-        bending=_bending_matrix(mesh.faces, edges, opposite, corner_of, _cotangents(flat), areas, n),
+        spring=spring,
+        vertex_faces=vertex_faces,
+        first_face=first_face,
+        vertex_edges=vertex_edges,
+        first_edge=first_edge,
+        mass=mass,
+        stiffness=stiffness,
+        rows=rows,
+        vertex_offset=vertices,
+        face_offset=faces,
+        edge_offset=edge_offsets,
     )
 
 
-def _number_edges(faces: Int[np.ndarray, "f 3"], n: int) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "f 3"]]:
-    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).astype(np.int64)
-    keys = ends.min(axis=-1) * n + ends.max(axis=-1)
-    unique, inverse = np.unique(keys.ravel(), return_inverse=True)
-    return np.stack([unique // n, unique % n], axis=1), inverse.reshape(-1, 3)
-
-
-def _sides_of_edges(
-    faces: Int[np.ndarray, "f 3"], face_edges: Int[np.ndarray, "f 3"], count: int
-) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, " e"], Int[np.ndarray, "e 2"]]:
-    """Opposite vertices, first face, and (first, second) flat index ``3 face + corner`` of every edge's sides.
-
-    Where more than two panels meet along an edge, the first two faces make the hinge.
-    """
-    order = np.argsort(face_edges.ravel(), kind="stable")
-    edge_of = face_edges.ravel()[order]
-    rank = np.arange(len(order)) - np.searchsorted(edge_of, edge_of)
-    sides = np.full((count, 2), -1)
-    for side in (0, 1):
-        sides[edge_of[rank == side], side] = order[rank == side]
-    across = np.roll(faces, -2, axis=1).ravel()
-    opposite = np.where(sides >= 0, across[sides], -1)
-    return opposite, sides[:, 0] // 3, sides
-
-
-def _cotangents(flat: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, "f 3"]:
-    """Cotangent of the angle at each corner."""
-    out = np.roll(flat, -1, axis=1) - flat
-    back = np.roll(flat, 1, axis=1) - flat
-    dot = (out * back).sum(axis=2)
-    cross = np.abs(out[..., 0] * back[..., 1] - out[..., 1] * back[..., 0])
-    return dot / np.maximum(cross, 1e-12)
-
-
-def _bending_matrix(
-    faces: Int[np.ndarray, "f 3"],
-    edges: Int[np.ndarray, "e 2"],
-    opposite: Int[np.ndarray, "e 2"],
-    sides: Int[np.ndarray, "e 2"],
-    cotangents: Float[np.ndarray, "f 3"],
-    areas: Float[np.ndarray, " f"],
-    n: int,
-) -> sparse.csr_array:
-    """Bergou et al., A Quadratic Bending Model for Inextensible Surfaces (2006): 3 / (A0 + A1) KᵀK over hinges."""
-    hinges = np.flatnonzero(opposite[:, 1] >= 0)
-    at_ends = np.zeros((len(hinges), 2))
-    across = np.zeros((len(hinges), 2))
-    hinge_area = np.zeros(len(hinges))
-    for side in (0, 1):
-        face, corner = np.divmod(sides[hinges, side], 3)
-        here, there = cotangents[face, corner], cotangents[face, (corner + 1) % 3]
-        across[:, side] = -(here + there)
-        starts_low = faces[face, corner] == edges[hinges, 0]
-        at_ends[:, 0] += np.where(starts_low, there, here)
-        at_ends[:, 1] += np.where(starts_low, here, there)
-        hinge_area += areas[face]
-    rows = np.repeat(np.arange(len(hinges)), 4)
-    columns = np.concatenate([edges[hinges], opposite[hinges]], axis=1).ravel()
-    values = np.concatenate([at_ends, across], axis=1).ravel()
-    steepest = np.abs(np.concatenate([at_ends, across], axis=1)).max(axis=1)
-    softer = np.minimum(LARGEST_BEND_WEIGHT / np.maximum(steepest, 1e-12), 1.0)
-    K = sparse.csr_array((values, (rows, columns)), shape=(len(hinges), n))
-    Q = sparse.csr_array(K.T @ sparse.diags_array(3.0 * softer**2 / hinge_area) @ K)
-    Q.sum_duplicates()
-    return Q
+def _table(rows: int, columns: int, dtype: type, device: str) -> wp.array:
+    """``[row, column]``: on a GPU neighbouring columns lie together, for one core neighbouring rows."""
+    if device == "cpu":
+        return wp.empty((columns, rows), dtype=dtype, device=device).transpose()
+    return wp.empty((rows, columns), dtype=dtype, device=device)

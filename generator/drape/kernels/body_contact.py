@@ -4,12 +4,11 @@ import warp as wp
 
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD
 from gcd_dataset.generator.drape.kernels.push import add_push, add_weight, crowd, take_push
-from gcd_dataset.generator.drape.kernels.world import RUNNING, World
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, World
 
 wp.set_module_options({"enable_backward": False})
 
 LEAVING_SPEED = 80.0  # cm/s at which cloth that is already inside the body comes out
-SHORT_EDGE = 1.5  # cm: of longer edges the middle keeps off the body too
 MIDDLE_SHARE = 0.5  # of the gap from the skin, that the middle of an edge keeps
 HOLDING_SPEED = 60.0  # cm/s at which a held edge returns to its half-space
 
@@ -83,42 +82,28 @@ def leave_body(depth: float, normal: wp.vec3, step: wp.vec3, friction: float, ma
     return out * normal + back
 
 
-@wp.kernel
-def push_long_edges(
-    # model
-    worlds: wp.array(dtype=World),
-    vertex_world: wp.array(dtype=int),
-    edges: wp.array(dtype=wp.vec2i),
-    unseen_parts: wp.array(dtype=int),
-    field: wp.array(dtype=float),
-    field_parts: wp.array(dtype=wp.uint8),
+@wp.func
+def push_long_edge(
+    edge: wp.vec2i,
+    world: World,
+    cloth: Cloth,
     announce: bool,
-    # state in
-    status: wp.array(dtype=int),
     x_old: wp.array(dtype=wp.vec3),
     x_new: wp.array(dtype=wp.vec3),
-    # state out
     push: wp.array2d(dtype=int),
 ):
-    """Keep the inside of long edges off the body: of coarse cloth, and of seams that are still being drawn together."""
-    e = wp.tid()
-    i = edges[e][0]
-    j = edges[e][1]
-    w = vertex_world[i]
-    p = x_new[i]
-    q = x_new[j]
-    if status[w] != RUNNING or wp.length_sq(q - p) < SHORT_EDGE * SHORT_EDGE:
-        return
-    world = worlds[w]
+    """Keep the inside of a long edge off the body."""
+    i = edge[0]
+    j = edge[1]
     for quarter in range(1, 4):
         t = 0.25 * float(quarter)
-        here = wp.lerp(p, q, t)
-        near = sample_field(world, field, here)
+        here = wp.lerp(x_new[i], x_new[j], t)
+        near = sample_field(world, cloth.field, here)
         depth = MIDDLE_SHARE * world.body_gap - near[3]
         if depth <= 0.0:
             continue
-        part = nearest_part(world, field_parts, here)
-        if ((unseen_parts[i] & unseen_parts[j]) >> part) & 1 != 0:
+        part = nearest_part(world, cloth.field_parts, here)
+        if ((cloth.unseen_parts[i] & cloth.unseen_parts[j]) >> part) & 1 != 0:
             continue
         if announce:
             add_weight(push, i, 1.0 - t)
@@ -136,50 +121,49 @@ def push_long_edges(
 def finish_step(
     # model
     worlds: wp.array(dtype=World),
-    vertex_world: wp.array(dtype=int),
-    unseen_parts: wp.array(dtype=int),
-    hold_normal: wp.array(dtype=wp.vec3),
-    hold_offset: wp.array(dtype=float),
-    field: wp.array(dtype=float),
-    field_parts: wp.array(dtype=wp.uint8),
+    cloth: Cloth,
     # state in
     status: wp.array(dtype=int),
     time: wp.array(dtype=float),
     x_new: wp.array(dtype=wp.vec3),
     v_new: wp.array(dtype=wp.vec3),
+    x_searched: wp.array(dtype=wp.vec3),
+    skin: wp.array(dtype=float),
     # state in and out
     push: wp.array2d(dtype=int),
     # state out
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
     ahead: wp.array(dtype=wp.vec3),
+    moved_far: wp.array(dtype=int),
 ):
     """Apply the contacts' pushes, hold what is held, keep off the body, and end the step."""
     i = wp.tid()
-    w = vertex_world[i]
+    w = cloth.vertex_world[i]
     if status[w] != RUNNING:
         return
     world = worlds[w]
     moved = take_push(push, i)
     here = x_new[i] + moved
-    normal = hold_normal[i]
+    normal = cloth.hold_normal[i]
     if time[w] < world.sewing_time + world.held_time and wp.length_sq(normal) > 0.0:
-        short = hold_offset[i] - wp.dot(here, normal)
+        short = cloth.hold_offset[i] - wp.dot(here, normal)
         if short > 0.0:
             approach = wp.max(-wp.dot(here - x[i], normal), 0.0)
             back = wp.min(short, approach + HOLDING_SPEED * world.dt) * normal
             moved += back
             here += back
-    near = sample_field(world, field, here)
-    if near[3] < world.body_gap:
-        part = nearest_part(world, field_parts, here)
-        if ((unseen_parts[i] >> part) & 1) == 0:
-            skin_normal = wp.vec3(near[0], near[1], near[2])
-            out = leave_body(
-                world.body_gap - near[3], skin_normal, here - x[i], world.friction, LEAVING_SPEED * world.dt
-            )
-            moved += out
-            here += out
+    if skin[i] < world.clear:
+        near = sample_field(world, cloth.field, here)
+        if near[3] < world.body_gap:
+            part = nearest_part(world, cloth.field_parts, here)
+            if ((cloth.unseen_parts[i] >> part) & 1) == 0:
+                skin_normal = wp.vec3(near[0], near[1], near[2])
+                out = leave_body(
+                    world.body_gap - near[3], skin_normal, here - x[i], world.friction, LEAVING_SPEED * world.dt
+                )
+                moved += out
+                here += out
     speed = v_new[i] + moved / world.dt
     fast = wp.length(speed)
     if fast > world.max_speed:
@@ -187,3 +171,5 @@ def finish_step(
     x[i] = here
     v[i] = speed
     ahead[i] = here + (LOOK_AHEAD * world.dt) * speed
+    if wp.length_sq(here - x_searched[i]) > world.travel * world.travel:
+        moved_far[w] = 1

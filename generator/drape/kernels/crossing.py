@@ -8,9 +8,9 @@ curve's directions ``R`` into the edge's faces grow fastest along ``R - (E·R / 
 
 import warp as wp
 
+from gcd_dataset.generator.drape.kernels.geometry import has_vertex, segment_crosses
 from gcd_dataset.generator.drape.kernels.push import add_push
-from gcd_dataset.generator.drape.kernels.self_contact import has_vertex, take_slot
-from gcd_dataset.generator.drape.kernels.world import RUNNING, World
+from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, take_slot
 
 wp.set_module_options({"enable_backward": False})
 
@@ -18,58 +18,32 @@ GLANCING = 0.1  # least |E·N| that the step is divided by
 PARTING_ACCELERATION = 8000.0  # cm/s²
 
 
-@wp.func
-def segment_crosses(p: wp.vec3, q: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> bool:
-    """Whether segment pq crosses triangle abc (Möller–Trumbore, both ends included)."""
-    along = q - p
-    ab = b - a
-    ac = c - a
-    h = wp.cross(along, ac)
-    det = wp.dot(ab, h)
-    if wp.abs(det) < 1.0e-12:
-        return False
-    s = (p - a) / det
-    u = wp.dot(s, h)
-    if u < 0.0 or u > 1.0:
-        return False
-    g = wp.cross(s, ab)
-    v = wp.dot(along, g)
-    if v < 0.0 or u + v > 1.0:
-        return False
-    t = wp.dot(ac, g)
-    return t >= 0.0 and t <= 1.0
-
-
 @wp.kernel
 def find_crossings(
     # model
-    vertex_world: wp.array(dtype=int),
-    edges: wp.array(dtype=wp.vec2i),
-    faces: wp.array(dtype=wp.vec3i),
+    worlds: wp.array(dtype=World),
+    cloth: Cloth,
     bvh: wp.uint64,
-    capacity: int,
     # state in
-    status: wp.array(dtype=int),
+    crossing_due: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state out
     tangled: wp.array(dtype=int),
-    crossings: wp.array(dtype=wp.vec2i),
-    count: wp.array(dtype=int),
-    overfull: wp.array(dtype=int),
+    contacts: Contacts,
 ):
     """List (edge, triangle) for every crossing of the cloth with itself, and mark the vertices of both."""
     e = wp.tid()
-    i = edges[e][0]
-    j = edges[e][1]
-    w = vertex_world[i]
-    if status[w] != RUNNING:
+    i = cloth.edges[e][0]
+    j = cloth.edges[e][1]
+    w = cloth.vertex_world[i]
+    if crossing_due[w] == 0:
         return
     p = x[i]
     q = x[j]
     query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), wp.bvh_get_group_root(bvh, w))
     f = int(0)
     while wp.bvh_query_next(query, f):
-        face = faces[f]
+        face = cloth.faces[f]
         if has_vertex(face, i) or has_vertex(face, j):
             continue
         if segment_crosses(p, q, x[face[0]], x[face[1]], x[face[2]]):
@@ -78,9 +52,9 @@ def find_crossings(
             tangled[face[0]] = 1
             tangled[face[1]] = 1
             tangled[face[2]] = 1
-            slot = take_slot(count, w, overfull, capacity)
+            slot = take_slot(contacts.crossing_count, w, worlds[w], contacts)
             if slot >= 0:
-                crossings[slot] = wp.vec2i(e, f)
+                contacts.crossings[slot] = wp.vec2i(e, f)
 
 
 @wp.func
@@ -94,65 +68,42 @@ def into_face(along: wp.vec3, start: wp.vec3, opposite: wp.vec3, normal: wp.vec3
     return curve
 
 
-@wp.kernel
-def part_crossings(
-    # model
-    worlds: wp.array(dtype=World),
-    vertex_world: wp.array(dtype=int),
-    edges: wp.array(dtype=wp.vec2i),
-    edge_opposite: wp.array(dtype=wp.vec2i),
-    faces: wp.array(dtype=wp.vec3i),
-    inertia: wp.array(dtype=float),
-    stride: int,
-    capacity: int,
-    # state in
-    status: wp.array(dtype=int),
-    crossings: wp.array(dtype=wp.vec2i),
-    count: wp.array(dtype=int),
-    x: wp.array(dtype=wp.vec3),
-    # state out
-    push: wp.array2d(dtype=int),
+@wp.func
+def part_crossing(
+    crossing: wp.vec2i, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)
 ):
-    """Accelerate edges and triangles that still cross against each other, so that the crossing curve shortens."""
-    slot = int(wp.tid())
-    total = wp.min(count[0], capacity)
-    while slot < total:
-        e = crossings[slot][0]
-        face = faces[crossings[slot][1]]
-        slot += stride
-        i = edges[e][0]
-        j = edges[e][1]
-        w = vertex_world[i]
-        a = x[face[0]]
-        b = x[face[1]]
-        c = x[face[2]]
-        if status[w] != RUNNING or not segment_crosses(x[i], x[j], a, b, c):
-            continue
-        normal = wp.normalize(wp.cross(b - a, c - a))
-        along = wp.normalize(x[j] - x[i])
-        curve = into_face(along, x[i], x[edge_opposite[e][0]], normal)
-        if edge_opposite[e][1] >= 0:
-            curve += into_face(along, x[i], x[edge_opposite[e][1]], normal)
-        steep = wp.dot(along, normal)
-        if wp.abs(steep) < GLANCING:
-            steep = wp.sign(steep) * GLANCING
-        way = curve - (wp.dot(along, curve) / steep) * normal
-        way = way / wp.sqrt(wp.length_sq(way) + 0.25)
-        dt = worlds[w].dt
-        lever = 0.5 * (1.0 / inertia[i] + 1.0 / inertia[j])
-        step = (PARTING_ACCELERATION * dt * dt / lever) * way
-        add_push(push, i, (0.5 / inertia[i]) * step)
-        add_push(push, j, (0.5 / inertia[j]) * step)
-        for corner in range(3):
-            add_push(push, face[corner], (-1.0 / 3.0 / inertia[face[corner]]) * step)
+    """Accelerate an edge and a triangle that still cross against each other, so that the crossing curve shortens."""
+    e = crossing[0]
+    face = cloth.faces[crossing[1]]
+    i = cloth.edges[e][0]
+    j = cloth.edges[e][1]
+    a = x[face[0]]
+    b = x[face[1]]
+    c = x[face[2]]
+    if not segment_crosses(x[i], x[j], a, b, c):
+        return
+    normal = wp.normalize(wp.cross(b - a, c - a))
+    along = wp.normalize(x[j] - x[i])
+    curve = into_face(along, x[i], x[cloth.edge_opposite[e][0]], normal)
+    if cloth.edge_opposite[e][1] >= 0:
+        curve += into_face(along, x[i], x[cloth.edge_opposite[e][1]], normal)
+    steep = wp.dot(along, normal)
+    if wp.abs(steep) < GLANCING:
+        steep = wp.sign(steep) * GLANCING
+    way = curve - (wp.dot(along, curve) / steep) * normal
+    way = way / wp.sqrt(wp.length_sq(way) + 0.25)
+    lever = 0.5 * (1.0 / cloth.inertia[i] + 1.0 / cloth.inertia[j])
+    step = (PARTING_ACCELERATION * world.dt * world.dt / lever) * way
+    add_push(push, i, (0.5 / cloth.inertia[i]) * step)
+    add_push(push, j, (0.5 / cloth.inertia[j]) * step)
+    for corner in range(3):
+        add_push(push, face[corner], (-1.0 / 3.0 / cloth.inertia[face[corner]]) * step)
 
 
 @wp.kernel
 def count_self_crossings(
     # model
-    vertex_world: wp.array(dtype=int),
-    edges: wp.array(dtype=wp.vec2i),
-    faces: wp.array(dtype=wp.vec3i),
+    cloth: Cloth,
     bvh: wp.uint64,
     # state in
     x: wp.array(dtype=wp.vec3),
@@ -161,15 +112,15 @@ def count_self_crossings(
 ):
     """Count the edges that cross at least one triangle with which they share no vertex."""
     e = wp.tid()
-    i = edges[e][0]
-    j = edges[e][1]
-    w = vertex_world[i]
+    i = cloth.edges[e][0]
+    j = cloth.edges[e][1]
+    w = cloth.vertex_world[i]
     p = x[i]
     q = x[j]
     query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), wp.bvh_get_group_root(bvh, w))
     f = int(0)
     while wp.bvh_query_next(query, f):
-        face = faces[f]
+        face = cloth.faces[f]
         if has_vertex(face, i) or has_vertex(face, j):
             continue
         if segment_crosses(p, q, x[face[0]], x[face[1]], x[face[2]]):
@@ -180,9 +131,7 @@ def count_self_crossings(
 @wp.kernel
 def count_body_crossings(
     # model
-    vertex_world: wp.array(dtype=int),
-    edges: wp.array(dtype=wp.vec2i),
-    body_mesh: wp.array(dtype=wp.uint64),
+    cloth: Cloth,
     # state in
     x: wp.array(dtype=wp.vec3),
     # out
@@ -190,11 +139,11 @@ def count_body_crossings(
 ):
     """Count the edges that cross the body's skin."""
     e = wp.tid()
-    i = edges[e][0]
-    w = vertex_world[i]
-    along = x[edges[e][1]] - x[i]
+    i = cloth.edges[e][0]
+    w = cloth.vertex_world[i]
+    along = x[cloth.edges[e][1]] - x[i]
     length = wp.length(along)
     if length > 0.0:
-        hit = wp.mesh_query_ray(body_mesh[w], x[i], along / length, length)
+        hit = wp.mesh_query_ray(cloth.body_mesh[w], x[i], along / length, length)
         if hit.result:
             wp.atomic_add(crossings, w, 1)

@@ -1,7 +1,8 @@
 """Stretch, bending, weight and drag: one gather per vertex, and a step in time without contacts.
 
 Stretch is a spring along every mesh edge; bending is the quadratic model of Bergou et al. (2006), a constant matrix. A
-vertex reads its row of both at once: ``(spring stiffness, flat length, start length, bending weight)`` by neighbour.
+vertex walks its springs ``(stiffness, flat length, start length, bending weight)`` and then the vertices that only its
+bending depends on; entry ``k`` of all vertices lies together, so that neighbouring threads read neighbouring words.
 
 Forces are taken at ``x + theta h v``, a stiffness-proportional damping that fades for slow motions; with it the
 symplectic Euler step is stable for ``(omega h)² (1 + 2 theta) < 4``.
@@ -9,36 +10,41 @@ symplectic Euler step is stable for ``(omega h)² (1 + 2 theta) < 4``.
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.world import RUNNING, World, sewn_share
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, World, sewn_share
 
 wp.set_module_options({"enable_backward": False})
 
 LOOK_AHEAD = 0.3
 
 
+@wp.struct
+class Rows:
+    """The elastic forces on each vertex as rows: ``[k, vertex]``."""
+
+    count: wp.array(dtype=wp.vec2i)  # springs, further bending weights
+    spring_vertex: wp.array2d(dtype=int)
+    spring_weight: wp.array2d(dtype=wp.vec4)
+    bend_vertex: wp.array2d(dtype=int)
+    bend_weight: wp.array2d(dtype=float)
+    bend_diagonal: wp.array(dtype=float)
+
+
 @wp.func
-def elastic_force(
-    i: int,
-    sewn: float,
-    row_start: wp.array(dtype=int),
-    row_vertex: wp.array(dtype=int),
-    row_weight: wp.array(dtype=wp.vec4),
-    bend_diagonal: wp.array(dtype=float),
-    ahead: wp.array(dtype=wp.vec3),
-) -> wp.vec3:
+def elastic_force(i: int, sewn: float, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
     """Spring and bending force on vertex ``i`` [g cm/s²]."""
     x = ahead[i]
-    force = -bend_diagonal[i] * x
-    for entry in range(row_start[i], row_start[i + 1]):
-        weight = row_weight[entry]
-        y = ahead[row_vertex[entry]]
+    count = rows.count[i]
+    force = -rows.bend_diagonal[i] * x
+    for k in range(count[0]):
+        weight = rows.spring_weight[k, i]
+        y = ahead[rows.spring_vertex[k, i]]
+        edge = y - x
+        length = wp.length(edge)
+        rest = wp.lerp(weight[2], weight[1], sewn)
         force -= weight[3] * y
-        if weight[0] > 0.0:
-            edge = y - x
-            length = wp.length(edge)
-            rest = wp.lerp(weight[2], weight[1], sewn)
-            if length > 1.0e-6:
-                force += (weight[0] * (length - rest) / length) * edge
+        force += (weight[0] * (length - rest) / wp.max(length, 1.0e-6)) * edge
+    for k in range(count[1]):
+        force -= rows.bend_weight[k, i] * ahead[rows.bend_vertex[k, i]]
     return force
 
 
@@ -46,13 +52,8 @@ def elastic_force(
 def advance(
     # model
     worlds: wp.array(dtype=World),
-    vertex_world: wp.array(dtype=int),
-    mass: wp.array(dtype=float),
-    inertia: wp.array(dtype=float),
-    row_start: wp.array(dtype=int),
-    row_vertex: wp.array(dtype=int),
-    row_weight: wp.array(dtype=wp.vec4),
-    bend_diagonal: wp.array(dtype=float),
+    cloth: Cloth,
+    rows: Rows,
     # state in
     status: wp.array(dtype=int),
     time: wp.array(dtype=float),
@@ -65,17 +66,17 @@ def advance(
 ):
     """One step of symplectic Euler for every vertex, contacts left for later kernels."""
     i = wp.tid()
-    w = vertex_world[i]
+    w = cloth.vertex_world[i]
     if status[w] != RUNNING:
         return
     world = worlds[w]
     sewn = sewn_share(world, time[w])
-    force = elastic_force(i, sewn, row_start, row_vertex, row_weight, bend_diagonal, ahead)
+    force = elastic_force(i, sewn, rows, ahead)
     drag = world.sewing_damping
     if time[w] >= world.sewing_time:
-        force += wp.vec3(0.0, -mass[i] * world.gravity, 0.0)
+        force += wp.vec3(0.0, -cloth.mass[i] * world.gravity, 0.0)
         drag = world.damping
-    v = (v_in[i] + (world.dt / inertia[i]) * force) * wp.exp(-drag * world.dt)
+    v = (v_in[i] + (world.dt / cloth.inertia[i]) * force) * wp.exp(-drag * world.dt)
     speed = wp.length(v)
     if speed > world.max_speed:
         v = v * (world.max_speed / speed)

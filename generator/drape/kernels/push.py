@@ -14,6 +14,7 @@ wp.set_module_options({"enable_backward": False})
 
 PUSH_SCALE = 16777216.0  # 2**24 units in a centimetre: a quantum of 6e-8 cm, overflow at 128 cm
 WEIGHT_SCALE = 65536.0
+HEIGHT_SCALE = 256.0
 
 
 @wp.func

@@ -1,35 +1,101 @@
-"""Which garments hang still: how many vertices moved too far since the last look."""
+"""The end of a frame: which garments hang still, have slid off or have diverged, and which have not."""
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.world import DIVERGED, RUNNING, World
+from gcd_dataset.generator.drape.kernels.push import HEIGHT_SCALE
+from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, RUNNING, Cloth, World
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def count_moving(
+def watch_frame(
     # model
     worlds: wp.array(dtype=World),
-    vertex_world: wp.array(dtype=int),
-    still_speed: float,
-    substeps: int,
+    cloth: Cloth,
+    threads: int,
+    # state in
+    x: wp.array(dtype=wp.vec3),
+    crossing_due: wp.array(dtype=int),
     # state in and out
     status: wp.array(dtype=int),
-    x: wp.array(dtype=wp.vec3),
     x_seen: wp.array(dtype=wp.vec3),
-    # out
+    # state out
+    tangled: wp.array(dtype=int),
     moving: wp.array(dtype=int),
+    kept_height: wp.array(dtype=int),
 ):
-    """Count the vertices faster than ``still_speed`` over the last frame; mark worlds that have diverged."""
-    i = wp.tid()
-    w = vertex_world[i]
+    """Count the vertices that moved in the frame, and add up the heights of those that keep the garment up."""
+    w, thread = wp.tid()
     if status[w] != RUNNING:
         return
-    moved = wp.length(x[i] - x_seen[i])
-    if not wp.isfinite(moved):
-        status[w] = DIVERGED
-        return
-    if moved > still_speed * worlds[w].dt * float(substeps):
-        wp.atomic_add(moving, w, 1)
-    x_seen[i] = x[i]
+    world = worlds[w]
+    count = int(0)
+    height = int(0)
+    for i in range(world.first + thread, world.first + world.size, threads):
+        moved = wp.length(x[i] - x_seen[i])
+        if not wp.isfinite(moved):
+            status[w] = DIVERGED
+        if moved > world.still:
+            count += 1
+        if cloth.keeper[i] != wp.uint8(0):
+            height += int(wp.clamp(x[i][1], -1000.0, 1000.0) * HEIGHT_SCALE)
+        x_seen[i] = x[i]
+        if crossing_due[w] != 0:
+            tangled[i] = 0
+    if count > 0:
+        wp.atomic_add(moving, w, count)
+    if height != 0:
+        wp.atomic_add(kept_height, w, height)
+
+
+@wp.kernel
+def end_frame(
+    # model
+    worlds: wp.array(dtype=World),
+    # state in
+    time: wp.array(dtype=float),
+    crossing_due: wp.array(dtype=int),
+    # state in and out
+    status: wp.array(dtype=int),
+    moving: wp.array(dtype=int),
+    kept_height: wp.array(dtype=int),
+    # state out
+    moved: wp.array(dtype=int),
+    frames: wp.array(dtype=int),
+    crossing_count: wp.array(dtype=int),
+    any_crossing: wp.array(dtype=int),
+    any_running: wp.array(dtype=int),
+):
+    """End the drape of garments that are loose and rest, or that nothing keeps up any more."""
+    w = wp.tid()
+    if status[w] == RUNNING:
+        world = worlds[w]
+        frames[w] = frames[w] + 1
+        if time[w] > world.loose_after:
+            if float(moving[w]) <= world.restless:
+                status[w] = DONE
+            if world.keepers > 0:
+                if float(kept_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers):
+                    status[w] = DONE
+    moved[w] = moving[w]
+    moving[w] = 0
+    kept_height[w] = 0
+    if status[w] == RUNNING:
+        any_running[0] = 1
+        if crossing_due[w] != 0:
+            crossing_count[w] = 0
+            any_crossing[0] = 1
+
+
+@wp.kernel
+def stretch_edges(
+    cloth: Cloth,
+    spring: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    # out
+    ratio: wp.array(dtype=float),
+):
+    """Length over flat length of every edge."""
+    e = wp.tid()
+    ratio[e] = wp.length(x[cloth.edges[e][1]] - x[cloth.edges[e][0]]) / spring[e][1]

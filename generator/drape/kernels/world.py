@@ -1,4 +1,4 @@
-"""What a kernel must know of the world, the garment and the body, that a vertex belongs to."""
+"""What the kernels must know of a garment, its body and its cloth; and which contacts are being watched."""
 
 import warp as wp
 
@@ -13,20 +13,75 @@ DIVERGED = 2
 class World:
     """One garment on one body."""
 
+    first: int  # its first vertex
+    size: int  # its vertices
+    first_edge: int
+    edges: int
     dt: float  # s
     damping: float  # 1/s
     sewing_damping: float  # 1/s
     sewing_time: float  # s
     held_time: float  # s, after sewing
+    loose_after: float  # s, from where it may be found at rest
     gravity: float  # cm/s²
     max_speed: float  # cm/s
     friction: float
     thickness: float  # cm, between layers
     body_gap: float  # cm, from the skin
+    margin: float  # cm, pairs nearer than this are watched
+    near: float  # cm, vertices nearer than this may belong to such a pair
+    travel: float  # cm that a vertex may move until the next search
+    clear: float  # cm from the skin, from where no vertex reaches it before the next search
+    still: float  # cm in a frame: a vertex that moves less rests
+    restless: float  # vertices that may move in a garment at rest
+    lowest: float  # cm, below which the mean of the vertices that keep it up has slid off
+    keepers: int  # how many vertices keep it up
     field_offset: wp.int64  # first voxel of the body's distance field
     field_size: wp.vec3i  # voxels along x, y, z
     field_origin: wp.vec3  # cm, centre of the first voxel
     field_cell: float  # cm
+
+
+@wp.struct
+class Cloth:
+    """The cloth of all worlds; ``v e f`` vertices, edges and faces of all garments together."""
+
+    vertex_world: wp.array(dtype=int)
+    mass: wp.array(dtype=float)  # (v) what weighs [g]
+    inertia: wp.array(dtype=float)  # (v) what resists acceleration [g]
+    faces: wp.array(dtype=wp.vec3i)
+    edges: wp.array(dtype=wp.vec2i)
+    edge_opposite: wp.array(dtype=wp.vec2i)  # (e) the vertices across, -1 for no second face
+    vertex_faces: wp.array(dtype=int)  # the faces round each vertex, from first_face[v] to first_face[v + 1]
+    first_face: wp.array(dtype=int)
+    vertex_edges: wp.array(dtype=int)
+    first_edge: wp.array(dtype=int)
+    hold_normal: wp.array(dtype=wp.vec3)  # (v) direction in which a held vertex is pushed; zero for none
+    hold_offset: wp.array(dtype=float)  # (v) it is pushed while ``x · normal`` is less than this [cm]
+    keeper: wp.array(dtype=wp.uint8)  # (v) 1 where a vertex keeps the garment up
+    unseen_parts: wp.array(dtype=int)  # (v) bit set of the body parts that do not stop it
+    field: wp.array(dtype=float)
+    field_parts: wp.array(dtype=wp.uint8)
+    body_mesh: wp.array(dtype=wp.uint64)  # (w) the skin
+
+
+@wp.struct
+class Contacts:
+    """Lists of what may touch before the next search. Those of a world begin at ``room * world.first``."""
+
+    room: int  # entries for each vertex
+    near: wp.array(dtype=wp.vec2i)  # vertices
+    points: wp.array(dtype=wp.vec3i)  # vertex, face, side
+    edges: wp.array(dtype=wp.vec2i)
+    normals: wp.array(dtype=wp.vec3)  # from the first edge to the second
+    long_edges: wp.array(dtype=int)
+    crossings: wp.array(dtype=wp.vec2i)  # edge, face
+    near_count: wp.array(dtype=int)  # (w), as the other counts
+    point_count: wp.array(dtype=int)
+    edge_count: wp.array(dtype=int)
+    long_count: wp.array(dtype=int)
+    crossing_count: wp.array(dtype=int)
+    overfull: wp.array(dtype=int)
 
 
 @wp.func
@@ -36,16 +91,17 @@ def sewn_share(world: World, time: float) -> float:
     return s * s * (3.0 - 2.0 * s)
 
 
-@wp.kernel
-def tick(
-    # model
-    worlds: wp.array(dtype=World),
-    # state in
-    status: wp.array(dtype=int),
-    # state out
-    time: wp.array(dtype=float),
-):
-    """Advance the clock of every world that still runs."""
-    world = wp.tid()
-    if status[world] == RUNNING:
-        time[world] = time[world] + worlds[world].dt
+@wp.func
+def take_slot(count: wp.array(dtype=int), w: int, world: World, contacts: Contacts) -> int:
+    """The next free slot of a world's list, or -1 and a mark on the world."""
+    taken = wp.atomic_add(count, w, 1)
+    if taken >= contacts.room * world.size:
+        contacts.overfull[w] = 1
+        return -1
+    return contacts.room * world.first + taken
+
+
+@wp.func
+def listed(count: wp.array(dtype=int), w: int, world: World, contacts: Contacts) -> int:
+    """Entries in a world's list."""
+    return wp.min(count[w], contacts.room * world.size)

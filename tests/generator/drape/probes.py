@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.crossing import segment_crosses
-from gcd_dataset.generator.drape.kernels.self_contact import closest_on_triangle
+from gcd_dataset.generator.drape.kernels.geometry import closest_on_triangle, segment_crosses
 
 wp.set_module_options({"enable_backward": False})
 

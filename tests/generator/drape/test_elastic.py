@@ -31,16 +31,10 @@ def force_on(model: ClothModel, x: np.ndarray) -> np.ndarray:
     at = wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu")
     still, x_out, v_out = (wp.zeros(n, dtype=wp.vec3, device="cpu") for _ in range(3))
     zero = wp.zeros(1, dtype=int, device="cpu")
-    wp.launch(
-        advance,
-        dim=n,
-        inputs=[model.worlds, model.vertex_world, model.mass, model.inertia, model.row_start, model.row_vertex]
-        + [model.row_weight, model.bend_diagonal, zero, wp.zeros(1, dtype=float, device="cpu"), at, still, at],
-        outputs=[x_out, v_out],
-        device="cpu",
-    )
+    inputs = [model.worlds, model.cloth, model.rows, zero, wp.zeros(1, dtype=float, device="cpu"), at, still, at]
+    wp.launch(advance, dim=n, inputs=inputs, outputs=[x_out, v_out], device="cpu")
     dt = model.worlds.numpy()["dt"][0]
-    return np.asarray(v_out.numpy() * (model.inertia.numpy() / dt)[:, None])
+    return np.asarray(v_out.numpy() * (model.cloth.inertia.numpy() / dt)[:, None])
 
 
 def test_force_is_the_slope_of_the_energy() -> None:

@@ -1,0 +1,226 @@
+"""Which pairs of points and triangles, and of edges, may touch soon: found anew when a garment has moved far enough.
+
+Vertices that come near each other without being neighbours are found first, by a grid; a pair of parts that is nearer
+than the margin has two such vertices, the nearest on either side, and is found round them alone.
+"""
+
+import warp as wp
+
+from gcd_dataset.generator.drape.kernels.body_contact import sample_field
+from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, has_vertex
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, listed, take_slot
+
+wp.set_module_options({"enable_backward": False})
+
+ROUND = wp.constant(8)  # threads that share a pair of vertices: about as many as a vertex has edges
+SHORT_EDGE = 1.5  # cm: of longer edges the middle keeps off the body too
+
+
+@wp.kernel
+def plan_search(
+    first: bool,
+    # state in
+    status: wp.array(dtype=int),
+    # state in and out
+    moved_far: wp.array(dtype=int),
+    contacts: Contacts,
+    # state out
+    searching: wp.array(dtype=int),
+    crossing_due: wp.array(dtype=int),
+    any_search: wp.array(dtype=int),
+):
+    """Mark the worlds to be searched, and empty their lists; ``first`` in a frame."""
+    w = wp.tid()
+    searching[w] = 0
+    if first:
+        crossing_due[w] = 0
+    if status[w] != RUNNING or moved_far[w] == 0:
+        return
+    searching[w] = 1
+    crossing_due[w] = 1
+    any_search[0] = 1
+    moved_far[w] = 0
+    contacts.near_count[w] = 0
+    contacts.point_count[w] = 0
+    contacts.edge_count[w] = 0
+    contacts.long_count[w] = 0
+
+
+@wp.func
+def are_neighbours(i: int, j: int, cloth: Cloth) -> bool:
+    """Whether an edge joins two vertices."""
+    for at in range(cloth.first_edge[i], cloth.first_edge[i + 1]):
+        ends = cloth.edges[cloth.vertex_edges[at]]
+        if ends[0] == j or ends[1] == j:
+            return True
+    return False
+
+
+@wp.kernel
+def find_near(
+    # model
+    worlds: wp.array(dtype=World),
+    cloth: Cloth,
+    grid: wp.uint64,
+    # state in
+    searching: wp.array(dtype=int),
+    x: wp.array(dtype=wp.vec3),
+    # state out
+    x_searched: wp.array(dtype=wp.vec3),
+    skin: wp.array(dtype=float),
+    contacts: Contacts,
+):
+    """List the pairs of vertices near each other, and note how far every vertex is from the skin."""
+    i = wp.tid()
+    w = cloth.vertex_world[i]
+    if searching[w] == 0:
+        return
+    world = worlds[w]
+    p = x[i]
+    x_searched[i] = p
+    near = sample_field(world, cloth.field, p)
+    skin[i] = near[3]
+    query = wp.hash_grid_query(grid, p, world.near, w)
+    j = int(0)
+    while wp.hash_grid_query_next(query, j):
+        if j >= i or wp.length_sq(x[j] - p) > world.near * world.near or are_neighbours(i, j, cloth):
+            continue
+        slot = take_slot(contacts.near_count, w, world, contacts)
+        if slot >= 0:
+            contacts.near[slot] = wp.vec2i(i, j)
+
+
+@wp.func
+def watch_point(
+    i: int,
+    j: int,
+    f: int,
+    w: int,
+    world: World,
+    cloth: Cloth,
+    tangled: wp.array(dtype=int),
+    x: wp.array(dtype=wp.vec3),
+    contacts: Contacts,
+):
+    """List vertex ``i`` with face ``f`` where it is near, and nearest to the face's corner ``j``."""
+    face = cloth.faces[f]
+    if has_vertex(face, i):
+        return
+    a = x[face[0]]
+    b = x[face[1]]
+    c = x[face[2]]
+    weights = closest_on_triangle(x[i], a, b, c)
+    corner = int(0)
+    if weights[1] > weights[0]:
+        corner = 1
+    if weights[2] > weights[corner]:
+        corner = 2
+    if face[corner] != j:
+        return
+    away = x[i] - (weights[0] * a + weights[1] * b + weights[2] * c)
+    if wp.length_sq(away) > world.margin * world.margin:
+        return
+    if tangled[i] != 0 and tangled[face[0]] + tangled[face[1]] + tangled[face[2]] != 0:
+        return
+    side = 1
+    if wp.dot(away, wp.cross(b - a, c - a)) < 0.0:
+        side = -1
+    slot = take_slot(contacts.point_count, w, world, contacts)
+    if slot >= 0:
+        contacts.points[slot] = wp.vec3i(i, f, side)
+
+
+@wp.func
+def watch_edges(
+    i: int,
+    j: int,
+    e: int,
+    g: int,
+    w: int,
+    world: World,
+    cloth: Cloth,
+    tangled: wp.array(dtype=int),
+    x: wp.array(dtype=wp.vec3),
+    contacts: Contacts,
+):
+    """List two edges where they are near, inside both and nearest to their ends ``i`` and ``j``."""
+    i1 = cloth.edges[e][0] + cloth.edges[e][1] - i
+    j1 = cloth.edges[g][0] + cloth.edges[g][1] - j
+    if i1 == j1 or i1 == j or j1 == i:
+        return
+    st = closest_on_edges(x[i], x[i1], x[j], x[j1])
+    if st[0] <= 0.0 or st[0] > 0.5 or st[1] <= 0.0 or st[1] > 0.5:
+        return  # nearest at an end: a point and a triangle see to it; or another pair of ends does
+    between = wp.lerp(x[j], x[j1], st[1]) - wp.lerp(x[i], x[i1], st[0])
+    gap = wp.length(between)
+    if gap > world.margin or gap < 1.0e-6:
+        return
+    if tangled[i] + tangled[i1] != 0 and tangled[j] + tangled[j1] != 0:
+        return
+    slot = take_slot(contacts.edge_count, w, world, contacts)
+    if slot >= 0:
+        contacts.edges[slot] = wp.vec2i(e, g)
+        contacts.normals[slot] = between / gap
+
+
+@wp.kernel
+def find_pairs(
+    # model
+    worlds: wp.array(dtype=World),
+    cloth: Cloth,
+    threads: int,
+    # state in
+    searching: wp.array(dtype=int),
+    tangled: wp.array(dtype=int),
+    x: wp.array(dtype=wp.vec3),
+    # state in and out
+    contacts: Contacts,
+):
+    """List the points and triangles, and the edges, near each other round every near pair of vertices."""
+    w, thread = wp.tid()
+    if searching[w] == 0:
+        return
+    world = worlds[w]
+    total = ROUND * listed(contacts.near_count, w, world, contacts)
+    for task in range(thread, total, threads):
+        pair = contacts.near[contacts.room * world.first + task // ROUND]
+        i = pair[0]
+        j = pair[1]
+        turn = task % ROUND
+        for at in range(cloth.first_face[j] + turn, cloth.first_face[j + 1], ROUND):
+            watch_point(i, j, cloth.vertex_faces[at], w, world, cloth, tangled, x, contacts)
+        for at in range(cloth.first_face[i] + turn, cloth.first_face[i + 1], ROUND):
+            watch_point(j, i, cloth.vertex_faces[at], w, world, cloth, tangled, x, contacts)
+        for at in range(cloth.first_edge[i] + turn, cloth.first_edge[i + 1], ROUND):
+            for to in range(cloth.first_edge[j], cloth.first_edge[j + 1]):
+                watch_edges(i, j, cloth.vertex_edges[at], cloth.vertex_edges[to], w, world, cloth, tangled, x, contacts)
+
+
+@wp.kernel
+def find_long_edges(
+    # model
+    worlds: wp.array(dtype=World),
+    cloth: Cloth,
+    # state in
+    searching: wp.array(dtype=int),
+    x: wp.array(dtype=wp.vec3),
+    # state out
+    contacts: Contacts,
+):
+    """List the long edges whose middle may come near the skin: of coarse cloth, and of seams not yet closed."""
+    e = wp.tid()
+    i = cloth.edges[e][0]
+    j = cloth.edges[e][1]
+    w = cloth.vertex_world[i]
+    if searching[w] == 0:
+        return
+    world = worlds[w]
+    half = 0.5 * wp.length(x[j] - x[i])
+    if half < 0.5 * SHORT_EDGE:
+        return
+    middle = sample_field(world, cloth.field, wp.lerp(x[i], x[j], 0.5))
+    if middle[3] > wp.max(world.clear, 0.5 * half + world.clear):
+        return
+    slot = take_slot(contacts.long_count, w, world, contacts)
+    if slot >= 0:
+        contacts.long_edges[slot] = e
