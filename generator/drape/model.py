@@ -36,8 +36,6 @@ class ClothModel:
     topology: Topology
     face_world: wp.array
     """(f) the garment of each face."""
-    reach: float
-    """The largest distance of vertices that may belong to watched pairs [cm]."""
     bodies: tuple[BodyField, ...]
     """Kept alive for the handles in ``cloth``."""
 
@@ -108,7 +106,6 @@ def build_model(jobs: Sequence[DrapeJob], config: DrapeConfig, device: str) -> C
         face_world=wp.array(
             np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset)), dtype=int, device=device
         ),
-        reach=float(near.max()),
         bodies=bodies,
     )
 

@@ -17,7 +17,6 @@ __all__ = ["ClothState", "Solver", "new_state"]
 KERNELS: tuple[ModuleType, ...] = (body_contact, boxes, contacts, crossing, elastic, search, stillness)
 REBUILD_EVERY = 10  # frames after which the tree of boxes is built anew
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; longer lists are walked in strides
-GRID = 128  # cells of the grid along each axis, which repeats itself beyond
 
 
 @dataclass(frozen=True)
@@ -59,6 +58,9 @@ class ClothState:
     any_search: wp.array
     any_crossing: wp.array
     any_running: wp.array
+    newest: wp.array
+    """The grid in which near vertices are found: the last vertex put into each bucket, and the one before each."""
+    older: wp.array
     lower: wp.array
     """(f) boxes round the faces [cm]."""
     upper: wp.array
@@ -103,6 +105,8 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         any_search=zeros(1, int),
         any_crossing=wp.ones(1, dtype=int, device=model.device),
         any_running=wp.ones(1, dtype=int, device=model.device),
+        newest=zeros(1 << (2 * n - 1).bit_length(), int),
+        older=zeros(n, int),
         lower=zeros(faces, wp.vec3),
         upper=zeros(faces, wp.vec3),
         contacts=lists,
@@ -119,8 +123,6 @@ class Solver:
         self.frames = 0
         self._bound()
         self._bvh = wp.Bvh(self.state.lower, self.state.upper, groups=model.face_world)
-        self._grid = wp.HashGrid(GRID, GRID, GRID, device=model.device)
-        self._grid.reserve(model.n_vertices, with_groups=True)
         self._graph: wp.Graph | None = None
 
     @property
@@ -230,11 +232,14 @@ class Solver:
         """The pairs that may touch before the next search, of the worlds that need one."""
         m, s = self.model, self.state
         threads = self._threads
-        self._grid.build(s.x, m.reach, groups=m.cloth.vertex_world)
+        s.newest.fill_(-1)
+        self._launch(
+            search.fill_grid, m.n_vertices, [m.worlds, m.cloth, s.searching, s.x], [s.newest, s.older]
+        )
         self._launch(
             search.find_near,
             m.n_vertices,
-            [m.worlds, m.cloth, self._grid.id, s.searching, s.x],
+            [m.worlds, m.cloth, s.searching, s.x, s.newest, s.older],
             [s.x_searched, s.skin, s.contacts],
         )
         self._launch(

@@ -56,15 +56,50 @@ def are_neighbours(i: int, j: int, cloth: Cloth) -> bool:
     return False
 
 
+@wp.func
+def cell_of(p: wp.vec3, width: float) -> wp.vec3i:
+    """The cell of the grid that a point lies in."""
+    return wp.vec3i(int(wp.floor(p[0] / width)), int(wp.floor(p[1] / width)), int(wp.floor(p[2] / width)))
+
+
+@wp.func
+def bucket_of(cell: wp.vec3i, w: int, buckets: int) -> int:
+    """Where the vertices of a world in a cell are kept (Teschner et al., 2003); ``buckets`` is a power of two."""
+    mixed = (cell[0] * 73856093) ^ (cell[1] * 19349663) ^ (cell[2] * 83492791) ^ (w * 28411639)
+    return (mixed ^ (mixed >> 15)) & (buckets - 1)
+
+
+@wp.kernel
+def fill_grid(
+    # model
+    worlds: wp.array(dtype=World),
+    cloth: Cloth,
+    # state in
+    searching: wp.array(dtype=int),
+    x: wp.array(dtype=wp.vec3),
+    # state out
+    newest: wp.array(dtype=int),
+    older: wp.array(dtype=int),
+):
+    """Put every vertex before the others in its bucket: ``newest`` begins a chain that ``older`` continues."""
+    i = wp.tid()
+    w = cloth.vertex_world[i]
+    if searching[w] == 0:
+        return
+    bucket = bucket_of(cell_of(x[i], worlds[w].near), w, newest.shape[0])
+    older[i] = wp.atomic_exch(newest, bucket, i)
+
+
 @wp.kernel
 def find_near(
     # model
     worlds: wp.array(dtype=World),
     cloth: Cloth,
-    grid: wp.uint64,
     # state in
     searching: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
+    newest: wp.array(dtype=int),
+    older: wp.array(dtype=int),
     # state out
     x_searched: wp.array(dtype=wp.vec3),
     skin: wp.array(dtype=float),
@@ -80,14 +115,18 @@ def find_near(
     x_searched[i] = p
     near = sample_field(world, cloth.field, p)
     skin[i] = near[3]
-    query = wp.hash_grid_query(grid, p, world.near, w)
-    j = int(0)
-    while wp.hash_grid_query_next(query, j):
-        if j >= i or wp.length_sq(x[j] - p) > world.near * world.near or are_neighbours(i, j, cloth):
-            continue
-        slot = take_slot(contacts.near_count, w, world, contacts)
-        if slot >= 0:
-            contacts.near[slot] = wp.vec2i(i, j)
+    own = cell_of(p, world.near)
+    for neighbour in range(27):
+        cell = own + wp.vec3i(neighbour % 3 - 1, (neighbour // 3) % 3 - 1, neighbour // 9 - 1)
+        j = newest[bucket_of(cell, w, newest.shape[0])]
+        while j >= 0:
+            q = x[j]
+            if j < i and wp.length_sq(q - p) <= world.near * world.near and cell_of(q, world.near) == cell:
+                if j >= world.first and not are_neighbours(i, j, cloth):
+                    slot = take_slot(contacts.near_count, w, world, contacts)
+                    if slot >= 0:
+                        contacts.near[slot] = wp.vec2i(i, j)
+            j = older[j]
 
 
 @wp.func
