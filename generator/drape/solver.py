@@ -39,6 +39,10 @@ class ClothState:
     """(v) distance from the skin then [cm]."""
     push: wp.array
     """(v, 4) displacements asked for by contacts, as whole numbers."""
+    crowd: wp.array
+    """(v) weights of the contacts that were expected for this step."""
+    beside: wp.array
+    """(v) whether another vertex was near at the last search."""
     tangled: wp.array
     """(v) whether an edge or a face of the vertex crossed the cloth."""
     time: wp.array
@@ -77,8 +81,9 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
 
     lists = Contacts()
     lists.room = room
-    lists.near, lists.edges, lists.crossings = (zeros(room * n, wp.vec2i) for _ in range(3))
-    lists.points, lists.normals, lists.long_edges = zeros(room * n, wp.vec3i), zeros(room * n, wp.vec3), zeros(room * n, int)
+    lists.near, lists.long_edges, lists.crossings = (zeros(room * n, wp.vec2i) for _ in range(3))
+    lists.points, lists.sides = zeros(room * n, wp.vec4i), zeros(room * n, float)
+    lists.edges, lists.normals = zeros(room * n, wp.vec4i), zeros(room * n, wp.vec3)
     lists.near_count, lists.point_count, lists.edge_count = (zeros(worlds, int) for _ in range(3))
     lists.long_count, lists.crossing_count, lists.overfull = (zeros(worlds, int) for _ in range(3))
     start = model.topology.start
@@ -92,6 +97,8 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         x_searched=wp.clone(start),
         skin=zeros(n, float),
         push=wp.zeros((n, 4), dtype=int, device=model.device),
+        crowd=wp.ones(n, dtype=float, device=model.device),
+        beside=wp.ones(n, dtype=int, device=model.device),
         tangled=zeros(n, int),
         time=zeros(worlds, float),
         status=zeros(worlds, int),
@@ -202,18 +209,17 @@ class Solver:
         self._launch(
             elastic.advance, n, [m.worlds, m.cloth, m.rows, s.status, s.time, s.x, s.v, s.ahead], [s.x_new, s.v_new]
         )
-        for announce in (True, False):
-            self._launch(
-                contacts.push_contacts,
-                (m.n_worlds, threads),
-                [m.worlds, m.cloth, s.contacts, announce, threads, s.status, s.x, s.x_new],
-                [s.time, s.push],
-            )
+        self._launch(
+            contacts.push_contacts,
+            (m.n_worlds, threads),
+            [m.worlds, m.cloth, s.contacts, threads, s.status, s.crowd, s.x, s.x_new],
+            [s.time, s.push],
+        )
         self._launch(
             body_contact.finish_step,
             n,
             [m.worlds, m.cloth, s.status, s.time, s.x_new, s.v_new, s.x_searched, s.skin],
-            [s.push, s.x, s.v, s.ahead, s.moved_far],
+            [s.push, s.x, s.v, s.ahead, s.crowd, s.moved_far],
         )
 
     def _find_crossings(self) -> None:
@@ -224,7 +230,7 @@ class Solver:
         self._launch(
             crossing.find_crossings,
             m.n_edges,
-            [m.worlds, m.cloth, self._bvh.id, s.crossing_due, s.x],
+            [m.worlds, m.cloth, self._bvh.id, s.crossing_due, s.beside, s.x],
             [s.tangled, s.contacts],
         )
 
@@ -234,13 +240,13 @@ class Solver:
         threads = self._threads
         s.newest.fill_(-1)
         self._launch(
-            search.fill_grid, m.n_vertices, [m.worlds, m.cloth, s.searching, s.x], [s.newest, s.older]
+            search.fill_grid, m.n_vertices, [m.worlds, m.cloth, s.searching, s.x], [s.newest, s.older, s.beside]
         )
         self._launch(
             search.find_near,
-            m.n_vertices,
+            (m.n_vertices, 9),
             [m.worlds, m.cloth, s.searching, s.x, s.newest, s.older],
-            [s.x_searched, s.skin, s.contacts],
+            [s.x_searched, s.skin, s.beside, s.contacts],
         )
         self._launch(
             search.find_pairs,

@@ -9,7 +9,7 @@ import warp as wp
 from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.generator.drape.device import load_kernels
 from gcd_dataset.generator.drape.kernels import topology as kernels
-from gcd_dataset.generator.drape.kernels.elastic import Rows
+from gcd_dataset.generator.drape.kernels.elastic import USUAL, Rows
 
 __all__ = ["Topology", "build_topology"]
 
@@ -102,7 +102,7 @@ def build_topology(jobs: Sequence[DrapeJob], device: str) -> Topology:
 
     vertex_faces, first_face = round_vertices(kernels.key_corners, face, sides)
     vertex_edges, first_edge = round_vertices(kernels.key_ends, edges, 2 * count)
-    widest = int(np.diff(first_edge.numpy()).max())
+    widest = max(USUAL, int(np.diff(first_edge.numpy()).max()))
     rows = Rows()
     rows.count, rows.bend_diagonal = empty(n, wp.vec2i), empty(n, float)
     rows.spring_vertex, rows.spring_weight = _table(widest, n, int, device), _table(widest, n, wp.vec4, device)

@@ -3,7 +3,7 @@
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD
-from gcd_dataset.generator.drape.kernels.push import add_push, add_weight, crowd, take_push
+from gcd_dataset.generator.drape.kernels.push import add_push, add_weight, take_crowd, take_push
 from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, World
 
 wp.set_module_options({"enable_backward": False})
@@ -87,7 +87,7 @@ def push_long_edge(
     edge: wp.vec2i,
     world: World,
     cloth: Cloth,
-    announce: bool,
+    crowd: wp.array(dtype=float),
     x_old: wp.array(dtype=wp.vec3),
     x_new: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
@@ -105,14 +105,12 @@ def push_long_edge(
         part = nearest_part(world, cloth.field_parts, here)
         if ((cloth.unseen_parts[i] & cloth.unseen_parts[j]) >> part) & 1 != 0:
             continue
-        if announce:
-            add_weight(push, i, 1.0 - t)
-            add_weight(push, j, t)
-            continue
+        add_weight(push, i, 1.0 - t)
+        add_weight(push, j, t)
         normal = wp.vec3(near[0], near[1], near[2])
         step = here - wp.lerp(x_old[i], x_old[j], t)
         out = leave_body(depth, normal, step, world.friction, LEAVING_SPEED * world.dt)
-        share = 1.0 / (((1.0 - t) * (1.0 - t) + t * t) * wp.max(crowd(push, i), crowd(push, j)))
+        share = 1.0 / (((1.0 - t) * (1.0 - t) + t * t) * wp.max(crowd[i], crowd[j]))
         add_push(push, i, ((1.0 - t) * share) * out)
         add_push(push, j, (t * share) * out)
 
@@ -135,6 +133,7 @@ def finish_step(
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
     ahead: wp.array(dtype=wp.vec3),
+    crowd: wp.array(dtype=float),
     moved_far: wp.array(dtype=int),
 ):
     """Apply the contacts' pushes, hold what is held, keep off the body, and end the step."""
@@ -144,11 +143,12 @@ def finish_step(
         return
     world = worlds[w]
     moved = take_push(push, i)
+    crowd[i] = take_crowd(push, i)
     here = x_new[i] + moved
-    normal = cloth.hold_normal[i]
-    if time[w] < world.sewing_time + world.held_time and wp.length_sq(normal) > 0.0:
+    if time[w] < world.sewing_time + world.held_time:
+        normal = cloth.hold_normal[i]
         short = cloth.hold_offset[i] - wp.dot(here, normal)
-        if short > 0.0:
+        if short > 0.0 and wp.length_sq(normal) > 0.0:
             approach = wp.max(-wp.dot(here - x[i], normal), 0.0)
             back = wp.min(short, approach + HOLDING_SPEED * world.dt) * normal
             moved += back

@@ -9,7 +9,7 @@ import warp as wp
 from gcd_dataset.generator.drape.kernels.body_contact import push_long_edge
 from gcd_dataset.generator.drape.kernels.crossing import part_crossing
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, parting
-from gcd_dataset.generator.drape.kernels.push import add_push, add_weight, crowd
+from gcd_dataset.generator.drape.kernels.push import add_push, add_weight
 from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, listed
 
 wp.set_module_options({"enable_backward": False})
@@ -24,7 +24,7 @@ def push_point(
     side: float,
     world: World,
     inertia: wp.array(dtype=float),
-    announce: bool,
+    crowd: wp.array(dtype=float),
     x_old: wp.array(dtype=wp.vec3),
     x_new: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
@@ -33,28 +33,29 @@ def push_point(
     a = x_new[face[0]]
     b = x_new[face[1]]
     c = x_new[face[2]]
-    weights = closest_on_triangle(x_new[i], a, b, c)
-    away = x_new[i] - (weights[0] * a + weights[1] * b + weights[2] * c)
+    p = x_new[i]
+    weights = closest_on_triangle(p, a, b, c)
+    away = p - (weights[0] * a + weights[1] * b + weights[2] * c)
+    if wp.length_sq(away) > world.margin * world.margin:
+        return
     normal = side * wp.normalize(wp.cross(b - a, c - a))
     gap = wp.dot(away, normal)
-    beside = wp.length_sq(away) - gap * gap  # off the triangle's rim: an edge or a neighbour sees to it
-    if wp.max(gap, 0.0) * gap + beside >= world.thickness * world.thickness:
-        return
     before = x_old[i] - (weights[0] * x_old[face[0]] + weights[1] * x_old[face[1]] + weights[2] * x_old[face[2]])
-    apart = parting(wp.dot(before, normal), gap, world.thickness, PARTING_SPEED * world.dt)
-    if apart <= 0.0:
-        return
-    if announce:
+    gap_old = wp.dot(before, normal)
+    beside = wp.length_sq(away) - gap * gap  # off the triangle's rim: an edge or a neighbour sees to it
+    if is_near(gap - wp.max(gap_old - gap, 0.0), beside, world.thickness):
         add_weight(push, i, 1.0)
         for corner in range(3):
             add_weight(push, face[corner], weights[corner])
+    apart = parting(gap_old, gap, world.thickness, PARTING_SPEED * world.dt)
+    if apart <= 0.0 or not is_near(gap, beside, world.thickness):
         return
     lever = 1.0 / inertia[i]
-    crowded = crowd(push, i)
+    crowded = crowd[i]
     for corner in range(3):
         if weights[corner] > 0.0:
             lever += weights[corner] * weights[corner] / inertia[face[corner]]
-            crowded = wp.max(crowded, crowd(push, face[corner]))
+            crowded = wp.max(crowded, crowd[face[corner]])
     step = (apart / (lever * crowded)) * normal
     add_push(push, i, step / inertia[i])
     for corner in range(3):
@@ -63,58 +64,58 @@ def push_point(
 
 
 @wp.func
+def is_near(gap: float, beside_sq: float, thickness: float) -> bool:
+    """Whether a point is nearer than the thickness, by its height over a triangle and how far beside it is."""
+    return wp.max(gap, 0.0) * gap + beside_sq < thickness * thickness
+
+
+@wp.func
 def push_edges(
-    first: wp.vec2i,
-    second: wp.vec2i,
+    ends: wp.vec4i,
     found: wp.vec3,
     world: World,
     inertia: wp.array(dtype=float),
-    announce: bool,
+    crowd: wp.array(dtype=float),
     x_old: wp.array(dtype=wp.vec3),
     x_new: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
 ):
     """Push two edges apart if they came too near; ``found`` is the direction between them when they were found."""
-    a0 = x_new[first[0]]
-    a1 = x_new[first[1]]
-    b0 = x_new[second[0]]
-    b1 = x_new[second[1]]
-    st = closest_on_edges(a0, a1, b0, b1)
+    i = ends[0]
+    i1 = ends[1]
+    j = ends[2]
+    j1 = ends[3]
+    st = closest_on_edges(x_new[i], x_new[i1], x_new[j], x_new[j1])
     s = st[0]
     t = st[1]
     if s <= 0.0 or s >= 1.0 or t <= 0.0 or t >= 1.0:
         return
-    between = wp.lerp(b0, b1, t) - wp.lerp(a0, a1, s)
+    between = wp.lerp(x_new[j], x_new[j1], t) - wp.lerp(x_new[i], x_new[i1], s)
     normal = wp.normalize(between)
     if wp.dot(normal, found) < 0.0:
         normal = -normal
     gap = wp.dot(between, normal)
-    if gap >= world.thickness:
-        return
-    before = wp.lerp(x_old[second[0]], x_old[second[1]], t) - wp.lerp(x_old[first[0]], x_old[first[1]], s)
-    apart = parting(wp.dot(before, normal), gap, world.thickness, PARTING_SPEED * world.dt)
+    gap_old = wp.dot(wp.lerp(x_old[j], x_old[j1], t) - wp.lerp(x_old[i], x_old[i1], s), normal)
+    if gap - wp.max(gap_old - gap, 0.0) < world.thickness:
+        add_weight(push, i, 1.0 - s)
+        add_weight(push, i1, s)
+        add_weight(push, j, 1.0 - t)
+        add_weight(push, j1, t)
+    apart = parting(gap_old, gap, world.thickness, PARTING_SPEED * world.dt)
     if apart <= 0.0:
         return
-    if announce:
-        add_weight(push, first[0], 1.0 - s)
-        add_weight(push, first[1], s)
-        add_weight(push, second[0], 1.0 - t)
-        add_weight(push, second[1], t)
-        return
     lever = (
-        (1.0 - s) * (1.0 - s) / inertia[first[0]]
-        + s * s / inertia[first[1]]
-        + (1.0 - t) * (1.0 - t) / inertia[second[0]]
-        + t * t / inertia[second[1]]
+        (1.0 - s) * (1.0 - s) / inertia[i]
+        + s * s / inertia[i1]
+        + (1.0 - t) * (1.0 - t) / inertia[j]
+        + t * t / inertia[j1]
     )
-    crowded = wp.max(
-        wp.max(crowd(push, first[0]), crowd(push, first[1])), wp.max(crowd(push, second[0]), crowd(push, second[1]))
-    )
+    crowded = wp.max(wp.max(crowd[i], crowd[i1]), wp.max(crowd[j], crowd[j1]))
     step = (apart / (lever * crowded)) * normal
-    add_push(push, first[0], ((s - 1.0) / inertia[first[0]]) * step)
-    add_push(push, first[1], (-s / inertia[first[1]]) * step)
-    add_push(push, second[0], ((1.0 - t) / inertia[second[0]]) * step)
-    add_push(push, second[1], (t / inertia[second[1]]) * step)
+    add_push(push, i, ((s - 1.0) / inertia[i]) * step)
+    add_push(push, i1, (-s / inertia[i1]) * step)
+    add_push(push, j, ((1.0 - t) / inertia[j]) * step)
+    add_push(push, j1, (t / inertia[j1]) * step)
 
 
 @wp.kernel
@@ -123,45 +124,33 @@ def push_contacts(
     worlds: wp.array(dtype=World),
     cloth: Cloth,
     contacts: Contacts,
-    announce: bool,
     threads: int,
     # state in
     status: wp.array(dtype=int),
+    crowd: wp.array(dtype=float),
     x_old: wp.array(dtype=wp.vec3),
     x_new: wp.array(dtype=wp.vec3),
     # state in and out
     time: wp.array(dtype=float),
     push: wp.array2d(dtype=int),
 ):
-    """Walk a world's lists: once to announce what is touched, which also ends the step on its clock, once to push."""
+    """Walk a world's lists; the first thread also ends the step on its clock."""
     w, thread = wp.tid()
     if status[w] != RUNNING:
         return
     world = worlds[w]
-    if announce and thread == 0:
+    if thread == 0:
         time[w] = time[w] + world.dt
     at = contacts.room * world.first
     for k in range(thread, listed(contacts.point_count, w, world, contacts), threads):
         point = contacts.points[at + k]
-        push_point(
-            point[0], cloth.faces[point[1]], float(point[2]), world, cloth.inertia, announce, x_old, x_new, push
-        )
+        face = wp.vec3i(point[1], point[2], point[3])
+        push_point(point[0], face, contacts.sides[at + k], world, cloth.inertia, crowd, x_old, x_new, push)
     for k in range(thread, listed(contacts.edge_count, w, world, contacts), threads):
-        pair = contacts.edges[at + k]
         push_edges(
-            cloth.edges[pair[0]],
-            cloth.edges[pair[1]],
-            contacts.normals[at + k],
-            world,
-            cloth.inertia,
-            announce,
-            x_old,
-            x_new,
-            push,
+            contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, crowd, x_old, x_new, push
         )
     for k in range(thread, listed(contacts.long_count, w, world, contacts), threads):
-        push_long_edge(cloth.edges[contacts.long_edges[at + k]], world, cloth, announce, x_old, x_new, push)
-    if announce:
-        return
+        push_long_edge(contacts.long_edges[at + k], world, cloth, crowd, x_old, x_new, push)
     for k in range(thread, listed(contacts.crossing_count, w, world, contacts), threads):
         part_crossing(contacts.crossings[at + k], world, cloth, x_new, push)

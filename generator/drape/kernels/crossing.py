@@ -26,12 +26,16 @@ def find_crossings(
     bvh: wp.uint64,
     # state in
     crossing_due: wp.array(dtype=int),
+    beside: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state out
     tangled: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """List (edge, triangle) for every crossing of the cloth with itself, and mark the vertices of both."""
+    """List (edge, triangle) for every crossing of the cloth with itself, and mark the vertices of both.
+
+    Where an edge crosses a triangle of its own length, vertices of both are near each other: other edges are passed over.
+    """
     e = wp.tid()
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
@@ -40,6 +44,9 @@ def find_crossings(
         return
     p = x[i]
     q = x[j]
+    world = worlds[w]
+    if beside[i] + beside[j] == 0 and wp.length_sq(q - p) < world.near * world.near:
+        return
     query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), wp.bvh_get_group_root(bvh, w))
     f = int(0)
     while wp.bvh_query_next(query, f):
@@ -52,7 +59,7 @@ def find_crossings(
             tangled[face[0]] = 1
             tangled[face[1]] = 1
             tangled[face[2]] = 1
-            slot = take_slot(contacts.crossing_count, w, worlds[w], contacts)
+            slot = take_slot(contacts.crossing_count, w, world, contacts)
             if slot >= 0:
                 contacts.crossings[slot] = wp.vec2i(e, f)
 

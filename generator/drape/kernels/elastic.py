@@ -15,6 +15,7 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, World, sew
 wp.set_module_options({"enable_backward": False})
 
 LOOK_AHEAD = 0.3
+USUAL = wp.constant(6)  # neighbours of a vertex in a regular mesh
 
 
 @wp.struct
@@ -30,20 +31,30 @@ class Rows:
 
 
 @wp.func
+def spring_force(weight: wp.vec4, sewn: float, x: wp.vec3, y: wp.vec3) -> wp.vec3:
+    """Of one neighbour: along the edge by its stretch, and by its bending weight."""
+    edge = y - x
+    length = wp.length(edge)
+    rest = wp.lerp(weight[2], weight[1], sewn)
+    return (weight[0] * (length - rest) / wp.max(length, 1.0e-6)) * edge - weight[3] * y
+
+
+@wp.func
 def elastic_force(i: int, sewn: float, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
-    """Spring and bending force on vertex ``i`` [g cm/s²]."""
+    """Spring and bending force on vertex ``i`` [g cm/s²].
+
+    The first ``USUAL`` entries are there for every vertex, if need be with no weight: so they are read side by side.
+    """
     x = ahead[i]
-    count = rows.count[i]
     force = -rows.bend_diagonal[i] * x
-    for k in range(count[0]):
-        weight = rows.spring_weight[k, i]
-        y = ahead[rows.spring_vertex[k, i]]
-        edge = y - x
-        length = wp.length(edge)
-        rest = wp.lerp(weight[2], weight[1], sewn)
-        force -= weight[3] * y
-        force += (weight[0] * (length - rest) / wp.max(length, 1.0e-6)) * edge
-    for k in range(count[1]):
+    for k in range(USUAL):
+        force += spring_force(rows.spring_weight[k, i], sewn, x, ahead[rows.spring_vertex[k, i]])
+    for k in range(USUAL):
+        force -= rows.bend_weight[k, i] * ahead[rows.bend_vertex[k, i]]
+    count = rows.count[i]
+    for k in range(USUAL, count[0]):
+        force += spring_force(rows.spring_weight[k, i], sewn, x, ahead[rows.spring_vertex[k, i]])
+    for k in range(USUAL, count[1]):
         force -= rows.bend_weight[k, i] * ahead[rows.bend_vertex[k, i]]
     return force
 

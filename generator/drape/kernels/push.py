@@ -3,9 +3,9 @@
 Integer addition does not depend on its order, so the sum is the same on every run and device, whatever else is in the
 batch; floating-point atomics would not be.
 
-A vertex in several contacts must not be pushed by all of them in full. So contacts are walked twice: first each adds
-its weight to its vertices, then it pushes, divided by the largest sum of weights among them. Both parts of a pair still
-get the same impulse.
+A vertex in several contacts must not be pushed by all of them in full. So a contact adds its weight to its vertices in
+the step before it is expected, and what it pushes is divided by the largest sum of weights among them. Both parts of a
+pair still get the same impulse.
 """
 
 import warp as wp
@@ -24,9 +24,11 @@ def add_weight(push: wp.array2d(dtype=int), i: int, weight: float):
 
 
 @wp.func
-def crowd(push: wp.array2d(dtype=int), i: int) -> float:
-    """The weights announced at vertex ``i``, at least 1."""
-    return wp.max(float(push[i, 3]) / WEIGHT_SCALE, 1.0)
+def take_crowd(push: wp.array2d(dtype=int), i: int) -> float:
+    """The weights announced at vertex ``i``, at least 1; cleared for the next step."""
+    announced = float(push[i, 3]) / WEIGHT_SCALE
+    push[i, 3] = 0
+    return wp.max(announced, 1.0)
 
 
 @wp.func
@@ -44,5 +46,4 @@ def take_push(push: wp.array2d(dtype=int), i: int) -> wp.vec3:
     push[i, 0] = 0
     push[i, 1] = 0
     push[i, 2] = 0
-    push[i, 3] = 0
     return total

@@ -80,6 +80,7 @@ def fill_grid(
     # state out
     newest: wp.array(dtype=int),
     older: wp.array(dtype=int),
+    beside: wp.array(dtype=int),
 ):
     """Put every vertex before the others in its bucket: ``newest`` begins a chain that ``older`` continues."""
     i = wp.tid()
@@ -87,6 +88,7 @@ def fill_grid(
     if searching[w] == 0:
         return
     bucket = bucket_of(cell_of(x[i], worlds[w].near), w, newest.shape[0])
+    beside[i] = 0
     older[i] = wp.atomic_exch(newest, bucket, i)
 
 
@@ -103,26 +105,33 @@ def find_near(
     # state out
     x_searched: wp.array(dtype=wp.vec3),
     skin: wp.array(dtype=float),
+    beside: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """List the pairs of vertices near each other, and note how far every vertex is from the skin."""
-    i = wp.tid()
+    """List the pairs of vertices near each other, and note how far every vertex is from the skin.
+
+    Nine threads share a vertex, each a row of three cells.
+    """
+    i, row = wp.tid()
     w = cloth.vertex_world[i]
     if searching[w] == 0:
         return
     world = worlds[w]
     p = x[i]
-    x_searched[i] = p
-    near = sample_field(world, cloth.field, p)
-    skin[i] = near[3]
+    if row == 0:
+        x_searched[i] = p
+        near = sample_field(world, cloth.field, p)
+        skin[i] = near[3]
     own = cell_of(p, world.near)
-    for neighbour in range(27):
-        cell = own + wp.vec3i(neighbour % 3 - 1, (neighbour // 3) % 3 - 1, neighbour // 9 - 1)
+    for along in range(3):
+        cell = own + wp.vec3i(along - 1, row % 3 - 1, row // 3 - 1)
         j = newest[bucket_of(cell, w, newest.shape[0])]
         while j >= 0:
             q = x[j]
             if j < i and wp.length_sq(q - p) <= world.near * world.near and cell_of(q, world.near) == cell:
                 if j >= world.first and not are_neighbours(i, j, cloth):
+                    beside[i] = 1
+                    beside[j] = 1
                     slot = take_slot(contacts.near_count, w, world, contacts)
                     if slot >= 0:
                         contacts.near[slot] = wp.vec2i(i, j)
@@ -161,12 +170,13 @@ def watch_point(
         return
     if tangled[i] != 0 and tangled[face[0]] + tangled[face[1]] + tangled[face[2]] != 0:
         return
-    side = 1
+    side = float(1.0)
     if wp.dot(away, wp.cross(b - a, c - a)) < 0.0:
-        side = -1
+        side = -1.0
     slot = take_slot(contacts.point_count, w, world, contacts)
     if slot >= 0:
-        contacts.points[slot] = wp.vec3i(i, f, side)
+        contacts.points[slot] = wp.vec4i(i, face[0], face[1], face[2])
+        contacts.sides[slot] = side
 
 
 @wp.func
@@ -198,7 +208,7 @@ def watch_edges(
         return
     slot = take_slot(contacts.edge_count, w, world, contacts)
     if slot >= 0:
-        contacts.edges[slot] = wp.vec2i(e, g)
+        contacts.edges[slot] = wp.vec4i(i, i1, j, j1)
         contacts.normals[slot] = between / gap
 
 
@@ -262,4 +272,4 @@ def find_long_edges(
         return
     slot = take_slot(contacts.long_count, w, world, contacts)
     if slot >= 0:
-        contacts.long_edges[slot] = e
+        contacts.long_edges[slot] = cloth.edges[e]

@@ -7,6 +7,8 @@ each other. Where more than two panels meet along an edge, its first two faces m
 
 import warp as wp
 
+from gcd_dataset.generator.drape.kernels.elastic import USUAL
+
 
 wp.set_module_options({"enable_backward": False})
 
@@ -320,6 +322,12 @@ def weigh_rows(
         bend_vertex[bends, i] = opposite[e][1 - own_side]
         bend_weight[bends, i] = own * hinge[e][3 - own_side]
         bends += 1
+    for row in range(springs, USUAL):
+        spring_vertex[row, i] = i
+        spring_weight[row, i] = wp.vec4(0.0)
+    for row in range(bends, USUAL):
+        bend_vertex[row, i] = i
+        bend_weight[row, i] = 0.0
     mass[i] = world[0] * float(area / wp.float64(3.0))
     bend_diagonal[i] = diagonal
     rows[i] = wp.vec2i(springs, bends)

@@ -71,10 +71,11 @@ class Contacts:
 
     room: int  # entries for each vertex
     near: wp.array(dtype=wp.vec2i)  # vertices
-    points: wp.array(dtype=wp.vec3i)  # vertex, face, side
-    edges: wp.array(dtype=wp.vec2i)
+    points: wp.array(dtype=wp.vec4i)  # vertex, the three of its face
+    sides: wp.array(dtype=float)  # of the face: 1 for its right one, -1
+    edges: wp.array(dtype=wp.vec4i)  # two vertices, two vertices
     normals: wp.array(dtype=wp.vec3)  # from the first edge to the second
-    long_edges: wp.array(dtype=int)
+    long_edges: wp.array(dtype=wp.vec2i)
     crossings: wp.array(dtype=wp.vec2i)  # edge, face
     near_count: wp.array(dtype=int)  # (w), as the other counts
     point_count: wp.array(dtype=int)
