@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
@@ -36,6 +36,8 @@ class WayNet(Record):
     """Pairs of nodes, both ways, sorted by the first."""
     starts: Int[np.ndarray, " m"]
     """Row of ``ways`` where each node's begin."""
+    squares: csr_matrix
+    """What each way's squared length takes of the squared lengths of the edges (w, e)."""
     ends: tuple[int, int]
 
     @classmethod
@@ -44,16 +46,21 @@ class WayNet(Record):
         corners = np.unique(faces)
         edges, face_edges = unique_edges(faces)
         on_edge = len(corners) + np.arange(len(edges) * points_per_edge).reshape(-1, points_per_edge)
-        around = np.concatenate([np.searchsorted(corners, faces)[:, :, None], on_edge[face_edges]], axis=2)
+        turned = (faces != edges[face_edges, 0])[:, :, None]
+        on_sides = np.where(turned, on_edge[face_edges][:, :, ::-1], on_edge[face_edges])
+        around = np.concatenate([np.searchsorted(corners, faces)[:, :, None], on_sides], axis=2)
         nodes = around.reshape(len(faces), -1)
         count = len(corners) + on_edge.size
-        pairs = np.unique(nodes[:, :, None] * count + nodes[:, None, :])  # as one number each: quicker than as rows
-        ways = np.stack(np.divmod(pairs, count), axis=1)
-        ways = ways[ways[:, 0] != ways[:, 1]]
-        starts = np.searchsorted(ways[:, 0], np.arange(count + 1))
+        # As one number each: quicker than as rows.
+        pairs, first = np.unique(nodes[:, :, None] * count + nodes[:, None, :], return_index=True)
+        ways = np.stack(np.divmod(pairs, count)).astype(np.int32).T  # as sparse graphs keep them
+        apart = ways[:, 0] != ways[:, 1]
+        ways, first = ways.T[:, apart].T, first[apart]
         shares = np.arange(1, points_per_edge + 1) / (points_per_edge + 1)
+        face, pair = np.divmod(first, nodes.shape[1] ** 2)
+        squares = _by_row(_side_shares(shares)[pair], face_edges[face], len(edges))
         ends = np.searchsorted(corners, [start, end])
-        return cls(corners, edges, shares, ways, starts, (int(ends[0]), int(ends[1])))
+        return cls(corners, edges, shares, ways, _starts(ways, count), squares, (int(ends[0]), int(ends[1])))
 
     def leading_on(self, vertices: Float[np.ndarray, "v 3"], *, least: float) -> Self:
         """The net without ways that turn aside: their cosine with the straight line is under ``least``."""
@@ -61,31 +68,66 @@ class WayNet(Record):
         ahead = nodes[self.ends[1]] - nodes[self.ends[0]]
         along = nodes[self.ways[:, 1]] - nodes[self.ways[:, 0]]
         kept = along @ ahead > least * np.linalg.norm(along, axis=1) * np.linalg.norm(ahead)
-        ways = self.ways[kept]
-        return replace(self, ways=ways, starts=np.searchsorted(ways[:, 0], np.arange(len(self.starts))))
+        return self._with(kept)
+
+    def direct_on(self, vertices: Float[np.ndarray, "v 3"], *, most: float) -> Self:
+        """The net without ways that only serve longer ones: by more than ``most`` than the shortest [their unit]."""
+        graph = self._graph(vertices)
+        there, back = (dijkstra(one, indices=end) for one, end in zip((graph, graph.T), self.ends, strict=True))
+        through = there[self.ways[:, 0]] + graph.data + back[self.ways[:, 1]]
+        return self._with(through <= there[self.ends[1]] + most)
+
+    def _with(self, kept: Bool[np.ndarray, " w"]) -> Self:
+        """The net with some of its ways."""
+        ways = self.ways.T[:, kept].T
+        return replace(self, ways=ways, starts=_starts(ways, len(self.starts) - 1), squares=self.squares[kept])
 
     def length(self, vertices: Float[np.ndarray, "v 3"]) -> float:
         """Length of the shortest way on the mesh with these vertices [their unit]."""
-        return float(dijkstra(self._graph(self._nodes(vertices)), indices=self.ends[0])[self.ends[1]])
+        return float(dijkstra(self._graph(vertices), indices=self.ends[0])[self.ends[1]])
 
     def path(self, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "n 3"]:
         """The points of the shortest way, from the end back to the start."""
-        nodes = self._nodes(vertices)
-        _, before = dijkstra(self._graph(nodes), indices=self.ends[0], return_predecessors=True)
+        _, before = dijkstra(self._graph(vertices), indices=self.ends[0], return_predecessors=True)
         way = [self.ends[1]]
         while way[-1] != self.ends[0]:
             way.append(int(before[way[-1]]))
-        return nodes[way]
+        return self._nodes(vertices)[way]
 
     def _nodes(self, vertices: np.ndarray) -> Float[np.ndarray, "n 3"]:
         a, b = vertices[self.edges[:, 0]], vertices[self.edges[:, 1]]
         between = a[:, None] + self.shares[:, None] * (b - a)[:, None]
         return np.concatenate([vertices[self.corners], between.reshape(-1, 3)])
 
-    def _graph(self, nodes: np.ndarray) -> csr_matrix:
-        along = nodes[self.ways[:, 0]] - nodes[self.ways[:, 1]]
-        lengths = np.sqrt(np.einsum("wi,wi->w", along, along))
-        return csr_matrix((lengths, self.ways[:, 1], self.starts), shape=(len(nodes), len(nodes)))
+    def _graph(self, vertices: np.ndarray) -> csr_matrix:
+        along = vertices[self.edges[:, 1]] - vertices[self.edges[:, 0]]
+        squares = self.squares @ np.einsum("ei,ei->e", along, along)
+        lengths = np.sqrt(np.maximum(squares, 0.0))  # below 0 by rounding, where a sliver's points coincide
+        count = len(self.starts) - 1
+        return csr_matrix((lengths, self.ways[:, 1], self.starts), shape=(count, count))
+
+
+def _starts(ways: Int[np.ndarray, "w 2"], count: int) -> Int[np.ndarray, " m"]:
+    """The row where each node's ways begin, and where the last one's end."""
+    return np.searchsorted(ways[:, 0], np.arange(count + 1)).astype(np.int32)
+
+
+def _side_shares(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, "p 3"]:
+    """What the squared way between any two nodes about a triangle takes of its squared sides.
+
+    The nodes are, side by side, a corner and the points after it. In barycentric coordinates a way is a step
+    (da, db, dc) with the sum 0, and its square is -(da db |ab|² + db dc |bc|² + dc da |ca|²).
+    """
+    corner = np.eye(3)
+    ahead = np.concatenate([[0.0], shares])[:, None]
+    nodes = np.concatenate([(1 - ahead) * corner[i] + ahead * corner[(i + 1) % 3] for i in range(3)])
+    step = (nodes[:, None] - nodes).reshape(-1, 3)
+    return -step * np.roll(step, -1, axis=1)
+
+
+def _by_row(values: Float[np.ndarray, "w 3"], columns: Int[np.ndarray, "w 3"], width: int) -> csr_matrix:
+    """The matrix with three entries a row."""
+    return csr_matrix((values.ravel(), columns.ravel(), np.arange(0, values.size + 1, 3)), shape=(len(values), width))
 
 
 def net_between(

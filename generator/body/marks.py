@@ -52,7 +52,9 @@ def own_marks(vertices: Float[np.ndarray, "v 3"]) -> Marks:
     table = landmarks()
     points = {name: vertices[vertex] for name, vertex in table.points.items()}
     rings = {name: vertices[ring] for name, ring in table.rings.items()}
-    return Marks(points, rings, levels_of(rings, float(np.ptp(vertices[:, 1]))), dict.fromkeys([*points, *rings], 1.0))
+    return Marks(
+        points, rings, levels_of(rings, float(np.ptp(vertices[:, 1].copy()))), dict.fromkeys([*points, *rings], 1.0)
+    )
 
 
 def levels_of(rings: Mapping[str, Float[np.ndarray, "n 3"]], height: float) -> dict[str, float]:

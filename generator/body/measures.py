@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 X, Y = 0, 1
-XZ, ZY = [0, 2], [2, 1]
+XZ, ZY = slice(0, 3, 2), slice(2, 0, -1)
 BACK = (0.0, -1.0)  # in the (x, z) plane of a level section, and as (z, y) = (-1, 0) in an upright one
 SIDEWAYS = -0.4  # a tape's normal may lean this far away and still count as front or back, GarmentCodeData
 

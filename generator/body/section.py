@@ -10,6 +10,10 @@ from scipy.sparse.csgraph import connected_components
 
 __all__ = ["clipped", "girth", "loops", "outline", "rough_girths", "section", "section_points", "tape"]
 
+TURNED = np.array(
+    [[-1, -1, -1], [0, 1, 2], [1, 2, 0], [2, 1, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [-1, -1, -1]], np.int8
+)
+"""The corner that a plane cuts off, then those of the other side in the section's direction; by the corners above."""
 DIRECTIONS = 48  # widths a rough girth is averaged over: picks a level whose tape is at most 0.01 cm off the best
 
 
@@ -18,14 +22,12 @@ def section(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], a
 
     Segments run the same way round, so the first points of a closed section are all of its points.
     """
-    above = vertices[:, axis][faces] > level
-    cut = (above[:, 0] != above[:, 1]) | (above[:, 0] != above[:, 2])
-    above, faces = above[cut], faces[cut]
-    peak = above.sum(axis=1) == 1  # one corner above the plane, else one below
-    lone = np.where(peak[:, None], above, ~above).argmax(axis=1)
-    tip, left, right = (faces[np.arange(len(faces)), (lone + turn) % 3] for turn in range(3))
-    sides = (np.where(peak, left, right), np.where(peak, right, left))
-    return np.stack([_crossing(vertices, tip, other, axis, level) for other in sides], axis=1)
+    a, b, c = (vertices[:, axis] > level)[faces].view(np.uint8).T
+    above = a | b << 1 | c << 2
+    cut = np.flatnonzero(TURNED[above, 0] >= 0)
+    tip, *sides = faces[cut[:, None], TURNED[above[cut]]].T
+    crossing = _crossing(vertices, np.concatenate([tip, tip]), np.concatenate(sides), axis, level)
+    return crossing.reshape(2, -1, 3).swapaxes(0, 1)
 
 
 def section_points(
@@ -38,13 +40,14 @@ def section_points(
     near = np.flatnonzero((low <= levels.max()) & (high > levels.min()))
     row, cut = np.nonzero((low[near] <= levels[:, None]) & (high[near] > levels[:, None]))
     start, end = edges[near[cut]].T
-    return _crossing(vertices, start, end, axis, levels[row]), levels[row]
+    at = levels[row]
+    return _crossing(vertices, start, end, axis, at), at
 
 
 def _crossing(
     vertices: np.ndarray, start: np.ndarray, end: np.ndarray, axis: int, level: np.ndarray | float
 ) -> Float[np.ndarray, "n 3"]:
-    a, b = vertices[start], vertices[end]
+    a, b = vertices.take(start, axis=0), vertices.take(end, axis=0)
     share = (level - a[:, axis]) / (b[:, axis] - a[:, axis])
     return a + share[:, None] * (b - a)
 
@@ -75,7 +78,8 @@ def tape(points: Float[np.ndarray, "n 2"], facing: tuple[float, float], *, over:
 
 def _tight(points: np.ndarray) -> Float[np.ndarray, "h 2"]:
     """The sides of the convex hull, clockwise: their outward normals are a quarter turn to the left."""
-    return np.diff(shapely.get_coordinates(shapely.convex_hull(shapely.linestrings(points))), axis=0)
+    corners = shapely.get_coordinates(shapely.convex_hull(shapely.linestrings(points)))
+    return corners[1:] - corners[:-1]
 
 
 def outline(segments: Float[np.ndarray, "s 2 3"]) -> float:
@@ -93,7 +97,10 @@ def loops(segments: Float[np.ndarray, "s 2 3"]) -> Int[np.ndarray, " s"]:
 
 def rough_girths(points: Float[np.ndarray, "n 2"], group: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:
     """Girth of every group of consecutive points by Cauchy's formula: π times the mean width. Quick, for a search."""
-    angle = (np.arange(DIRECTIONS) + 0.5) * 2 * np.pi / DIRECTIONS
-    reach = points.astype(np.float32) @ np.stack([np.cos(angle), np.sin(angle)]).astype(np.float32)
-    starts = np.flatnonzero(np.diff(group, prepend=np.inf))
-    return np.maximum.reduceat(reach, starts, axis=0).sum(axis=1, dtype=float) * 2 * np.pi / DIRECTIONS
+    angle = (np.arange(DIRECTIONS // 2) + 0.5) * 2 * np.pi / DIRECTIONS
+    directions = np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(np.float32)
+    reach = directions @ points.T.astype(np.float32)
+    starts = np.flatnonzero(np.concatenate([[True], group[1:] != group[:-1]])[: len(group)])
+    # One direction's reach lies side by side in memory, and opposite directions share it.
+    widths = np.maximum.reduceat(reach, starts, axis=1) - np.minimum.reduceat(reach, starts, axis=1)
+    return widths.sum(axis=0, dtype=float) * 2 * np.pi / DIRECTIONS

@@ -7,7 +7,8 @@ own mesh landmarks are known by vertex; on any other they are found first (``fin
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -32,7 +33,7 @@ BESIDE = {
 }
 """Points that move to the section found."""
 X, Y, Z = 0, 1, 2
-XZ = [0, 2]
+XZ = slice(0, 3, 2)
 SEARCH = np.arange(-4, 5) * 0.5  # cm about the ring's mean height, GarmentCodeData; on a body of USUAL_HEIGHT
 LEG_STEP = 0.5  # cm by which the thigh's section is lowered until the legs part
 LEG_STEPS = 30
@@ -62,25 +63,28 @@ def take_measures(vertices: Float[np.ndarray, "v 3"], sites: "Sites") -> Measure
 
 def take(vertices: Float[np.ndarray, "v 3"], marks: Marks, sites: "Sites") -> Taken:
     """The measures of any body, with the landmarks on it and the sites on its mesh. Raises ``BodyError``."""
-    tall = float(m.height(vertices))
+    upright = vertices[_ends(vertices[:, Y])]
+    tall = float(m.height(upright))
     wide = tall / USUAL_HEIGHT
+    corners, local = sites.cut_out
+    skin = vertices.take(corners, axis=0)
     found = {
-        "bust": _searched(vertices, sites, marks, "bust", np.argmax, wide),
-        "underbust": _at_level(vertices, sites, marks, "underbust"),
-        "waist": _searched(vertices, sites, marks, "waist", np.argmin, wide),
-        "hips": _searched(vertices, sites, marks, "hips", np.argmax, wide),
+        "bust": _searched(skin, local, marks, "bust", np.argmax, wide),
+        "underbust": _at_level(skin, local, marks, "underbust"),
+        "waist": _searched(skin, local, marks, "waist", np.argmin, wide),
+        "hips": _searched(skin, local, marks, "hips", np.argmax, wide),
     }
     bust, underbust, waist, hips = found.values()
     at = dict(marks.points)
     for name, beside in BESIDE.items():
-        cut = section(vertices, sites.bands[name], Y, found[name][0, Y])
+        cut = section(skin, local.bands[name], Y, found[name][0, Y])
         at |= zip(beside, _nearest_on(cut, np.stack([at[point] for point in beside])), strict=True)
-    over_bust = _over_bust(vertices, sites, marks, wide)
-    spine = section(vertices, sites.spine, X, (at["nape_of_neck"][X] + at["mid_waist_back"][X]) / 2).reshape(-1, 3)
-    leg_level, leg_circ = _leg_girth(vertices, sites, marks, wide)
+    over_bust = _over_bust(skin, local, marks, wide)
+    spine = section(skin, local.spine, X, (at["nape_of_neck"][X] + at["mid_waist_back"][X]) / 2).reshape(-1, 3)
+    leg_level, leg_circ = _leg_girth(skin, local, marks, wide)
     measurements = Measurements(
         height=tall,
-        head_l=float(m.head_l(vertices, at["nape_of_neck"])),
+        head_l=float(m.head_l(upright, at["nape_of_neck"])),
         neck_w=float(m.neck_w(marks.rings["neck_back"])),
         shoulder_w=float(m.shoulder_w(at["shoulder_left"], at["shoulder_right"])),
         shoulder_incl=float(m.shoulder_incl(at["neck_right"], at["shoulder_right"])),
@@ -115,6 +119,12 @@ def room(vertices: Float[np.ndarray, "v 3"]) -> float:
     return float(m.height(vertices)) / USUAL_HEIGHT
 
 
+def _ends(heights: Float[np.ndarray, " v"]) -> list[np.intp]:
+    """The lowest vertex and the highest."""
+    heights = heights.copy()  # side by side in memory: a third of the time
+    return [heights.argmin(), heights.argmax()]
+
+
 def _at_border(levels: Mapping[str, float], marks: Marks, reach: float) -> dict[str, float]:
     """Girths whose search ended on its border, and on which."""
     looked_for = {**marks.levels, "leg_circ": marks.levels["leg_right"]}
@@ -137,6 +147,24 @@ class Sites(Record):
     breast: Int[np.ndarray, "f 3"]
     spine: Int[np.ndarray, "f 3"]
     arm: WayNet
+
+    @functools.cached_property
+    def cut_out(self) -> tuple[Int[np.ndarray, " n"], Self]:
+        """The vertices of the sites of sections, and these sites on them alone: a plane is held against few."""
+        faces = (*self.bands.values(), self.thighs, self.breast, self.spine)
+        corners = np.unique(np.concatenate([ids.ravel() for ids in (*self.rings.values(), *faces)]))
+
+        def on_them(ids: np.ndarray) -> np.ndarray:
+            return np.searchsorted(corners, ids)
+
+        return corners, replace(
+            self,
+            rings={name: on_them(ring) for name, ring in self.rings.items()},
+            bands={name: on_them(band) for name, band in self.bands.items()},
+            thighs=on_them(self.thighs),
+            breast=on_them(self.breast),
+            spine=on_them(self.spine),
+        )
 
 
 @functools.cache
@@ -191,7 +219,11 @@ def arm_net(mean: np.ndarray, faces: np.ndarray, shoulder: int, wrist: int) -> W
     rough = WayNet.over(faces[_near(mean, straight, 9.0)[faces].all(axis=1)], shoulder, wrist, points_per_edge=1)
     near = _near(mean, rough.path(mean), 1.6)[faces].all(axis=1)
     # Three points an edge make the way 0.1 cm too long; five would halve that and cost twice the time.
-    return WayNet.over(faces[near], shoulder, wrist, points_per_edge=3).leading_on(mean, least=0.8)
+    return (
+        WayNet.over(faces[near], shoulder, wrist, points_per_edge=3)
+        .leading_on(mean, least=0.8)
+        .direct_on(mean, most=0.15)
+    )
 
 
 def _near(vertices: np.ndarray, path: np.ndarray, radius: float) -> np.ndarray:
@@ -212,10 +244,10 @@ def _searched(
     """The points of the section with the greatest or smallest girth near a ring."""
     levels = marks.levels[name] + SEARCH * wide
     points, level = section_points(vertices, sites.rings[name], Y, levels)
-    if len(np.unique(level)) < len(levels):
+    rough = rough_girths(points[:, XZ], level)
+    if len(rough) < len(levels):
         raise BodyError(f"no skin is met at the level of the {name}, {marks.levels[name]:.1f} cm: mend the mesh there")
-    chosen = best(rough_girths(points[:, XZ], level))
-    return points[level == levels[chosen]]
+    return points[level == levels[best(rough)]]
 
 
 def _at_level(vertices: np.ndarray, sites: Sites, marks: Marks, name: str) -> Float[np.ndarray, "n 3"]:
@@ -231,7 +263,7 @@ def _nearest_on(segments: Float[np.ndarray, "s 2 3"], points: Float[np.ndarray, 
     start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
     length = np.maximum(np.einsum("si,si->s", along, along), 1e-12)
     ahead = np.einsum("ni,si->ns", points, along) - np.einsum("si,si->s", start, along)
-    nearest = start + np.clip(ahead / length, 0.0, 1.0)[:, :, None] * along
+    nearest = start + np.minimum(np.maximum(ahead / length, 0.0), 1.0)[:, :, None] * along
     off = nearest - points[:, None]
     return nearest[np.arange(len(points)), np.einsum("nsi,nsi->ns", off, off).argmin(axis=1)]
 
