@@ -43,6 +43,8 @@ class ClothState:
     """(v) weights of the contacts that were expected for this step."""
     beside: wp.array
     """(v) whether another vertex was near at the last search."""
+    listed: wp.array
+    """(v) whether the vertex is in any list of contacts."""
     tangled: wp.array
     """(v) whether an edge or a face of the vertex crossed the cloth."""
     time: wp.array
@@ -99,6 +101,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         push=wp.zeros((n, 4), dtype=int, device=model.device),
         crowd=wp.ones(n, dtype=float, device=model.device),
         beside=wp.ones(n, dtype=int, device=model.device),
+        listed=zeros(n, int),
         tangled=zeros(n, int),
         time=zeros(worlds, float),
         status=zeros(worlds, int),
@@ -130,6 +133,7 @@ class Solver:
         self.frames = 0
         self._bound()
         self._bvh = wp.Bvh(self.state.lower, self.state.upper, groups=model.face_world)
+        self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
         self._graph: wp.Graph | None = None
 
     @property
@@ -155,7 +159,10 @@ class Solver:
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
         self._bound()
         self._bvh.refit()
-        self._launch(crossing.count_self_crossings, m.n_edges, [m.cloth, self._bvh.id, self.state.x], [counts])
+        self._launch(crossing.find_roots, m.n_worlds, [self._bvh.id], [self._roots])
+        self._launch(
+            crossing.count_self_crossings, m.n_edges, [m.cloth, self._bvh.id, self._roots, self.state.x], [counts]
+        )
         return counts.numpy()
 
     def body_crossings(self) -> np.ndarray:
@@ -185,7 +192,7 @@ class Solver:
                     [s.moved_far, s.contacts, s.searching, s.crossing_due, s.any_search],
                 )
                 wp.capture_if(s.any_search, self._search)
-            self._step()
+            self._step(before_search=(step + 1) % self.config.search_every == 0)
         s.any_crossing.zero_()
         s.any_running.zero_()
         threads = self._threads
@@ -203,7 +210,7 @@ class Solver:
             + [s.moved, s.frames, s.contacts.crossing_count, s.any_crossing, s.any_running],
         )
 
-    def _step(self) -> None:
+    def _step(self, *, before_search: bool) -> None:
         m, s = self.model, self.state
         n, threads = m.n_vertices, self._threads
         self._launch(
@@ -218,7 +225,7 @@ class Solver:
         self._launch(
             body_contact.finish_step,
             n,
-            [m.worlds, m.cloth, s.status, s.time, s.x_new, s.v_new, s.x_searched, s.skin],
+            [m.worlds, m.cloth, before_search, s.status, s.time, s.x_new, s.v_new, s.x_searched, s.skin, s.listed],
             [s.push, s.x, s.v, s.ahead, s.crowd, s.moved_far],
         )
 
@@ -227,11 +234,12 @@ class Solver:
         m, s = self.model, self.state
         self._bound()
         self._bvh.refit()
+        self._launch(crossing.find_roots, m.n_worlds, [self._bvh.id], [self._roots])
         self._launch(
             crossing.find_crossings,
             m.n_edges,
-            [m.worlds, m.cloth, self._bvh.id, s.crossing_due, s.beside, s.x],
-            [s.tangled, s.contacts],
+            [m.worlds, m.cloth, self._bvh.id, self._roots, s.crossing_due, s.beside, s.x],
+            [s.tangled, s.listed, s.contacts],
         )
 
     def _search(self) -> None:
@@ -240,21 +248,25 @@ class Solver:
         threads = self._threads
         s.newest.fill_(-1)
         self._launch(
-            search.fill_grid, m.n_vertices, [m.worlds, m.cloth, s.searching, s.x], [s.newest, s.older, s.beside]
+            search.fill_grid,
+            m.n_vertices,
+            [m.worlds, m.cloth, s.searching, s.tangled, s.x],
+            [s.newest, s.older, s.beside, s.listed],
         )
+        per_vertex = 1 if m.device == "cpu" else max(1, min(GPU_THREADS // m.n_vertices, 14))
         self._launch(
             search.find_near,
-            (m.n_vertices, 9),
-            [m.worlds, m.cloth, s.searching, s.x, s.newest, s.older],
+            (m.n_vertices, per_vertex),
+            [m.worlds, m.cloth, per_vertex, s.searching, s.x, s.newest, s.older],
             [s.x_searched, s.skin, s.beside, s.contacts],
         )
         self._launch(
             search.find_pairs,
             (m.n_worlds, threads),
             [m.worlds, m.cloth, threads, s.searching, s.tangled, s.x],
-            [s.contacts],
+            [s.listed, s.contacts],
         )
-        self._launch(search.find_long_edges, m.n_edges, [m.worlds, m.cloth, s.searching, s.x], [s.contacts])
+        self._launch(search.find_long_edges, m.n_edges, [m.worlds, m.cloth, s.searching, s.x], [s.listed, s.contacts])
 
     def _bound(self) -> None:
         m, s = self.model, self.state

@@ -105,8 +105,9 @@ def build_topology(jobs: Sequence[DrapeJob], device: str) -> Topology:
     widest = max(USUAL, int(np.diff(first_edge.numpy()).max()))
     rows = Rows()
     rows.count, rows.bend_diagonal = empty(n, wp.vec2i), empty(n, float)
-    rows.spring_vertex, rows.spring_weight = _table(widest, n, int, device), _table(widest, n, wp.vec4, device)
-    rows.bend_vertex, rows.bend_weight = _table(widest, n, int, device), _table(widest, n, float, device)
+    rows.spring_vertex, rows.bend_vertex = (_table(widest, n, int, device) for _ in range(2))
+    for name in ("spring_stiffness", "flat_length", "start_length", "spring_bend", "bend_weight"):
+        setattr(rows, name, _table(widest, n, float, device))
     mass, stiffness = empty(n, float), empty(n, float)
     fabric = np.array([[job.fabric.mass, job.fabric.membrane, job.fabric.rigidity] for job in jobs], np.float32)
     launch(
@@ -114,8 +115,7 @@ def build_topology(jobs: Sequence[DrapeJob], device: str) -> Topology:
         n,
         [face, flat, edges, opposite, side_edge, vertex_faces, first_face, vertex_edges, first_edge]
         + [spring, hinge, hinge_scale, world, wp.array(fabric, dtype=wp.vec3, device=device)],
-        [mass, stiffness, rows.bend_diagonal, rows.count]
-        + [rows.spring_vertex, rows.spring_weight, rows.bend_vertex, rows.bend_weight],
+        [mass, stiffness, rows],
     )
     return Topology(
         vertex_world=world,

@@ -120,6 +120,7 @@ def finish_step(
     # model
     worlds: wp.array(dtype=World),
     cloth: Cloth,
+    before_search: bool,
     # state in
     status: wp.array(dtype=int),
     time: wp.array(dtype=float),
@@ -127,6 +128,7 @@ def finish_step(
     v_new: wp.array(dtype=wp.vec3),
     x_searched: wp.array(dtype=wp.vec3),
     skin: wp.array(dtype=float),
+    listed: wp.array(dtype=int),
     # state in and out
     push: wp.array2d(dtype=int),
     # state out
@@ -142,8 +144,10 @@ def finish_step(
     if status[w] != RUNNING:
         return
     world = worlds[w]
-    moved = take_push(push, i)
-    crowd[i] = take_crowd(push, i)
+    moved = wp.vec3(0.0)
+    if listed[i] != 0:
+        moved = take_push(push, i)
+        crowd[i] = take_crowd(push, i)
     here = x_new[i] + moved
     if time[w] < world.sewing_time + world.held_time:
         normal = cloth.hold_normal[i]
@@ -171,5 +175,6 @@ def finish_step(
     x[i] = here
     v[i] = speed
     ahead[i] = here + (LOOK_AHEAD * world.dt) * speed
-    if wp.length_sq(here - x_searched[i]) > world.travel * world.travel:
-        moved_far[w] = 1
+    if before_search:
+        if wp.length_sq(here - x_searched[i]) > world.travel * world.travel:
+            moved_far[w] = 1

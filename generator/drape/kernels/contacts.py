@@ -10,7 +10,7 @@ from gcd_dataset.generator.drape.kernels.body_contact import push_long_edge
 from gcd_dataset.generator.drape.kernels.crossing import part_crossing
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, parting
 from gcd_dataset.generator.drape.kernels.push import add_push, add_weight
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, listed
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, entries
 
 wp.set_module_options({"enable_backward": False})
 
@@ -142,15 +142,15 @@ def push_contacts(
     if thread == 0:
         time[w] = time[w] + world.dt
     at = contacts.room * world.first
-    for k in range(thread, listed(contacts.point_count, w, world, contacts), threads):
+    for k in range(thread, entries(contacts.point_count, w, world, contacts), threads):
         point = contacts.points[at + k]
         face = wp.vec3i(point[1], point[2], point[3])
         push_point(point[0], face, contacts.sides[at + k], world, cloth.inertia, crowd, x_old, x_new, push)
-    for k in range(thread, listed(contacts.edge_count, w, world, contacts), threads):
+    for k in range(thread, entries(contacts.edge_count, w, world, contacts), threads):
         push_edges(
             contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, crowd, x_old, x_new, push
         )
-    for k in range(thread, listed(contacts.long_count, w, world, contacts), threads):
+    for k in range(thread, entries(contacts.long_count, w, world, contacts), threads):
         push_long_edge(contacts.long_edges[at + k], world, cloth, crowd, x_old, x_new, push)
-    for k in range(thread, listed(contacts.crossing_count, w, world, contacts), threads):
+    for k in range(thread, entries(contacts.crossing_count, w, world, contacts), threads):
         part_crossing(contacts.crossings[at + k], world, cloth, x_new, push)

@@ -19,17 +19,30 @@ PARTING_ACCELERATION = 8000.0  # cm/s²
 
 
 @wp.kernel
+def find_roots(
+    bvh: wp.uint64,
+    # out
+    roots: wp.array(dtype=int),
+):
+    """Where the tree of each world begins, which takes a search."""
+    w = wp.tid()
+    roots[w] = wp.bvh_get_group_root(bvh, w)
+
+
+@wp.kernel
 def find_crossings(
     # model
     worlds: wp.array(dtype=World),
     cloth: Cloth,
     bvh: wp.uint64,
+    roots: wp.array(dtype=int),
     # state in
     crossing_due: wp.array(dtype=int),
     beside: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state out
     tangled: wp.array(dtype=int),
+    listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
     """List (edge, triangle) for every crossing of the cloth with itself, and mark the vertices of both.
@@ -47,7 +60,7 @@ def find_crossings(
     world = worlds[w]
     if beside[i] + beside[j] == 0 and wp.length_sq(q - p) < world.near * world.near:
         return
-    query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), wp.bvh_get_group_root(bvh, w))
+    query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), roots[w])
     f = int(0)
     while wp.bvh_query_next(query, f):
         face = cloth.faces[f]
@@ -56,9 +69,11 @@ def find_crossings(
         if segment_crosses(p, q, x[face[0]], x[face[1]], x[face[2]]):
             tangled[i] = 1
             tangled[j] = 1
-            tangled[face[0]] = 1
-            tangled[face[1]] = 1
-            tangled[face[2]] = 1
+            listed[i] = 1
+            listed[j] = 1
+            for corner in range(3):
+                tangled[face[corner]] = 1
+                listed[face[corner]] = 1
             slot = take_slot(contacts.crossing_count, w, world, contacts)
             if slot >= 0:
                 contacts.crossings[slot] = wp.vec2i(e, f)
@@ -112,6 +127,7 @@ def count_self_crossings(
     # model
     cloth: Cloth,
     bvh: wp.uint64,
+    roots: wp.array(dtype=int),
     # state in
     x: wp.array(dtype=wp.vec3),
     # out
@@ -124,7 +140,7 @@ def count_self_crossings(
     w = cloth.vertex_world[i]
     p = x[i]
     q = x[j]
-    query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), wp.bvh_get_group_root(bvh, w))
+    query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), roots[w])
     f = int(0)
     while wp.bvh_query_next(query, f):
         face = cloth.faces[f]

@@ -1,7 +1,7 @@
 """Stretch, bending, weight and drag: one gather per vertex, and a step in time without contacts.
 
 Stretch is a spring along every mesh edge; bending is the quadratic model of Bergou et al. (2006), a constant matrix. A
-vertex walks its springs ``(stiffness, flat length, start length, bending weight)`` and then the vertices that only its
+vertex walks its springs and then the vertices that only its
 bending depends on; entry ``k`` of all vertices lies together, so that neighbouring threads read neighbouring words.
 
 Forces are taken at ``x + theta h v``, a stiffness-proportional damping that fades for slow motions; with it the
@@ -24,19 +24,25 @@ class Rows:
 
     count: wp.array(dtype=wp.vec2i)  # springs, further bending weights
     spring_vertex: wp.array2d(dtype=int)
-    spring_weight: wp.array2d(dtype=wp.vec4)
+    spring_stiffness: wp.array2d(dtype=float)  # g/s²
+    flat_length: wp.array2d(dtype=float)  # cm
+    start_length: wp.array2d(dtype=float)  # cm, before sewing
+    spring_bend: wp.array2d(dtype=float)  # g/s²
     bend_vertex: wp.array2d(dtype=int)
     bend_weight: wp.array2d(dtype=float)
     bend_diagonal: wp.array(dtype=float)
 
 
 @wp.func
-def spring_force(weight: wp.vec4, sewn: float, x: wp.vec3, y: wp.vec3) -> wp.vec3:
+def spring_force(k: int, i: int, sewn: float, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
     """Of one neighbour: along the edge by its stretch, and by its bending weight."""
+    y = ahead[rows.spring_vertex[k, i]]
+    rest = rows.flat_length[k, i]
+    if sewn < 1.0:
+        rest = wp.lerp(rows.start_length[k, i], rest, sewn)
     edge = y - x
     length = wp.length(edge)
-    rest = wp.lerp(weight[2], weight[1], sewn)
-    return (weight[0] * (length - rest) / wp.max(length, 1.0e-6)) * edge - weight[3] * y
+    return (rows.spring_stiffness[k, i] * (length - rest) / wp.max(length, 1.0e-6)) * edge - rows.spring_bend[k, i] * y
 
 
 @wp.func
@@ -48,12 +54,12 @@ def elastic_force(i: int, sewn: float, rows: Rows, ahead: wp.array(dtype=wp.vec3
     x = ahead[i]
     force = -rows.bend_diagonal[i] * x
     for k in range(USUAL):
-        force += spring_force(rows.spring_weight[k, i], sewn, x, ahead[rows.spring_vertex[k, i]])
+        force += spring_force(k, i, sewn, x, rows, ahead)
     for k in range(USUAL):
         force -= rows.bend_weight[k, i] * ahead[rows.bend_vertex[k, i]]
     count = rows.count[i]
     for k in range(USUAL, count[0]):
-        force += spring_force(rows.spring_weight[k, i], sewn, x, ahead[rows.spring_vertex[k, i]])
+        force += spring_force(k, i, sewn, x, rows, ahead)
     for k in range(USUAL, count[1]):
         force -= rows.bend_weight[k, i] * ahead[rows.bend_vertex[k, i]]
     return force

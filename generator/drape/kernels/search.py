@@ -8,11 +8,12 @@ import warp as wp
 
 from gcd_dataset.generator.drape.kernels.body_contact import sample_field
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, has_vertex
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, listed, take_slot
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, entries, take_slot
 
 wp.set_module_options({"enable_backward": False})
 
 ROUND = wp.constant(8)  # threads that share a pair of vertices: about as many as a vertex has edges
+OWN_CELL = wp.constant(13)  # of 27
 SHORT_EDGE = 1.5  # cm: of longer edges the middle keeps off the body too
 
 
@@ -76,11 +77,13 @@ def fill_grid(
     cloth: Cloth,
     # state in
     searching: wp.array(dtype=int),
+    tangled: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state out
     newest: wp.array(dtype=int),
     older: wp.array(dtype=int),
     beside: wp.array(dtype=int),
+    listed: wp.array(dtype=int),
 ):
     """Put every vertex before the others in its bucket: ``newest`` begins a chain that ``older`` continues."""
     i = wp.tid()
@@ -89,6 +92,7 @@ def fill_grid(
         return
     bucket = bucket_of(cell_of(x[i], worlds[w].near), w, newest.shape[0])
     beside[i] = 0
+    listed[i] = tangled[i]
     older[i] = wp.atomic_exch(newest, bucket, i)
 
 
@@ -97,6 +101,7 @@ def find_near(
     # model
     worlds: wp.array(dtype=World),
     cloth: Cloth,
+    threads: int,
     # state in
     searching: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
@@ -110,31 +115,32 @@ def find_near(
 ):
     """List the pairs of vertices near each other, and note how far every vertex is from the skin.
 
-    Nine threads share a vertex, each a row of three cells.
+    A vertex looks into half of the cells round it, since others look into its own.
     """
-    i, row = wp.tid()
+    i, thread = wp.tid()
     w = cloth.vertex_world[i]
     if searching[w] == 0:
         return
     world = worlds[w]
     p = x[i]
-    if row == 0:
+    if thread == 0:
         x_searched[i] = p
         near = sample_field(world, cloth.field, p)
         skin[i] = near[3]
     own = cell_of(p, world.near)
-    for along in range(3):
-        cell = own + wp.vec3i(along - 1, row % 3 - 1, row // 3 - 1)
+    for neighbour in range(OWN_CELL + thread, 27, threads):
+        cell = own + wp.vec3i(neighbour % 3 - 1, (neighbour // 3) % 3 - 1, neighbour // 9 - 1)
         j = newest[bucket_of(cell, w, newest.shape[0])]
         while j >= 0:
             q = x[j]
-            if j < i and wp.length_sq(q - p) <= world.near * world.near and cell_of(q, world.near) == cell:
-                if j >= world.first and not are_neighbours(i, j, cloth):
+            if (neighbour > OWN_CELL or j < i) and wp.length_sq(q - p) <= world.near * world.near:
+                ours = j >= world.first and j < world.first + world.size
+                if ours and cell_of(q, world.near) == cell and not are_neighbours(i, j, cloth):
                     beside[i] = 1
                     beside[j] = 1
                     slot = take_slot(contacts.near_count, w, world, contacts)
                     if slot >= 0:
-                        contacts.near[slot] = wp.vec2i(i, j)
+                        contacts.near[slot] = wp.vec2i(wp.max(i, j), wp.min(i, j))
             j = older[j]
 
 
@@ -148,6 +154,7 @@ def watch_point(
     cloth: Cloth,
     tangled: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
+    listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
     """List vertex ``i`` with face ``f`` where it is near, and nearest to the face's corner ``j``."""
@@ -176,6 +183,9 @@ def watch_point(
     slot = take_slot(contacts.point_count, w, world, contacts)
     if slot >= 0:
         contacts.points[slot] = wp.vec4i(i, face[0], face[1], face[2])
+        listed[i] = 1
+        for k in range(3):
+            listed[face[k]] = 1
         contacts.sides[slot] = side
 
 
@@ -190,6 +200,7 @@ def watch_edges(
     cloth: Cloth,
     tangled: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
+    listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
     """List two edges where they are near, inside both and nearest to their ends ``i`` and ``j``."""
@@ -209,6 +220,10 @@ def watch_edges(
     slot = take_slot(contacts.edge_count, w, world, contacts)
     if slot >= 0:
         contacts.edges[slot] = wp.vec4i(i, i1, j, j1)
+        listed[i] = 1
+        listed[i1] = 1
+        listed[j] = 1
+        listed[j1] = 1
         contacts.normals[slot] = between / gap
 
 
@@ -223,6 +238,7 @@ def find_pairs(
     tangled: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state in and out
+    listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
     """List the points and triangles, and the edges, near each other round every near pair of vertices."""
@@ -230,19 +246,21 @@ def find_pairs(
     if searching[w] == 0:
         return
     world = worlds[w]
-    total = ROUND * listed(contacts.near_count, w, world, contacts)
+    total = ROUND * entries(contacts.near_count, w, world, contacts)
     for task in range(thread, total, threads):
         pair = contacts.near[contacts.room * world.first + task // ROUND]
         i = pair[0]
         j = pair[1]
         turn = task % ROUND
         for at in range(cloth.first_face[j] + turn, cloth.first_face[j + 1], ROUND):
-            watch_point(i, j, cloth.vertex_faces[at], w, world, cloth, tangled, x, contacts)
+            watch_point(i, j, cloth.vertex_faces[at], w, world, cloth, tangled, x, listed, contacts)
         for at in range(cloth.first_face[i] + turn, cloth.first_face[i + 1], ROUND):
-            watch_point(j, i, cloth.vertex_faces[at], w, world, cloth, tangled, x, contacts)
+            watch_point(j, i, cloth.vertex_faces[at], w, world, cloth, tangled, x, listed, contacts)
         for at in range(cloth.first_edge[i] + turn, cloth.first_edge[i + 1], ROUND):
             for to in range(cloth.first_edge[j], cloth.first_edge[j + 1]):
-                watch_edges(i, j, cloth.vertex_edges[at], cloth.vertex_edges[to], w, world, cloth, tangled, x, contacts)
+                watch_edges(
+                    i, j, cloth.vertex_edges[at], cloth.vertex_edges[to], w, world, cloth, tangled, x, listed, contacts
+                )
 
 
 @wp.kernel
@@ -254,6 +272,7 @@ def find_long_edges(
     searching: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state out
+    listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
     """List the long edges whose middle may come near the skin: of coarse cloth, and of seams not yet closed."""
@@ -273,3 +292,5 @@ def find_long_edges(
     slot = take_slot(contacts.long_count, w, world, contacts)
     if slot >= 0:
         contacts.long_edges[slot] = cloth.edges[e]
+        listed[i] = 1
+        listed[j] = 1

@@ -7,7 +7,7 @@ each other. Where more than two panels meet along an edge, its first two faces m
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.elastic import USUAL
+from gcd_dataset.generator.drape.kernels.elastic import USUAL, Rows
 
 
 wp.set_module_options({"enable_backward": False})
@@ -259,12 +259,7 @@ def weigh_rows(
     # out
     mass: wp.array(dtype=float),
     stiffness: wp.array(dtype=float),
-    bend_diagonal: wp.array(dtype=float),
-    rows: wp.array(dtype=wp.vec2i),
-    spring_vertex: wp.array2d(dtype=int),
-    spring_weight: wp.array2d(dtype=wp.vec4),
-    bend_vertex: wp.array2d(dtype=int),
-    bend_weight: wp.array2d(dtype=float),
+    rows: Rows,
 ):
     """One row of springs and bending weights for each vertex; ``fabric`` is mass, stiffness and rigidity by world.
 
@@ -281,10 +276,11 @@ def weigh_rows(
     stretching = float(0.0)
     for row in range(springs):
         e = vertex_edges[first_edge[i] + row]
-        j = edges[e][0] + edges[e][1] - i
-        spring_vertex[row, i] = j
-        s = spring[e]
-        spring_weight[row, i] = wp.vec4(world[1] * s[0], s[1], s[2], 0.0)
+        rows.spring_vertex[row, i] = edges[e][0] + edges[e][1] - i
+        rows.spring_stiffness[row, i] = world[1] * spring[e][0]
+        rows.flat_length[row, i] = spring[e][1]
+        rows.start_length[row, i] = spring[e][2]
+        rows.spring_bend[row, i] = 0.0
     for row in range(springs):
         e = vertex_edges[first_edge[i] + row]
         own = world[2] * hinge_scale[e] * hinge_weight(e, i, edges, hinge)
@@ -292,10 +288,10 @@ def weigh_rows(
             continue
         j = edges[e][0] + edges[e][1] - i
         diagonal += own * hinge_weight(e, i, edges, hinge)
-        spring_weight[row, i] += wp.vec4(0.0, 0.0, 0.0, own * hinge_weight(e, j, edges, hinge))
+        rows.spring_bend[row, i] += own * hinge_weight(e, j, edges, hinge)
         for side in range(2):
             to = spring_to(i, opposite[e][side], edges, vertex_edges, first_edge)
-            spring_weight[to, i] += wp.vec4(0.0, 0.0, 0.0, own * hinge[e][2 + side])
+            rows.spring_bend[to, i] += own * hinge[e][2 + side]
     for at in range(first_face[i], first_face[i + 1]):
         f = vertex_faces[at]
         area += flat_area(flat, f)
@@ -318,24 +314,27 @@ def weigh_rows(
         diagonal += own * hinge[e][2 + own_side]
         for end in range(2):
             to = spring_to(i, edges[e][end], edges, vertex_edges, first_edge)
-            spring_weight[to, i] += wp.vec4(0.0, 0.0, 0.0, own * hinge[e][end])
-        bend_vertex[bends, i] = opposite[e][1 - own_side]
-        bend_weight[bends, i] = own * hinge[e][3 - own_side]
+            rows.spring_bend[to, i] += own * hinge[e][end]
+        rows.bend_vertex[bends, i] = opposite[e][1 - own_side]
+        rows.bend_weight[bends, i] = own * hinge[e][3 - own_side]
         bends += 1
     for row in range(springs, USUAL):
-        spring_vertex[row, i] = i
-        spring_weight[row, i] = wp.vec4(0.0)
+        rows.spring_vertex[row, i] = i
+        rows.spring_stiffness[row, i] = 0.0
+        rows.flat_length[row, i] = 0.0
+        rows.start_length[row, i] = 0.0
+        rows.spring_bend[row, i] = 0.0
     for row in range(bends, USUAL):
-        bend_vertex[row, i] = i
-        bend_weight[row, i] = 0.0
+        rows.bend_vertex[row, i] = i
+        rows.bend_weight[row, i] = 0.0
     mass[i] = world[0] * float(area / wp.float64(3.0))
-    bend_diagonal[i] = diagonal
-    rows[i] = wp.vec2i(springs, bends)
+    rows.bend_diagonal[i] = diagonal
+    rows.count[i] = wp.vec2i(springs, bends)
     bending = wp.abs(diagonal)
     for row in range(springs):
-        bending += wp.abs(spring_weight[row, i][3])
+        bending += wp.abs(rows.spring_bend[row, i])
     for row in range(bends):
-        bending += wp.abs(bend_weight[row, i])
+        bending += wp.abs(rows.bend_weight[row, i])
     stiffness[i] = 2.0 * world[1] * stretching + bending
 
 

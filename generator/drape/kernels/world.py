@@ -103,6 +103,6 @@ def take_slot(count: wp.array(dtype=int), w: int, world: World, contacts: Contac
 
 
 @wp.func
-def listed(count: wp.array(dtype=int), w: int, world: World, contacts: Contacts) -> int:
+def entries(count: wp.array(dtype=int), w: int, world: World, contacts: Contacts) -> int:
     """Entries in a world's list."""
     return wp.min(count[w], contacts.room * world.size)
