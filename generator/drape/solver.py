@@ -87,6 +87,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
     lists.points, lists.sides = zeros(room * n, wp.vec4i), zeros(room * n, float)
     lists.edges, lists.normals = zeros(room * n, wp.vec4i), zeros(room * n, wp.vec3)
     lists.near_count, lists.point_count, lists.edge_count = (zeros(worlds, int) for _ in range(3))
+    lists.work, lists.near_work = zeros(worlds + 1, int), zeros(worlds + 1, int)
     lists.long_count, lists.crossing_count, lists.overfull = (zeros(worlds, int) for _ in range(3))
     start = model.topology.start
     return ClothState(
@@ -182,6 +183,7 @@ class Solver:
     def _record_frame(self) -> None:
         m, s = self.model, self.state
         wp.capture_if(s.any_crossing, self._find_crossings)
+        self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
         for step in range(self.config.substeps):
             if step % self.config.search_every == 0:
                 s.any_search.zero_()
@@ -195,7 +197,7 @@ class Solver:
             self._step(before_search=(step + 1) % self.config.search_every == 0)
         s.any_crossing.zero_()
         s.any_running.zero_()
-        threads = self._threads
+        threads = 1 if m.device == "cpu" else 256
         self._launch(
             stillness.watch_frame,
             (m.n_worlds, threads),
@@ -218,7 +220,7 @@ class Solver:
         )
         self._launch(
             contacts.push_contacts,
-            (m.n_worlds, threads),
+            threads,
             [m.worlds, m.cloth, s.contacts, threads, s.status, s.crowd, s.x, s.x_new],
             [s.time, s.push],
         )
@@ -260,13 +262,15 @@ class Solver:
             [m.worlds, m.cloth, per_vertex, s.searching, s.x, s.newest, s.older],
             [s.x_searched, s.skin, s.beside, s.contacts],
         )
+        self._launch(search.share_near, m.n_worlds + 1, [m.worlds, s.searching], [s.contacts])
         self._launch(
             search.find_pairs,
-            (m.n_worlds, threads),
-            [m.worlds, m.cloth, threads, s.searching, s.tangled, s.x],
+            threads,
+            [m.worlds, m.cloth, threads, s.tangled, s.x],
             [s.listed, s.contacts],
         )
         self._launch(search.find_long_edges, m.n_edges, [m.worlds, m.cloth, s.searching, s.x], [s.listed, s.contacts])
+        self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
 
     def _bound(self) -> None:
         m, s = self.model, self.state
@@ -274,10 +278,8 @@ class Solver:
 
     @property
     def _threads(self) -> int:
-        """Threads that walk the lists of one world together."""
-        if self.model.device == "cpu":
-            return 1
-        return max(256, min(GPU_THREADS // self.model.n_worlds, 16384))
+        """Threads that walk the lists together."""
+        return 1 if self.model.device == "cpu" else min(GPU_THREADS, 2 * self.model.n_vertices)
 
     def _launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.model.device)

@@ -10,7 +10,7 @@ from gcd_dataset.generator.drape.kernels.body_contact import push_long_edge
 from gcd_dataset.generator.drape.kernels.crossing import part_crossing
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, parting
 from gcd_dataset.generator.drape.kernels.push import add_push, add_weight
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, entries
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, entries, world_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -119,6 +119,27 @@ def push_edges(
 
 
 @wp.kernel
+def share_work(
+    worlds: wp.array(dtype=World),
+    # state in
+    status: wp.array(dtype=int),
+    # state in and out
+    contacts: Contacts,
+):
+    """Count the entries in the lists of the worlds before each that run; one row more than worlds."""
+    w = wp.tid()
+    before = int(0)
+    for other in range(w):
+        if status[other] == RUNNING:
+            world = worlds[other]
+            before += entries(contacts.point_count, other, world, contacts)
+            before += entries(contacts.edge_count, other, world, contacts)
+            before += entries(contacts.long_count, other, world, contacts)
+            before += entries(contacts.crossing_count, other, world, contacts)
+    contacts.work[w] = before
+
+
+@wp.kernel
 def push_contacts(
     # model
     worlds: wp.array(dtype=World),
@@ -134,23 +155,29 @@ def push_contacts(
     time: wp.array(dtype=float),
     push: wp.array2d(dtype=int),
 ):
-    """Walk a world's lists; the first thread also ends the step on its clock."""
-    w, thread = wp.tid()
-    if status[w] != RUNNING:
-        return
-    world = worlds[w]
-    if thread == 0:
-        time[w] = time[w] + world.dt
-    at = contacts.room * world.first
-    for k in range(thread, entries(contacts.point_count, w, world, contacts), threads):
-        point = contacts.points[at + k]
-        face = wp.vec3i(point[1], point[2], point[3])
-        push_point(point[0], face, contacts.sides[at + k], world, cloth.inertia, crowd, x_old, x_new, push)
-    for k in range(thread, entries(contacts.edge_count, w, world, contacts), threads):
-        push_edges(
-            contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, crowd, x_old, x_new, push
-        )
-    for k in range(thread, entries(contacts.long_count, w, world, contacts), threads):
-        push_long_edge(contacts.long_edges[at + k], world, cloth, crowd, x_old, x_new, push)
-    for k in range(thread, entries(contacts.crossing_count, w, world, contacts), threads):
-        part_crossing(contacts.crossings[at + k], world, cloth, x_new, push)
+    """Walk the lists of all worlds; the first threads also end the step on the worlds' clocks."""
+    thread = wp.tid()
+    for w in range(thread, worlds.shape[0], threads):
+        if status[w] == RUNNING:
+            time[w] = time[w] + worlds[w].dt
+    for item in range(thread, contacts.work[contacts.work.shape[0] - 1], threads):
+        w = world_of(item, contacts.work)
+        world = worlds[w]
+        at = contacts.room * world.first
+        k = item - contacts.work[w]
+        points = entries(contacts.point_count, w, world, contacts)
+        edges = points + entries(contacts.edge_count, w, world, contacts)
+        longs = edges + entries(contacts.long_count, w, world, contacts)
+        if k < points:
+            point = contacts.points[at + k]
+            face = wp.vec3i(point[1], point[2], point[3])
+            push_point(point[0], face, contacts.sides[at + k], world, cloth.inertia, crowd, x_old, x_new, push)
+        elif k < edges:
+            k = k - points
+            push_edges(
+                contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, crowd, x_old, x_new, push
+            )
+        elif k < longs:
+            push_long_edge(contacts.long_edges[at + k - edges], world, cloth, crowd, x_old, x_new, push)
+        else:
+            part_crossing(contacts.crossings[at + k - longs], world, cloth, x_new, push)

@@ -8,7 +8,7 @@ import warp as wp
 
 from gcd_dataset.generator.drape.kernels.body_contact import sample_field
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, has_vertex
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, entries, take_slot
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, entries, take_slot, world_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -228,13 +228,29 @@ def watch_edges(
 
 
 @wp.kernel
+def share_near(
+    worlds: wp.array(dtype=World),
+    # state in
+    searching: wp.array(dtype=int),
+    # state in and out
+    contacts: Contacts,
+):
+    """Count the near pairs of the worlds before each, so that threads can share them all; one row more than worlds."""
+    w = wp.tid()
+    before = int(0)
+    for other in range(w):
+        if searching[other] != 0:
+            before += entries(contacts.near_count, other, worlds[other], contacts)
+    contacts.near_work[w] = before
+
+
+@wp.kernel
 def find_pairs(
     # model
     worlds: wp.array(dtype=World),
     cloth: Cloth,
     threads: int,
     # state in
-    searching: wp.array(dtype=int),
     tangled: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state in and out
@@ -242,16 +258,15 @@ def find_pairs(
     contacts: Contacts,
 ):
     """List the points and triangles, and the edges, near each other round every near pair of vertices."""
-    w, thread = wp.tid()
-    if searching[w] == 0:
-        return
-    world = worlds[w]
-    total = ROUND * entries(contacts.near_count, w, world, contacts)
-    for task in range(thread, total, threads):
-        pair = contacts.near[contacts.room * world.first + task // ROUND]
+    total = ROUND * contacts.near_work[contacts.near_work.shape[0] - 1]
+    for task in range(wp.tid(), total, threads):
+        item = task // ROUND
+        turn = task % ROUND
+        w = world_of(item, contacts.near_work)
+        world = worlds[w]
+        pair = contacts.near[contacts.room * world.first + item - contacts.near_work[w]]
         i = pair[0]
         j = pair[1]
-        turn = task % ROUND
         for at in range(cloth.first_face[j] + turn, cloth.first_face[j + 1], ROUND):
             watch_point(i, j, cloth.vertex_faces[at], w, world, cloth, tangled, x, listed, contacts)
         for at in range(cloth.first_face[i] + turn, cloth.first_face[i + 1], ROUND):

@@ -83,6 +83,8 @@ class Contacts:
     long_count: wp.array(dtype=int)
     crossing_count: wp.array(dtype=int)
     overfull: wp.array(dtype=int)
+    work: wp.array(dtype=int)  # (w + 1) entries of all lists but ``near`` in the worlds before, of those that run
+    near_work: wp.array(dtype=int)  # (w + 1) entries of ``near`` in the worlds before, of those being searched
 
 
 @wp.func
@@ -106,3 +108,17 @@ def take_slot(count: wp.array(dtype=int), w: int, world: World, contacts: Contac
 def entries(count: wp.array(dtype=int), w: int, world: World, contacts: Contacts) -> int:
     """Entries in a world's list."""
     return wp.min(count[w], contacts.room * world.size)
+
+
+@wp.func
+def world_of(item: int, work: wp.array(dtype=int)) -> int:
+    """The world that an item of work belongs to; ``work`` holds the items of the worlds before each."""
+    low = int(0)
+    high = int(work.shape[0] - 1)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if work[middle] <= item:
+            low = middle
+        else:
+            high = middle
+    return low
