@@ -61,6 +61,7 @@ class ClothState:
     """(w) whether a vertex has moved so far that contacts must be searched anew."""
     searching: wp.array
     crossing_due: wp.array
+    untangling: wp.array
     any_search: wp.array
     any_crossing: wp.array
     any_running: wp.array
@@ -112,7 +113,8 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         kept_height=zeros(worlds, int),
         moved_far=wp.ones(worlds, dtype=int, device=model.device),
         searching=zeros(worlds, int),
-        crossing_due=wp.ones(worlds, dtype=int, device=model.device),
+        crossing_due=zeros(worlds, int),
+        untangling=wp.ones(worlds, dtype=int, device=model.device),
         any_search=zeros(1, int),
         any_crossing=wp.ones(1, dtype=int, device=model.device),
         any_running=wp.ones(1, dtype=int, device=model.device),
@@ -190,7 +192,7 @@ class Solver:
                 self._launch(
                     search.plan_search,
                     m.n_worlds,
-                    [step == 0, s.status],
+                    [s.status],
                     [s.moved_far, s.contacts, s.searching, s.crossing_due, s.any_search],
                 )
                 wp.capture_if(s.any_search, self._search)
@@ -201,15 +203,15 @@ class Solver:
         self._launch(
             stillness.watch_frame,
             (m.n_worlds, threads),
-            [m.worlds, m.cloth, threads, s.x, s.crossing_due],
-            [s.status, s.x_seen, s.tangled, s.moving, s.kept_height],
+            [m.worlds, m.cloth, threads, s.x],
+            [s.status, s.x_seen, s.moving, s.kept_height],
         )
         self._launch(
             stillness.end_frame,
             m.n_worlds,
-            [m.worlds, s.time, s.crossing_due],
-            [s.status, s.moving, s.kept_height]
-            + [s.moved, s.frames, s.contacts.crossing_count, s.any_crossing, s.any_running],
+            [m.worlds, s.time],
+            [s.crossing_due, s.contacts.crossing_count, s.status, s.moving, s.kept_height]
+            + [s.moved, s.frames, s.untangling, s.any_crossing, s.any_running],
         )
 
     def _step(self, *, before_search: bool) -> None:
@@ -237,10 +239,11 @@ class Solver:
         self._bound()
         self._bvh.refit()
         self._launch(crossing.find_roots, m.n_worlds, [self._bvh.id], [self._roots])
+        self._launch(crossing.forget_crossings, m.n_vertices, [m.cloth, s.untangling], [s.tangled])
         self._launch(
             crossing.find_crossings,
             m.n_edges,
-            [m.worlds, m.cloth, self._bvh.id, self._roots, s.crossing_due, s.beside, s.x],
+            [m.worlds, m.cloth, self._bvh.id, self._roots, s.untangling, s.beside, s.x],
             [s.tangled, s.listed, s.contacts],
         )
 

@@ -9,9 +9,11 @@ import warp as wp
 from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.generator.drape.device import load_kernels
 from gcd_dataset.generator.drape.kernels import topology as kernels
-from gcd_dataset.generator.drape.kernels.elastic import USUAL, Rows
+from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Rows, Spring
 
 __all__ = ["Topology", "build_topology"]
+
+WARP = 32  # threads of a GPU that read together
 
 
 @dataclass(frozen=True)
@@ -105,9 +107,9 @@ def build_topology(jobs: Sequence[DrapeJob], device: str) -> Topology:
     widest = max(USUAL, int(np.diff(first_edge.numpy()).max()))
     rows = Rows()
     rows.count, rows.bend_diagonal = empty(n, wp.vec2i), empty(n, float)
-    rows.spring_vertex, rows.bend_vertex = (_table(widest, n, int, device) for _ in range(2))
-    for name in ("spring_stiffness", "flat_length", "start_length", "spring_bend", "bend_weight"):
-        setattr(rows, name, _table(widest, n, float, device))
+    rows.lanes, rows.width = 1 if device == "cpu" else WARP, widest
+    room = -(-n // rows.lanes) * rows.lanes * widest
+    rows.springs, rows.start_length, rows.bends = empty(room, Spring), empty(room, float), empty(room, Bend)
     mass, stiffness = empty(n, float), empty(n, float)
     fabric = np.array([[job.fabric.mass, job.fabric.membrane, job.fabric.rigidity] for job in jobs], np.float32)
     launch(
@@ -135,10 +137,3 @@ def build_topology(jobs: Sequence[DrapeJob], device: str) -> Topology:
         face_offset=faces,
         edge_offset=edge_offsets,
     )
-
-
-def _table(rows: int, columns: int, dtype: type, device: str) -> wp.array:
-    """``[row, column]``: on a GPU neighbouring columns lie together, for one core neighbouring rows."""
-    if device == "cpu":
-        return wp.empty((columns, rows), dtype=dtype, device=device).transpose()
-    return wp.empty((rows, columns), dtype=dtype, device=device)

@@ -30,6 +30,20 @@ def find_roots(
 
 
 @wp.kernel
+def forget_crossings(
+    cloth: Cloth,
+    # state in
+    untangling: wp.array(dtype=int),
+    # state out
+    tangled: wp.array(dtype=int),
+):
+    """Unmark all vertices before crossings are looked for."""
+    i = wp.tid()
+    if untangling[cloth.vertex_world[i]] != 0:
+        tangled[i] = 0
+
+
+@wp.kernel
 def find_crossings(
     # model
     worlds: wp.array(dtype=World),
@@ -37,7 +51,7 @@ def find_crossings(
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
     # state in
-    crossing_due: wp.array(dtype=int),
+    untangling: wp.array(dtype=int),
     beside: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state out
@@ -53,7 +67,7 @@ def find_crossings(
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
     w = cloth.vertex_world[i]
-    if crossing_due[w] == 0:
+    if untangling[w] == 0:
         return
     p = x[i]
     q = x[j]

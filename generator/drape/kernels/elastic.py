@@ -2,7 +2,9 @@
 
 Stretch is a spring along every mesh edge; bending is the quadratic model of Bergou et al. (2006), a constant matrix. A
 vertex walks its springs and then the vertices that only its
-bending depends on; entry ``k`` of all vertices lies together, so that neighbouring threads read neighbouring words.
+bending depends on. On a GPU the rows of 32 vertices lie interleaved, so that the threads of a warp read one stretch of
+memory together (measured on an H200, 924 000 vertices: 91 µs, against 172 with an array for every quantity and 188 with
+row after row); on a CPU a row lies together.
 
 Forces are taken at ``x + theta h v``, a stiffness-proportional damping that fades for slow motions; with it the
 symplectic Euler step is stable for ``(omega h)² (1 + 2 theta) < 4``.
@@ -19,30 +21,53 @@ USUAL = wp.constant(6)  # neighbours of a vertex in a regular mesh
 
 
 @wp.struct
-class Rows:
-    """The elastic forces on each vertex as rows: ``[k, vertex]``."""
+class Spring:
+    """A neighbour of a vertex."""
 
-    count: wp.array(dtype=wp.vec2i)  # springs, further bending weights
-    spring_vertex: wp.array2d(dtype=int)
-    spring_stiffness: wp.array2d(dtype=float)  # g/s²
-    flat_length: wp.array2d(dtype=float)  # cm
-    start_length: wp.array2d(dtype=float)  # cm, before sewing
-    spring_bend: wp.array2d(dtype=float)  # g/s²
-    bend_vertex: wp.array2d(dtype=int)
-    bend_weight: wp.array2d(dtype=float)
+    vertex: int
+    stiffness: float  # g/s²
+    length: float  # cm, in the flat
+    bend: float  # g/s², its weight in the bending force
+
+
+@wp.struct
+class Bend:
+    """A vertex that only the bending force depends on."""
+
+    vertex: int
+    weight: float  # g/s²
+
+
+@wp.struct
+class Rows:
+    """The elastic forces on each vertex as a row of entries; ``lanes`` rows lie interleaved (see ``entry``)."""
+
+    lanes: int
+    width: int
+    springs: wp.array(dtype=Spring)
+    start_length: wp.array(dtype=float)  # of the springs, before sewing [cm]
+    bends: wp.array(dtype=Bend)
+    count: wp.array(dtype=wp.vec2i)  # (v) springs, bends
     bend_diagonal: wp.array(dtype=float)
 
 
 @wp.func
-def spring_force(k: int, i: int, sewn: float, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
+def entry(rows: Rows, i: int, k: int) -> int:
+    """Where entry ``k`` of vertex ``i`` is kept."""
+    return ((i // rows.lanes) * rows.width + k) * rows.lanes + i % rows.lanes
+
+
+@wp.func
+def spring_force(at: int, sewn: float, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
     """Of one neighbour: along the edge by its stretch, and by its bending weight."""
-    y = ahead[rows.spring_vertex[k, i]]
-    rest = rows.flat_length[k, i]
+    spring = rows.springs[at]
+    rest = spring.length
     if sewn < 1.0:
-        rest = wp.lerp(rows.start_length[k, i], rest, sewn)
+        rest = wp.lerp(rows.start_length[at], rest, sewn)
+    y = ahead[spring.vertex]
     edge = y - x
     length = wp.length(edge)
-    return (rows.spring_stiffness[k, i] * (length - rest) / wp.max(length, 1.0e-6)) * edge - rows.spring_bend[k, i] * y
+    return (spring.stiffness * (length - rest) / wp.max(length, 1.0e-6)) * edge - spring.bend * y
 
 
 @wp.func
@@ -53,15 +78,18 @@ def elastic_force(i: int, sewn: float, rows: Rows, ahead: wp.array(dtype=wp.vec3
     """
     x = ahead[i]
     force = -rows.bend_diagonal[i] * x
+    first = entry(rows, i, 0)
     for k in range(USUAL):
-        force += spring_force(k, i, sewn, x, rows, ahead)
+        force += spring_force(first + k * rows.lanes, sewn, x, rows, ahead)
     for k in range(USUAL):
-        force -= rows.bend_weight[k, i] * ahead[rows.bend_vertex[k, i]]
+        bend = rows.bends[first + k * rows.lanes]
+        force -= bend.weight * ahead[bend.vertex]
     count = rows.count[i]
     for k in range(USUAL, count[0]):
-        force += spring_force(k, i, sewn, x, rows, ahead)
+        force += spring_force(first + k * rows.lanes, sewn, x, rows, ahead)
     for k in range(USUAL, count[1]):
-        force -= rows.bend_weight[k, i] * ahead[rows.bend_vertex[k, i]]
+        bend = rows.bends[first + k * rows.lanes]
+        force -= bend.weight * ahead[bend.vertex]
     return force
 
 

@@ -19,7 +19,6 @@ SHORT_EDGE = 1.5  # cm: of longer edges the middle keeps off the body too
 
 @wp.kernel
 def plan_search(
-    first: bool,
     # state in
     status: wp.array(dtype=int),
     # state in and out
@@ -30,11 +29,9 @@ def plan_search(
     crossing_due: wp.array(dtype=int),
     any_search: wp.array(dtype=int),
 ):
-    """Mark the worlds to be searched, and empty their lists; ``first`` in a frame."""
+    """Mark the worlds to be searched, and empty their lists."""
     w = wp.tid()
     searching[w] = 0
-    if first:
-        crossing_due[w] = 0
     if status[w] != RUNNING or moved_far[w] == 0:
         return
     searching[w] = 1

@@ -7,6 +7,8 @@ from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, RUNNING, C
 
 wp.set_module_options({"enable_backward": False})
 
+CROSSINGS_EVERY = 2
+
 
 @wp.kernel
 def watch_frame(
@@ -16,12 +18,10 @@ def watch_frame(
     threads: int,
     # state in
     x: wp.array(dtype=wp.vec3),
-    crossing_due: wp.array(dtype=int),
     # state in and out
     status: wp.array(dtype=int),
     x_seen: wp.array(dtype=wp.vec3),
     # state out
-    tangled: wp.array(dtype=int),
     moving: wp.array(dtype=int),
     kept_height: wp.array(dtype=int),
 ):
@@ -41,8 +41,6 @@ def watch_frame(
         if cloth.keeper[i] != wp.uint8(0):
             height += int(wp.clamp(x[i][1], -1000.0, 1000.0) * HEIGHT_SCALE)
         x_seen[i] = x[i]
-        if crossing_due[w] != 0:
-            tangled[i] = 0
     if count > 0:
         wp.atomic_add(moving, w, count)
     if height != 0:
@@ -55,19 +53,23 @@ def end_frame(
     worlds: wp.array(dtype=World),
     # state in
     time: wp.array(dtype=float),
-    crossing_due: wp.array(dtype=int),
     # state in and out
+    crossing_due: wp.array(dtype=int),
+    crossing_count: wp.array(dtype=int),
     status: wp.array(dtype=int),
     moving: wp.array(dtype=int),
     kept_height: wp.array(dtype=int),
     # state out
     moved: wp.array(dtype=int),
     frames: wp.array(dtype=int),
-    crossing_count: wp.array(dtype=int),
+    untangling: wp.array(dtype=int),
     any_crossing: wp.array(dtype=int),
     any_running: wp.array(dtype=int),
 ):
-    """End the drape of garments that are loose and rest, or that nothing keeps up any more."""
+    """End the drape of garments that are loose and rest, or that nothing keeps up any more; plan the search for crossings.
+
+    A garment without any is looked at every ``CROSSINGS_EVERY`` frames, if it has moved; another in every frame.
+    """
     w = wp.tid()
     if status[w] == RUNNING:
         world = worlds[w]
@@ -81,9 +83,12 @@ def end_frame(
     moved[w] = moving[w]
     moving[w] = 0
     kept_height[w] = 0
+    untangling[w] = 0
     if status[w] == RUNNING:
         any_running[0] = 1
-        if crossing_due[w] != 0:
+        if crossing_due[w] != 0 and (crossing_count[w] > 0 or frames[w] % CROSSINGS_EVERY == 0):
+            untangling[w] = 1
+            crossing_due[w] = 0
             crossing_count[w] = 0
             any_crossing[0] = 1
 

@@ -7,7 +7,7 @@ each other. Where more than two panels meet along an edge, its first two faces m
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.elastic import USUAL, Rows
+from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Rows, Spring, entry
 
 
 wp.set_module_options({"enable_backward": False})
@@ -276,11 +276,10 @@ def weigh_rows(
     stretching = float(0.0)
     for row in range(springs):
         e = vertex_edges[first_edge[i] + row]
-        rows.spring_vertex[row, i] = edges[e][0] + edges[e][1] - i
-        rows.spring_stiffness[row, i] = world[1] * spring[e][0]
-        rows.flat_length[row, i] = spring[e][1]
-        rows.start_length[row, i] = spring[e][2]
-        rows.spring_bend[row, i] = 0.0
+        rows.springs[entry(rows, i, row)] = Spring(
+            edges[e][0] + edges[e][1] - i, world[1] * spring[e][0], spring[e][1], 0.0
+        )
+        rows.start_length[entry(rows, i, row)] = spring[e][2]
     for row in range(springs):
         e = vertex_edges[first_edge[i] + row]
         own = world[2] * hinge_scale[e] * hinge_weight(e, i, edges, hinge)
@@ -288,10 +287,10 @@ def weigh_rows(
             continue
         j = edges[e][0] + edges[e][1] - i
         diagonal += own * hinge_weight(e, i, edges, hinge)
-        rows.spring_bend[row, i] += own * hinge_weight(e, j, edges, hinge)
+        rows.springs[entry(rows, i, row)].bend += own * hinge_weight(e, j, edges, hinge)
         for side in range(2):
             to = spring_to(i, opposite[e][side], edges, vertex_edges, first_edge)
-            rows.spring_bend[to, i] += own * hinge[e][2 + side]
+            rows.springs[entry(rows, i, to)].bend += own * hinge[e][2 + side]
     for at in range(first_face[i], first_face[i + 1]):
         f = vertex_faces[at]
         area += flat_area(flat, f)
@@ -314,27 +313,22 @@ def weigh_rows(
         diagonal += own * hinge[e][2 + own_side]
         for end in range(2):
             to = spring_to(i, edges[e][end], edges, vertex_edges, first_edge)
-            rows.spring_bend[to, i] += own * hinge[e][end]
-        rows.bend_vertex[bends, i] = opposite[e][1 - own_side]
-        rows.bend_weight[bends, i] = own * hinge[e][3 - own_side]
+            rows.springs[entry(rows, i, to)].bend += own * hinge[e][end]
+        rows.bends[entry(rows, i, bends)] = Bend(opposite[e][1 - own_side], own * hinge[e][3 - own_side])
         bends += 1
     for row in range(springs, USUAL):
-        rows.spring_vertex[row, i] = i
-        rows.spring_stiffness[row, i] = 0.0
-        rows.flat_length[row, i] = 0.0
-        rows.start_length[row, i] = 0.0
-        rows.spring_bend[row, i] = 0.0
+        rows.springs[entry(rows, i, row)] = Spring(i, 0.0, 0.0, 0.0)
+        rows.start_length[entry(rows, i, row)] = 0.0
     for row in range(bends, USUAL):
-        rows.bend_vertex[row, i] = i
-        rows.bend_weight[row, i] = 0.0
+        rows.bends[entry(rows, i, row)] = Bend(i, 0.0)
     mass[i] = world[0] * float(area / wp.float64(3.0))
     rows.bend_diagonal[i] = diagonal
     rows.count[i] = wp.vec2i(springs, bends)
     bending = wp.abs(diagonal)
     for row in range(springs):
-        bending += wp.abs(rows.spring_bend[row, i])
+        bending += wp.abs(rows.springs[entry(rows, i, row)].bend)
     for row in range(bends):
-        bending += wp.abs(rows.bend_weight[row, i])
+        bending += wp.abs(rows.bends[entry(rows, i, row)].weight)
     stiffness[i] = 2.0 * world[1] * stretching + bending
 
 
