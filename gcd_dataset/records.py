@@ -79,7 +79,7 @@ class BodyPart(Enum):
     HANDS = 6
     FEET = 7
     INTERNAL = 8
-    """Eye sockets and mouth: never collides."""
+    """Eyes, their sockets and the mouth: no part of the skin that cloth meets."""
 
 
 @dataclass(frozen=True, eq=False)

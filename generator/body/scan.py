@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body.holes import Holes
 from gcd_dataset.records import Record
 
 __all__ = ["Scan"]
@@ -48,9 +49,10 @@ class Scan(Record):
                 f"{name}: {len(faces)} triangles with an area, a body has {FEWEST_FACES} and more: give a finer mesh"
             )
         welded, faces, source = _largest_piece(welded, faces, source)
-        middles, patches = _patches(welded, faces)
+        holes = Holes.of(welded, faces)
+        patches = holes.patches(len(welded))
         return cls(
-            np.concatenate([welded, middles]),
+            np.concatenate([welded, holes.middles]),
             np.concatenate([faces, patches]),
             np.arange(len(faces) + len(patches)) >= len(faces),
             source,
@@ -90,21 +92,3 @@ def _largest_piece(
     number[own] = np.arange(own.sum())
     number[~own] = cKDTree(vertices[own]).query(vertices[~own])[1]
     return vertices[own], number[faces[own[faces[:, 0]]]], number[source]
-
-
-def _patches(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of the holes' rims, and fans of triangles from them to the rims."""
-    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    _, side, faces_at = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True, return_counts=True)
-    rim = sides[faces_at[side.ravel()] == 1]
-    if not len(rim):
-        return np.empty((0, 3)), np.empty((0, 3), int)
-    corners, ends = np.unique(rim, return_inverse=True)
-    ends = ends.reshape(-1, 2)
-    graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(len(corners), len(corners)))
-    count, hole = connected_components(graph, directed=False)
-    size = np.bincount(hole, minlength=count)
-    middles = np.stack([np.bincount(hole, vertices[corners, i], count) for i in range(3)], axis=1) / size[:, None]
-    # The other way round than the faces beside them, so that all look to the same side.
-    fans = np.concatenate([rim[:, ::-1], len(vertices) + hole[ends[:, :1]]], axis=1)
-    return middles, fans

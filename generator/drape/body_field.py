@@ -1,4 +1,8 @@
-"""A body as the drape sees it: a signed-distance field with the nearest body part, and the skin itself."""
+"""A body as the drape sees it: a signed-distance field with the nearest body part, and the skin itself.
+
+What is marked as internal (eyes, sockets, mouth) is left out, and the openings it leaves are closed: there the body is
+solid, and cloth finds neither a cavity nor a second skin behind the first.
+"""
 
 import hashlib
 from collections import OrderedDict
@@ -6,11 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+from jaxtyping import Float, Int, UInt8
 
+from gcd_dataset.generator.body.holes import Holes
 from gcd_dataset.generator.drape.kernels.field import fill_field
-from gcd_dataset.records import Body
+from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["BodyField", "body_field"]
+__all__ = ["BodyField", "body_field", "skin_of"]
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
@@ -31,7 +37,7 @@ class BodyField:
     """Centre of the first voxel [cm]."""
     cell: float
     mesh: wp.Mesh
-    """The skin, in cm."""
+    """The skin without what is internal, in cm."""
 
 
 def body_field(body: Body, device: str) -> BodyField:
@@ -48,12 +54,24 @@ def body_field(body: Body, device: str) -> BodyField:
     return _kept[key]
 
 
+def skin_of(body: Body) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], UInt8[np.ndarray, " g"]]:
+    """What cloth meets of a body: vertices [cm], faces, and the ``BodyPart`` of each face; never an internal one."""
+    skin = body.faces[~(body.parts == BodyPart.INTERNAL.value)[body.faces].any(axis=1)]
+    openings = Holes.of(body.vertices, skin)
+    faces = np.concatenate([skin, openings.patches(len(body.vertices))])
+    # Two corners of a patch are of the skin round the opening, and decide what it is.
+    a, b, c = np.concatenate([body.parts, np.full(len(openings.middles), BodyPart.HEAD.value)])[faces].T
+    return np.concatenate([body.vertices, openings.middles]), faces, np.where(b == c, b, a).astype(np.uint8)
+
+
 def _make_field(body: Body, device: str) -> BodyField:
-    low = body.vertices.min(axis=0) - BAND - CELL
-    size = np.ceil((body.vertices.max(axis=0) + BAND + CELL - low) / CELL).astype(int) + 1
+    vertices, faces, parts = skin_of(body)
+    worn = vertices[np.unique(faces)]
+    low = worn.min(axis=0) - BAND - CELL
+    size = np.ceil((worn.max(axis=0) + BAND + CELL - low) / CELL).astype(int) + 1
     mesh = wp.Mesh(
-        points=wp.array(np.asarray(body.vertices, np.float32), dtype=wp.vec3, device=device),
-        indices=wp.array(np.asarray(body.faces, np.int32).ravel(), dtype=int, device=device),
+        points=wp.array(np.asarray(vertices, np.float32), dtype=wp.vec3, device=device),
+        indices=wp.array(np.asarray(faces, np.int32).ravel(), dtype=int, device=device),
     )
     shape = tuple(int(n) for n in size)
     distance = wp.empty(shape, dtype=float, device=device)
@@ -61,14 +79,8 @@ def _make_field(body: Body, device: str) -> BodyField:
     wp.launch(
         fill_field,
         dim=shape,
-        inputs=[mesh.id, wp.array(_face_parts(body), dtype=wp.uint8, device=device), wp.vec3(*low), CELL, BAND],
+        inputs=[mesh.id, wp.array(parts, dtype=wp.uint8, device=device), wp.vec3(*low), CELL, BAND],
         outputs=[distance, part],
         device=device,
     )
     return BodyField(distance, part, (float(low[0]), float(low[1]), float(low[2])), CELL, mesh)
-
-
-def _face_parts(body: Body) -> np.ndarray:
-    """The part of each face: what two of its corners say, else what the first says."""
-    a, b, c = body.parts[body.faces].T
-    return np.where(b == c, b, a).astype(np.uint8)

@@ -56,7 +56,7 @@ def held_from_below(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
 
 
 def unseen_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
-    """Bit set of body parts each vertex passes through: sockets and mouth for all, the arms for what covers legs.
+    """Bit set of body parts each vertex passes through: the arms for what covers legs, else none.
 
     An A-pose hangs the arms where a skirt is drawn together. A seam vertex follows the panels that most of its faces
     belong to.
@@ -65,7 +65,7 @@ def unseen_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     leg_faces = np.bincount(mesh.faces.ravel(), np.repeat(on_leg[mesh.panel_id], 3), minlength=len(mesh.vertices))
     all_faces = np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices))
     arms = _bits(BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS)
-    return _bits(BodyPart.INTERNAL) | np.where(leg_faces > 0.5 * all_faces, arms, 0)
+    return np.where(leg_faces > 0.5 * all_faces, arms, 0)
 
 
 def _bits(*parts: BodyPart) -> int:

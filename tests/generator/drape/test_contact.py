@@ -1,5 +1,7 @@
 """Cloth on bodies and on cloth: what two things that touch may and may not do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,15 +9,18 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gcd_dataset.generator.body import build_body, neutral_shape
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
 from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.records import BodyPart
 from tests.generator.drape.probes import crossing_kernel, nearest_kernel
 from tests.helpers import SIZE, body_from, far_ball, joined, patch
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # the patch's right side looks up
+INTERNAL = BodyPart.INTERNAL.value
 QUICK = DrapeConfig(sewing_time=0.002, held_time=10.0)  # so that no garment is found at rest
 
 
@@ -47,6 +52,41 @@ def test_the_field_of_a_ball_is_the_distance_to_it(radius: float) -> None:
     near = expected < 3.0
     assert np.abs(values - expected)[near].max() < 0.02 * radius
     assert (values[~near] > 2.5).all()
+
+
+def test_what_lies_inside_a_body_changes_nothing_of_its_field() -> None:
+    """A ball with an eye in it, and with a socket that opens outwards, is a ball where cloth can get."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=12.0)
+    eye = trimesh.creation.icosphere(subdivisions=2, radius=4.0)
+    with_eye = body_from(trimesh.util.concatenate([ball, eye]))
+    with_eye = replace(with_eye, parts=np.repeat([0, INTERNAL], [len(ball.vertices), len(eye.vertices)]).astype(np.uint8))
+    pole = ball.vertices[:, 2] > 11.5
+    socket = replace(
+        body_from(ball),
+        vertices=np.where(pole[:, None], ball.vertices * [0.8, 0.8, 0.3], ball.vertices),
+        parts=np.where(pole, INTERNAL, 0).astype(np.uint8),
+    )
+    alone = body_field(body_from(ball), "cpu")
+    for body in (with_eye, socket):
+        field = body_field(body, "cpu")
+        assert not (field.part.numpy() == INTERNAL).any()
+        off = np.abs(field.distance.numpy() - alone.distance.numpy()[:, :, : field.distance.shape[2]])
+        assert off.max() < 0.7  # the lid over the socket is flat
+        assert np.median(off) < 1e-5
+
+
+def test_eyes_and_mouth_of_our_body_are_closed_to_cloth() -> None:
+    body = build_body(neutral_shape())
+    field = body_field(body, "cpu")
+    skin = trimesh.Trimesh(field.mesh.points.numpy(), field.mesh.indices.numpy().reshape(-1, 3), process=False)
+    assert skin.is_watertight
+    assert skin.is_winding_consistent
+    distance = field.distance.numpy()
+    inside = body.vertices[body.parts == INTERNAL]
+    voxel = np.round((inside - field.origin) / field.cell).astype(int)
+    deep = inside[:, 2] < inside[:, 2].max() - 3.0  # behind the lips
+    assert distance[tuple(voxel[deep].T)].max() < 0.0
+    assert not (field.part.numpy() == INTERNAL).any()
 
 
 @pytest.mark.parametrize(("friction", "stays"), [(0.7, True), (0.1, False)])
