@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.body import build_body, draw_shape, measure, named_body
+    from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body
     from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
     from gcd_dataset.generator.garments import OutfitDesign, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
@@ -29,6 +29,7 @@ __all__ = [
     "drape_batch",
     "draw_shape",
     "fit",
+    "fit_shape",
     "make",
     "make_many",
     "make_person",
@@ -39,7 +40,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "body": ("build_body", "draw_shape", "measure", "named_body"),
+    "body": ("build_body", "draw_shape", "fit_shape", "measure", "named_body"),
     "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_batch"),
     "garments": ("OutfitDesign", "sample_design"),
     "garments.overlay": ("Overlay", "read_overlay"),

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
+NAMES = "neutral, female, male, random:SEED, female:SEED, male:SEED"  # of bodies
 BODY_STAGE = "body"  # the wearers alone, in both poses, with their measures
 
 
@@ -156,7 +157,7 @@ def _measure(options: argparse.Namespace) -> int:
     from gcd_dataset.files import write_whole
 
     if (options.mesh is None) == (options.shape is None):
-        raise ConfigError("give a mesh file or --shape neutral|female|male|random:SEED, one of them")
+        raise ConfigError(f"give a mesh file or --shape {NAMES}, one of them")
     if options.mesh is None and (options.landmarks or options.segmentation) is not None:
         raise ConfigError("--landmarks and --segmentation are for a mesh file: those of our own bodies are known")
     text = measured_text(
@@ -246,7 +247,7 @@ def _parser() -> argparse.ArgumentParser:
 
     drape = _verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
-    drape.add_argument("--body", default="neutral", help="neutral, female, male, random:SEED or a mesh file")
+    drape.add_argument("--body", default="neutral", help=f"{NAMES} or a mesh file")
     drape.add_argument(
         "--measurements", type=Path, metavar="YAML", help="of a body from a mesh file [cm, degrees]; else taken"
     )
@@ -261,7 +262,7 @@ def _parser() -> argparse.ArgumentParser:
     measure.add_argument(
         "mesh", nargs="?", metavar="MESH", help="OBJ or PLY of one body in m, cm or mm, closed or with small holes"
     )
-    measure.add_argument("--shape", metavar="NAME", help="neutral, female, male or random:SEED, instead of a mesh")
+    measure.add_argument("--shape", metavar="NAME", help=f"{NAMES}, instead of a mesh")
     measure.add_argument(
         "--landmarks", type=Path, metavar="JSON", help="landmarks by name: vertex id or [x, y, z] as in the mesh file"
     )

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int, UInt8
 from gcd_dataset.bodyfiles import file_content, read_measurements, read_parts
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.closing import ClosedSkin
 from gcd_dataset.generator.body.marks import own_marks, read_marks
 from gcd_dataset.generator.body.measuring import Fitted, fit_tape
 from gcd_dataset.generator.body.pose import stand
@@ -25,6 +26,9 @@ log = logging.getLogger(__name__)
 
 ADULT = (120.0, 230.0)  # cm; outside it the unit may be one that is not known, such as inches
 UNLIKE = 0.6  # cm of misfit, over which a body is told to be unusual; the published means have 0.3 to 0.4
+SURE = 0.9  # of a shoulder's confidence, over which arms laid down are as good as arms held so; 0.99 on drawn bodies
+BESIDE_ARMS = ("shoulder_left", "shoulder_right", "underarm_right")
+HANGING_ON_ARMS = ("shoulder_w", "shoulder_incl", "armscye_depth", "arm_length", "bust_points", "waist_over_bust_line")
 UNSURE = 0.5  # of a landmark's confidence, under which it is named
 
 
@@ -60,27 +64,26 @@ def read_body(
 ) -> tuple[Body, Measurements]:
     """The body in a mesh file and its measures.
 
-    The mesh is in metres, centimetres or millimetres; its vertices keep their order. Where ``measurements`` (YAML) or
+    The mesh is in metres, centimetres or millimetres. Its vertices keep their order; the middles of holes that were
+    closed (see ``closing.WIDEST_HOLE``) come after them. Where ``measurements`` (YAML) or
     ``segmentation`` (JSON: part name to vertex ids) is left out, the body is found in the mesh: turned upright and to
     +z where it was not, and measured; ``given`` (JSON, see ``marks``) says where landmarks are. Raises ``BodyError``
     with the file and a remedy.
     """
     raw = _read_mesh(Path(mesh))
-    faces = _outward(raw)
-    if segmentation is not None:
-        parts = read_parts(Path(segmentation), len(raw.vertices), raw.path)
-    if measurements is not None and segmentation is not None:
+    parts = None if segmentation is None else read_parts(Path(segmentation), len(raw.vertices), raw.path)
+    if measurements is not None and parts is not None:
         unit_of(float(np.ptp(raw.vertices[:, 1])), f"{raw.path}: along y")
-        return Body(stand(raw.vertices * raw.unit), faces, parts, raw.path.stem), read_measurements(measurements)
+        return _closed(raw, stand(raw.vertices * raw.unit), parts), read_measurements(measurements)
     if raw.stands_as_ours:
         vertices = stand(raw.vertices * raw.unit)
         taken, found_parts = take(vertices, own_marks(vertices), own_sites()), body_model().parts
     else:
-        fitted = _fitted(raw, given, None if segmentation is None else parts)
+        fitted = _fitted(raw, given, parts)
         for remark in _remarks(raw, fitted):
             log.info("%s: %s", raw.path, remark)
         vertices, taken, found_parts = fitted.placing.apply(raw.vertices * raw.unit), fitted.taken, fitted.parts
-    body = Body(vertices, faces, found_parts if segmentation is None else parts, raw.path.stem)
+    body = _closed(raw, vertices, found_parts if parts is None else parts)
     return body, taken.measurements if measurements is None else read_measurements(measurements)
 
 
@@ -105,6 +108,22 @@ def _fitted(raw: _Mesh, given: Path | str | None, parts: UInt8[np.ndarray, " v"]
     return fit_tape(raw.vertices * raw.unit, raw.faces, str(raw.path), given=marks, parts=parts)
 
 
+def _closed(raw: _Mesh, vertices: Float[np.ndarray, "v 3"], parts: UInt8[np.ndarray, " v"]) -> Body:
+    """The body in a mesh that stands [cm], its skin closed. Raises ``BodyError``."""
+    skin = ClosedSkin.of(vertices, raw.faces, parts, str(raw.path))
+    if skin.turned:
+        log.info("%s: its faces look inwards and were turned", raw.path)
+    if len(skin.closed):
+        log.warning(
+            "%s: doubtful: %d holes in the skin, up to %.1f cm across, were closed with flat patches, on which cloth "
+            "lies flatter than on a body",
+            raw.path,
+            len(skin.closed),
+            skin.closed.max(),
+        )
+    return Body(skin.vertices, skin.faces, skin.parts, raw.path.stem)
+
+
 def _remarks(raw: _Mesh, fitted: Fitted) -> list[str]:
     """What a user must know about how a body was found and measured, in lines."""
     height = fitted.taken.measurements.height
@@ -114,6 +133,19 @@ def _remarks(raw: _Mesh, fitted: Fitted) -> list[str]:
         remarks.append(f"doubtful: {height:.1f} cm is no adult's height: a doll, a giant, or another unit")
     if fitted.placing.turned:
         remarks.append("did not stand upright facing +z and was turned")
+    if fitted.arms:
+        remarks.append(f"arms held {np.degrees(fitted.arms):.0f}° off the A-pose and laid there to be measured")
+        unsure = [name for name in BESIDE_ARMS if fitted.marks.confidence[name] < SURE]
+        if unsure:
+            remarks.append(
+                f"doubtful: {', '.join(unsure)} were found less surely than arms held like this ask for: check "
+                f"{', '.join(HANGING_ON_ARMS)}, or scan with the arms 45° down"
+            )
+    if len(fitted.holes):
+        remarks.append(
+            f"{len(fitted.holes)} holes in the skin, up to {fitted.holes.max():.1f} cm across, bridged where a tape "
+            "runs over less than 3 cm of them"
+        )
     remarks.append(f"landmarks found {fitted.misfit:.2f} cm from the nearest body of our shape space on average")
     if fitted.misfit > UNLIKE:
         remarks.append("doubtful: unlike any adult of our shape space: check the measures")
@@ -145,16 +177,3 @@ def _read_mesh(path: Path) -> _Mesh:
     unit, factor = unit_of(float(np.ptp(vertices, axis=0).max()), str(path))
     log.info("%s: taken to be in %s", path, unit)
     return _Mesh(path, vertices, faces, factor)
-
-
-def _outward(raw: _Mesh) -> Int[np.ndarray, "f 3"]:
-    """The faces, seen counter-clockwise from outside. Raises ``BodyError`` where inside and outside are not known."""
-    mesh = trimesh.Trimesh(raw.vertices, raw.faces, process=False)
-    if not mesh.is_watertight:
-        raise BodyError(f"{raw.path}: the skin is not closed, so inside and outside are not known: fill its holes")
-    if not mesh.is_winding_consistent:
-        raise BodyError(f"{raw.path}: some faces look inwards and some outwards: turn them to one side")
-    if mesh.volume > 0:
-        return raw.faces
-    log.info("%s: its faces look inwards and were turned", raw.path)
-    return raw.faces[:, ::-1]

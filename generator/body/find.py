@@ -6,6 +6,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.holes import skin_of
 from gcd_dataset.generator.body.marks import Marks, levels_of, own_marks
 from gcd_dataset.generator.body.register import Registration, model_height
 from gcd_dataset.generator.body.scan import Scan
@@ -20,6 +21,7 @@ AROUND = 6.0  # cm about a landmark, where the model's misfit tells how sure it 
 WRIST_SEARCH = np.arange(-6, 7) * 0.5  # cm along the forearm
 WRIST_REACH = 7.0  # cm from the ring within which skin is the wrist's: clear of the trunk
 BRIDGED = 2.0  # cm of patch in the way of the wrist's tape
+BEHIND = 0.5  # cm behind the model's closed lips and lids, where a mouth or a socket is
 HALF_SURE = 1.5  # cm of misfit at which it is as likely wrong as right
 
 
@@ -77,7 +79,14 @@ def _near(vertices: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray
 
 
 def found_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) -> UInt8[np.ndarray, " v"]:
-    """``BodyPart`` of each vertex: that of the nearest vertex of the model's skin."""
-    parts = body_model().parts
-    skin = np.flatnonzero(parts != BodyPart.INTERNAL.value)
-    return parts[skin[cKDTree(registration.vertices[skin]).query(vertices)[1]]]
+    """``BodyPart`` of each vertex: that of the nearest vertex of the model's skin, or internal well behind it."""
+    model = body_model()
+    internal = model.parts == BodyPart.INTERNAL.value
+    skin = np.flatnonzero(~internal)
+    parts = model.parts[skin[cKDTree(registration.vertices[skin]).query(vertices)[1]]]
+    beside = np.flatnonzero(internal[cKDTree(registration.vertices).query(vertices)[1]])
+    closed, faces, _ = skin_of(registration.vertices, model.faces, model.parts)
+    near = Surface.of(closed, faces).nearest(vertices[beside])
+    behind = np.einsum("vi,vi->v", vertices[beside] - near.points, near.normals) < -BEHIND
+    parts[beside[behind]] = BodyPart.INTERNAL.value
+    return parts

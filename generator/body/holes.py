@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist
 
-from gcd_dataset.records import Record
+from gcd_dataset.records import BodyPart, Record
 
-__all__ = ["Holes", "sides_of"]
+__all__ = ["Holes", "sides_of", "skin_of"]
 
 MANY = 2000  # points of a rim, of which no more are compared pair by pair
 
@@ -46,6 +46,21 @@ class Holes(Record):
     def patches(self, first: int) -> Int[np.ndarray, "r 3"]:
         """Triangles from the rims to the middles, which are vertices from ``first`` on; they look as the skin does."""
         return np.concatenate([self.rims[:, ::-1], first + self.hole[:, None]], axis=1)
+
+
+def skin_of(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]
+) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], UInt8[np.ndarray, " g"]]:
+    """What is to be seen and touched of a body: vertices, faces, and the ``BodyPart`` of each face; none is internal.
+
+    What opens where the internal ones were is closed.
+    """
+    skin = faces[~(parts == BodyPart.INTERNAL.value)[faces].any(axis=1)]
+    openings = Holes.of(vertices, skin)
+    whole = np.concatenate([skin, openings.patches(len(vertices))])
+    # Two corners of a patch are of the skin round the opening, and decide what it is.
+    a, b, c = np.concatenate([parts, np.full(len(openings.middles), BodyPart.HEAD.value)])[whole].T
+    return np.concatenate([vertices, openings.middles]), whole, np.where(b == c, b, a).astype(np.uint8)
 
 
 def sides_of(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "s 2"], Int[np.ndarray, " s"]]:

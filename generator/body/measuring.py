@@ -1,21 +1,26 @@
 """Any body measured: ours by known vertices, every other by landmarks found on it or given by name."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body.arms import HELD_OTHERWISE, Arms
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.doubts import require_body_alone, require_free_limbs, require_skin
 from gcd_dataset.generator.body.find import found_marks, found_parts
 from gcd_dataset.generator.body.geodesic import net_between
 from gcd_dataset.generator.body.marks import GivenMarks, Marks, own_marks
-from gcd_dataset.generator.body.register import register
+from gcd_dataset.generator.body.measures import arm_pose_angle
+from gcd_dataset.generator.body.register import Registration, laid_over, register
 from gcd_dataset.generator.body.scan import Scan
+from gcd_dataset.generator.body.surface import Surface
 from gcd_dataset.generator.body.tailor import Taken, own_sites, sites_of, take
-from gcd_dataset.generator.body.upright import Placing, placed
-from gcd_dataset.records import Body, Measurements, Record
+from gcd_dataset.generator.body.upright import Placed, Placing, placed
+from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
 __all__ = ["Fitted", "fit_tape", "measure", "measure_closely"]
 
@@ -42,11 +47,15 @@ class Fitted(Record):
     marks: Marks
     """In the turned mesh's coordinates, soles at y = 0 [cm]."""
     parts: UInt8[np.ndarray, " v"]
-    """``BodyPart`` of each vertex of the mesh as it came."""
+    """``BodyPart`` of each vertex of the mesh as it came; loose pieces are internal."""
     placing: Placing
     """What makes the mesh stand upright and face +z at y = 0."""
     misfit: float
     """Mean distance of our body model from the skin, as it was laid over it [cm of a body of 172 cm]."""
+    arms: float
+    """By how much the arms were turned to the A-pose to be measured [rad]; 0 where they were near it."""
+    holes: Float[np.ndarray, " h"]
+    """Distance across each hole in the skin [cm]."""
 
 
 def fit_tape(
@@ -59,25 +68,88 @@ def fit_tape(
 ) -> Fitted:
     """A mesh [cm] measured by what is found on it; ``given`` landmarks and ``parts`` take the place of those found.
 
-    The mesh may have holes that no tape crosses, and its faces may look either way. Raises ``BodyError`` where no body
-    is found in it, or where a measure would be a guess.
+    The mesh may have holes that no tape crosses, and its faces may look either way. Arms that are held otherwise than
+    in the A-pose are laid there first; only ``arm_pose_angle`` tells how they are held. Raises ``BodyError`` where no
+    body is found in it, or where a measure would be a guess.
     """
     standing = placed(Scan.of(vertices, faces, name), name)
-    scan, scale = standing.scan, standing.scale
+    scan, scale, shift = standing.scan, standing.scale, standing.shift
     registration = register(standing.surface, standing.guess)
     require_body_alone(scan, standing.surface, registration, name)
-    labels = found_parts(scan.vertices * scale + standing.shift, registration)
+    labels = found_parts(scan.vertices * scale + shift, registration)
     if parts is not None:
         labels[scan.source] = parts
+    lowered = _Lowered.of(standing, registration)
     try:
-        marks = found_marks(scan, standing.surface, registration, scale, standing.shift)
+        marks = found_marks(lowered.scan, lowered.surface, lowered.registration, scale, shift)
         if given is not None:
-            marks = given.over(marks, standing.placing)
-        arm, mesh = net_between(scan.vertices, scan.faces, marks.points["shoulder_right"], marks.points["wrist_right"])
-        sites = sites_of(scan.vertices, scan.faces, labels, marks, arm)
+            marks = given.over(marks, lowered)
+        net, mesh = net_between(
+            lowered.scan.vertices, scan.faces, marks.points["shoulder_right"], marks.points["wrist_right"]
+        )
+        sites = sites_of(lowered.scan.vertices, scan.faces, labels, marks, net)
         taken = take(mesh, marks, sites)
     except BodyError as error:
         raise BodyError(f"{name}: {error}") from error
-    require_skin(scan, marks, sites, taken, name)
+    require_skin(lowered.scan, marks, sites, taken, name)
     require_free_limbs(scan, labels, taken, name)
-    return Fitted(taken, marks, labels[scan.source], standing.placing, registration.guess.misfit)
+    own = np.where(scan.loose, BodyPart.INTERNAL.value, labels[scan.source]).astype(np.uint8)
+    return Fitted(
+        taken=lowered.as_held(taken, marks),
+        marks=lowered.marks_as_held(marks),
+        parts=own if parts is None else parts,
+        placing=standing.placing,
+        misfit=registration.guess.misfit,
+        arms=lowered.turn,
+        holes=scan.holes,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Lowered(Record):
+    """A standing scan with its arms in the A-pose: as it came, where they are nearly there."""
+
+    standing: Placed
+    arms: Arms | None
+    """What moved them."""
+    scan: Scan
+    surface: Surface
+    registration: Registration
+
+    @classmethod
+    def of(cls, standing: Placed, registration: Registration) -> Self:
+        scan = standing.scan
+        if np.linalg.norm(registration.guess.arm_turns, axis=1).max() < HELD_OTHERWISE:
+            return cls(standing, None, scan, standing.surface, registration)
+        arms = Arms.of(standing.surface, registration)
+        scaled = arms.laid(scan.vertices * standing.scale + standing.shift)
+        surface = Surface.of(scaled, scan.faces, scan.patched)
+        scan = replace(scan, vertices=(scaled - standing.shift) / standing.scale)
+        return cls(standing, arms, scan, surface, laid_over(surface, arms.hanging.guess))
+
+    @property
+    def turn(self) -> float:
+        return 0.0 if self.arms is None else self.arms.turn
+
+    def apply(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Points of the file, on the body that is measured."""
+        points = self.standing.placing.apply(points)
+        return points if self.arms is None else self._moved(self.arms.laid, points)
+
+    def marks_as_held(self, marks: Marks) -> Marks:
+        """Landmarks where they are on the body as it stands."""
+        if self.arms is None:
+            return marks
+        points = {name: self._moved(self.arms.held_at, at[None])[0] for name, at in marks.points.items()}
+        rings = {name: self._moved(self.arms.held_at, ring) for name, ring in marks.rings.items()}
+        return replace(marks, points=points, rings=rings)
+
+    def as_held(self, taken: Taken, marks: Marks) -> Taken:
+        """The measures with the one that tells how the arms are held."""
+        points = self.marks_as_held(marks).points
+        angle = float(arm_pose_angle(points["shoulder_right"], points["wrist_right"]))
+        return replace(taken, measurements=replace(taken.measurements, arm_pose_angle=angle))
+
+    def _moved(self, way: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> np.ndarray:
+        scale, shift = self.standing.scale, self.standing.shift
+        return (way(points * scale + shift) - shift) / scale

@@ -14,6 +14,9 @@ from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["named_body", "shape_by_name"]
 
+DRAWN = {"random": None, "female": "female", "male": "male"}
+"""What stands before a seed, and of which sex who is drawn is."""
+
 
 def named_body(
     name_or_path: str | Path,
@@ -24,8 +27,7 @@ def named_body(
 ) -> tuple[Body, Measurements, BodyShape | None]:
     """A body, its measures, and its shape where it is one of ours.
 
-    ``name_or_path`` is ``neutral``, ``female``, ``male``, ``random:SEED`` or a mesh file (see ``read_body``), which
-    stands as it stands. Measures are taken with the legs straight, as GarmentCode takes them. Raises ``BodyError``.
+    ``name_or_path`` is a name (see ``shape_by_name``) or a mesh file (see ``read_body``), which stands as it stands. Measures are taken with the legs straight, as GarmentCode takes them. Raises ``BodyError``.
     """
     shape = shape_by_name(str(name_or_path), legs_apart=legs_apart)
     if shape is None:
@@ -39,16 +41,21 @@ def named_body(
 
 
 def shape_by_name(name: str, *, legs_apart: bool) -> BodyShape | None:
-    """The shape of that name, or ``None`` for what can only be a file."""
-    if name.startswith("random:"):
-        return draw_shape(rng(_seed(name), 0, Stage.BODY), legs_apart=legs_apart)
+    """The shape of that name, or ``None`` for what can only be a file.
+
+    The mean bodies are ``neutral``, ``female`` and ``male``. Who is drawn is ``random:SEED``, mostly between the sexes
+    as GarmentCodeData draws them, or ``female:SEED`` and ``male:SEED``, adults as a survey finds them.
+    """
+    kind, drawn, seed = name.partition(":")
+    if drawn and kind in DRAWN:
+        return draw_shape(rng(_seed(name, seed), 0, Stage.BODY), sex=DRAWN[kind], legs_apart=legs_apart)
     if name in body_model().named or not Path(name).suffix:
         return named_shape(name, legs_apart=legs_apart)
     return None
 
 
-def _seed(name: str) -> int:
-    text = name.removeprefix("random:")
+def _seed(name: str, text: str) -> int:
     if not text.isdecimal():
-        raise BodyError(f"{name}: the seed is {text!r}: give a whole number of 0 or more, such as random:7")
+        kind = name.partition(":")[0]
+        raise BodyError(f"{name}: the seed is {text!r}: give a whole number of 0 or more, such as {kind}:7")
     return int(text)

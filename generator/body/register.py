@@ -8,7 +8,7 @@ found grows with the body.
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,7 +18,18 @@ from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.surface import Surface
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = ["Guess", "Registration", "coarse_guess", "model_height", "quick_guess", "register"]
+__all__ = [
+    "ARMS",
+    "PIVOT",
+    "Guess",
+    "Registration",
+    "coarse_guess",
+    "joints_of",
+    "laid_over",
+    "model_height",
+    "quick_guess",
+    "register",
+]
 
 ROUGH, FINE = 500, 1600  # points of the model that are laid on the surface
 ALONG = 0.2  # how much a slide along the surface counts beside a step off it
@@ -26,6 +37,7 @@ STILL = 0.002  # cm; a step that moves the points less than this on average ends
 ARM_STARTS = (0.0, 0.8)  # rad; arms raised from the A-pose that a fit starts from: A-pose and T-pose
 PIVOT = np.array([0.0, 100.0, 0.0])  # cm; about which the whole model turns
 LEFT_ARM, LEFT_LEG, RIGHT_ARM, RIGHT_LEG = 0, 1, 3, 4  # joints of the model
+ARMS = (LEFT_ARM, RIGHT_ARM)
 LIMBS = (LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG)
 PLACE = 6 + 3 * len(LIMBS)
 """Shift, turn, and a turn of each limb: rotation vectors [cm, rad]."""
@@ -48,6 +60,17 @@ class Guess(Record):
     def turn(self) -> Float[np.ndarray, "3 3"]:
         """How the whole model is turned."""
         return Rotation.from_rotvec(self.place[3:6].copy()).as_matrix()
+
+    @property
+    def arm_turns(self) -> Float[np.ndarray, "2 3"]:
+        """How each arm is turned from the A-pose, in the order of ``ARMS``: rotation vectors [rad]."""
+        return self.place[6:12].reshape(2, 3)
+
+    def with_arms_hanging(self) -> "Guess":
+        """The same body in the A-pose."""
+        place = self.place.copy()
+        place[6:12] = 0.0
+        return replace(self, place=place)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +116,11 @@ def quick_guess(surface: Surface) -> Guess:
 
 def register(surface: Surface, guess: Guess) -> Registration:
     """The model laid closely on a surface as tall as itself, from a coarse guess."""
-    guess = _fitted(surface, guess, CLOSER)
+    return laid_over(surface, _fitted(surface, guess, CLOSER))
+
+
+def laid_over(surface: Surface, guess: Guess) -> Registration:
+    """The model where a guess puts it, with its distances from the surface."""
     vertices = _posed(guess, np.arange(len(body_model().mean)))[0]
     return Registration(vertices, surface.nearest(vertices).distances, guess)
 
@@ -140,7 +167,7 @@ def _step(surface: Surface, guess: Guess, ids: np.ndarray, stage: _Stage) -> tup
 def _place_slopes(guess: Guess, ids: np.ndarray, points: np.ndarray) -> Float[np.ndarray, "v 3 p"]:
     """Derivatives of the points by their place: a shift, and small turns about the pivot and each limb's joint."""
     model, turn = body_model(), guess.turn
-    joints = _joints(guess)
+    joints = joints_of(guess)
     arms = [points - PIVOT - guess.place[:3]]
     skins = [np.ones(len(ids))]
     for joint in LIMBS:
@@ -164,14 +191,15 @@ def _turn_axes(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
 
 
-def _joints(guess: Guess) -> Float[np.ndarray, "n 3"]:
+def joints_of(guess: Guess) -> Float[np.ndarray, "n 3"]:
+    """The joints of the guessed body, in the A-pose [cm]."""
     model = body_model()
     return model.joints + np.einsum("k,kni->ni", guess.weights, model.joint_components)
 
 
 def _posed(guess: Guess, ids: np.ndarray) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3 3"]]:
     """Vertices of the model where the guess puts them, and the linear map that took each there."""
-    model, joints = body_model(), _joints(guess)
+    model, joints = body_model(), joints_of(guess)
     still = model.mean[ids] + np.einsum("k,kvi->vi", guess.weights, model.components[:, ids])
     points, frames = still.copy(), np.tile(np.eye(3), (len(ids), 1, 1))
     for number, joint in enumerate(LIMBS):

@@ -13,7 +13,7 @@ from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.holes import Holes
 from gcd_dataset.records import Record
 
-__all__ = ["Scan"]
+__all__ = ["Scan", "same_places"]
 
 FEWEST_FACES = 500  # with fewer a body's girths are off by more than a centimetre: see the case `measures`
 BODY_SHARE = 0.8  # of all area: the least by which the largest piece is taken for the body
@@ -31,6 +31,10 @@ class Scan(Record):
     """Faces that are patches."""
     source: Int[np.ndarray, " u"]
     """The vertex here of each vertex of the mesh as it came."""
+    loose: Bool[np.ndarray, " u"]
+    """Vertices of the mesh as it came that are of pieces left out: eyes, scraps."""
+    holes: Float[np.ndarray, " h"]
+    """Distance across each hole that is patched [cm of the mesh as it came]."""
 
     @classmethod
     def of(cls, vertices: Float[np.ndarray, "u 3"], faces: Int[np.ndarray, "g 3"], name: str) -> Self:
@@ -48,7 +52,7 @@ class Scan(Record):
             raise BodyError(
                 f"{name}: {len(faces)} triangles with an area, a body has {FEWEST_FACES} and more: give a finer mesh"
             )
-        welded, faces, source = _largest_piece(welded, faces, source)
+        welded, faces, source, loose = _largest_piece(welded, faces, source)
         holes = Holes.of(welded, faces)
         patches = holes.patches(len(welded))
         return cls(
@@ -56,16 +60,27 @@ class Scan(Record):
             np.concatenate([faces, patches]),
             np.arange(len(faces) + len(patches)) >= len(faces),
             source,
+            loose & np.isin(np.arange(len(vertices)), used),
+            holes.widths,
         )
+
+
+def same_places(vertices: Float[np.ndarray, "v 3"], used: Int[np.ndarray, " u"]) -> Int[np.ndarray, " v"]:
+    """For each vertex the first of those used at its place; unused ones stay by themselves."""
+    size = WELD * max(float(np.ptp(vertices[used], axis=0).max(initial=0.0)), 1e-9)
+    _, first, back = np.unique(np.round(vertices[used] / size), axis=0, return_index=True, return_inverse=True)
+    same = np.arange(len(vertices))
+    same[used] = used[first[back.ravel()]]
+    return same
 
 
 def _welded(vertices: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Used vertices without doubles, and which of them each vertex is; unused ones are the first."""
-    size = WELD * max(float(np.ptp(vertices[used], axis=0).max(initial=0.0)), 1e-9)
-    _, first, back = np.unique(np.round(vertices[used] / size), axis=0, return_index=True, return_inverse=True)
+    same = same_places(vertices, used)
+    kept = np.unique(same[used])
     source = np.zeros(len(vertices), int)
-    source[used] = back.ravel()
-    return vertices[used[first]], source
+    source[used] = np.searchsorted(kept, same[used])
+    return vertices[kept], source
 
 
 def _solid(vertices: np.ndarray, faces: np.ndarray) -> Bool[np.ndarray, " f"]:
@@ -76,10 +91,10 @@ def _solid(vertices: np.ndarray, faces: np.ndarray) -> Bool[np.ndarray, " f"]:
 
 def _largest_piece(
     vertices: np.ndarray, faces: np.ndarray, source: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The mesh without its loose pieces (eyes, scraps); all of it, where no piece is clearly the body.
 
-    What came from a vertex that is gone is its nearest one.
+    What came from a vertex that is gone is its nearest one. With it comes whether it is gone.
     """
     ends = np.concatenate([faces[:, :2], faces[:, 1:]])
     graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(len(vertices), len(vertices)))
@@ -91,4 +106,4 @@ def _largest_piece(
     number = np.full(len(vertices), -1)
     number[own] = np.arange(own.sum())
     number[~own] = cKDTree(vertices[own]).query(vertices[~own])[1]
-    return vertices[own], number[faces[own[faces[:, 0]]]], number[source]
+    return vertices[own], number[faces[own[faces[:, 0]]]], number[source], ~own[source]

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -110,5 +110,5 @@ def _try(scan: Scan, turn: Float[np.ndarray, "3 3"], guess: Callable[[Surface], 
     middle = (standing.max(axis=0) + standing.min(axis=0)) / 2
     shift = np.array([-middle[0], 0.0, -middle[2]]) * scale
     surface = Surface.of(standing * scale + shift, scan.faces, scan.patched)
-    turned = Scan(standing, scan.faces, scan.patched, scan.source)
+    turned = replace(scan, vertices=standing)
     return Placed(turned, placing, surface, scale, shift, guess(surface))

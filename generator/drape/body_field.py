@@ -10,13 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
-from jaxtyping import Float, Int, UInt8
 
-from gcd_dataset.generator.body.holes import Holes
+from gcd_dataset.generator.body.holes import skin_of
 from gcd_dataset.generator.drape.kernels.field import fill_field
-from gcd_dataset.records import Body, BodyPart
+from gcd_dataset.records import Body
 
-__all__ = ["BodyField", "body_field", "skin_of"]
+__all__ = ["BodyField", "body_field"]
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
@@ -54,18 +53,8 @@ def body_field(body: Body, device: str) -> BodyField:
     return _kept[key]
 
 
-def skin_of(body: Body) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], UInt8[np.ndarray, " g"]]:
-    """What cloth meets of a body: vertices [cm], faces, and the ``BodyPart`` of each face; never an internal one."""
-    skin = body.faces[~(body.parts == BodyPart.INTERNAL.value)[body.faces].any(axis=1)]
-    openings = Holes.of(body.vertices, skin)
-    faces = np.concatenate([skin, openings.patches(len(body.vertices))])
-    # Two corners of a patch are of the skin round the opening, and decide what it is.
-    a, b, c = np.concatenate([body.parts, np.full(len(openings.middles), BodyPart.HEAD.value)])[faces].T
-    return np.concatenate([body.vertices, openings.middles]), faces, np.where(b == c, b, a).astype(np.uint8)
-
-
 def _make_field(body: Body, device: str) -> BodyField:
-    vertices, faces, parts = skin_of(body)
+    vertices, faces, parts = skin_of(body.vertices, body.faces, body.parts)
     worn = vertices[np.unique(faces)]
     low = worn.min(axis=0) - BAND - CELL
     size = np.ceil((worn.max(axis=0) + BAND + CELL - low) / CELL).astype(int) + 1

@@ -142,7 +142,7 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("size", "body: {shoulder_incl: steep}", "body.shoulder_incl is 'steep': give a number of degrees"),
         ("mesh", "v 0 0\nf 1 2 9\n", "box.obj"),
         ("mesh", "", "box.obj"),
-        ("mesh", "v 0 0 0\nv 1 0 0\nv 0 170 0\nf 1 2 3\n", "not closed"),
+        ("mesh", 3 * "v 0 0 0\nv 1 0 0\nv 0 170 0\n" + "f 1 2 3\n", "not closed"),
     ],
 )
 def test_broken_files_are_named_with_place_and_remedy(
@@ -177,6 +177,13 @@ def test_bodies_by_name() -> None:
     assert drawn == draw_shape(rng(7, 0, Stage.BODY))
 
 
+def test_women_and_men_by_seed_are_those_of_the_population() -> None:
+    for sex in ("female", "male"):
+        _, _, drawn = named_body(f"{sex}:7")
+        assert drawn == draw_shape(rng(7, 0, Stage.BODY), sex=sex)
+        assert drawn != named_body("random:7")[2]
+
+
 def test_a_named_body_with_legs_apart_is_measured_with_legs_straight() -> None:
     body, size, shape = named_body("neutral", legs_apart=True)
     assert shape is not None
@@ -198,6 +205,9 @@ def test_a_mesh_file_by_its_path(mannequin: dict[str, Path]) -> None:
         ("giant", "no body named giant"),
         ("random:", "the seed is ''"),
         ("random:-1", "the seed is '-1'"),
+        ("female:", "female:: the seed is ''.* such as female:7"),
+        ("male:x", "the seed is 'x'"),
+        ("neutral:7", "no body named neutral:7: there are .* female:SEED, male:SEED"),
         ("nowhere.obj", "nowhere.obj: cannot be read"),
         (__file__, "a body is read from .obj or .ply"),
     ],

@@ -59,7 +59,9 @@ def test_what_lies_inside_a_body_changes_nothing_of_its_field() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=12.0)
     eye = trimesh.creation.icosphere(subdivisions=2, radius=4.0)
     with_eye = body_from(trimesh.util.concatenate([ball, eye]))
-    with_eye = replace(with_eye, parts=np.repeat([0, INTERNAL], [len(ball.vertices), len(eye.vertices)]).astype(np.uint8))
+    with_eye = replace(
+        with_eye, parts=np.repeat([0, INTERNAL], [len(ball.vertices), len(eye.vertices)]).astype(np.uint8)
+    )
     pole = ball.vertices[:, 2] > 11.5
     socket = replace(
         body_from(ball),

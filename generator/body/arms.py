@@ -1,0 +1,78 @@
+"""Arms laid where our bodies hold them: shoulder and arm are measured in the A-pose, whatever the pose of a scan."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.generator.body.register import ARMS, PIVOT, Guess, Registration, joints_of, laid_over
+from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.records import Record
+
+__all__ = ["HELD_OTHERWISE", "Arms"]
+
+HELD_OTHERWISE = np.radians(20.0)
+"""Turn of an arm from the A-pose beyond which it is laid back to be measured; drawn bodies have up to 15°."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arms(Record):
+    """Both arms of a registered model: from the A-pose to where they are held, and back."""
+
+    held: Registration
+    """The model as it lies."""
+    hanging: Registration
+    """The same one in the A-pose."""
+
+    @classmethod
+    def of(cls, surface: Surface, held: Registration) -> Self:
+        """The arms of a model as it lies on a surface."""
+        return cls(held, laid_over(surface, held.guess.with_arms_hanging()))
+
+    @property
+    def turn(self) -> float:
+        """How far the arm is from the A-pose that is further from it [rad]."""
+        return float(np.linalg.norm(self._guess.arm_turns, axis=1).max())
+
+    def laid(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Points of the surface that the model lies on, moved to where they are in the A-pose."""
+        still, share, turns = self._still(points), _shares(points, self.held), self._turns()
+        blend = np.eye(3) + np.einsum("na,aij->nij", share, turns)
+        ahead = still + np.einsum("na,aij,aj->ni", share, turns, self._joints())
+        return self._placed(np.linalg.solve(blend, ahead[..., None])[..., 0])
+
+    def held_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """The other way: points in the A-pose, moved to where they are."""
+        still, share = self._still(points), _shares(points, self.hanging)
+        arms = still[:, None] - self._joints()
+        return self._placed(still + np.einsum("na,aij,naj->ni", share, self._turns(), arms))
+
+    @property
+    def _guess(self) -> Guess:
+        return self.held.guess
+
+    def _turns(self) -> Float[np.ndarray, "2 3 3"]:
+        return Rotation.from_rotvec(self._guess.arm_turns.copy()).as_matrix() - np.eye(3)
+
+    def _joints(self) -> Float[np.ndarray, "2 3"]:
+        return joints_of(self._guess)[list(ARMS)]
+
+    def _still(self, points: np.ndarray) -> np.ndarray:
+        """Points in the frame of the model that has not been turned and shifted as a whole."""
+        return (points - PIVOT - self._guess.place[:3]) @ self._guess.turn + PIVOT
+
+    def _placed(self, points: np.ndarray) -> np.ndarray:
+        return (points - PIVOT) @ self._guess.turn.T + PIVOT + self._guess.place[:3]
+
+
+def _shares(points: np.ndarray, model: Registration) -> Float[np.ndarray, "n 2"]:
+    """How much of each arm's turn the points follow: as the model's skin beside them does."""
+    faces = body_model().faces
+    near = Surface.of(model.vertices, faces).nearest(points)
+    triangles = faces[near.faces]
+    weights = trimesh.triangles.points_to_barycentric(model.vertices[triangles], near.points)
+    return np.einsum("nc,nca->na", np.clip(weights, 0.0, 1.0), body_model().skin[triangles][:, :, list(ARMS)])

@@ -1,0 +1,106 @@
+"""Skins that cloth can lie on: closed, one way round, whatever the file had."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body import build_body, female_shape, read_body
+from gcd_dataset.generator.body.closing import WIDEST_HOLE, ClosedSkin
+from gcd_dataset.generator.drape.body_field import body_field
+from gcd_dataset.records import Body, BodyPart
+from tests.helpers import body_from
+
+
+def ball() -> Body:
+    return body_from(trimesh.creation.icosphere(subdivisions=4, radius=20.0))
+
+
+def closed(body: Body, faces: np.ndarray) -> ClosedSkin:
+    return ClosedSkin.of(body.vertices, faces, body.parts, "ball")
+
+
+def is_whole(skin: ClosedSkin | Body) -> bool:
+    mesh = trimesh.Trimesh(skin.vertices, skin.faces, process=False)
+    return bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0)
+
+
+def without_cap(body: Body, radius: float) -> np.ndarray:
+    """The faces but for those within a distance of the vertex furthest in z."""
+    near = np.linalg.norm(body.vertices - body.vertices[body.vertices[:, 2].argmax()], axis=1) < radius
+    return body.faces[~near[body.faces].any(axis=1)]
+
+
+def nearest(body: Body, point: list[float]) -> int:
+    return int(np.linalg.norm(body.vertices - point, axis=1).argmin())
+
+
+def test_a_whole_skin_is_left_as_it_is() -> None:
+    skin = closed(ball(), ball().faces)
+    assert np.array_equal(skin.faces, ball().faces)
+    assert np.array_equal(skin.vertices, ball().vertices)
+    assert not len(skin.closed)
+    assert not skin.turned
+
+
+def test_holes_are_closed_flat() -> None:
+    """Over a hole of width 2a in a ball of radius r the lid lies r - sqrt(r² - a²) lower."""
+    skin = closed(ball(), without_cap(ball(), 3.0))
+    assert is_whole(skin)
+    (width,) = skin.closed
+    assert 6.0 < width < 9.0
+    lowered = 20.0 - np.sqrt(20.0**2 - (width / 2) ** 2)
+    assert skin.vertices[-1] @ ball().vertices[ball().vertices[:, 2].argmax()] / 20.0 == pytest.approx(
+        20.0 - lowered, abs=0.1
+    )
+
+
+@pytest.mark.parametrize("damage", ["flipped", "inward", "split", "both"])
+def test_faces_that_look_anywhere_are_turned_outward(damage: str) -> None:
+    body = ball()
+    some = np.random.default_rng(0).random(len(body.faces)) < 0.3
+    faces = body.faces if damage == "split" else body.faces[:, ::-1]
+    if damage in ("flipped", "both"):
+        faces = np.where(some[:, None], faces, faces[:, ::-1])
+    if damage in ("split", "both"):
+        body = replace(body, vertices=body.vertices[faces].reshape(-1, 3), parts=np.zeros(faces.size, np.uint8))
+        faces = np.arange(faces.size).reshape(-1, 3)
+    skin = closed(body, faces)
+    assert is_whole(skin)
+    assert not len(skin.closed)
+
+
+def test_a_wide_hole_is_told_with_its_size_and_place() -> None:
+    with pytest.raises(
+        BodyError, match=r"^ball: the skin is not closed: it has a hole \d+\.\d cm across about \(.*fill"
+    ):
+        closed(ball(), without_cap(ball(), WIDEST_HOLE / 2 + 2.0))
+
+
+def test_walls_inside_are_told() -> None:
+    body = ball()
+    wall = np.concatenate([body.faces, [[*body.faces[0, :2], body.vertices[:, 2].argmax()]]])
+    with pytest.raises(BodyError, match=r"ball: .* sides of faces are shared by three and more"):
+        closed(body, wall)
+
+
+def test_a_scan_with_holes_is_draped_on_as_it_is_measured(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Renumbered, with a hole in the shin, a loose scrap and faces to both sides: still the same body to cloth."""
+    woman = build_body(female_shape())
+    shin = np.linalg.norm(woman.vertices - woman.vertices[nearest(woman, [12.0, 35.0, 20.0])], axis=1) < 2.0
+    faces = woman.faces[~shin[woman.faces].any(axis=1)]
+    faces = np.where((np.arange(len(faces)) % 7 == 0)[:, None], faces[:, ::-1], faces)
+    scrap = trimesh.creation.icosphere(subdivisions=1, radius=3.0)
+    scrap.apply_translation([0.0, 150.0, 60.0])
+    path = tmp_path / "scan.obj"
+    both = trimesh.util.concatenate([trimesh.Trimesh(woman.vertices, faces, process=False), scrap])
+    both.export(path)
+    body, _ = read_body(path)
+    assert "were closed with flat patches" in caplog.text
+    assert (body.parts[len(woman.vertices) : len(both.vertices)] == BodyPart.INTERNAL.value).all()
+    whole, mended = body_field(woman, "cpu"), body_field(body, "cpu")
+    assert whole.distance.shape == mended.distance.shape
+    assert np.abs(whole.distance.numpy() - mended.distance.numpy()).max() < 1.5
