@@ -33,6 +33,7 @@ __all__ = [
 
 ROUGH, FINE = 500, 1600  # points of the model that are laid on the surface
 ALONG = 0.2  # how much a slide along the surface counts beside a step off it
+PIECE = 64  # rows that are multiplied at once
 STILL = 0.002  # cm; a step that moves the points less than this on average ends the fit
 ARM_STARTS = (0.0, 0.8)  # rad; arms raised from the A-pose that a fit starts from: A-pose and T-pose
 PIVOT = np.array([0.0, 100.0, 0.0])  # cm; about which the whole model turns
@@ -149,19 +150,30 @@ def _step(surface: Surface, guess: Guess, ids: np.ndarray, stage: _Stage) -> tup
     slopes = np.concatenate(
         [_place_slopes(guess, ids, points), np.einsum("vij,kvj->vik", frames, body_model().components[:, ids])], axis=2
     )
-    off = near.points - points
-    rows = (np.einsum("vi,vip->vp", near.normals, slopes) * trust[:, None], ALONG * trust[:, None, None] * slopes)
-    rights = (np.einsum("vi,vi->v", near.normals, off) * trust, ALONG * trust[:, None] * off)
+    # A step off the surface counts 1, one along it ALONG: normal·normalᵀ + ALONG²·1 is the square of this.
+    normal = np.einsum("vi,vj->vij", near.normals, near.normals)
+    weigh = trust[:, None, None] * (ALONG * np.eye(3) + (np.sqrt(1 + ALONG**2) - ALONG) * normal)
+    off = np.einsum("vij,vj->vi", weigh, near.points - points)
+    rows = np.einsum("vij,vjp->vip", weigh, slopes)
     count = len(ids)
     firm = np.concatenate([STIFFNESS, np.full(len(guess.weights), np.sqrt(stage.prior))])
     pull = np.concatenate([np.zeros(PLACE), -guess.weights])
-    flat = rows[1].reshape(3 * count, -1)
-    matrix = (rows[0].T @ rows[0] + flat.T @ flat) / count + np.diag(firm**2)
-    right = (rows[0].T @ rights[0] + flat.T @ rights[1].ravel()) / count + firm**2 * pull
+    matrix = _gram(rows.reshape(3 * count, -1)) / count + np.diag(firm**2)
+    right = np.einsum("vip,vi->p", rows, off) / count + firm**2 * pull
     step = np.linalg.solve(matrix, right)
     moved = float(np.linalg.norm(slopes @ step, axis=1).mean())
     place, weights = guess.place + step[:PLACE], guess.weights + step[PLACE:]
     return Guess(weights, place, float(near.distances.mean())), moved
+
+
+def _gram(rows: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p p"]:
+    """All products of two columns.
+
+    In pieces so small that BLAS takes one thread for each: the sums are the same on any machine, and threads that wait
+    for each other would take ten times as long.
+    """
+    pieces = np.concatenate([rows, np.zeros((-len(rows) % PIECE, rows.shape[1]))]).reshape(-1, PIECE, rows.shape[1])
+    return np.einsum("bpq->pq", pieces.transpose(0, 2, 1) @ pieces)
 
 
 def _place_slopes(guess: Guess, ids: np.ndarray, points: np.ndarray) -> Float[np.ndarray, "v 3 p"]:
