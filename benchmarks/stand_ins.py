@@ -1,7 +1,7 @@
 """Bodies of ours that come as those of other body models do: their mesh, pose, origin, axes, unit, eyes and mouth.
 
-SMPL (6,890 vertices, closed mouth, T-pose, metres, origin at the pelvis) and SMPL-X (10,475 vertices, an open mouth, two
-eyeballs of their own) may not be shipped; these have what makes them hard to measure.
+SMPL (6,890 vertices, closed mouth, T-pose, metres, origin at the pelvis) and SMPL-X (10,475 vertices, an open mouth,
+two eyeballs of their own) may not be shipped; these have what makes them hard to measure.
 """
 
 from dataclasses import replace

@@ -10,6 +10,7 @@ from itertools import chain, islice
 
 from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
+from gcd_dataset.generator.body.population import SEXES
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
 from gcd_dataset.generator.garments.design import Bottom
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -154,10 +155,11 @@ class _Wearer:
 def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
     """The bodies of a design, in the order of their indices."""
     shapes = {}
-    if config.bodies != "random":
+    sex = config.bodies if config.bodies in SEXES else None
+    if config.bodies in ("neutral", "both"):
         shapes["neutral"] = neutral_shape()
     if config.bodies != "neutral":
-        shapes[f"random:{seed}:{number}"] = draw_shape(rng(seed, number, Stage.BODY))
+        shapes[f"{sex or 'random'}:{seed}:{number}"] = draw_shape(rng(seed, number, Stage.BODY), sex=sex)
     wearers = []
     for place, (name, shape) in enumerate(shapes.items()):
         body = build_body(shape)

@@ -11,7 +11,7 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 
 __all__ = ["MakeConfig", "check_resolution", "device_kind", "recipe_of", "versions"]
 
-Bodies = Literal["neutral", "random", "both"]
+Bodies = Literal["neutral", "random", "female", "male", "both"]
 LastStage = Literal["pattern", "mesh", "drape"]
 OnFail = Literal["retry", "keep"]
 KINDS = {str: "word", int: "whole number", float: "number", Overlay: "design overlay"}
@@ -23,7 +23,8 @@ class MakeConfig:
     """What samples are made of, beside their seed and index. Raises ``ConfigError`` for a value that cannot be."""
 
     bodies: Bodies = "random"
-    """``both``: samples 2i and 2i+1 are one design on the neutral body and on a random one."""
+    """Who wears them. ``random`` ones are mostly between the sexes, ``female`` and ``male`` ones are drawn as a survey
+    finds adults; ``both``: samples 2i and 2i+1 are one design on the neutral body and on a random one."""
     stage: LastStage = "drape"
     """The last step taken."""
     resolution: float = 1.0

@@ -47,7 +47,7 @@ class GeneratedGarments(Garments):
         n: int,
         seed: int = 0,
         *,
-        bodies: Literal["neutral", "random", "both"] = "random",
+        bodies: Literal["neutral", "random", "female", "male", "both"] = "random",
         drape: Literal["warp"] | None = "warp",
         device: str = "auto",
         resolution: float = 1.0,

@@ -31,7 +31,6 @@ __all__ = ["add_arguments", "run", "tolerance"]
 
 GIRTHS_AND_HEIGHTS = ("height", "bust", "underbust", "waist", "hips", "leg_circ", "wrist")
 CLOSE, NEAR, DEGREES = 0.5, 1.5, 3.0  # cm, cm, degrees
-CLOSE_SHARE = 0.005  # of girths of more than a metre: a level that is 1 cm off makes more on a wider body
 STATED = "doubtful"  # in a remark
 LOOSE = {"fused": 2.5}
 """Kinds of damage that leave bumps of millimetres, on which a tape rides: by how much their tolerances grow."""
@@ -93,13 +92,11 @@ def run(options: argparse.Namespace) -> Measured:
     return Measured(figures, [_row(key, off, own) for key in MEASURES])
 
 
-def tolerance(key: str, size: float = 0.0) -> float:
-    """By how much a measure of that size may differ [cm, degrees]."""
+def tolerance(key: str) -> float:
+    """By how much a measure may differ [cm, degrees]."""
     if key in ANGLES:
         return DEGREES
-    if key == "height":
-        return CLOSE
-    return max(CLOSE, CLOSE_SHARE * size) if key in GIRTHS_AND_HEIGHTS else NEAR
+    return CLOSE if key in GIRTHS_AND_HEIGHTS else NEAR
 
 
 def _within(off: Mapping[str, float]) -> float:
@@ -147,9 +144,8 @@ def _fate(seed: int, index: int) -> str:
         except GcdError as error:
             print(f"{kind}: {str(error).replace(folder, '')}")
             return "error"
-    true = {} if made.truth is None else made.truth.to_file_values()
     off = {} if made.truth is None else _off(taken.measurements, made.truth)
-    far = {key: round(by, 2) for key, by in off.items() if abs(by) > LOOSE.get(kind, 1.0) * tolerance(key, true[key])}
+    far = {key: round(by, 2) for key, by in off.items() if abs(by) > LOOSE.get(kind, 1.0) * tolerance(key)}
     stated = any(remark.startswith(STATED) for remark in remarks) or set(far) == {"leg_circ"} <= taken.at_border.keys()
     if made.truth is not None and not far:
         return "right"

@@ -225,7 +225,12 @@ def _parser() -> argparse.ArgumentParser:
     generate.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; made if it is not there")
     generate.add_argument("--count", type=_natural, required=True, help="number of garments, or of bodies")
     generate.add_argument("--seed", type=_natural, default=0, help="names the data set (default: 0)")
-    generate.add_argument("--bodies", choices=("neutral", "random", "both"), help="who wears them (default: random)")
+    generate.add_argument(
+        "--bodies",
+        choices=("neutral", "random", "female", "male", "both"),
+        help="who wears them: female and male are drawn as a survey finds them; both: neutral and random "
+        "(default: random)",
+    )
     generate.add_argument(
         "--stage",
         choices=(BODY_STAGE, "pattern", "mesh", "drape"),

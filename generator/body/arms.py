@@ -13,10 +13,12 @@ from gcd_dataset.generator.body.register import ARMS, PIVOT, Guess, Registration
 from gcd_dataset.generator.body.surface import Surface
 from gcd_dataset.records import Record
 
-__all__ = ["HELD_OTHERWISE", "Arms"]
+__all__ = ["HELD_OTHERWISE", "Arms", "held_otherwise", "own_arms_laid"]
 
 HELD_OTHERWISE = np.radians(20.0)
 """Turn of an arm from the A-pose beyond which it is laid back to be measured; drawn bodies have up to 15°."""
+
+A_POSE = np.radians(47.0)  # arm_pose_angle of the mean body
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,35 @@ class Arms(Record):
 
     def _placed(self, points: np.ndarray) -> np.ndarray:
         return (points - PIVOT) @ self._guess.turn.T + PIVOT + self._guess.place[:3]
+
+
+def held_otherwise(arm_pose_angle: float) -> float:
+    """By how much an arm is held off the A-pose, where it has to be laid there to be measured, or 0 [rad]."""
+    off = abs(arm_pose_angle - A_POSE)
+    return off if off > HELD_OTHERWISE else 0.0
+
+
+def own_arms_laid(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
+    """A body of our own mesh with its arms in the A-pose, wherever they are.
+
+    The shape is that of the trunk, which follows no joint; the turn of an arm is that of what follows it altogether.
+    """
+    model = body_model()
+    trunk = np.flatnonzero(model.skin.sum(axis=1) == 0)[::5]
+    shift = np.tile(np.eye(3), (len(trunk), 1))
+    slopes = np.concatenate([model.components[:, trunk].reshape(len(model.components), -1).T, shift], axis=1)
+    found = np.linalg.lstsq(slopes, (vertices - model.mean)[trunk].ravel(), rcond=None)[0]
+    weights, moved = found[:-3], found[-3:]
+    laid = vertices.copy()
+    for joint in ARMS:
+        share = model.skin[:, joint]
+        outer, all_of_it = np.flatnonzero(share > 0), np.flatnonzero(share > 0.999)
+        centre = model.joints[joint] + weights @ model.joint_components[:, joint] + moved
+        still = (model.mean + np.einsum("k,kvi->vi", weights, model.components) + moved)[all_of_it] - centre
+        turn = Rotation.align_vectors(vertices[all_of_it] - centre, still)[0].as_matrix()
+        blend = np.eye(3) + share[outer, None, None] * (turn - np.eye(3))
+        laid[outer] = centre + np.linalg.solve(blend, (vertices[outer] - centre)[..., None])[..., 0]
+    return laid
 
 
 def _shares(points: np.ndarray, model: Registration) -> Float[np.ndarray, "n 2"]:

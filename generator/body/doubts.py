@@ -1,7 +1,7 @@
 """What forbids to measure a mesh, although a body was found in it: parts without skin, strange things, merged limbs."""
 
 import numpy as np
-from jaxtyping import Int, UInt8
+from jaxtyping import Float, Int, UInt8
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
@@ -9,19 +9,20 @@ from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.marks import Marks
 from gcd_dataset.generator.body.register import Registration
 from gcd_dataset.generator.body.scan import Scan
-from gcd_dataset.generator.body.section import loops, outline, section
+from gcd_dataset.generator.body.section import loops, rough_girths, section, section_points
 from gcd_dataset.generator.body.surface import Surface
 from gcd_dataset.generator.body.tailor import GIRTHS, Sites, Taken, room
 from gcd_dataset.records import BodyPart
 
-__all__ = ["require_body_alone", "require_free_limbs", "require_skin"]
+__all__ = ["require_body_alone", "require_free_limbs", "require_skin", "underbust_doubt"]
 
 BARE = 3.0  # cm from the model within which a part's skin lies, on the middle of its points
 STRAY = 8.0  # cm from the model at which a surface is no body's
 STRAY_SHARE = 0.02  # of the mesh's area that may be stray: a bun, a heel, a lost scrap
 STICKS_OUT = 6.0  # cm over the model's head or under its soles
-BRIDGED = 3.0  # cm of patch in a tape's way: straight over it the tape is at most 0.1 cm short
+BRIDGED = 3.0  # cm of one patch in a tape's way: straight over it the tape is at most 0.1 cm short
 JOINED = 8.0  # cm of arms' outline that may hang together with a girth's section; drawn bodies have none
+LEVEL_OFF = 2.0  # times the misfit: how far off a level may be
 TRUNK_LEAST = 20.0  # cm of trunk or legs that make a loop the trunk's
 
 NEEDED = {
@@ -35,7 +36,7 @@ NEEDED = {
     BodyPart.FEET: "the feet",
 }
 POINT_PLACES = ("nape_of_neck", "neck_right", "shoulder_left", "shoulder_right", "underarm_right", "crotch_point")
-X, Y = 0, 1
+X, Y, Z = 0, 1, 2
 
 
 def require_body_alone(scan: Scan, surface: Surface, registration: Registration, name: str) -> None:
@@ -85,9 +86,15 @@ def require_skin(scan: Scan, marks: Marks, sites: Sites, taken: Taken, name: str
 
 
 def _require_bridgeable(scan: Scan, patches: np.ndarray, axis: int, level: float, measure: str, name: str) -> None:
-    bridged = outline(section(scan.vertices, patches, axis, level)) if len(patches) else 0.0
+    bridged = _longest_run(section(scan.vertices, patches, axis, level)) if len(patches) else 0.0
     if bridged > BRIDGED * room(scan.vertices):
         raise BodyError(f"{name}: {measure} runs over {bridged:.0f} cm of hole in the skin: close it")
+
+
+def _longest_run(segments: Float[np.ndarray, "s 2 3"]) -> float:
+    """Length of the longest of the lines that a section's segments make."""
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    return float(np.bincount(loops(segments), length).max(initial=0.0))
 
 
 def _common(patches: Int[np.ndarray, "a 3"], band: Int[np.ndarray, "b 3"]) -> Int[np.ndarray, "c 3"]:
@@ -106,6 +113,18 @@ def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], taken: Taken,
                 f"{name}: an arm hangs together with the trunk at the level of the {girth}, "
                 f"{taken.levels[girth]:.0f} cm: raise the arms, or part them in the mesh"
             )
+
+
+def underbust_doubt(scan: Scan, sites: Sites, taken: Taken, misfit: float) -> float:
+    """By how much the underbust changes over the heights at which it may have to be taken [cm].
+
+    Other girths are the largest or the smallest around; this one is taken where the breast ends, as the model has it.
+    """
+    level, off = taken.levels["underbust"], LEVEL_OFF * misfit * room(scan.vertices)
+    heights = np.array([level - off, level, level + off])
+    points, at = section_points(scan.vertices, sites.rings["underbust"], Y, heights)
+    girths = rough_girths(points[:, [X, Z]], at)
+    return float(np.abs(girths - girths[1]).max()) if len(girths) == 3 else np.inf
 
 
 def joined_arm_outline(scan: Scan, arms: np.ndarray, level: float) -> float:

@@ -11,12 +11,13 @@ from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.bodyfiles import file_content, read_measurements, read_parts
 from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body.arms import held_otherwise
 from gcd_dataset.generator.body.asset import body_model, landmarks
 from gcd_dataset.generator.body.closing import ClosedSkin
-from gcd_dataset.generator.body.marks import own_marks, read_marks
-from gcd_dataset.generator.body.measuring import Fitted, fit_tape
+from gcd_dataset.generator.body.marks import read_marks
+from gcd_dataset.generator.body.measuring import Fitted, fit_tape, take_own
 from gcd_dataset.generator.body.pose import stand
-from gcd_dataset.generator.body.tailor import Taken, own_sites, take
+from gcd_dataset.generator.body.tailor import Taken
 from gcd_dataset.generator.body.upright import UNITS, unit_of
 from gcd_dataset.records import Body, Measurements, Record
 
@@ -29,6 +30,7 @@ UNLIKE = 0.6  # cm of misfit, over which a body is told to be unusual; the publi
 SURE = 0.9  # of a shoulder's confidence, over which arms laid down are as good as arms held so; 0.99 on drawn bodies
 BESIDE_ARMS = ("shoulder_left", "shoulder_right", "underarm_right")
 HANGING_ON_ARMS = ("shoulder_w", "shoulder_incl", "armscye_depth", "arm_length", "bust_points", "waist_over_bust_line")
+UNDERBUST_OFF = 0.5  # cm
 UNSURE = 0.5  # of a landmark's confidence, under which it is named
 
 
@@ -77,7 +79,7 @@ def read_body(
         return _closed(raw, stand(raw.vertices * raw.unit), parts), read_measurements(measurements)
     if raw.stands_as_ours:
         vertices = stand(raw.vertices * raw.unit)
-        taken, found_parts = take(vertices, own_marks(vertices), own_sites()), body_model().parts
+        taken, found_parts = take_own(vertices), body_model().parts
     else:
         fitted = _fitted(raw, given, parts)
         for remark in _remarks(raw, fitted):
@@ -97,7 +99,11 @@ def measure_file(
     raw = _read_mesh(Path(mesh))
     if raw.stands_as_ours and given is None and segmentation is None:
         vertices = stand(raw.vertices * raw.unit)
-        return take(vertices, own_marks(vertices), own_sites()), ["our own mesh: landmarks known by vertex"]
+        taken = take_own(vertices)
+        return taken, [
+            "our own mesh: landmarks known by vertex",
+            *_arms(held_otherwise(taken.measurements.arm_pose_angle)),
+        ]
     parts = None if segmentation is None else read_parts(Path(segmentation), len(raw.vertices), raw.path)
     fitted = _fitted(raw, given, parts)
     return fitted.taken, _remarks(raw, fitted)
@@ -133,8 +139,8 @@ def _remarks(raw: _Mesh, fitted: Fitted) -> list[str]:
         remarks.append(f"doubtful: {height:.1f} cm is no adult's height: a doll, a giant, or another unit")
     if fitted.placing.turned:
         remarks.append("did not stand upright facing +z and was turned")
+    remarks += _arms(fitted.arms)
     if fitted.arms:
-        remarks.append(f"arms held {np.degrees(fitted.arms):.0f}° off the A-pose and laid there to be measured")
         unsure = [name for name in BESIDE_ARMS if fitted.marks.confidence[name] < SURE]
         if unsure:
             remarks.append(
@@ -149,12 +155,20 @@ def _remarks(raw: _Mesh, fitted: Fitted) -> list[str]:
     remarks.append(f"landmarks found {fitted.misfit:.2f} cm from the nearest body of our shape space on average")
     if fitted.misfit > UNLIKE:
         remarks.append("doubtful: unlike any adult of our shape space: check the measures")
+    if fitted.underbust_off > UNDERBUST_OFF:
+        remarks.append(
+            f"doubtful: underbust may be up to {fitted.underbust_off:.1f} cm off: it changes much with its level"
+        )
     unsure = [f"{name} {sure:.2f}" for name, sure in fitted.marks.confidence.items() if sure < UNSURE]
     if unsure:
         remarks.append(
             f"doubtful: unsure landmarks (1 is sure): {', '.join(unsure)}: check the measures that hang on them"
         )
     return remarks
+
+
+def _arms(turn: float) -> list[str]:
+    return [f"arms held {np.degrees(turn):.0f}° off the A-pose and laid there to be measured"] if turn else []
 
 
 # ---------------------------------------------------------------------------------------------------------------- mesh

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.arms import HELD_OTHERWISE, Arms
+from gcd_dataset.generator.body.arms import HELD_OTHERWISE, Arms, held_otherwise, own_arms_laid
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.doubts import require_body_alone, require_free_limbs, require_skin
+from gcd_dataset.generator.body.doubts import require_body_alone, require_free_limbs, require_skin, underbust_doubt
 from gcd_dataset.generator.body.find import found_marks, found_parts
 from gcd_dataset.generator.body.geodesic import net_between
 from gcd_dataset.generator.body.marks import GivenMarks, Marks, own_marks
@@ -22,7 +22,7 @@ from gcd_dataset.generator.body.tailor import Taken, own_sites, sites_of, take
 from gcd_dataset.generator.body.upright import Placed, Placing, placed
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
-__all__ = ["Fitted", "fit_tape", "measure", "measure_closely"]
+__all__ = ["Fitted", "fit_tape", "measure", "measure_closely", "take_own"]
 
 
 def measure(body: Body) -> Measurements:
@@ -35,8 +35,25 @@ def measure_closely(body: Body) -> Taken:
     vertices = np.asarray(body.vertices, float)
     own = body_model().faces
     if body.faces is own or np.array_equal(body.faces, own):
-        return take(vertices, own_marks(vertices), own_sites())
+        return take_own(vertices)
     return fit_tape(vertices, body.faces, body.name).taken
+
+
+def take_own(vertices: Float[np.ndarray, "v 3"]) -> Taken:
+    """The measures of a body of our own mesh, as with its arms about in the A-pose.
+
+    Where they are held otherwise they are laid there first, and only ``arm_pose_angle`` tells how they are held.
+    """
+    marks = own_marks(vertices)
+    angle = float(arm_pose_angle(marks.points["shoulder_right"], marks.points["wrist_right"]))
+    if not held_otherwise(angle):
+        return take(vertices, marks, own_sites())
+    laid = own_arms_laid(vertices)
+    return _with_arms_at(angle, take(laid, own_marks(laid), own_sites()))
+
+
+def _with_arms_at(angle: float, taken: Taken) -> Taken:
+    return replace(taken, measurements=replace(taken.measurements, arm_pose_angle=angle))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +73,8 @@ class Fitted(Record):
     """By how much the arms were turned to the A-pose to be measured [rad]; 0 where they were near it."""
     holes: Float[np.ndarray, " h"]
     """Distance across each hole in the skin [cm]."""
+    underbust_off: float
+    """By how much the underbust may be off, as its level is not sure [cm]."""
 
 
 def fit_tape(
@@ -102,6 +121,7 @@ def fit_tape(
         misfit=registration.guess.misfit,
         arms=lowered.turn,
         holes=scan.holes,
+        underbust_off=underbust_doubt(lowered.scan, sites, taken, registration.guess.misfit),
     )
 
 
@@ -147,8 +167,7 @@ class _Lowered(Record):
     def as_held(self, taken: Taken, marks: Marks) -> Taken:
         """The measures with the one that tells how the arms are held."""
         points = self.marks_as_held(marks).points
-        angle = float(arm_pose_angle(points["shoulder_right"], points["wrist_right"]))
-        return replace(taken, measurements=replace(taken.measurements, arm_pose_angle=angle))
+        return _with_arms_at(float(arm_pose_angle(points["shoulder_right"], points["wrist_right"])), taken)
 
     def _moved(self, way: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> np.ndarray:
         scale, shift = self.standing.scale, self.standing.shift

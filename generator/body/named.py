@@ -27,7 +27,8 @@ def named_body(
 ) -> tuple[Body, Measurements, BodyShape | None]:
     """A body, its measures, and its shape where it is one of ours.
 
-    ``name_or_path`` is a name (see ``shape_by_name``) or a mesh file (see ``read_body``), which stands as it stands. Measures are taken with the legs straight, as GarmentCode takes them. Raises ``BodyError``.
+    ``name_or_path`` is a name (see ``shape_by_name``) or a mesh file (see ``read_body``), which stands as it
+    stands. Measures are taken with the legs straight, as GarmentCode takes them. Raises ``BodyError``.
     """
     shape = shape_by_name(str(name_or_path), legs_apart=legs_apart)
     if shape is None:

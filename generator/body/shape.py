@@ -42,7 +42,9 @@ def named_shape(name: str, *, legs_apart: bool = False) -> BodyShape:
     """The body of that name. Raises ``BodyError`` with the names there are."""
     named = body_model().named
     if name not in named:
-        raise BodyError(f"no body named {name}: there are {', '.join(named)}, random:SEED, female:SEED, male:SEED, or a mesh file")
+        raise BodyError(
+            f"no body named {name}: there are {', '.join(named)}, random:SEED, female:SEED, male:SEED, or a mesh file"
+        )
     return BodyShape(named[name], legs_apart=legs_apart)
 
 

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -61,6 +61,13 @@ def test_both_bodies_wear_one_design() -> None:
     assert neutral.provenance.body_name == following.provenance.body_name == "neutral"
     assert random.measurements != neutral.measurements == following.measurements
     assert random.measurements == make(9, 2, FLAT).measurements  # the random body of number 2
+
+
+@pytest.mark.parametrize("sex", ["female", "male"])
+def test_women_and_men_of_the_population_wear_designs(sex: Literal["female", "male"]) -> None:
+    sample = make(9, 2, replace(FLAT, bodies=sex))
+    assert sample.provenance.body_name == f"{sex}:9:2"
+    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), sex=sex)))
 
 
 def test_a_draped_sample_is_whole() -> None:
@@ -176,7 +183,7 @@ def test_an_index_may_be_asked_for_twice() -> None:
         ("device", 3, "device is 3: give a word"),
         ("max_attempts", 0, "max_attempts is 0: give 1 or more"),
         ("resolution", 50, "resolution is 50 cm: give a length from 0.2 to 10"),
-        ("bodies", "fat", "bodies is 'fat': known are neutral, random, both"),
+        ("bodies", "fat", "bodies is 'fat': known are neutral, random, female, male, both"),
     ],
 )
 def test_options_are_checked(option: str, value: object, said: str) -> None:
