@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 ADULT = (120.0, 230.0)  # cm; outside it the unit may be one that is not known, such as inches
 UNLIKE = 0.6  # cm of misfit, over which a body is told to be unusual; the published means have 0.3 to 0.4
-SURE = 0.9  # of a shoulder's confidence, over which arms laid down are as good as arms held so; 0.99 on drawn bodies
+SURE = 0.96  # of a shoulder's confidence, over which arms laid down are as good as arms held so; 0.99 on most bodies
 BESIDE_ARMS = ("shoulder_left", "shoulder_right", "underarm_right")
 HANGING_ON_ARMS = ("shoulder_w", "shoulder_incl", "armscye_depth", "arm_length", "bust_points", "waist_over_bust_line")
 UNDERBUST_OFF = 0.5  # cm

@@ -168,6 +168,9 @@ def test_gcd_measure_writes_what_the_pattern_programs_read(tmp_path: Path, capsy
     assert main(["measure", "--shape", "random:3", "--out", str(tmp_path / "a.yaml")]) == 0
     body = build_body(draw_shape(rng(3, 0, Stage.BODY)))
     assert read_measurements(tmp_path / "a.yaml").to_file_values() == pytest.approx(measure(body).to_file_values())
+    assert main(["measure", "--shape", "male:3"]) == 0
+    drawn = measure(build_body(draw_shape(rng(3, 0, Stage.BODY), sex="male")))
+    assert f"\n  waist: {drawn.waist}\n" in capsys.readouterr().out
     assert main(["measure", "--shape", "female"]) == 0
     assert "\n# bust: taken at" in capsys.readouterr().out
 
