@@ -61,6 +61,7 @@ def _make_field(body: Body, device: str) -> BodyField:
     mesh = wp.Mesh(
         points=wp.array(np.asarray(vertices, np.float32), dtype=wp.vec3, device=device),
         indices=wp.array(np.asarray(faces, np.int32).ravel(), dtype=int, device=device),
+        support_winding_number=True,
     )
     shape = tuple(int(n) for n in size)
     distance = wp.empty(shape, dtype=float, device=device)

@@ -19,14 +19,15 @@ def fill_field(
     """Signed distance [cm] of every voxel's centre: exact inside and up to ``band`` outside, ``band`` beyond."""
     i, j, k = wp.tid()
     p = origin + cell * wp.vec3(float(i), float(j), float(k))
-    near = wp.mesh_query_point_sign_normal(mesh, p, band)
+    # By the winding number: normals tell the wrong side behind lips, where patched skin folds back on itself.
+    near = wp.mesh_query_point_sign_winding_number(mesh, p, band)
     sign = near.sign
     if not near.result:
         upwards = wp.mesh_query_ray(mesh, p, wp.vec3(0.0, 1.0, 0.0), 1.0e4)
         if not upwards.result or wp.dot(upwards.normal, wp.vec3(0.0, 1.0, 0.0)) < 0.0:
             distance[i, j, k] = band
             return
-        near = wp.mesh_query_point_sign_normal(mesh, p, 1.0e3)
+        near = wp.mesh_query_point_no_sign(mesh, p, 1.0e3)
         sign = -1.0
     skin = wp.mesh_eval_position(mesh, near.face, near.u, near.v)
     distance[i, j, k] = sign * wp.length(p - skin)
