@@ -13,6 +13,7 @@ from gcd_dataset.records import Record
 __all__ = ["Nearest", "Surface", "nearest_on_triangles"]
 
 LONGEST = 6.0  # cm: longer edges are halved first, so that a near triangle has a near middle
+MOST = 300_000  # triangles that a mesh may be divided into for that; slivers of a metre would be millions
 CANDIDATES = 8  # triangles by the distance of their middles
 
 
@@ -52,8 +53,9 @@ class Surface(Record):
     ) -> Self:
         """The surface of a mesh, of which some faces are patches; triangles without area are left out."""
         corners, owners = vertices[faces], np.arange(len(faces))
-        if np.ptp(corners, axis=1).max(initial=0.0) > LONGEST:
-            fine, pieces, owners = trimesh.remesh.subdivide_to_size(vertices, faces, LONGEST, return_index=True)
+        longest = _longest_edge(corners)
+        if np.ptp(corners, axis=1).max(initial=0.0) > longest:
+            fine, pieces, owners = trimesh.remesh.subdivide_to_size(vertices, faces, longest, return_index=True)
             corners = fine[pieces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         double_area = np.linalg.norm(across, axis=1)
@@ -73,6 +75,15 @@ class Surface(Record):
         return Nearest(
             on[row, best], self.owners[chosen], self.normals[chosen], distances[row, best], self.real[chosen]
         )
+
+
+def _longest_edge(corners: Float[np.ndarray, "f 3 3"]) -> float:
+    """``LONGEST``, or as many times its double as it takes to have no more than ``MOST`` triangles [cm]."""
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0.0)
+    longest = LONGEST
+    while (4.0 ** np.ceil(np.log2(np.maximum(sides / longest, 1.0)))).sum() > max(MOST, len(corners)):
+        longest *= 2
+    return longest
 
 
 def nearest_on_triangles(

@@ -29,6 +29,14 @@ def test_nearest_points_of_a_box_whatever_its_triangles() -> None:
     assert np.all(near.faces < len(box.faces))
 
 
+def test_a_column_of_slivers_is_not_divided_without_end() -> None:
+    column = trimesh.creation.cylinder(20.0, 170.0, sections=1000)
+    surface = Surface.of(column.vertices, column.faces)
+    assert len(surface.corners) < 400_000
+    near = surface.nearest(np.array([(30.0, 0.0, 10.0), (0.0, 24.0, -50.0)]))
+    assert near.distances == pytest.approx([10.0, 4.0], abs=0.1)
+
+
 def test_two_loops_of_a_torus_are_told_apart() -> None:
     shape = torus()
     cut = section(shape.vertices, shape.faces, 1, 0.01)
