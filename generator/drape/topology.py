@@ -63,7 +63,7 @@ def build_topology(jobs: Sequence[DrapeJob], device: str) -> Topology:
         return wp.empty(size, dtype=dtype, device=device)
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type, shift: np.ndarray | None = None) -> wp.array:
-        joined = np.concatenate(arrays).astype(kind, copy=False)
+        joined: np.ndarray = np.concatenate(arrays).astype(kind, copy=False)
         if shift is not None:
             joined = joined + np.repeat(shift[:-1], [len(a) for a in arrays])[:, None].astype(kind)
         return wp.array(np.ascontiguousarray(joined), dtype=dtype, device=device)

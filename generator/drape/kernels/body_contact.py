@@ -175,6 +175,5 @@ def finish_step(
     x[i] = here
     v[i] = speed
     ahead[i] = here + (LOOK_AHEAD * world.dt) * speed
-    if before_search:
-        if wp.length_sq(here - x_searched[i]) > world.travel * world.travel:
-            moved_far[w] = 1
+    if before_search and wp.length_sq(here - x_searched[i]) > world.travel * world.travel:
+        moved_far[w] = 1

@@ -61,7 +61,7 @@ def find_crossings(
 ):
     """List (edge, triangle) for every crossing of the cloth with itself, and mark the vertices of both.
 
-    Where an edge crosses a triangle of its own length, vertices of both are near each other: other edges are passed over.
+    Where an edge crosses a triangle of its own length, vertices of both are near each other; other edges are passed by.
     """
     e = wp.tid()
     i = cloth.edges[e][0]

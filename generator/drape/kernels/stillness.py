@@ -66,9 +66,9 @@ def end_frame(
     any_crossing: wp.array(dtype=int),
     any_running: wp.array(dtype=int),
 ):
-    """End the drape of garments that are loose and rest, or that nothing keeps up any more; plan the search for crossings.
+    """End the drape of garments that are loose and rest, or that nothing keeps up any more.
 
-    A garment without any is looked at every ``CROSSINGS_EVERY`` frames, if it has moved; another in every frame.
+    Crossings are looked for next in those that have moved. A garment without any is looked at every ``CROSSINGS_EVERY`` frames, if it has moved; another in every frame.
     """
     w = wp.tid()
     if status[w] == RUNNING:
@@ -77,9 +77,8 @@ def end_frame(
         if time[w] > world.loose_after:
             if float(moving[w]) <= world.restless:
                 status[w] = DONE
-            if world.keepers > 0:
-                if float(kept_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers):
-                    status[w] = DONE
+            if world.keepers > 0 and float(kept_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers):
+                status[w] = DONE
     moved[w] = moving[w]
     moving[w] = 0
     kept_height[w] = 0

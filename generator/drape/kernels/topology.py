@@ -9,7 +9,6 @@ import warp as wp
 
 from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Rows, Spring, entry
 
-
 wp.set_module_options({"enable_backward": False})
 
 LARGEST_BEND_WEIGHT = 8.0  # about two corners of 14°: hinges of sharper slivers bend more easily than they should
@@ -51,10 +50,7 @@ def mark_firsts(
 ):
     """1 where an edge begins among the sorted sides."""
     s = wp.tid()
-    firsts[s] = 1
-    if s > 0:
-        if keys[s] == keys[s - 1]:
-            firsts[s] = 0
+    firsts[s] = int(s == 0 or keys[s] != keys[wp.max(s - 1, 0)])
 
 
 @wp.kernel
@@ -113,9 +109,8 @@ def describe_edges(
     s = wp.tid()
     e = number[s] - 1
     side_edge[sides[s]] = e
-    if s > 0:
-        if keys[s] == keys[s - 1]:
-            return
+    if s > 0 and keys[s] == keys[wp.max(s - 1, 0)]:
+        return
     low = int(keys[s] / wp.int64(4294967296))
     high = int(keys[s] % wp.int64(4294967296))
     edges[e] = wp.vec2i(low, high)
@@ -264,8 +259,8 @@ def weigh_rows(
     """One row of springs and bending weights for each vertex; ``fabric`` is mass, stiffness and rigidity by world.
 
     A spring's stiffness is Van Gelder's (1998) for a membrane: stiffness × area / length², summed over its faces.
-    ``stiffness`` over inertia bounds the squared frequencies, however the faces are turned: a spring's energy is at most
-    that of its two ends moving alone, and those of a face lie in its plane.
+    ``stiffness`` over inertia bounds the squared frequencies, however the faces are turned: a spring's energy is at
+    most twice that of its two ends moving alone, and the springs of a face lie in its plane.
     """
     i = wp.tid()
     world = fabric[vertex_world[i]]
