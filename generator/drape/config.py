@@ -63,8 +63,8 @@ class DrapeConfig:
     """Time steps in a frame; their length follows from the mesh and the fabric."""
     search_every: int = 4
     """Time steps after which it is asked whether contacts must be searched anew."""
-    max_frames: int = 400
-    """Frames after which a garment that still moves is given up."""
+    max_frames: int = 300
+    """Frames after which a garment that still moves is left as it is."""
     sewing_time: float = 0.2
     """Panels are drawn together over this time, without gravity [s]."""
     held_time: float = 0.4
@@ -83,6 +83,8 @@ class DrapeConfig:
     """Room for contact pairs, for each vertex on average."""
     still_speed: float = 4.0
     """A vertex slower than this rests [cm/s]."""
+    calm_speed: float = 18.0
+    """In the last frame it is enough to be slower than this, Korosteleva et al.'s limit: 0.03 cm in 1/600 s [cm/s]."""
     moving_share: float = 0.015
     """A garment rests when no more than this share of its vertices moves."""
     max_body_crossings: int = 35

@@ -41,6 +41,7 @@ def drape_batch(jobs: Sequence[DrapeJob], config: DrapeConfig = DEFAULT, *, devi
 
 def _collect(solver: Solver, jobs: Sequence[DrapeJob]) -> list[Drape]:
     x, status, frames = solver.state.x.numpy(), solver.state.status.numpy(), solver.state.frames.numpy()
+    running = (status == RUNNING) & ~_calm(solver)
     overfull, stretches = solver.state.contacts.overfull.numpy(), solver.stretches()
     self_crossings, body_crossings = solver.self_crossings(), solver.body_crossings()
     vertex_offset, edge_offset = solver.model.topology.vertex_offset, solver.model.topology.edge_offset
@@ -52,7 +53,7 @@ def _collect(solver: Solver, jobs: Sequence[DrapeJob]) -> list[Drape]:
             job,
             vertices,
             solver.config,
-            running=status[world] == RUNNING,
+            running=bool(running[world]),
             diverged=status[world] == DIVERGED,
             overfull=bool(overfull[world]),
             self_crossings=int(self_crossings[world]),
@@ -71,3 +72,11 @@ def _collect(solver: Solver, jobs: Sequence[DrapeJob]) -> list[Drape]:
             )
         )
     return drapes
+
+
+def _calm(solver: Solver) -> np.ndarray:
+    """(w) whether a garment hangs loose, and few of its vertices move fast."""
+    state, model = solver.state, solver.model
+    loose = state.time.numpy() > model.worlds.numpy()["loose_after"]
+    few = solver.config.moving_share * np.diff(model.topology.vertex_offset)
+    return np.asarray(loose & (state.moved_fast.numpy() <= few))

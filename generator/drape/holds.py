@@ -1,7 +1,9 @@
 """What holds a garment while it falls into place, and which parts of the body do not stop it.
 
-Held edges are half-spaces, as in Korosteleva et al. (ECCV 2024): the waist may not sink below the body's waist, a
-strapless top not below the armpits, and the two halves of a neckline stay near the neck.
+Held edges are half-spaces, as in Korosteleva et al. (ECCV 2024): the waist of a bottom may not sink below the body's
+waist, a strapless top not below the armpits, and the two halves of a neckline stay near the neck. Unlike theirs, the
+waist of what hangs from the shoulders is left alone: held at the body's waist, a longer bodice is folded there and
+crosses itself.
 """
 
 import numpy as np
@@ -24,6 +26,8 @@ def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " 
     offset = np.zeros(len(job.box_mesh.vertices))
     for label, (direction, level) in _half_spaces(job.measurements).items():
         ids = job.box_mesh.labels.get(label)
+        if label == "lower_interface" and _hangs_from_shoulders(job):
+            continue
         if ids is not None and np.isfinite(level):
             normal[ids] = direction
             offset[ids] = level
@@ -50,9 +54,13 @@ def held_from_below(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
     drops = {"strapless_top": SLIDING_DROP, "lower_interface": max(SLIDING_DROP, size.hips_line + UNDER_HIPS)}
     for label, drop in drops.items():
         lowest = _half_spaces(size)[label][1] - drop
-        if label in labels and np.isfinite(lowest) and not NECKLINE & labels.keys():
+        if label in labels and np.isfinite(lowest) and not _hangs_from_shoulders(job):
             return np.asarray(labels[label]), lowest
     return np.zeros(0, int), 0.0
+
+
+def _hangs_from_shoulders(job: DrapeJob) -> bool:
+    return bool(NECKLINE & job.box_mesh.labels.keys())
 
 
 def unseen_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:

@@ -91,6 +91,7 @@ def build_model(jobs: Sequence[DrapeJob], config: DrapeConfig, device: str) -> C
         world.loose_after = config.sewing_time + config.held_time + 2 * config.substeps * world.dt
         world.clear = config.body_gap + world.travel + config.search_every * config.max_speed * world.dt
         world.still = config.still_speed * config.substeps * world.dt
+        world.hasty = config.calm_speed * config.substeps * world.dt
         world.restless = config.moving_share * world.size
         world.keepers, world.lowest = len(ids), lowest
         world.field_offset = offsets[number]

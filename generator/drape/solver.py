@@ -54,8 +54,10 @@ class ClothState:
     frames: wp.array
     """(w) frames it has run."""
     moved: wp.array
-    """(w) vertices that moved in the last frame."""
+    """(w) vertices that moved in the last frame, and those that moved fast."""
+    moved_fast: wp.array
     moving: wp.array
+    hasty: wp.array
     kept_height: wp.array
     moved_far: wp.array
     """(w) whether a vertex has moved so far that contacts must be searched anew."""
@@ -109,7 +111,9 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         status=zeros(worlds, int),
         frames=zeros(worlds, int),
         moved=zeros(worlds, int),
+        moved_fast=zeros(worlds, int),
         moving=zeros(worlds, int),
+        hasty=zeros(worlds, int),
         kept_height=zeros(worlds, int),
         moved_far=wp.ones(worlds, dtype=int, device=model.device),
         searching=zeros(worlds, int),
@@ -204,14 +208,14 @@ class Solver:
             stillness.watch_frame,
             (m.n_worlds, threads),
             [m.worlds, m.cloth, threads, s.x],
-            [s.status, s.x_seen, s.moving, s.kept_height],
+            [s.status, s.x_seen, s.moving, s.hasty, s.kept_height],
         )
         self._launch(
             stillness.end_frame,
             m.n_worlds,
             [m.worlds, s.time],
-            [s.crossing_due, s.contacts.crossing_count, s.status, s.moving, s.kept_height]
-            + [s.moved, s.frames, s.untangling, s.any_crossing, s.any_running],
+            [s.crossing_due, s.contacts.crossing_count, s.status, s.moving, s.hasty, s.kept_height]
+            + [s.moved, s.moved_fast, s.frames, s.untangling, s.any_crossing, s.any_running],
         )
 
     def _step(self, *, before_search: bool) -> None:

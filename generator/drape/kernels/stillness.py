@@ -7,7 +7,7 @@ from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, RUNNING, C
 
 wp.set_module_options({"enable_backward": False})
 
-CROSSINGS_EVERY = 2
+CROSSINGS_EVERY = 2  # frames
 
 
 @wp.kernel
@@ -23,14 +23,16 @@ def watch_frame(
     x_seen: wp.array(dtype=wp.vec3),
     # state out
     moving: wp.array(dtype=int),
+    hasty: wp.array(dtype=int),
     kept_height: wp.array(dtype=int),
 ):
-    """Count the vertices that moved in the frame, and add up the heights of those that keep the garment up."""
+    """Count the vertices that moved in the frame, and those that moved fast; add up the heights of the keepers."""
     w, thread = wp.tid()
     if status[w] != RUNNING:
         return
     world = worlds[w]
     count = int(0)
+    fast = int(0)
     height = int(0)
     for i in range(world.first + thread, world.first + world.size, threads):
         moved = wp.length(x[i] - x_seen[i])
@@ -38,11 +40,15 @@ def watch_frame(
             status[w] = DIVERGED
         if moved > world.still:
             count += 1
+        if moved > world.hasty:
+            fast += 1
         if cloth.keeper[i] != wp.uint8(0):
             height += int(wp.clamp(x[i][1], -1000.0, 1000.0) * HEIGHT_SCALE)
         x_seen[i] = x[i]
     if count > 0:
         wp.atomic_add(moving, w, count)
+    if fast > 0:
+        wp.atomic_add(hasty, w, fast)
     if height != 0:
         wp.atomic_add(kept_height, w, height)
 
@@ -58,9 +64,11 @@ def end_frame(
     crossing_count: wp.array(dtype=int),
     status: wp.array(dtype=int),
     moving: wp.array(dtype=int),
+    hasty: wp.array(dtype=int),
     kept_height: wp.array(dtype=int),
     # state out
     moved: wp.array(dtype=int),
+    moved_fast: wp.array(dtype=int),
     frames: wp.array(dtype=int),
     untangling: wp.array(dtype=int),
     any_crossing: wp.array(dtype=int),
@@ -68,7 +76,7 @@ def end_frame(
 ):
     """End the drape of garments that are loose and rest, or that nothing keeps up any more.
 
-    Crossings are looked for next in those that have moved. A garment without any is looked at every ``CROSSINGS_EVERY`` frames, if it has moved; another in every frame.
+    Crossings are looked for in the next frame where the garment has moved, in every second frame if it had none.
     """
     w = wp.tid()
     if status[w] == RUNNING:
@@ -80,7 +88,9 @@ def end_frame(
             if world.keepers > 0 and float(kept_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers):
                 status[w] = DONE
     moved[w] = moving[w]
+    moved_fast[w] = hasty[w]
     moving[w] = 0
+    hasty[w] = 0
     kept_height[w] = 0
     untangling[w] = 0
     if status[w] == RUNNING:

@@ -33,6 +33,7 @@ class World:
     travel: float  # cm that a vertex may move until the next search
     clear: float  # cm from the skin, from where no vertex reaches it before the next search
     still: float  # cm in a frame: a vertex that moves less rests
+    hasty: float  # cm in a frame: more than a garment may that is given up only for lack of time
     restless: float  # vertices that may move in a garment at rest
     lowest: float  # cm, below which the mean of the vertices that keep it up has slid off
     keepers: int  # how many vertices keep it up
