@@ -11,7 +11,7 @@ import trimesh
 from scipy.sparse import csr_matrix
 
 from gcd_dataset.generator.body import build_body
-from gcd_dataset.generator.body.holes import skin_of
+from gcd_dataset.generator.body.holes import Skin
 from gcd_dataset.generator.body.pose import T_POSE
 from gcd_dataset.generator.body.surface import Surface
 from gcd_dataset.records import BodyPart, BodyShape
@@ -30,8 +30,8 @@ _Mesh = tuple[np.ndarray, np.ndarray]  # vertices, faces
 def like_smpl(shape: BodyShape, *, arm: float = T_POSE) -> _Mesh:
     """A body [m] as SMPL gives it: one closed skin, y up, facing +z, the origin at the pelvis."""
     body = build_body(replace(shape, arm_angle=arm))
-    vertices, faces, _ = skin_of(body.vertices, body.faces, body.parts)
-    return _from_pelvis(coarser(vertices, faces, SMPL_VERTICES))
+    skin = Skin.of(body.faces, body.parts)
+    return _from_pelvis(coarser(skin.points(body.vertices), skin.faces, SMPL_VERTICES))
 
 
 def like_smplx(shape: BodyShape, *, arm: float = T_POSE) -> _Mesh:
@@ -39,8 +39,8 @@ def like_smplx(shape: BodyShape, *, arm: float = T_POSE) -> _Mesh:
     body = build_body(replace(shape, arm_angle=arm))
     sockets = (body.parts == BodyPart.INTERNAL.value) & (body.vertices[:, 1] > 0.92 * body.vertices[:, 1].max())
     parts = np.where(sockets, BodyPart.INTERNAL.value, BodyPart.HEAD.value).astype(np.uint8)
-    vertices, faces, _ = skin_of(body.vertices, body.faces, parts)
-    skin = coarser(vertices, faces, SMPLX_VERTICES - 2 * EYE)
+    seen = Skin.of(body.faces, parts)
+    skin = coarser(seen.points(body.vertices), seen.faces, SMPLX_VERTICES - 2 * EYE)
     eyes = [_eye(body.vertices[sockets & (side * body.vertices[:, 0] > 0)]) for side in (1, -1)]
     both = trimesh.util.concatenate([trimesh.Trimesh(*skin, process=False), *eyes])
     return _from_pelvis((np.asarray(both.vertices), np.asarray(both.faces)))

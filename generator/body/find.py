@@ -6,7 +6,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model, landmarks
-from gcd_dataset.generator.body.holes import skin_of
+from gcd_dataset.generator.body.holes import Skin
 from gcd_dataset.generator.body.marks import Marks, levels_of, own_marks
 from gcd_dataset.generator.body.register import Registration, model_height
 from gcd_dataset.generator.body.scan import Scan
@@ -85,7 +85,8 @@ def found_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) 
     skin = np.flatnonzero(~internal)
     parts = model.parts[skin[cKDTree(registration.vertices[skin]).query(vertices)[1]]]
     beside = np.flatnonzero(internal[cKDTree(registration.vertices).query(vertices)[1]])
-    closed, faces, _ = skin_of(registration.vertices, model.faces, model.parts)
+    skin = Skin.of(model.faces, model.parts)
+    closed, faces = skin.points(registration.vertices), skin.faces
     near = Surface.of(closed, faces).nearest(vertices[beside])
     behind = np.einsum("vi,vi->v", vertices[beside] - near.points, near.normals) < -BEHIND
     parts[beside[behind]] = BodyPart.INTERNAL.value

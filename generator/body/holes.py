@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist
 
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = ["Holes", "sides_of", "skin_of"]
+__all__ = ["Holes", "Skin", "sides_of"]
 
 MANY = 2000  # points of a rim, of which no more are compared pair by pair
 
@@ -48,25 +48,38 @@ class Holes(Record):
         return np.concatenate([self.rims[:, ::-1], first + self.hole[:, None]], axis=1)
 
 
-def skin_of(
-    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]
-) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], UInt8[np.ndarray, " g"]]:
-    """What is to be seen and touched of a body: vertices, faces, and the ``BodyPart`` of each face; none is internal.
+@dataclass(frozen=True, eq=False)
+class Skin(Record):
+    """What is to be seen of bodies with the same faces: nothing internal, and what opens there is closed."""
 
-    What opens where the internal ones were is closed.
-    """
-    skin = faces[~(parts == BodyPart.INTERNAL.value)[faces].any(axis=1)]
-    openings = Holes.of(vertices, skin)
-    whole = np.concatenate([skin, openings.patches(len(vertices))])
-    # Two corners of a patch are of the skin round the opening, and decide what it is.
-    a, b, c = np.concatenate([parts, np.full(len(openings.middles), BodyPart.HEAD.value)])[whole].T
-    return np.concatenate([vertices, openings.middles]), whole, np.where(b == c, b, a).astype(np.uint8)
+    faces: Int[np.ndarray, "g 3"]
+    """Triangles of the body's vertices, and after them of the middles of the openings."""
+    parts: UInt8[np.ndarray, " g"]
+    """``BodyPart`` of each face."""
+    rims: tuple[Int[np.ndarray, " r"], ...]
+    """The vertices round each opening."""
+
+    @classmethod
+    def of(cls, faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]) -> "Skin":
+        """The skin of a body whose vertices are of these parts."""
+        skin = faces[~(parts == BodyPart.INTERNAL.value)[faces].any(axis=1)]
+        openings = Holes.of(np.zeros((len(parts), 3)), skin)
+        whole = np.concatenate([skin, openings.patches(len(parts))])
+        # Two corners of a patch are of the skin round the opening, and decide what it is.
+        a, b, c = np.concatenate([parts, np.full(len(openings.middles), BodyPart.HEAD.value)])[whole].T
+        rims = tuple(np.unique(openings.rims[openings.hole == hole]) for hole in range(len(openings.middles)))
+        return cls(whole, np.where(b == c, b, a).astype(np.uint8), rims)
+
+    def points(self, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "w 3"]:
+        """A body's vertices, and the middles of its openings [cm]."""
+        return np.concatenate([vertices, *(vertices[rim].mean(axis=0, keepdims=True) for rim in self.rims)])
 
 
 def sides_of(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "s 2"], Int[np.ndarray, " s"]]:
     """The three sides of each face as it runs along them, and how many faces have each, either way."""
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    _, side, times = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True, return_counts=True)
+    low, high = np.sort(sides, axis=1).astype(np.int64).T
+    _, side, times = np.unique((low << 32) + high, return_inverse=True, return_counts=True)
     return sides, times[side.ravel()]
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from gcd_dataset.generator.body.holes import skin_of
+from gcd_dataset.generator.body.holes import Skin
 from gcd_dataset.generator.drape.kernels.field import fill_field
 from gcd_dataset.records import Body
 
@@ -22,6 +22,7 @@ BAND = 4.0  # cm outside the skin in which distances are exact
 KEPT = 8  # fields kept for bodies that are dressed again
 
 _kept: OrderedDict[tuple[str, bytes], "BodyField"] = OrderedDict()
+_skins: OrderedDict[bytes, Skin] = OrderedDict()
 
 
 @dataclass(frozen=True)
@@ -41,26 +42,37 @@ class BodyField:
 
 def body_field(body: Body, device: str) -> BodyField:
     """The field of a body on a device; made once for each body and kept while it is in use."""
-    digest = hashlib.sha256(np.ascontiguousarray(body.vertices, np.float32).tobytes())
-    digest.update(np.ascontiguousarray(body.faces, np.int32).tobytes())
-    digest.update(body.parts.tobytes())
-    key = (device, digest.digest())
+    skin = hashlib.sha256(np.ascontiguousarray(body.faces, np.int32).tobytes())
+    skin.update(np.ascontiguousarray(body.parts, np.uint8).tobytes())
+    shape = hashlib.sha256(np.ascontiguousarray(body.vertices, np.float32).tobytes())
+    key = (device, skin.digest() + shape.digest())
     if key not in _kept:
-        _kept[key] = _make_field(body, device)
+        _kept[key] = _make_field(body, _skin(skin.digest(), body), device)
         if len(_kept) > KEPT:
             _kept.popitem(last=False)
     _kept.move_to_end(key)
     return _kept[key]
 
 
-def _make_field(body: Body, device: str) -> BodyField:
-    vertices, faces, parts = skin_of(body.vertices, body.faces, body.parts)
-    worn = vertices[np.unique(faces)]
-    low = worn.min(axis=0) - BAND - CELL
-    size = np.ceil((worn.max(axis=0) + BAND + CELL - low) / CELL).astype(int) + 1
+def _skin(digest: bytes, body: Body) -> Skin:
+    """The skin of bodies with these faces and parts; the last few are kept, since most bodies have the same."""
+    if digest not in _skins:
+        _skins[digest] = Skin.of(body.faces, body.parts)
+        if len(_skins) > KEPT:
+            _skins.popitem(last=False)
+    _skins.move_to_end(digest)
+    return _skins[digest]
+
+
+def _make_field(body: Body, skin: Skin, device: str) -> BodyField:
+    points = skin.points(body.vertices)
+    seen = np.zeros(len(points), bool)
+    seen[skin.faces] = True
+    low = points[seen].min(axis=0) - BAND - CELL
+    size = np.ceil((points[seen].max(axis=0) + BAND + CELL - low) / CELL).astype(int) + 1
     mesh = wp.Mesh(
-        points=wp.array(np.asarray(vertices, np.float32), dtype=wp.vec3, device=device),
-        indices=wp.array(np.asarray(faces, np.int32).ravel(), dtype=int, device=device),
+        points=wp.array(np.asarray(points, np.float32), dtype=wp.vec3, device=device),
+        indices=wp.array(np.asarray(skin.faces, np.int32).ravel(), dtype=int, device=device),
         support_winding_number=True,
     )
     shape = tuple(int(n) for n in size)
@@ -69,7 +81,7 @@ def _make_field(body: Body, device: str) -> BodyField:
     wp.launch(
         fill_field,
         dim=shape,
-        inputs=[mesh.id, wp.array(parts, dtype=wp.uint8, device=device), wp.vec3(*low), CELL, BAND],
+        inputs=[mesh.id, wp.array(skin.parts, dtype=wp.uint8, device=device), wp.vec3(*low), CELL, BAND],
         outputs=[distance, part],
         device=device,
     )
