@@ -85,9 +85,8 @@ def found_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) 
     skin = np.flatnonzero(~internal)
     parts = model.parts[skin[cKDTree(registration.vertices[skin]).query(vertices)[1]]]
     beside = np.flatnonzero(internal[cKDTree(registration.vertices).query(vertices)[1]])
-    skin = Skin.of(model.faces, model.parts)
-    closed, faces = skin.points(registration.vertices), skin.faces
-    near = Surface.of(closed, faces).nearest(vertices[beside])
+    closed = Skin.of(model.faces, model.parts)
+    near = Surface.of(closed.points(registration.vertices), closed.faces).nearest(vertices[beside])
     behind = np.einsum("vi,vi->v", vertices[beside] - near.points, near.normals) < -BEHIND
     parts[beside[behind]] = BodyPart.INTERNAL.value
     return parts

@@ -5,8 +5,10 @@ down into the crotch and back along the inside leg.
 """
 
 from dataclasses import dataclass
-from math import tan
+from math import hypot, tan
 from typing import NamedTuple
+
+import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
@@ -16,7 +18,7 @@ from gcd_dataset.generator.garments.trunk import blend, girth_at_rise, waist_bac
 from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
 from gcd_dataset.records import Measurements
 
-__all__ = ["PantsDesign", "pants", "pants_length"]
+__all__ = ["PantsDesign", "pants", "pants_length", "tightest_cuff"]
 
 CROTCH_EASE = 5.0  # cm on top of what the legs are wider than the hips, GarmentCode
 FRONT_CROTCH = 0.25  # of the front's hip: how far the crotch reaches beyond the centre, GarmentCode
@@ -29,6 +31,8 @@ DART_DEPTH, OUTER_DART = 0.8, 0.9  # legs: of hips to waist; the back's outer da
 SHORTEST_LEG = 0.2  # of hips to floor, what a cuff leaves, GarmentCode
 CENTRE_GAP, FRONT, BACK = 0.5, 25.0, -20.0  # cm from the crotch to the axis; before and behind it, GarmentCode
 CUFF_GAP = 5.0  # cm between leg and cuff before sewing, GarmentCode
+LEG_LEVELS = (0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the crotch's height
+LEG_GIRTHS = (0.40, 0.49, 0.61, 0.65, 0.71, 0.83, 0.94, 1.0)  # of leg_circ: means of our own bodies, each ± 0.05
 UP: Point = (0.0, 1.0)
 DOWN: Point = (0.0, -1.0)
 INWARDS: Point = (1.0, 0.0)
@@ -95,6 +99,21 @@ def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:
 def pants_length(size: Measurements, design: PantsDesign, *, rise: float) -> float:
     """From the top to the hem, cuffs included [cm]."""
     return rise * size.hips_line + design.length * size.leg_length
+
+
+def tightest_cuff(size: Measurements, design: PantsDesign, *, rise: float) -> tuple[float, float]:
+    """Girth of a band at the end of the legs, and of the leg where it is widest inside the band [cm]; 0 without one."""
+    if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
+        return 0.0, 0.0
+    length = _cuff_length(size, design)
+    front = _front_quarter(size, rise)
+    quarters = (front, _back_quarter(size, rise, crotch=_back_crotch(size, design, front.crotch)))
+    ends = (_hem(size, design, quarter, design.length * size.leg_length - length) for quarter in quarters)
+    girth = sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends) / design.cuff.top_ruffle
+    skirt = design.cuff.skirt_fraction if design.cuff.type is Cuff.BAND_SKIRT else 0.0
+    hem, crotch = (1 - design.length) * size.leg_length, size.leg_length - size.crotch_hip_diff
+    levels = np.linspace(hem + skirt * length, hem + length, 9) / crotch
+    return girth, float(np.interp(levels, LEG_LEVELS, LEG_GIRTHS).max()) * size.leg_circ
 
 
 def _leg(size: Measurements, design: PantsDesign, rise: float) -> Component:
@@ -201,11 +220,11 @@ def _panel(name: str, size: Measurements, design: PantsDesign, quarter: _Quarter
 
 def _outline(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float) -> Outline:
     """The panel without its darts; a straight leg's hem begins at the origin, the hips lie ``leg`` cm over it."""
-    flare = 0.25 * size.leg_circ * (design.flare - 1)
     waist, fork = leg + quarter.depth, (quarter.hips + quarter.crotch, leg - size.crotch_hip_diff)
-    hem, hip, side = (-flare, 0.0), (0.0, leg), (quarter.lean, waist)
+    hip, side = (0.0, leg), (quarter.lean, waist)
     centre = (quarter.hips, leg + CENTRE_STRAIGHT * quarter.depth)
-    inside = (fork[0] - INSIDE_SHIFT + flare, min(0.0, leg - INSIDE_DROP * size.crotch_hip_diff))
+    hem, inside = _hem(size, design, quarter, leg)
+    flare = -hem[0]
     down_inside = (flare, inside[1] - fork[1])
     side_seam = LINE if flare == 0 else tangent_quadratic(hem, hip, end_tangent=UP, at=HEM_FULLNESS)
     return (
@@ -218,3 +237,10 @@ def _outline(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: fl
         .curve(*inside, tangent_quadratic(fork, inside, end_tangent=down_inside, at=INSIDE_FULLNESS), name="inside")
         .close(name="hem")
     )
+
+
+def _hem(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float) -> tuple[Point, Point]:
+    """The outer and the inner end of a panel's hem."""
+    flare = 0.25 * size.leg_circ * (design.flare - 1)
+    inner = quarter.hips + quarter.crotch - INSIDE_SHIFT + flare
+    return (-flare, 0.0), (inner, min(0.0, leg - INSIDE_DROP * size.crotch_hip_diff))

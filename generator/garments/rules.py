@@ -14,6 +14,7 @@ from gcd_dataset.generator.garments.design import Bottom, OutfitDesign
 from gcd_dataset.generator.garments.godet_skirt import GodetBase
 from gcd_dataset.generator.garments.levels_skirt import LevelsBase
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
+from gcd_dataset.generator.garments.pants import tightest_cuff
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.upper import upper_length
 from gcd_dataset.generator.garments.waistband import band_rise
@@ -33,6 +34,7 @@ __all__ = [
     "is_asymmetric",
     "is_gathered",
     "is_heavy_kind",
+    "is_tight",
     "room_to_floor",
     "top_girth",
     "try_on",
@@ -41,6 +43,7 @@ __all__ = [
 LIGHT_LENGTH = 0.5  # length of a flared skirt up to which a loose or thin band holds it, GarmentCode
 LIGHT_SUNS = 0.75  # flare-skirt.suns, the same
 FIRM_BAND = 0.25  # waistband.width above which a band at the body's own girth holds any skirt, GarmentCode
+CLOTH_GIVES = 1.2  # times its length, before it is pulled out of shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +131,14 @@ def too_heavy(outfit: Fitted) -> Reject | None:
     return Reject("too_heavy", f"length {length:.2f} and {suns:.2f} suns hang from no firm waistband")
 
 
+def tight_cuff(outfit: Fitted) -> Reject | None:
+    """A band at the end of trousers is narrower than the leg in it, by more than cloth gives."""
+    if not is_tight(outfit.size, outfit.design):
+        return None
+    cuff, leg = tightest_cuff(outfit.size, outfit.design.pants, rise=bottom_rise(outfit.design))
+    return Reject("tight_cuff", f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len")
+
+
 def mismatched_seam(outfit: Fitted) -> Reject | None:
     """Two sides of a seam differ in length where nothing is gathered, or by more than gathers can take."""
     for sewn in outfit.joins:
@@ -168,6 +179,7 @@ RULES: tuple[Callable[[Fitted], Reject | None], ...] = (
     slides_off,
     loose_gathers,
     too_heavy,
+    tight_cuff,
     mismatched_seam,
     self_crossing,
     short_edge,
@@ -226,6 +238,17 @@ def is_asymmetric(design: OutfitDesign) -> bool:
     if design.meta.bottom is Bottom.LEVELS:
         return design.levels_skirt.base is LevelsBase.ASYMMETRIC_CIRCLE
     return design.meta.bottom is Bottom.ASYMMETRIC_CIRCLE
+
+
+def is_tight(size: Measurements, design: OutfitDesign) -> bool:
+    """Whether the legs do not go through the cuffs of trousers."""
+    if design.meta.bottom is not Bottom.PANTS:
+        return False
+    try:
+        cuff, leg = tightest_cuff(size, design.pants, rise=bottom_rise(design))
+    except PatternError:  # which the drawing tells
+        return False
+    return cuff * CLOTH_GIVES < leg
 
 
 def is_heavy_kind(design: OutfitDesign) -> bool:

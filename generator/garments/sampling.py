@@ -9,7 +9,8 @@ GarmentCode's sampler, this one
 - leaves a section that the garment has no use for at its defaults;
 - shortens a bottom whose hem would reach the floor, and lets a shirt with something sewn to it end near the waist;
 - fits a bottom without upper to the trunk, hangs a gathered one on a snug band, and keeps heavy flares off others;
-- draws armholes and necklines, slits, cuts and godets until they leave the panels whole.
+- draws armholes and necklines, slits, cuts and godets until they leave the panels whole, and trousers until the legs
+  go through their cuffs.
 """
 
 from collections.abc import Iterable, Mapping
@@ -36,6 +37,7 @@ from gcd_dataset.generator.garments.rules import (
     is_asymmetric,
     is_gathered,
     is_heavy_kind,
+    is_tight,
     room_to_floor,
     top_girth,
 )
@@ -198,6 +200,8 @@ class _Draft:
         whose panels are whole."""
         for _ in range(BOTTOMS_TRIED):
             trial = self._light_enough(self._off_the_floor(self._held_up(self._with_bottom_drawn(design))))
+            if any(is_tight(size, trial) for size in self.sizes):
+                continue
             if _is_plain(trial) or all(bottom_is_whole(size, trial) for size in self.sizes):
                 break
         return trial

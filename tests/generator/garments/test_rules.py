@@ -9,7 +9,8 @@ import pytest
 
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.curves import LINE
-from gcd_dataset.generator.garments import Fitted, Reject, check_outfit, design_from_dict, try_on
+from gcd_dataset.generator.garments import Fitted, Reject, check_outfit, design_from_dict, outfit, try_on
+from gcd_dataset.generator.garments.pants import tightest_cuff
 from gcd_dataset.generator.garments.wholeness import corner_angles
 from gcd_dataset.records import Edge, Measurements, Panel, Placement
 
@@ -106,3 +107,15 @@ def test_the_corners_of_known_shapes() -> None:
 def polygon(corners: list[tuple[float, float]]) -> Panel:
     edges = tuple(Edge(i, (i + 1) % len(corners), LINE) for i in range(len(corners)))
     return Panel("polygon", np.array(corners, float), edges, Placement(np.zeros(3), np.zeros(3)))
+
+
+@pytest.mark.parametrize(("top_ruffle", "tight"), [(1.0, False), (2.0, True)])
+def test_legs_go_through_cuffs(woman: Measurements, top_ruffle: float, tight: bool) -> None:
+    """A band from the knee down, as wide as the leg of the trousers or half as wide."""
+    cuff = {"type": "CuffBand", "cuff_len": 0.5, "top_ruffle": top_ruffle}
+    design = {"meta": {"upper": None, "bottom": "Pants"}, "pants": {"length": 0.9, "cuff": cuff}}
+    assert reasons(woman, design) == (["tight_cuff"] if tight else [])
+    pattern = outfit(woman, design_from_dict(design))
+    drawn = [panel for panel in pattern.panels if panel.name in ("pant_r_cuff_f", "pant_r_cuff_b")]
+    tops = [panel.edge_lengths()[i] for panel in drawn for i, e in enumerate(panel.edges) if e.name == "top"]
+    assert tightest_cuff(woman, design_from_dict(design).pants, rise=1.0)[0] == pytest.approx(sum(tops))
