@@ -54,11 +54,12 @@ class ClothModel:
 
 def build_model(jobs: Sequence[DrapeJob], config: DrapeConfig, device: str) -> ClothModel:
     """The batch on a device, in the order of the jobs."""
-    topology = build_topology(jobs, device)
+    keepers = [held_from_below(job) for job in jobs]
+    topology = build_topology(jobs, [ids for ids, _ in keepers], device)
     bodies = tuple(body_field(job.body, device) for job in jobs)
     fields, offsets, parts = _join_fields(bodies, device)
     steps = _time_steps(topology)
-    held, keepers = [holds(job) for job in jobs], [held_from_below(job) for job in jobs]
+    held = [holds(job) for job in jobs]
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type) -> wp.array:
         return wp.array(np.concatenate(arrays).astype(kind, copy=False), dtype=dtype, device=device)
@@ -71,11 +72,7 @@ def build_model(jobs: Sequence[DrapeJob], config: DrapeConfig, device: str) -> C
     cloth.vertex_edges, cloth.first_edge = topology.vertex_edges, topology.first_edge
     cloth.hold_normal = put([normal for normal, _ in held], np.float32, wp.vec3)
     cloth.hold_offset = put([offset for _, offset in held], np.float32, float)
-    cloth.keeper = put(
-        [np.isin(np.arange(len(job.box_mesh.vertices)), ids) for job, (ids, _) in zip(jobs, keepers, strict=True)],
-        np.uint8,
-        wp.uint8,
-    )
+    cloth.keeper = topology.keeper
     cloth.unseen_parts = put([unseen_parts(job.box_mesh) for job in jobs], np.int32, int)
     cloth.field, cloth.field_parts = fields, parts
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)

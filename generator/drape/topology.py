@@ -41,14 +41,16 @@ class Topology:
     stiffness: wp.array
     """(v) bound on what the vertex adds to the largest eigenvalue of the stiffness matrix [g/s²]."""
     rows: Rows
+    keeper: wp.array
+    """(v) 1 where a vertex keeps its garment up."""
     vertex_offset: np.ndarray
     """(w + 1) first vertex of each garment; so for faces and edges."""
     face_offset: np.ndarray
     edge_offset: np.ndarray
 
 
-def build_topology(jobs: Sequence[DrapeJob], device: str) -> Topology:
-    """The topology of all garments, in the order of the jobs."""
+def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], device: str) -> Topology:
+    """The topology of all garments, in the order of the jobs; ``keepers`` are the vertices that keep each one up."""
     load_kernels("drape's topology", kernels, device=device)
     meshes = [job.box_mesh for job in jobs]
     vertices = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
@@ -110,13 +112,17 @@ def build_topology(jobs: Sequence[DrapeJob], device: str) -> Topology:
     rows.lanes, rows.width = 1 if device == "cpu" else WARP, widest
     room = -(-n // rows.lanes) * rows.lanes * widest
     rows.springs, rows.start_length, rows.bends = empty(room, Spring), empty(room, float), empty(room, Bend)
+    kept = np.zeros(n, np.uint8)
+    for shift, ids in zip(vertices, keepers, strict=False):
+        kept[shift + ids] = 1
+    keeper = wp.array(kept, dtype=wp.uint8, device=device)
     mass, stiffness = empty(n, float), empty(n, float)
     fabric = np.array([[job.fabric.mass, job.fabric.membrane, job.fabric.rigidity] for job in jobs], np.float32)
     launch(
         kernels.weigh_rows,
         n,
         [face, flat, edges, opposite, side_edge, vertex_faces, first_face, vertex_edges, first_edge]
-        + [spring, hinge, hinge_scale, world, wp.array(fabric, dtype=wp.vec3, device=device)],
+        + [spring, hinge, hinge_scale, world, keeper, wp.array(fabric, dtype=wp.vec3, device=device)],
         [mass, stiffness, rows],
     )
     return Topology(
@@ -133,6 +139,7 @@ def build_topology(jobs: Sequence[DrapeJob], device: str) -> Topology:
         mass=mass,
         stiffness=stiffness,
         rows=rows,
+        keeper=keeper,
         vertex_offset=vertices,
         face_offset=faces,
         edge_offset=edge_offsets,

@@ -10,16 +10,29 @@ from enum import Enum
 from math import pi
 from typing import Protocol, TypeAlias
 
+import numpy as np
+
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.ring import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
 
-__all__ = ["Cuff", "PantsCuffDesign", "SleeveCuffDesign", "cuff", "sleeve_cuff_length", "with_sleeve_cuff"]
+__all__ = [
+    "Cuff",
+    "PantsCuffDesign",
+    "SleeveCuffDesign",
+    "arm_in_cuff",
+    "cuff",
+    "sleeve_cuff_length",
+    "with_sleeve_cuff",
+]
 
 LONGEST_ON_SLEEVE = 0.7  # of the sleeve, GarmentCode
 SHORTEST = 0.1  # cm: less is no piece of cloth
+ON_SHOULDER = 0.12  # of shoulder to wrist, about: what lies before a sleeve's length is counted
+ARM_LEVELS = (0.15, 0.25, 0.35, 0.5, 0.6, 0.7, 0.85, 1.0)  # of shoulder to wrist
+ARM_GIRTHS = (2.2, 1.9, 1.8, 1.61, 1.53, 1.48, 1.22, 1.0)  # of the wrist: means of our own bodies, each ± 0.05
 FRONT, BACK = 15.0, -15.0  # cm before and behind the limb, GarmentCode
 GAP = 2.0  # cm between sleeve, band and skirt before sewing, GarmentCode
 
@@ -67,6 +80,17 @@ class PantsCuffDesign(Design):
 
 
 CuffDesign: TypeAlias = SleeveCuffDesign | PantsCuffDesign
+
+
+def arm_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
+    """Girth of the arm where it is widest inside the band at the end of a sleeve [cm]; 0 without a band."""
+    if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
+        return 0.0
+    skirt = design.cuff.skirt_fraction if design.cuff.type is Cuff.BAND_SKIRT else 0.0
+    end = ON_SHOULDER + (1 - ON_SHOULDER) * design.length
+    band = sleeve_cuff_length(size, design) / size.arm_length
+    levels = np.linspace(end - band, end - skirt * band, 9)
+    return float(np.interp(levels, ARM_LEVELS, ARM_GIRTHS).max()) * size.wrist
 
 
 class CuffedSleeve(Protocol):

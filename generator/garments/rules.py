@@ -10,6 +10,7 @@ from typing import Self
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.bottoms import BOTTOMS
+from gcd_dataset.generator.garments.cuff import arm_in_cuff
 from gcd_dataset.generator.garments.design import Bottom, OutfitDesign
 from gcd_dataset.generator.garments.godet_skirt import GodetBase
 from gcd_dataset.generator.garments.levels_skirt import LevelsBase
@@ -132,11 +133,19 @@ def too_heavy(outfit: Fitted) -> Reject | None:
 
 
 def tight_cuff(outfit: Fitted) -> Reject | None:
-    """A band at the end of trousers is narrower than the leg in it, by more than cloth gives."""
-    if not is_tight(outfit.size, outfit.design):
-        return None
-    cuff, leg = tightest_cuff(outfit.size, outfit.design.pants, rise=bottom_rise(outfit.design))
-    return Reject("tight_cuff", f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len")
+    """A band at the end of trousers or sleeves is narrower than the limb in it, by more than cloth gives."""
+    size, design = outfit.size, outfit.design
+    if is_tight(size, design):
+        cuff, leg = tightest_cuff(size, design.pants, rise=bottom_rise(design))
+        return Reject(
+            "tight_cuff", f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
+        )
+    left = design.left_half() if design.meta.upper else None
+    for side, sleeve in (("right", design.sleeve), ("left", left[-1] if left else design.sleeve)):
+        cuff, arm = _band(outfit.pattern, f"sl_{side}_cuff"), arm_in_cuff(size, sleeve)
+        if 0.0 < cuff * CLOTH_GIVES < arm:
+            return Reject("tight_cuff", f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle")
+    return None
 
 
 def mismatched_seam(outfit: Fitted) -> Reject | None:
@@ -256,6 +265,13 @@ def is_heavy_kind(design: OutfitDesign) -> bool:
     if design.meta.bottom is Bottom.LEVELS:
         return design.levels_skirt.base in (LevelsBase.CIRCLE, LevelsBase.ASYMMETRIC_CIRCLE)
     return design.meta.bottom in (Bottom.CIRCLE, Bottom.ASYMMETRIC_CIRCLE, Bottom.PANELS)
+
+
+def _band(pattern: Pattern, name: str) -> float:
+    """Girth of a band by the tops of its two panels [cm]; 0 if there is none."""
+    panels = [panel for panel in pattern.panels if panel.name in (f"{name}_f", f"{name}_b")]
+    tops = [zip(panel.edges, panel.edge_lengths(), strict=True) for panel in panels]
+    return sum(length for edges in tops for edge, length in edges if edge.name == "top")
 
 
 def _fault(outfit: Fitted, name: str, concerns: Callable[[Rule], bool]) -> Reject | None:

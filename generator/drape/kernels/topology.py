@@ -11,6 +11,7 @@ from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Rows, Sprin
 
 wp.set_module_options({"enable_backward": False})
 
+TAPE = 10.0  # stiffness of an edge that keeps a garment up, over that of its cloth: it is taped or faced
 LARGEST_BEND_WEIGHT = 8.0  # about two corners of 14°: hinges of sharper slivers bend more easily than they should
 
 
@@ -250,6 +251,7 @@ def weigh_rows(
     hinge: wp.array(dtype=wp.vec4),
     hinge_scale: wp.array(dtype=float),
     vertex_world: wp.array(dtype=int),
+    keeper: wp.array(dtype=wp.uint8),
     fabric: wp.array(dtype=wp.vec3),
     # out
     mass: wp.array(dtype=float),
@@ -258,7 +260,8 @@ def weigh_rows(
 ):
     """One row of springs and bending weights for each vertex; ``fabric`` is mass, stiffness and rigidity by world.
 
-    A spring's stiffness is Van Gelder's (1998) for a membrane: stiffness × area / length², summed over its faces.
+    A spring's stiffness is Van Gelder's (1998) for a membrane: stiffness × area / length², summed over its faces; that
+    of the edges that keep a garment up is ``TAPE`` times as large.
     ``stiffness`` over inertia bounds the squared frequencies, however the faces are turned: a spring's energy is at
     most twice that of its two ends moving alone, and the springs of a face lie in its plane.
     """
@@ -271,9 +274,12 @@ def weigh_rows(
     stretching = float(0.0)
     for row in range(springs):
         e = vertex_edges[first_edge[i] + row]
-        rows.springs[entry(rows, i, row)] = Spring(
-            edges[e][0] + edges[e][1] - i, world[1] * spring[e][0], spring[e][1], 0.0
-        )
+        j = edges[e][0] + edges[e][1] - i
+        k = world[1] * spring[e][0]
+        if keeper[i] != wp.uint8(0) and keeper[j] != wp.uint8(0):
+            stretching += (TAPE - 1.0) * spring[e][0]
+            k *= TAPE
+        rows.springs[entry(rows, i, row)] = Spring(j, k, spring[e][1], 0.0)
         rows.start_length[entry(rows, i, row)] = spring[e][2]
     for row in range(springs):
         e = vertex_edges[first_edge[i] + row]

@@ -109,6 +109,14 @@ def polygon(corners: list[tuple[float, float]]) -> Panel:
     return Panel("polygon", np.array(corners, float), edges, Placement(np.zeros(3), np.zeros(3)))
 
 
+@pytest.mark.parametrize(("length", "tight"), [(0.1, True), (1.0, False)])
+def test_arms_go_through_cuffs(woman: Measurements, length: float, tight: bool) -> None:
+    """A narrow band fits the wrist, and does not fit the upper arm."""
+    cuff = {"type": "CuffBand", "cuff_len": 0.05, "top_ruffle": 2.0}
+    design = {"meta": SHIRT, "sleeve": {"sleeveless": False, "length": length, "end_width": 0.6, "cuff": cuff}}
+    assert reasons(woman, design) == (["tight_cuff"] if tight else [])
+
+
 @pytest.mark.parametrize(("top_ruffle", "tight"), [(1.0, False), (2.0, True)])
 def test_legs_go_through_cuffs(woman: Measurements, top_ruffle: float, tight: bool) -> None:
     """A band from the knee down, as wide as the leg of the trousers or half as wide."""
