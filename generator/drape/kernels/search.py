@@ -7,7 +7,12 @@ than the margin has two such vertices, the nearest on either side, and is found 
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.body_contact import sample_field
-from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, has_vertex
+from gcd_dataset.generator.drape.kernels.geometry import (
+    closest_on_edges,
+    closest_on_triangle,
+    has_vertex,
+    segment_crosses,
+)
 from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, entries, take_slot, world_of
 
 wp.set_module_options({"enable_backward": False})
@@ -142,6 +147,19 @@ def find_near(
 
 
 @wp.func
+def crosses_beside(i: int, j: int, g: int, cloth: Cloth, x: wp.array(dtype=wp.vec3)) -> bool:
+    """Whether the edge from ``i`` to ``j`` crosses one of the faces beside edge ``g``."""
+    a = cloth.edges[g][0]
+    b = cloth.edges[g][1]
+    for side in range(2):
+        c = cloth.edge_opposite[g][side]
+        if c >= 0 and c != i and c != j:
+            if segment_crosses(x[i], x[j], x[a], x[b], x[c]):
+                return True
+    return False
+
+
+@wp.func
 def watch_point(
     i: int,
     j: int,
@@ -173,7 +191,11 @@ def watch_point(
     if wp.length_sq(away) > world.margin * world.margin:
         return
     if tangled[i] != 0 and tangled[face[0]] + tangled[face[1]] + tangled[face[2]] != 0:
-        return
+        for at in range(cloth.first_edge[i], cloth.first_edge[i + 1]):
+            ends = cloth.edges[cloth.vertex_edges[at]]
+            if not (has_vertex(face, ends[0]) or has_vertex(face, ends[1])):
+                if segment_crosses(x[ends[0]], x[ends[1]], a, b, c):
+                    return  # on which side it belongs cannot be told
     side = float(1.0)
     if wp.dot(away, wp.cross(b - a, c - a)) < 0.0:
         side = -1.0
@@ -213,7 +235,8 @@ def watch_edges(
     if gap > world.margin or gap < 1.0e-6:
         return
     if tangled[i] + tangled[i1] != 0 and tangled[j] + tangled[j1] != 0:
-        return
+        if crosses_beside(i, i1, g, cloth, x) or crosses_beside(j, j1, e, cloth, x):
+            return
     slot = take_slot(contacts.edge_count, w, world, contacts)
     if slot >= 0:
         contacts.edges[slot] = wp.vec4i(i, i1, j, j1)
