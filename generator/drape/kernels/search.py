@@ -147,14 +147,12 @@ def find_near(
 
 
 @wp.func
-def crosses_beside(i: int, j: int, g: int, cloth: Cloth, x: wp.array(dtype=wp.vec3)) -> bool:
-    """Whether the edge from ``i`` to ``j`` crosses one of the faces beside edge ``g``."""
-    a = cloth.edges[g][0]
-    b = cloth.edges[g][1]
-    for side in range(2):
-        c = cloth.edge_opposite[g][side]
-        if c >= 0 and c != i and c != j:
-            if segment_crosses(x[i], x[j], x[a], x[b], x[c]):
+def crosses_near(i: int, j: int, corner: int, cloth: Cloth, x: wp.array(dtype=wp.vec3)) -> bool:
+    """Whether an edge crosses one of the faces round a vertex."""
+    for at in range(cloth.first_face[corner], cloth.first_face[corner + 1]):
+        face = cloth.faces[cloth.vertex_faces[at]]
+        if not (has_vertex(face, i) or has_vertex(face, j)):
+            if segment_crosses(x[i], x[j], x[face[0]], x[face[1]], x[face[2]]):
                 return True
     return False
 
@@ -193,8 +191,8 @@ def watch_point(
     if tangled[i] != 0 and tangled[face[0]] + tangled[face[1]] + tangled[face[2]] != 0:
         for at in range(cloth.first_edge[i], cloth.first_edge[i + 1]):
             ends = cloth.edges[cloth.vertex_edges[at]]
-            if not (has_vertex(face, ends[0]) or has_vertex(face, ends[1])):
-                if segment_crosses(x[ends[0]], x[ends[1]], a, b, c):
+            for corner in range(3):
+                if crosses_near(ends[0], ends[1], face[corner], cloth, x):
                     return  # on which side it belongs cannot be told
     side = float(1.0)
     if wp.dot(away, wp.cross(b - a, c - a)) < 0.0:
@@ -235,7 +233,8 @@ def watch_edges(
     if gap > world.margin or gap < 1.0e-6:
         return
     if tangled[i] + tangled[i1] != 0 and tangled[j] + tangled[j1] != 0:
-        if crosses_beside(i, i1, g, cloth, x) or crosses_beside(j, j1, e, cloth, x):
+        crossing = crosses_near(i, i1, j, cloth, x) or crosses_near(i, i1, j1, cloth, x)
+        if crossing or crosses_near(j, j1, i, cloth, x) or crosses_near(j, j1, i1, cloth, x):
             return
     slot = take_slot(contacts.edge_count, w, world, contacts)
     if slot >= 0:
