@@ -76,12 +76,13 @@ def _make_field(body: Body, skin: Skin, device: str) -> BodyField:
         support_winding_number=True,
     )
     shape = tuple(int(n) for n in size)
+    patched = min((float(points[rim, 1].min()) for rim in skin.rims), default=np.inf) - BAND
     distance = wp.empty(shape, dtype=float, device=device)
     part = wp.zeros(shape, dtype=wp.uint8, device=device)
     wp.launch(
         fill_field,
         dim=shape,
-        inputs=[mesh.id, wp.array(skin.parts, dtype=wp.uint8, device=device), wp.vec3(*low), CELL, BAND],
+        inputs=[mesh.id, wp.array(skin.parts, dtype=wp.uint8, device=device), wp.vec3(*low), CELL, BAND, patched],
         outputs=[distance, part],
         device=device,
     )

@@ -12,16 +12,23 @@ def fill_field(
     origin: wp.vec3,
     cell: float,
     band: float,
+    patched_above: float,
     # out
     distance: wp.array3d(dtype=float),
     part: wp.array3d(dtype=wp.uint8),
 ):
-    """Signed distance [cm] of every voxel's centre: exact inside and up to ``band`` outside, ``band`` beyond."""
+    """Signed distance [cm] of every voxel's centre: exact inside and up to ``band`` outside, ``band`` beyond.
+
+    Above ``patched_above`` openings of the skin were closed.
+    """
     i, j, k = wp.tid()
     p = origin + cell * wp.vec3(float(i), float(j), float(k))
-    # By the winding number: normals tell the wrong side behind lips, where patched skin folds back on itself.
-    near = wp.mesh_query_point_sign_winding_number(mesh, p, band)
+    near = wp.mesh_query_point_sign_normal(mesh, p, band)
     sign = near.sign
+    if near.result and p[1] > patched_above:
+        # Behind lips, where patched skin folds back on itself, normals tell the wrong side; winding numbers cost more.
+        winding = wp.mesh_query_point_sign_winding_number(mesh, p, band)
+        sign = winding.sign
     if not near.result:
         upwards = wp.mesh_query_ray(mesh, p, wp.vec3(0.0, 1.0, 0.0), 1.0e4)
         if not upwards.result or wp.dot(upwards.normal, wp.vec3(0.0, 1.0, 0.0)) < 0.0:
