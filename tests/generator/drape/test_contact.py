@@ -168,6 +168,32 @@ def test_layers_that_touch_exchange_momentum() -> None:
     assert np.abs(after - before).max() < 0.02 * abs(before[1])
 
 
+def test_a_search_finds_whatever_is_near() -> None:
+    """Points and faces of two crumpled sheets, nearer than the margin, against all pairs tried one by one."""
+    rng = np.random.default_rng(3)
+    lower = patch(9, 9, place=LYING, origin=(0.0, 100.0, 0.0))
+    upper = patch(8, 8, spacing=1.05, place=LYING, origin=(0.3, 100.35, -0.2))
+    mesh = joined(lower, upper)
+    mesh = replace(mesh, vertices=mesh.vertices + 0.12 * rng.standard_normal(mesh.vertices.shape))
+    config = DrapeConfig(sewing_time=1e6)
+    solver = Solver(build_model([DrapeJob(mesh, far_ball(), SIZE)], config, "cpu"), config)
+    solver.state.searching.fill_(1)
+    solver._search()
+    contacts = solver.state.contacts
+    found = {tuple(pair) for pair in contacts.points.numpy()[: contacts.point_count.numpy()[0]].tolist()}
+    assert len(found) == contacts.point_count.numpy()[0], "a pair is listed twice"
+    sheet = np.arange(len(mesh.vertices)) >= len(lower.vertices)
+    near = {
+        (i, *face)
+        for i, point in enumerate(mesh.vertices)
+        for face in mesh.faces.tolist()
+        if sheet[i] != sheet[face[0]]
+        and np.linalg.norm(point - closest_on_triangle(point, mesh.vertices[face])) < config.contact_margin - 1e-4
+    }
+    assert len(near) > 100
+    assert near <= found
+
+
 def test_crossed_sheets_come_apart() -> None:
     """A corner that pokes through a sheet is drawn back by the shortening of the crossing curve."""
     sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))

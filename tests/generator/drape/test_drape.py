@@ -6,6 +6,7 @@ import trimesh
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
+from gcd_dataset.generator.drape.holds import holds
 from gcd_dataset.generator.drape.outcome import slid_off
 from gcd_dataset.records import BoxMesh, Outcome
 from tests.helpers import SIZE, body_from, patch, tube
@@ -48,6 +49,13 @@ def test_too_few_frames_are_reported() -> None:
     assert drape.frames == 5
 
 
+@pytest.mark.parametrize(("calm_speed", "outcome"), [(18.0, Outcome.SETTLED), (1e-6, Outcome.NOT_SETTLED)])
+def test_at_the_last_frame_it_is_enough_to_be_calm(calm_speed: float, outcome: Outcome) -> None:
+    never_still = DrapeConfig(still_speed=1e-9, calm_speed=calm_speed, max_frames=60)
+    [drape] = drape_batch([on_a_ball(5)], never_still, device="cpu")
+    assert (drape.outcome, drape.frames) == (outcome, 60)
+
+
 def test_what_nothing_holds_up_slides_off() -> None:
     job = on_a_ball(4)
     mesh = job.box_mesh
@@ -70,6 +78,8 @@ def test_a_dress_hangs_from_its_shoulders() -> None:
     lying_low = np.array(skirt.box_mesh.vertices) - [0.0, 40.0, 0.0]
     assert slid_off(skirt, lying_low)
     assert not slid_off(dress, lying_low)
+    assert np.flatnonzero(holds(skirt)[0].any(axis=1)).tolist() == list(range(6))  # at the waist
+    assert np.flatnonzero(holds(dress)[0].any(axis=1)).tolist() == list(range(6, 9))  # at the neck alone
 
 
 def test_contacts_without_room_are_reported() -> None:

@@ -1,5 +1,6 @@
 """Stretch and bending against their definitions and the laws they come from."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +38,18 @@ def force_on(model: ClothModel, x: np.ndarray) -> np.ndarray:
     return np.asarray(v_out.numpy() * (model.cloth.inertia.numpy() / dt)[:, None])
 
 
+def slope_of(energy: Callable[[np.ndarray], float], x: np.ndarray) -> np.ndarray:
+    """By central differences."""
+    slope, step = np.zeros_like(x), 1e-5
+    for i in range(len(x)):
+        for axis in range(3):
+            ahead, behind = x.copy(), x.copy()
+            ahead[i, axis] += step
+            behind[i, axis] -= step
+            slope[i, axis] = (energy(ahead) - energy(behind)) / (2 * step)
+    return slope
+
+
 def test_force_is_the_slope_of_the_energy() -> None:
     rng = np.random.default_rng(1)
     mesh = irregular_patch(rng)
@@ -46,15 +59,49 @@ def test_force_is_the_slope_of_the_energy() -> None:
     def energy(at: np.ndarray) -> float:
         return stretch_energy(mesh, at, FABRIC.membrane) + bending_energy(mesh, at, FABRIC.rigidity)
 
-    slope, step = np.zeros_like(x), 1e-5
-    for i in range(len(x)):
-        for axis in range(3):
-            ahead, behind = x.copy(), x.copy()
-            ahead[i, axis] += step
-            behind[i, axis] -= step
-            slope[i, axis] = (energy(ahead) - energy(behind)) / (2 * step)
+    slope = slope_of(energy, x)
     force = force_on(model, x)
     assert np.linalg.norm(force + slope) < 2e-3 * np.linalg.norm(slope)
+
+
+def test_three_sheets_sewn_along_one_edge_pull_as_their_energy_says() -> None:
+    """The hinge of an edge with three faces is that of the first two; its spring is that of all three."""
+    rng = np.random.default_rng(6)
+    sheet = patch(2, 1, spacing=1.2)
+    others = [np.where(sheet.faces > 2, sheet.faces + shift, sheet.faces) for shift in (0, 3, 6)]
+    flat = np.concatenate([sheet.uv, *(sheet.uv[3:] for _ in range(2))])
+    book = replace(
+        sheet,
+        vertices=np.pad(flat, ((0, 0), (0, 1))),
+        faces=np.concatenate(others),
+        uv=flat,
+        corners=np.concatenate(others),
+        uv_vertex=np.arange(len(flat)),
+        panel_id=np.repeat([0, 1, 2], len(sheet.faces)),
+        panel_names=("one", "two", "three"),
+        panel_labels=("", "", ""),
+    )
+    model = build_model([DrapeJob(book, far_ball(), SIZE, FABRIC)], STILL_AIR, "cpu")
+    x = np.asarray(book.vertices + 0.2 * rng.standard_normal(book.vertices.shape))
+    slope = slope_of(
+        lambda at: stretch_energy(book, at, FABRIC.membrane) + bending_energy(book, at, FABRIC.rigidity), x
+    )
+    assert np.linalg.norm(force_on(model, x) + slope) < 2e-3 * np.linalg.norm(slope)
+
+
+def test_an_edge_that_keeps_a_garment_up_is_taped() -> None:
+    """Pulled along, it resists as ten edges do."""
+    plain = patch(4, 4)
+    top = np.arange(20, 25)
+    taped = replace(plain, labels={"lower_interface": top})
+    wide = plain.vertices * [1.1, 1.0, 1.0]
+    pulls = []
+    for mesh in (plain, taped):
+        job = DrapeJob(mesh, far_ball(), SIZE, FABRIC)
+        pulls.append(force_on(build_model([job], STILL_AIR, "cpu"), wide)[:, 0])
+    own = FABRIC.membrane * 0.5 * 0.1  # spring of one face: stiffness × area / length² × 10 % of 1 cm
+    assert pulls[1][20] - pulls[0][20] == pytest.approx(9 * own, rel=1e-3)
+    assert np.abs(pulls[1] - pulls[0])[:20].max() < 1e-2 * own
 
 
 def test_inner_forces_keep_momentum_and_spin() -> None:
