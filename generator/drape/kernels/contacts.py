@@ -14,7 +14,7 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, 
 
 wp.set_module_options({"enable_backward": False})
 
-PARTING_SPEED = 25.0  # cm/s at which layers that are already too near part
+PARTING_SPEED = 50.0  # cm/s at which layers that are already too near part
 
 
 @wp.func

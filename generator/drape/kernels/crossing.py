@@ -15,7 +15,7 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, ta
 wp.set_module_options({"enable_backward": False})
 
 GLANCING = 0.1  # least |E·N| that the step is divided by
-PARTING_ACCELERATION = 8000.0  # cm/s²
+PARTING_ACCELERATION = 24000.0  # cm/s²
 
 
 @wp.kernel
