@@ -21,7 +21,7 @@ from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["build_pattern", "fit", "make", "make_many", "sample_key"]
 
-BATCH = {"cpu": 1, "cuda": 32}  # garments draped at a time
+BATCH = {"cpu": 1, "cuda": 64}  # garments draped at a time
 DEFAULT = MakeConfig()
 
 
@@ -33,7 +33,7 @@ def make(seed: int, index: int, config: MakeConfig = DEFAULT) -> Sample:
 def make_many(
     seed: int, indices: Iterable[int], config: MakeConfig = DEFAULT, *, batch: int | None = None
 ) -> Iterator[Sample]:
-    """The samples of ``indices``, in order; up to ``batch`` garments are draped at a time (1 on a CPU, 32 on a GPU).
+    """The samples of ``indices``, in order; up to ``batch`` garments are draped at a time (1 on a CPU, 64 on a GPU).
 
     With ``bodies="both"`` a design is taken or turned down for both of its bodies, so both are draped even if one index
     is asked for. Raises ``PatternError`` as ``make`` does.
