@@ -59,14 +59,41 @@ def build_model(jobs: Sequence[DrapeJob], config: DrapeConfig, device: str) -> C
     bodies = tuple(body_field(job.body, device) for job in jobs)
     fields, offsets, parts = _join_fields(bodies, device)
     steps = _time_steps(topology)
-    held = [holds(job) for job in jobs]
+    worlds = [_world(job, config) for job in jobs]
+    for world, step, lengths, start, end in zip(
+        worlds, steps, _usual_lengths(topology), topology.vertex_offset, topology.vertex_offset[1:], strict=False
+    ):
+        _add_garment(world, config, float(step), float(lengths), int(start), int(end - start))
+    for world, body, offset, (ids, lowest) in zip(worlds, bodies, offsets, keepers, strict=True):
+        world.keepers, world.lowest = len(ids), lowest
+        world.field_offset = offset
+        world.field_size = wp.vec3i(*body.distance.shape)
+        world.field_origin = wp.vec3(*body.origin)
+        world.field_cell = body.cell
+    cloth = _cloth(jobs, topology, _inertia(topology, steps, device), device)
+    cloth.field, cloth.field_parts = fields, parts
+    cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
+    face_world = np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset))
+    return ClothModel(
+        device=device,
+        worlds=wp.array(worlds, dtype=World, device=device),
+        cloth=cloth,
+        rows=topology.rows,
+        topology=topology,
+        face_world=wp.array(face_world, dtype=int, device=device),
+        bodies=bodies,
+    )
+
+
+def _cloth(jobs: Sequence[DrapeJob], topology: Topology, inertia: wp.array, device: str) -> Cloth:
+    """All but the bodies."""
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type) -> wp.array:
         return wp.array(np.concatenate(arrays).astype(kind, copy=False), dtype=dtype, device=device)
 
+    held = [holds(job) for job in jobs]
     cloth = Cloth()
-    cloth.vertex_world, cloth.mass = topology.vertex_world, topology.mass
-    cloth.inertia = _inertia(topology, steps, device)
+    cloth.vertex_world, cloth.mass, cloth.inertia = topology.vertex_world, topology.mass, inertia
     cloth.faces, cloth.edges, cloth.edge_opposite = topology.faces, topology.edges, topology.opposite
     cloth.vertex_faces, cloth.first_face = topology.vertex_faces, topology.first_face
     cloth.vertex_edges, cloth.first_edge = topology.vertex_edges, topology.first_edge
@@ -74,38 +101,7 @@ def build_model(jobs: Sequence[DrapeJob], config: DrapeConfig, device: str) -> C
     cloth.hold_offset = put([offset for _, offset in held], np.float32, float)
     cloth.keeper = topology.keeper
     cloth.unseen_parts = put([unseen_parts(job.box_mesh) for job in jobs], np.int32, int)
-    cloth.field, cloth.field_parts = fields, parts
-    cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
-    near = _near(topology, config)
-    worlds = [_world(job, config) for job in jobs]
-    for number, (world, body, (ids, lowest)) in enumerate(zip(worlds, bodies, keepers, strict=True)):
-        first, end = topology.vertex_offset[number : number + 2]
-        first_edge, end_edge = topology.edge_offset[number : number + 2]
-        world.first, world.size = int(first), int(end - first)
-        world.first_edge, world.edges = int(first_edge), int(end_edge - first_edge)
-        world.dt = float(steps[number])
-        world.near = float(near[number])
-        world.loose_after = config.sewing_time + config.held_time + 2 * config.substeps * world.dt
-        world.clear = config.body_gap + world.travel + config.search_every * config.max_speed * world.dt
-        world.still = config.still_speed * config.substeps * world.dt
-        world.hasty = config.calm_speed * config.substeps * world.dt
-        world.restless = config.moving_share * world.size
-        world.keepers, world.lowest = len(ids), lowest
-        world.field_offset = offsets[number]
-        world.field_size = wp.vec3i(*body.distance.shape)
-        world.field_origin = wp.vec3(*body.origin)
-        world.field_cell = body.cell
-    return ClothModel(
-        device=device,
-        worlds=wp.array(worlds, dtype=World, device=device),
-        cloth=cloth,
-        rows=topology.rows,
-        topology=topology,
-        face_world=wp.array(
-            np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset)), dtype=int, device=device
-        ),
-        bodies=bodies,
-    )
+    return cloth
 
 
 def _time_steps(topology: Topology) -> np.ndarray:
@@ -123,14 +119,11 @@ def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
     return inertia
 
 
-def _near(topology: Topology, config: DrapeConfig) -> np.ndarray:
-    """How near the nearest vertices of two parts within the margin are, in each garment [cm].
-
-    Two edges of the typical length that cross in their middles at the margin; triangles are nearer to their corners.
-    """
+def _usual_lengths(topology: Topology) -> list[float]:
+    """The median flat length of each garment's edges [cm]."""
     flat = topology.spring.numpy()[:, 1]
     spans = zip(topology.edge_offset[:-1], topology.edge_offset[1:], strict=True)
-    return np.hypot(config.contact_margin, [float(np.median(flat[a:b])) for a, b in spans])
+    return [float(np.median(flat[a:b])) for a, b in spans]
 
 
 def _world(job: DrapeJob, config: DrapeConfig) -> World:
@@ -145,9 +138,21 @@ def _world(job: DrapeJob, config: DrapeConfig) -> World:
     world.friction = job.fabric.friction
     world.thickness = job.fabric.thickness
     world.body_gap = config.body_gap
-    world.margin = config.contact_margin
-    world.travel = 0.4 * (config.contact_margin - job.fabric.thickness)
+    world.margin = max(config.contact_margin, 1.5 * job.fabric.thickness)
+    world.travel = 0.4 * (world.margin - job.fabric.thickness)
     return world
+
+
+def _add_garment(world: World, config: DrapeConfig, step: float, length: float, first: int, size: int) -> None:
+    """What depends on the time step [s], the usual length of an edge [cm] and the number of vertices."""
+    frame = config.substeps * step
+    world.first, world.size, world.dt = first, size, step
+    # Two usual edges that cross in their middles at the margin; triangles are nearer to their corners.
+    world.near = float(np.hypot(world.margin, length))
+    world.clear = config.body_gap + world.travel + config.search_every * config.max_speed * step
+    world.loose_after = config.sewing_time + config.held_time + 2 * frame
+    world.still, world.hasty = config.still_speed * frame, config.calm_speed * frame
+    world.restless = config.moving_share * size
 
 
 def _join_fields(bodies: Sequence[BodyField], device: str) -> tuple[wp.array, list[int], wp.array]:

@@ -15,8 +15,6 @@ class World:
 
     first: int  # its first vertex
     size: int  # its vertices
-    first_edge: int
-    edges: int
     dt: float  # s
     damping: float  # 1/s
     sewing_damping: float  # 1/s
