@@ -9,7 +9,8 @@ from jaxtyping import Int
 from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.generator.drape.device import resolve_device
-from gcd_dataset.generator.drape.kernels.crossing import count_self_crossings
+from gcd_dataset.generator.drape.kernels.crossing import count_self_crossings, find_roots
+from gcd_dataset.generator.drape.kernels.world import Cloth
 from gcd_dataset.records import Body
 
 __all__ = ["skin_crossings"]
@@ -26,9 +27,13 @@ def skin_crossings(body: Body) -> int:
 
     # The drape's kernel, for one world. The tree is named: the kernel knows its number, which keeps nothing alive.
     bvh = wp.Bvh(vectors(corners.min(axis=1)), vectors(corners.max(axis=1)), groups=_zeros(len(faces), device))
-    integers = [wp.array(edges, dtype=wp.vec2i, device=device), wp.array(faces, dtype=wp.vec3i, device=device)]
-    count = _zeros(1, device)
-    inputs = [_zeros(len(body.vertices), device), *integers, bvh.id, vectors(body.vertices)]
+    cloth = Cloth()
+    cloth.vertex_world = _zeros(len(body.vertices), device)
+    cloth.edges = wp.array(edges, dtype=wp.vec2i, device=device)
+    cloth.faces = wp.array(faces, dtype=wp.vec3i, device=device)
+    roots, count = _zeros(1, device), _zeros(1, device)
+    wp.launch(find_roots, dim=1, inputs=[bvh.id], outputs=[roots], device=device)
+    inputs = [cloth, bvh.id, roots, vectors(body.vertices)]
     wp.launch(count_self_crossings, dim=len(edges), inputs=inputs, outputs=[count], device=device)
     return int(count.numpy()[0])
 
