@@ -154,7 +154,7 @@ def leg_circ(section: Float[np.ndarray, "s 2 3"], middle: float) -> float:
     The published measure is the outline, which is 0.005 cm longer on smooth thighs and 2 cm on a scan's rough ones.
     """
     right = section[:, :, X].mean(axis=1) < middle
-    return max(girth(section[side].reshape(-1, 3)[:, XZ]) for side in (right, ~right))
+    return max(girth(section[side, 0][:, XZ]) for side in (right, ~right))
 
 
 def back_width(section: Float[np.ndarray, "n 3"], left: Float[np.ndarray, "3"], right: Float[np.ndarray, "3"]) -> float:

@@ -22,12 +22,12 @@ def section(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], a
 
     Segments run the same way round, so the first points of a closed section are all of its points.
     """
-    a, b, c = (vertices[:, axis] > level)[faces].view(np.uint8).T
-    above = a | b << 1 | c << 2
-    cut = np.flatnonzero(TURNED[above, 0] >= 0)
-    tip, *sides = faces[cut[:, None], TURNED[above[cut]]].T
-    crossing = _crossing(vertices, np.concatenate([tip, tip]), np.concatenate(sides), axis, level)
-    return crossing.reshape(2, -1, 3).swapaxes(0, 1)
+    above = (vertices[:, axis] > level).take(faces)
+    a, b, c = above.T
+    cut = np.flatnonzero((a != b) | (a != c))
+    corners = faces[cut[:, None], TURNED[above[cut] @ [1, 2, 4]]]
+    crossing = _crossing(vertices, corners[:, :1].repeat(2), corners[:, 1:].ravel(), axis, level)
+    return crossing.reshape(-1, 2, 3)
 
 
 def section_points(
@@ -35,7 +35,7 @@ def section_points(
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """Where several parallel planes cut the edges, plane by plane, and the level of each point."""
     heights = vertices[:, axis]
-    a, b = heights[edges[:, 0]], heights[edges[:, 1]]
+    a, b = heights.take(edges).T
     low, high = np.minimum(a, b), np.maximum(a, b)
     near = np.flatnonzero((low <= levels.max()) & (high > levels.min()))
     row, cut = np.nonzero((low[near] <= levels[:, None]) & (high[near] > levels[:, None]))
@@ -56,12 +56,13 @@ def clipped(
     segments: Float[np.ndarray, "s 2 3"], normal: Sequence[float] | np.ndarray, origin: np.ndarray
 ) -> Float[np.ndarray, "t 2 3"]:
     """What lies of the segments on the side of a plane that ``normal`` points to."""
-    side = (segments - origin) @ np.asarray(normal)
-    crossing = (side[:, 0] >= 0) != (side[:, 1] >= 0)
-    drop = np.where(crossing, side[:, 0] - side[:, 1], 1.0)
-    on_plane = segments[:, 0] + (side[:, 0] / drop)[:, None] * (segments[:, 1] - segments[:, 0])
-    moved = np.where((side < 0)[:, :, None], on_plane[:, None], segments)
-    return moved[(side >= 0).any(axis=1)]
+    side = np.einsum("sei,i->se", segments, normal) - np.dot(origin, normal)
+    kept = side >= 0
+    cut = np.flatnonzero(kept[:, 0] != kept[:, 1])
+    share = side[cut, 0] / (side[cut, 0] - side[cut, 1])
+    moved = segments.copy()
+    moved[cut, kept[cut, 0].astype(int)] = segments[cut, 0] + share[:, None] * (segments[cut, 1] - segments[cut, 0])
+    return moved[kept[:, 0] | kept[:, 1]]
 
 
 def girth(points: Float[np.ndarray, "n 2"]) -> float:
