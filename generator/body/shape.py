@@ -63,13 +63,18 @@ def draw_shape(rng: np.random.Generator, *, sex: str | None = None, legs_apart: 
 
 def _hanging_clear(shape: BodyShape) -> BodyShape:
     """The shape with its arms raised until there is room below the armpits, at most to where drawn arms end."""
-    while shape.arm_angle < ARM_SWING and arm_clearance(build_body(shape)) < ARM_ROOM:
+    # Skin is parted afterwards: an armpit that passes through itself calls for an arm held higher.
+    while shape.arm_angle < ARM_SWING and arm_clearance(_built(shape, "body", parted=False)) < ARM_ROOM:
         shape = replace(shape, arm_angle=min(shape.arm_angle + ARM_STEP, ARM_SWING))
     return shape
 
 
 def build_body(shape: BodyShape, *, name: str = "body") -> Body:
     """The body of a shape, standing at y = 0. Raises ``BodyError`` where the number of weights is not the model's."""
+    return _built(shape, name, parted=True)
+
+
+def _built(shape: BodyShape, name: str, *, parted: bool) -> Body:
     model = body_model()
     if shape.weights.shape != (len(model.components),):
         raise BodyError(f"{name}: {shape.weights.size} shape weights, the body model takes {len(model.components)}")
@@ -78,7 +83,7 @@ def build_body(shape: BodyShape, *, name: str = "body") -> Body:
     vertices[:, 0] = _on_own_side(vertices[:, 0], model.mean[:, 0])
     joints = model.joints + np.einsum("k,kni->ni", shape.weights, model.joint_components)
     posed = set_pose(vertices, joints, model.skin, arm=shape.arm_angle, leg=LEGS_APART if shape.legs_apart else 0.0)
-    return Body(stand(_skin().flattened(posed)), model.faces, model.parts, name)
+    return Body(stand(_skin().flattened(posed, parted=parted)), model.faces, model.parts, name)
 
 
 @functools.cache

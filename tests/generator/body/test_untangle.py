@@ -1,9 +1,13 @@
 """Folded skin, on surfaces whose folds are known."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import trimesh
+from jaxtyping import Float, Int
 
+from benchmarks.skin import skin_crossings
 from gcd_dataset.generator.body import build_body, draw_shape
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.untangle import Skin
@@ -44,6 +48,43 @@ def test_vertices_off_the_skin_stay(ball: trimesh.Trimesh) -> None:
     dented[int(dented[:, 1].argmax())] += [4.0, 0.0, 0.0]
     below = ball.vertices[:, 1] < -1.0
     assert np.array_equal(skin.flattened(dented)[below], ball.vertices[below])
+
+
+def groove(wall: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "v 3"]:
+    """A sheet 10 long with a groove 1 deep along z, whose walls stand ``wall(height)`` to either side."""
+    across, along = np.meshgrid(np.linspace(-1.0, 1.0, 41), np.linspace(0.0, 10.0, 31), indexing="ij")
+    return np.stack([np.sign(across) * wall(np.abs(across)), np.abs(across), along], axis=-1).reshape(-1, 3)
+
+
+def groove_faces() -> Int[np.ndarray, "f 3"]:
+    first = (np.arange(40)[:, None] * 31 + np.arange(30)).ravel()
+    a, b, c, d = first, first + 1, first + 31, first + 32
+    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)])
+
+
+def test_walls_of_a_groove_that_have_passed_through_each_other_are_parted() -> None:
+    """None of their faces looks the other way: they lean over the middle by a few degrees."""
+    skin = Skin.of(groove(lambda height: height), groove_faces())
+    closed = groove(lambda height: 0.2 * height * (height - 0.4))
+    assert not skin.folded(closed).any()
+    assert len(skin.crossed(closed))
+    parted = skin.flattened(closed)
+    assert not len(skin.crossed(parted))
+    assert (np.sign(parted[:, 0]) == np.sign(closed[:, 0])).mean() > 0.9
+    upper = closed[:, 1] > 0.7
+    assert np.array_equal(parted[upper], closed[upper])
+
+
+def test_a_groove_however_narrow_is_left_as_it_is() -> None:
+    skin = Skin.of(groove(lambda height: height), groove_faces())
+    narrow = groove(lambda height: 0.01 * height)
+    assert skin.flattened(narrow) is narrow
+
+
+@pytest.mark.parametrize(("seed", "number", "sex"), [(0, 1763, "male"), (1, 1174, "female"), (1, 1450, "female")])
+def test_thighs_and_crotch_of_odd_bodies_stay_outside_each_other(seed: int, number: int, sex: str) -> None:
+    body = build_body(draw_shape(rng(seed, number, Stage.BODY), sex=sex))
+    assert skin_crossings(body) == 0
 
 
 def test_drawn_bodies_have_no_folds() -> None:
