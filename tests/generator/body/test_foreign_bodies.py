@@ -10,6 +10,7 @@ import trimesh
 
 from benchmarks.broken_bodies import broken_body
 from benchmarks.cases.measures import tolerance
+from benchmarks.skin import skin_crossings
 from benchmarks.stand_ins import SMPL_VERTICES, SMPLX_VERTICES, coarser, like_smpl, like_smplx
 from gcd_dataset.generator.body import build_body, draw_shape, female_shape, measure, read_body, read_measurements
 from gcd_dataset.generator.body.files import measure_file
@@ -60,8 +61,10 @@ def test_raised_arms_are_laid_down_to_be_measured() -> None:
 
 @pytest.mark.parametrize("angle", [-32.0, 25.0, 45.0, 60.0])
 def test_raised_arms_of_our_own_mesh_are_laid_down_exactly(angle: float, tmp_path: Path) -> None:
-    shape = draw_shape(rng(2, 3, Stage.BODY), sex="female")
+    """On a slim woman: a lowered arm that folds the armpit leaves skin that no longer tells where it was."""
+    shape = draw_shape(rng(2, 21, Stage.BODY), sex="female")
     lifted = build_body(BodyShape(shape.weights, np.radians(angle)))
+    assert skin_crossings(lifted) == 0
     by = off(measure(lifted), measure(build_body(BodyShape(shape.weights))))
     assert by.pop("arm_pose_angle") == pytest.approx(-angle, abs=2.0)
     assert max(map(abs, by.values())) < 0.1
