@@ -78,7 +78,9 @@ def test_another_recipe_in_the_same_folder_is_refused(tmp_path: Path, capsys: py
 
 def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", *FLAT]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it otherwise
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    signal.signal(signal.SIGINT, before)
     part = tmp_path / "train-00000.tar.part"
     deadline = time.monotonic() + 60
     while not (part.exists() and part.stat().st_size > 200_000) and time.monotonic() < deadline:
