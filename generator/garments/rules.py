@@ -19,7 +19,13 @@ from gcd_dataset.generator.garments.pants import tightest_cuff
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.upper import upper_length
 from gcd_dataset.generator.garments.waistband import band_rise
-from gcd_dataset.generator.garments.wholeness import SHARPEST_CORNER, corner_angles, is_mismatched
+from gcd_dataset.generator.garments.wholeness import (
+    CLOTH_GIVES,
+    SHARPEST_CORNER,
+    band_girth,
+    corner_angles,
+    is_mismatched,
+)
 from gcd_dataset.generator.pattern import SewnJoin, sew
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.validate import Fault, Rule, Severity, check_pattern
@@ -44,7 +50,6 @@ __all__ = [
 LIGHT_LENGTH = 0.5  # length of a flared skirt up to which a loose or thin band holds it, GarmentCode
 LIGHT_SUNS = 0.75  # flare-skirt.suns, the same
 FIRM_BAND = 0.25  # waistband.width above which a band at the body's own girth holds any skirt, GarmentCode
-CLOTH_GIVES = 1.2  # times its length, before it is pulled out of shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +147,7 @@ def tight_cuff(outfit: Fitted) -> Reject | None:
         )
     left = design.left_half() if design.meta.upper else None
     for side, sleeve in (("right", design.sleeve), ("left", left[-1] if left else design.sleeve)):
-        cuff, arm = _band(outfit.pattern, f"sl_{side}_cuff"), arm_in_cuff(size, sleeve)
+        cuff, arm = band_girth(outfit.pattern.panels, f"sl_{side}_cuff"), arm_in_cuff(size, sleeve)
         if 0.0 < cuff * CLOTH_GIVES < arm:
             return Reject("tight_cuff", f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle")
     return None
@@ -265,13 +270,6 @@ def is_heavy_kind(design: OutfitDesign) -> bool:
     if design.meta.bottom is Bottom.LEVELS:
         return design.levels_skirt.base in (LevelsBase.CIRCLE, LevelsBase.ASYMMETRIC_CIRCLE)
     return design.meta.bottom in (Bottom.CIRCLE, Bottom.ASYMMETRIC_CIRCLE, Bottom.PANELS)
-
-
-def _band(pattern: Pattern, name: str) -> float:
-    """Girth of a band by the tops of its two panels [cm]; 0 if there is none."""
-    panels = [panel for panel in pattern.panels if panel.name in (f"{name}_f", f"{name}_b")]
-    tops = [zip(panel.edges, panel.edge_lengths(), strict=True) for panel in panels]
-    return sum(length for edges in tops for edge, length in edges if edge.name == "top")
 
 
 def _fault(outfit: Fitted, name: str, concerns: Callable[[Rule], bool]) -> Reject | None:

@@ -9,8 +9,8 @@ GarmentCode's sampler, this one
 - leaves a section that the garment has no use for at its defaults;
 - shortens a bottom whose hem would reach the floor, and lets a shirt with something sewn to it end near the waist;
 - fits a bottom without upper to the trunk, hangs a gathered one on a snug band, and keeps heavy flares off others;
-- draws armholes and necklines, slits, cuts and godets until they leave the panels whole, and trousers until the legs
-  go through their cuffs.
+- draws armholes and necklines, slits, cuts and godets until they leave the panels whole, and trousers and sleeves
+  until legs and arms go through their cuffs.
 """
 
 from collections.abc import Iterable, Mapping
@@ -43,7 +43,7 @@ from gcd_dataset.generator.garments.rules import (
 )
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.space import DesignSpace, draw, from_dict, to_dict
-from gcd_dataset.generator.garments.wholeness import bottom_is_whole, half_is_whole
+from gcd_dataset.generator.garments.wholeness import bottom_is_whole, half_is_whole, sleeve_is_tight
 from gcd_dataset.records import Measurements
 
 __all__ = ["Kind", "design_from_dict", "design_to_dict", "sample_design", "sample_kind", "sections_used"]
@@ -172,6 +172,8 @@ class _Draft:
         """With a shirt, its neckline and sleeves: the first of some whose panels are whole."""
         for _ in range(UPPERS_TRIED):
             trial = replace(design, shirt=self._shirt(design), sleeve=self.drawn("sleeve"), left=self._left())
+            if self._has_tight_sleeves(trial):
+                continue
             for _ in range(NECKLINES_TRIED):
                 trial = replace(trial, collar=self.drawn("collar"))
                 if self._is_whole(trial, trial.right_half()):
@@ -191,6 +193,10 @@ class _Draft:
             collar = draw(self.sections["left"].of(LeftNecklineDesign), self.rng)
             design = replace(design, left=replace(design.left, collar=collar))
         return None
+
+    def _has_tight_sleeves(self, design: OutfitDesign) -> bool:
+        halves = [half for half in (design.right_half(), design.left_half()) if half is not None]
+        return any(sleeve_is_tight(size, design, half) for half in halves for size in self.sizes)
 
     def _is_whole(self, design: OutfitDesign, half: UpperHalf) -> bool:
         return all(half_is_whole(size, design, half) for size in self.sizes)

@@ -8,6 +8,7 @@ from jaxtyping import Complex, Float
 
 from gcd_dataset.crossings import edge_hulls, find_crossings
 from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.cuff import arm_in_cuff
 from gcd_dataset.generator.garments.design import OutfitDesign, Upper, UpperHalf
 from gcd_dataset.generator.garments.mends import ALL_MENDS
 from gcd_dataset.generator.garments.outfit import bottom
@@ -17,14 +18,18 @@ from gcd_dataset.records import Measurements, Panel
 from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
 
 __all__ = [
+    "CLOTH_GIVES",
     "SHARPEST_CORNER",
     "are_whole",
+    "band_girth",
     "bottom_is_whole",
     "corner_angles",
     "half_is_whole",
     "is_mismatched",
+    "sleeve_is_tight",
 ]
 
+CLOTH_GIVES = 1.2  # times its length, before it is pulled out of shape
 SHARPEST_CORNER = 10.0  # degrees: a spike of cloth that no mesh and no seamstress turns
 SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and share of the seam, by which its sides may differ without gathers
 TIGHTEST_GATHERS = 3.2  # of cloth, over the length it is gathered to: a little more than any design asks for
@@ -35,6 +40,25 @@ def half_is_whole(size: Measurements, design: OutfitDesign, half: UpperHalf) -> 
     drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
     fitted = design.meta.upper is Upper.FITTED
     return all(_can_be_sewn(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
+
+
+def sleeve_is_tight(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
+    """Whether the arm does not go through the band at the end of the sleeve of one half."""
+    arm = 0.0 if half[-1].sleeveless else arm_in_cuff(size, half[-1])
+    if arm == 0.0:
+        return False
+    try:
+        drawn = right_half(size, *half, fitted=design.meta.upper is Upper.FITTED, mends=ALL_MENDS)
+    except PatternError:  # which is told elsewhere
+        return False
+    return band_girth([panel_of(piece) for piece in drawn.pieces], "sl_right_cuff") * CLOTH_GIVES < arm
+
+
+def band_girth(panels: Sequence[Panel], name: str) -> float:
+    """Girth of a band by the tops of its two panels [cm]; 0 if there is none."""
+    halves = [panel for panel in panels if panel.name in (f"{name}_f", f"{name}_b")]
+    tops = [zip(panel.edges, panel.edge_lengths(), strict=True) for panel in halves]
+    return sum(length for edges in tops for edge, length in edges if edge.name == "top")
 
 
 def bottom_is_whole(size: Measurements, design: OutfitDesign) -> bool:
