@@ -18,7 +18,7 @@ from gcd_dataset.generator.garments.trunk import blend, girth_at_rise, waist_bac
 from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
 from gcd_dataset.records import Measurements
 
-__all__ = ["PantsDesign", "pants", "pants_length", "tightest_cuff"]
+__all__ = ["PantsDesign", "cuff_and_leg", "pants", "pants_length"]
 
 CROTCH_EASE = 5.0  # cm on top of what the legs are wider than the hips, GarmentCode
 FRONT_CROTCH = 0.25  # of the front's hip: how far the crotch reaches beyond the centre, GarmentCode
@@ -101,7 +101,7 @@ def pants_length(size: Measurements, design: PantsDesign, *, rise: float) -> flo
     return rise * size.hips_line + design.length * size.leg_length
 
 
-def tightest_cuff(size: Measurements, design: PantsDesign, *, rise: float) -> tuple[float, float]:
+def cuff_and_leg(size: Measurements, design: PantsDesign, *, rise: float) -> tuple[float, float]:
     """Girth of a band at the end of the legs, and of the leg where it is widest inside the band [cm]; 0 without one."""
     if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
         return 0.0, 0.0

@@ -15,7 +15,7 @@ from gcd_dataset.generator.garments.design import Bottom, OutfitDesign
 from gcd_dataset.generator.garments.godet_skirt import GodetBase
 from gcd_dataset.generator.garments.levels_skirt import LevelsBase
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
-from gcd_dataset.generator.garments.pants import tightest_cuff
+from gcd_dataset.generator.garments.pants import cuff_and_leg
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.upper import upper_length
 from gcd_dataset.generator.garments.waistband import band_rise
@@ -38,10 +38,10 @@ __all__ = [
     "garment_length",
     "has_firm_band",
     "has_snug_band",
+    "has_tight_cuffs",
     "is_asymmetric",
     "is_gathered",
     "is_heavy_kind",
-    "is_tight",
     "room_to_floor",
     "top_girth",
     "try_on",
@@ -140,8 +140,8 @@ def too_heavy(outfit: Fitted) -> Reject | None:
 def tight_cuff(outfit: Fitted) -> Reject | None:
     """A band at the end of trousers or sleeves is narrower than the limb in it, by more than cloth gives."""
     size, design = outfit.size, outfit.design
-    if is_tight(size, design):
-        cuff, leg = tightest_cuff(size, design.pants, rise=bottom_rise(design))
+    if has_tight_cuffs(size, design):
+        cuff, leg = cuff_and_leg(size, design.pants, rise=bottom_rise(design))
         return Reject(
             "tight_cuff", f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
         )
@@ -254,12 +254,12 @@ def is_asymmetric(design: OutfitDesign) -> bool:
     return design.meta.bottom is Bottom.ASYMMETRIC_CIRCLE
 
 
-def is_tight(size: Measurements, design: OutfitDesign) -> bool:
+def has_tight_cuffs(size: Measurements, design: OutfitDesign) -> bool:
     """Whether the legs do not go through the cuffs of trousers."""
     if design.meta.bottom is not Bottom.PANTS:
         return False
     try:
-        cuff, leg = tightest_cuff(size, design.pants, rise=bottom_rise(design))
+        cuff, leg = cuff_and_leg(size, design.pants, rise=bottom_rise(design))
     except PatternError:  # which the drawing tells
         return False
     return cuff * CLOTH_GIVES < leg

@@ -34,10 +34,10 @@ from gcd_dataset.generator.garments.rules import (
     garment_length,
     has_firm_band,
     has_snug_band,
+    has_tight_cuffs,
     is_asymmetric,
     is_gathered,
     is_heavy_kind,
-    is_tight,
     room_to_floor,
     top_girth,
 )
@@ -206,7 +206,7 @@ class _Draft:
         whose panels are whole."""
         for _ in range(BOTTOMS_TRIED):
             trial = self._light_enough(self._off_the_floor(self._held_up(self._with_bottom_drawn(design))))
-            if any(is_tight(size, trial) for size in self.sizes):
+            if any(has_tight_cuffs(size, trial) for size in self.sizes):
                 continue
             if _is_plain(trial) or all(bottom_is_whole(size, trial) for size in self.sizes):
                 break

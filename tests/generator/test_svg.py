@@ -127,7 +127,7 @@ def test_a_curve_is_drawn_as_what_it_is(curve: Curve, clockwise: bool) -> None:
     assert far < 0.01  # of chords of either
 
 
-def check(pattern: Pattern) -> None:
+def assert_true_to_scale(pattern: Pattern) -> None:
     """What is true of every drawing of a pattern."""
     root, pieces = read_back(pattern)
     assert [piece.name for piece in pieces] == [panel.name for panel in pattern.panels]
@@ -151,15 +151,15 @@ def check(pattern: Pattern) -> None:
 
 
 def test_a_pattern_is_drawn_at_true_scale_without_overlap() -> None:
-    check(napkins())
-    check(Pattern("one", (lens(CURVES[0]), replace(lens(CURVES[1]), name="other")), ()))
+    assert_true_to_scale(napkins())
+    assert_true_to_scale(Pattern("one", (lens(CURVES[0]), replace(lens(CURVES[1]), name="other")), ()))
 
 
 def test_the_references_patterns_are_drawn_at_true_scale_without_overlap(examples: Path) -> None:
     files = sorted(examples.glob("patterns/*/random_body/*_specification.json"))
     assert len(files) == 12
     for file in files:
-        check(read_pattern(file))
+        assert_true_to_scale(read_pattern(file))
 
 
 def test_both_edges_of_a_seam_carry_its_colour_and_number() -> None:

@@ -191,8 +191,8 @@ def watch_point(
     if tangled[i] != 0 and tangled[face[0]] + tangled[face[1]] + tangled[face[2]] != 0:
         for at in range(cloth.first_edge[i], cloth.first_edge[i + 1]):
             ends = cloth.edges[cloth.vertex_edges[at]]
-            for corner in range(3):
-                if crosses_near(ends[0], ends[1], face[corner], cloth, x):
+            for k in range(3):
+                if crosses_near(ends[0], ends[1], face[k], cloth, x):
                     return  # on which side it belongs cannot be told
     side = float(1.0)
     if wp.dot(away, wp.cross(b - a, c - a)) < 0.0:
@@ -200,10 +200,10 @@ def watch_point(
     slot = take_slot(contacts.point_count, w, world, contacts)
     if slot >= 0:
         contacts.points[slot] = wp.vec4i(i, face[0], face[1], face[2])
+        contacts.sides[slot] = side
         listed[i] = 1
         for k in range(3):
             listed[face[k]] = 1
-        contacts.sides[slot] = side
 
 
 @wp.func
@@ -239,11 +239,11 @@ def watch_edges(
     slot = take_slot(contacts.edge_count, w, world, contacts)
     if slot >= 0:
         contacts.edges[slot] = wp.vec4i(i, i1, j, j1)
+        contacts.normals[slot] = between / gap
         listed[i] = 1
         listed[i1] = 1
         listed[j] = 1
         listed[j1] = 1
-        contacts.normals[slot] = between / gap
 
 
 @wp.kernel
@@ -321,7 +321,7 @@ def find_long_edges(
     if half < 0.5 * SHORT_EDGE:
         return
     middle = sample_field(world, cloth.field, wp.lerp(x[i], x[j], 0.5))
-    if middle[3] > wp.max(world.clear, 0.5 * half + world.clear):
+    if middle[3] > 0.5 * half + world.clear:
         return
     slot = take_slot(contacts.long_count, w, world, contacts)
     if slot >= 0:
