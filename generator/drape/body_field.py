@@ -10,16 +10,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+from jaxtyping import Float, UInt8
 
 from gcd_dataset.generator.body.holes import Skin
 from gcd_dataset.generator.drape.kernels.field import fill_field
-from gcd_dataset.records import Body
+from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["BodyField", "body_field"]
+__all__ = ["FOREARM", "BodyField", "body_field"]
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
 KEPT = 8  # fields kept for bodies that are dressed again
+FOREARM = 30  # what the drape calls an arm from the elbow on, with the hand; no ``BodyPart``
+ELBOW = 0.42  # of the way from the shoulder to the finger tips
 
 _kept: OrderedDict[tuple[str, bytes], "BodyField"] = OrderedDict()
 _skins: OrderedDict[bytes, Skin] = OrderedDict()
@@ -32,7 +35,7 @@ class BodyField:
     distance: wp.array
     """(x, y, z) signed distance of the voxels' centres [cm], positive outside."""
     part: wp.array
-    """(x, y, z) ``BodyPart`` value of the nearest skin."""
+    """(x, y, z) ``BodyPart`` value of the nearest skin, or ``FOREARM``."""
     origin: tuple[float, float, float]
     """Centre of the first voxel [cm]."""
     cell: float
@@ -82,8 +85,30 @@ def _make_field(body: Body, skin: Skin, device: str) -> BodyField:
     wp.launch(
         fill_field,
         dim=shape,
-        inputs=[mesh.id, wp.array(skin.parts, dtype=wp.uint8, device=device), wp.vec3(*low), CELL, BAND, patched],
+        inputs=[
+            mesh.id,
+            wp.array(_with_forearms(points, skin), dtype=wp.uint8, device=device),
+            wp.vec3(*low),
+            CELL,
+            BAND,
+            patched,
+        ],
         outputs=[distance, part],
         device=device,
     )
     return BodyField(distance, part, (float(low[0]), float(low[1]), float(low[2])), CELL, mesh)
+
+
+def _with_forearms(points: Float[np.ndarray, "w 3"], skin: Skin) -> UInt8[np.ndarray, " g"]:
+    """The part of each face, where arms end at the elbow."""
+    parts = skin.parts.copy()
+    middle = points[skin.faces].mean(axis=1)
+    for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
+        limb = np.flatnonzero((parts == part.value) | ((parts == BodyPart.HANDS.value) & (side * middle[:, 0] > 0)))
+        if not len(limb):
+            continue
+        along = middle[limb] - middle[limb].mean(axis=0)
+        axis = np.linalg.svd(along, full_matrices=False)[2][0]
+        reach = along @ (axis * np.sign(side * axis[0]))
+        parts[limb[reach > reach.min() + ELBOW * np.ptp(reach)]] = FOREARM
+    return parts

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.mesh.coarsen import Coarse
 from gcd_dataset.records import Body, BoxMesh, Measurements
 
 __all__ = ["DrapeConfig", "DrapeJob", "Fabric"]
@@ -65,14 +66,22 @@ class DrapeConfig:
     """Time steps after which it is asked whether contacts must be searched anew."""
     max_frames: int = 300
     """Frames after which a garment that still moves is left as it is."""
+    coarse_start: bool = True
+    """Drape a mesh of twice the spacing first, and go on from its shape."""
     sewing_time: float = 0.2
     """Panels are drawn together over this time, without gravity [s]."""
-    held_time: float = 0.4
-    """After sewing, waist and collar stay held for this time [s]."""
+    held_time: float = 0.25
+    """After sewing, waist and collar stay held for this time at least [s]."""
+    longest_hold: float = 1.2
+    """They are let go after this time, even if the garment has not fallen into place [s]."""
+    falling_share: float = 0.1
+    """A garment has fallen into place when no more than this share of its vertices is faster than ``calm_speed``."""
     damping: float = 6.0
     """Drag on the cloth [1/s]: near critical for a skirt that swings."""
     sewing_damping: float = 12.0
     """The same while sewing [1/s]."""
+    braking: float = 30.0
+    """The same where forces slow a vertex down: swinging and ringing end soon, falling is not delayed [1/s]."""
     max_speed: float = 200.0
     """[cm/s]"""
     body_gap: float = 0.35
@@ -102,3 +111,5 @@ class DrapeJob:
     body: Body
     measurements: Measurements
     fabric: Fabric = Fabric()
+    coarse: Coarse | None = None
+    """The box mesh made coarser, for ``DrapeConfig.coarse_start``; made when it is needed where it is left out."""

@@ -7,8 +7,9 @@ crosses itself.
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from gcd_dataset.generator.drape.body_field import FOREARM
 from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.records import BodyPart, BoxMesh, Measurements
 
@@ -64,17 +65,31 @@ def _hangs_from_shoulders(job: DrapeJob) -> bool:
 
 
 def unseen_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
-    """Bit set of body parts each vertex passes through: the arms for what covers legs, else none.
+    """Bit set of body parts each vertex passes through: arms for what covers legs, forearms for what that hangs on.
 
-    An A-pose hangs the arms where a skirt is drawn together. A seam vertex follows the panels that most of its faces
-    belong to.
+    An A-pose hangs the arms where a skirt is drawn together, and a wide skirt would draw waistband and bodice over the
+    hands. A bodice with sleeves meets the whole arm. A seam vertex follows the panels that most of its faces belong to.
     """
-    on_leg = np.array([label == "leg" for label in mesh.panel_labels], float)
-    leg_faces = np.bincount(mesh.faces.ravel(), np.repeat(on_leg[mesh.panel_id], 3), minlength=len(mesh.vertices))
-    all_faces = np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices))
-    arms = _bits(BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS)
-    return np.where(leg_faces > 0.5 * all_faces, arms, 0)
+    labels = np.array(mesh.panel_labels)
+    on_leg = labels == "leg"
+    forearms = 1 << FOREARM
+    arms = forearms | sum(1 << part.value for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS))
+    above_legs = ~on_leg & (labels != "arm") & on_leg.any() & ~_sewn_to(mesh, labels == "arm")
+    unseen = np.where(on_leg, arms, np.where(above_legs, forearms, 0))
+    return np.where(_mostly(mesh, on_leg), arms, np.where(_mostly(mesh, unseen > 0), forearms, 0))
 
 
-def _bits(*parts: BodyPart) -> int:
-    return sum(1 << part.value for part in parts)
+def _sewn_to(mesh: BoxMesh, chosen: Bool[np.ndarray, " p"]) -> Bool[np.ndarray, " p"]:
+    """Which panels share vertices with a chosen one."""
+    touched = np.zeros(len(mesh.vertices), bool)
+    touched[mesh.faces[chosen[mesh.panel_id]]] = True
+    sewn = np.zeros(len(chosen), bool)
+    sewn[mesh.panel_id[touched[mesh.faces].any(axis=1)]] = True
+    return sewn
+
+
+def _mostly(mesh: BoxMesh, chosen: Bool[np.ndarray, " p"]) -> Bool[np.ndarray, " v"]:
+    """Which vertices have most of their faces in chosen panels."""
+    own = np.repeat(chosen[mesh.panel_id].astype(float), 3)
+    n = len(mesh.vertices)
+    return np.bincount(mesh.faces.ravel(), own, minlength=n) > 0.5 * np.bincount(mesh.faces.ravel(), minlength=n)

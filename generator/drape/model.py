@@ -131,8 +131,10 @@ def _world(job: DrapeJob, config: DrapeConfig) -> World:
     world = World()
     world.damping = config.damping
     world.sewing_damping = config.sewing_damping
+    world.braking = config.braking
     world.sewing_time = config.sewing_time
     world.held_time = config.held_time
+    world.longest_hold = config.longest_hold
     world.gravity = GRAVITY
     world.max_speed = config.max_speed
     world.friction = job.fabric.friction
@@ -150,9 +152,10 @@ def _add_garment(world: World, config: DrapeConfig, step: float, length: float, 
     # Two usual edges that cross in their middles at the margin; triangles are nearer to their corners.
     world.near = float(np.hypot(world.margin, length))
     world.clear = config.body_gap + world.travel + config.search_every * config.max_speed * step
-    world.loose_after = config.sewing_time + config.held_time + 2 * frame
+    world.frame = frame
     world.still, world.hasty = config.still_speed * frame, config.calm_speed * frame
     world.restless = config.moving_share * size
+    world.falling = config.falling_share * size
 
 
 def _join_fields(bodies: Sequence[BodyField], device: str) -> tuple[wp.array, list[int], wp.array]:

@@ -49,6 +49,10 @@ class ClothState:
     """(v) whether an edge or a face of the vertex crossed the cloth."""
     time: wp.array
     """(w) simulated time [s]."""
+    held: wp.array
+    """(w) whether waist and collar are held."""
+    loose_after: wp.array
+    """(w) when it may first be found at rest, once it is let go [s]."""
     status: wp.array
     """(w) ``RUNNING``, ``DONE`` or ``DIVERGED``."""
     frames: wp.array
@@ -108,6 +112,8 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         listed=zeros(n, int),
         tangled=zeros(n, int),
         time=zeros(worlds, float),
+        held=wp.ones(worlds, dtype=int, device=model.device),
+        loose_after=zeros(worlds, float),
         status=zeros(worlds, int),
         frames=zeros(worlds, int),
         moved=zeros(worlds, int),
@@ -215,7 +221,7 @@ class Solver:
             m.n_worlds,
             [m.worlds, s.time],
             [s.crossing_due, s.contacts.crossing_count, s.status, s.moving, s.hasty, s.kept_height]
-            + [s.moved, s.moved_fast, s.frames, s.untangling, s.any_crossing, s.any_running],
+            + [s.held, s.loose_after, s.moved, s.moved_fast, s.frames, s.untangling, s.any_crossing, s.any_running],
         )
 
     def _step(self, *, before_search: bool) -> None:
@@ -233,7 +239,7 @@ class Solver:
         self._launch(
             body_contact.finish_step,
             n,
-            [m.worlds, m.cloth, before_search, s.status, s.time, s.x_new, s.v_new, s.x_searched, s.skin, s.listed],
+            [m.worlds, m.cloth, before_search, s.status, s.held, s.x_new, s.v_new, s.x_searched, s.skin, s.listed],
             [s.push, s.x, s.v, s.ahead, s.crowd, s.moved_far],
         )
 

@@ -10,6 +10,7 @@ wp.set_module_options({"enable_backward": False})
 
 LEAVING_SPEED = 80.0  # cm/s at which cloth that is already inside the body comes out
 MIDDLE_SHARE = 0.5  # of the gap from the skin, that the middle of an edge keeps
+GRIP = 2.0  # friction of an edge that keeps a garment up, over that of its cloth: it is faced with grip tape
 HOLDING_SPEED = 60.0  # cm/s at which a held edge returns to its half-space
 
 
@@ -66,6 +67,12 @@ def nearest_part(world: World, parts: wp.array(dtype=wp.uint8), x: wp.vec3) -> i
 
 
 @wp.func
+def is_unseen(parts: int, part: int) -> bool:
+    """Whether a part of the body is in a bit set."""
+    return ((parts >> part) & 1) != 0
+
+
+@wp.func
 def leave_body(depth: float, normal: wp.vec3, step: wp.vec3, friction: float, max_leave: float) -> wp.vec3:
     """Displacement that keeps a vertex off the skin [cm].
 
@@ -103,7 +110,7 @@ def push_long_edge(
         if depth <= 0.0:
             continue
         part = nearest_part(world, cloth.field_parts, here)
-        if ((cloth.unseen_parts[i] & cloth.unseen_parts[j]) >> part) & 1 != 0:
+        if is_unseen(cloth.unseen_parts[i] & cloth.unseen_parts[j], part):
             continue
         add_weight(push, i, 1.0 - t)
         add_weight(push, j, t)
@@ -123,7 +130,7 @@ def finish_step(
     before_search: bool,
     # state in
     status: wp.array(dtype=int),
-    time: wp.array(dtype=float),
+    held: wp.array(dtype=int),
     x_new: wp.array(dtype=wp.vec3),
     v_new: wp.array(dtype=wp.vec3),
     x_searched: wp.array(dtype=wp.vec3),
@@ -149,7 +156,7 @@ def finish_step(
         moved = take_push(push, i)
         crowd[i] = take_crowd(push, i)
     here = x_new[i] + moved
-    if time[w] < world.sewing_time + world.held_time:
+    if held[w] != 0:
         normal = cloth.hold_normal[i]
         short = cloth.hold_offset[i] - wp.dot(here, normal)
         if short > 0.0 and wp.length_sq(normal) > 0.0:
@@ -161,11 +168,12 @@ def finish_step(
         near = sample_field(world, cloth.field, here)
         if near[3] < world.body_gap:
             part = nearest_part(world, cloth.field_parts, here)
-            if ((cloth.unseen_parts[i] >> part) & 1) == 0:
+            if not is_unseen(cloth.unseen_parts[i], part):
                 skin_normal = wp.vec3(near[0], near[1], near[2])
-                out = leave_body(
-                    world.body_gap - near[3], skin_normal, here - x[i], world.friction, LEAVING_SPEED * world.dt
-                )
+                friction = world.friction
+                if cloth.keeper[i] != wp.uint8(0):
+                    friction *= GRIP
+                out = leave_body(world.body_gap - near[3], skin_normal, here - x[i], friction, LEAVING_SPEED * world.dt)
                 moved += out
                 here += out
     speed = v_new[i] + moved / world.dt

@@ -121,6 +121,8 @@ def advance(
     if time[w] >= world.sewing_time:
         force += wp.vec3(0.0, -cloth.mass[i] * world.gravity, 0.0)
         drag = world.damping
+    if wp.dot(v_in[i], force) < 0.0:
+        drag = world.braking
     v = (v_in[i] + (world.dt / cloth.inertia[i]) * force) * wp.exp(-drag * world.dt)
     speed = wp.length(v)
     if speed > world.max_speed:

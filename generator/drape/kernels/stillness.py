@@ -66,6 +66,8 @@ def end_frame(
     moving: wp.array(dtype=int),
     hasty: wp.array(dtype=int),
     kept_height: wp.array(dtype=int),
+    held: wp.array(dtype=int),
+    loose_after: wp.array(dtype=float),
     # state out
     moved: wp.array(dtype=int),
     moved_fast: wp.array(dtype=int),
@@ -74,7 +76,7 @@ def end_frame(
     any_crossing: wp.array(dtype=int),
     any_running: wp.array(dtype=int),
 ):
-    """End the drape of garments that are loose and rest, or that nothing keeps up any more.
+    """Let go of garments that have fallen into place; end the drape of those that then rest, or that nothing keeps up.
 
     Crossings are looked for in the next frame where the garment has moved, in every second frame if it had none.
     """
@@ -82,7 +84,11 @@ def end_frame(
     if status[w] == RUNNING:
         world = worlds[w]
         frames[w] = frames[w] + 1
-        if time[w] > world.loose_after:
+        if held[w] != 0 and time[w] >= world.sewing_time + world.held_time:
+            if float(hasty[w]) <= world.falling or time[w] >= world.sewing_time + world.longest_hold:
+                held[w] = 0
+                loose_after[w] = time[w] + 1.5 * world.frame
+        if held[w] == 0 and time[w] > loose_after[w]:
             if float(moving[w]) <= world.restless:
                 status[w] = DONE
             if world.keepers > 0 and float(kept_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers):

@@ -18,9 +18,10 @@ class World:
     dt: float  # s
     damping: float  # 1/s
     sewing_damping: float  # 1/s
+    braking: float  # 1/s, where forces slow a vertex down
     sewing_time: float  # s
-    held_time: float  # s, after sewing
-    loose_after: float  # s, from where it may be found at rest
+    held_time: float  # s, after sewing, for which waist and collar are held at least
+    longest_hold: float  # s, after sewing
     gravity: float  # cm/s²
     max_speed: float  # cm/s
     friction: float
@@ -33,6 +34,8 @@ class World:
     still: float  # cm in a frame: a vertex that moves less rests
     hasty: float  # cm in a frame: more than a garment may that is given up only for lack of time
     restless: float  # vertices that may move in a garment at rest
+    falling: float  # vertices that may move fast in a garment that is let go
+    frame: float  # s
     lowest: float  # cm, below which the mean of the vertices that keep it up has slid off
     keepers: int  # how many vertices keep it up
     field_offset: wp.int64  # first voxel of the body's distance field

@@ -22,7 +22,9 @@ from tests.helpers import SIZE, body_from, far_ball, joined, patch
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # the patch's right side looks up
 INTERNAL = BodyPart.INTERNAL.value
-QUICK = DrapeConfig(sewing_time=0.002, held_time=10.0)  # so that no garment is found at rest
+QUICK = DrapeConfig(
+    sewing_time=0.002, held_time=10.0, longest_hold=20.0, braking=0.0
+)  # so that no garment is found at rest
 
 
 def test_nearest_point_of_a_triangle() -> None:
@@ -153,7 +155,7 @@ def test_layers_that_touch_exchange_momentum() -> None:
     """Two sheets that meet in the air keep the speed of their common centre of mass."""
     lower = patch(8, 8, place=LYING, origin=(-4.0, 100.0, 4.0))
     upper = patch(7, 7, spacing=1.05, place=LYING, origin=(-3.7, 100.25, 3.6))
-    config = DrapeConfig(sewing_time=1e6, sewing_damping=0.0)
+    config = DrapeConfig(sewing_time=1e6, sewing_damping=0.0, braking=0.0)
     solver = Solver(build_model([DrapeJob(joined(lower, upper), far_ball(), SIZE)], config, "cpu"), config)
     speed = np.zeros((solver.model.n_vertices, 3), np.float32)
     speed[len(lower.vertices) :, 1] = -40.0

@@ -1,0 +1,36 @@
+"""A coarse cloth's shape handed to the fine cloth that goes on from it."""
+
+import warp as wp
+
+from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD
+from gcd_dataset.generator.drape.kernels.world import World
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def refine(
+    # model
+    worlds: wp.array(dtype=World),
+    vertex_world: wp.array(dtype=int),
+    corners: wp.array(dtype=wp.vec3i),
+    weights: wp.array(dtype=wp.vec3),
+    # coarse state in
+    x_coarse: wp.array(dtype=wp.vec3),
+    v_coarse: wp.array(dtype=wp.vec3),
+    # state out
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
+    ahead: wp.array(dtype=wp.vec3),
+):
+    """Each vertex between three of the coarse cloth; those without weights stay as they are."""
+    i = wp.tid()
+    share = weights[i]
+    if share[0] + share[1] + share[2] == 0.0:
+        return
+    corner = corners[i]
+    here = share[0] * x_coarse[corner[0]] + share[1] * x_coarse[corner[1]] + share[2] * x_coarse[corner[2]]
+    speed = share[0] * v_coarse[corner[0]] + share[1] * v_coarse[corner[1]] + share[2] * v_coarse[corner[2]]
+    x[i] = here
+    v[i] = speed
+    ahead[i] = here + (LOOK_AHEAD * worlds[vertex_world[i]].dt) * speed

@@ -1,0 +1,283 @@
+"""A box mesh with fewer triangles, and how a shape of it becomes a shape of the fine one.
+
+Every second point of each border is kept, on both sides of a seam the same; the inside of each panel is filled anew.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.mesh.triangulate import triangulate
+from gcd_dataset.records import BoxMesh
+
+__all__ = ["Coarse", "coarsen"]
+
+STRAIGHT = np.cos(np.radians(25.0))  # a border point that turns the outline further than this is kept
+CANDIDATES = 6  # nearest triangles among which a point's own is looked for
+
+
+@dataclass(frozen=True)
+class Coarse:
+    """A coarse mesh of the same panels and seams."""
+
+    mesh: BoxMesh
+    corners: Int[np.ndarray, "v 3"]
+    """Vertices of the coarse mesh between which each fine vertex lies."""
+    weights: Float[np.ndarray, "v 3"]
+    """Their shares in it; they add up to 1."""
+
+    def refine(self, values: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "v 3"]:
+        """Positions or velocities of the coarse vertices, at the fine ones."""
+        return np.einsum("vk,vkd->vd", self.weights, values[self.corners])
+
+
+def coarsen(mesh: BoxMesh) -> Coarse:
+    """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow for that."""
+    border = _Border.of(mesh)
+    thinned = _thin(mesh, border)
+    panels = [_panel(mesh, number, loop[thinned.kept[mesh.uv_vertex[loop]]]) for number, loop in border.loops.items()]
+    return _join(mesh, thinned, panels)
+
+
+# -------------------------------------------------------------------------------------------------------------- border
+
+
+@dataclass(frozen=True)
+class _Border:
+    """The segments that bound the panels, from row to row of ``uv``, the panel to the same side of each."""
+
+    names: tuple[str, ...]
+    start: Int[np.ndarray, " b"]
+    end: Int[np.ndarray, " b"]
+    panel: Int[np.ndarray, " b"]
+
+    @staticmethod
+    def of(mesh: BoxMesh) -> "_Border":
+        start, end = mesh.corners.ravel(), np.roll(mesh.corners, -1, axis=1).ravel()
+        key = np.minimum(start, end) * np.int64(len(mesh.uv)) + np.maximum(start, end)
+        order = np.argsort(key)
+        first = np.diff(key[order], prepend=-1) != 0
+        alone = np.sort(order[first & np.roll(first, -1)])
+        start, end = start[alone], end[alone]
+        if len(np.unique(start)) < len(start):
+            raise MeshError("a panel touches itself at a point: it cannot be made coarser")
+        return _Border(mesh.panel_names, start, end, np.repeat(mesh.panel_id, 3)[alone])
+
+    @cached_property
+    def loops(self) -> dict[int, Int[np.ndarray, " n"]]:
+        """The rows round each panel, in order, by the panel's number. Raises ``MeshError`` for a panel with a hole."""
+        after = dict(zip(self.start.tolist(), self.end.tolist(), strict=True))
+        loops = {}
+        for panel in np.unique(self.panel):
+            rows = self.start[self.panel == panel]
+            loop = [int(rows[0])]
+            while (row := after[loop[-1]]) != loop[0]:
+                loop.append(row)
+            if len(loop) != len(rows):
+                raise MeshError(f"panel {self.names[panel]} has a hole: it cannot be made coarser")
+            loops[int(panel)] = np.array(loop)
+        return loops
+
+
+@dataclass(frozen=True)
+class _Thinned:
+    """Which vertices of the borders are kept, and where the others lie between them."""
+
+    kept: Bool[np.ndarray, " v"]
+    between: Int[np.ndarray, "k 2"]
+    """Kept vertices on either side of each vertex of ``dropped``."""
+    dropped: Int[np.ndarray, " k"]
+    share: Float[np.ndarray, " k"]
+    """How far it is from the first to the second, 0 to 1."""
+
+
+def _thin(mesh: BoxMesh, border: _Border) -> _Thinned:
+    neighbours = _neighbours(mesh, border)
+    ends = {v for v, around in neighbours.items() if len(around) != 2} | _corners(mesh, border)
+    kept = np.zeros(len(mesh.vertices), bool)
+    between, dropped, share = [], [], []
+    for chain, steps in _chains(neighbours, ends):
+        closed = chain[0] == chain[-1]
+        pieces = min(max((len(chain)) // 2, 3 if closed else 2), len(chain) - 1)
+        places = np.round(np.linspace(0, len(chain) - 1, pieces + 1)).astype(int)
+        kept[np.asarray(chain)[places]] = True
+        along = np.concatenate([[0.0], np.cumsum(steps)])
+        for low, high in pairwise(places):
+            for at in range(low + 1, high):
+                between.append((chain[low], chain[high]))
+                dropped.append(chain[at])
+                share.append((along[at] - along[low]) / (along[high] - along[low]))
+    return _Thinned(kept, np.array(between, int).reshape(-1, 2), np.array(dropped, int), np.array(share, float))
+
+
+def _neighbours(mesh: BoxMesh, border: _Border) -> dict[int, dict[int, float]]:
+    """The border's vertices, each with those beside it and how far they are in the flat [cm]."""
+    first, second = mesh.uv_vertex[border.start].tolist(), mesh.uv_vertex[border.end].tolist()
+    lengths = np.linalg.norm(mesh.uv[border.end] - mesh.uv[border.start], axis=1).tolist()
+    found: dict[int, dict[int, float]] = {}
+    for i, j, length in zip(first, second, lengths, strict=True):
+        if i != j:
+            found.setdefault(i, {})[j] = length
+            found.setdefault(j, {})[i] = length
+    return found
+
+
+def _corners(mesh: BoxMesh, border: _Border) -> set[int]:
+    """Vertices at which the outline of a panel turns."""
+    turned = []
+    for loop in border.loops.values():
+        step = mesh.uv[np.roll(loop, -1)] - mesh.uv[loop]
+        step /= np.linalg.norm(step, axis=1, keepdims=True)
+        turned.append(loop[(step * np.roll(step, 1, axis=0)).sum(axis=1) < STRAIGHT])
+    return set(mesh.uv_vertex[np.concatenate(turned)].tolist())
+
+
+def _chains(neighbours: dict[int, dict[int, float]], ends: set[int]) -> list[tuple[list[int], list[float]]]:
+    """Vertices from end to end along the borders, and the lengths between them; closed borders without an end too."""
+    chains, seen = [], set[int]()
+
+    def follow(start: int, onward: int) -> None:
+        chain, steps = [start, onward], [neighbours[start][onward]]
+        while chain[-1] not in ends and chain[-1] != start:
+            seen.add(chain[-1])
+            ahead = next(v for v in neighbours[chain[-1]] if v != chain[-2])
+            steps.append(neighbours[chain[-1]][ahead])
+            chain.append(ahead)
+        chains.append((chain, steps))
+
+    for end in sorted(ends):
+        for onward in sorted(neighbours.get(end, {})):
+            if onward not in seen and (onward not in ends or end < onward):
+                follow(end, onward)
+    for vertex in sorted(neighbours):
+        if vertex not in seen and vertex not in ends:
+            follow(vertex, min(neighbours[vertex]))
+            seen.add(vertex)
+    return chains
+
+
+# -------------------------------------------------------------------------------------------------------------- panels
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """A panel meshed coarsely: the kept rows of its border first, then seeds."""
+
+    number: int
+    rows: Int[np.ndarray, " n"]
+    """Of the fine ``uv``."""
+    points: Float[np.ndarray, "m 2"]
+    faces: Int[np.ndarray, "f 3"]
+
+
+def _panel(mesh: BoxMesh, number: int, rows: Int[np.ndarray, " n"]) -> _Panel:
+    border = mesh.uv[rows]
+    if len(rows) < 3 or not shapely.Polygon(border).is_valid:
+        raise MeshError(f"panel {mesh.panel_names[number]} is too narrow for half its points")
+    spacing = float(np.percentile(np.linalg.norm(np.roll(border, -1, axis=0) - border, axis=1), 75))
+    mirror = np.array([1.0 if shapely.LinearRing(border).is_ccw else -1.0, 1.0])
+    seeds, faces = triangulate(border * mirror, spacing)
+    return _Panel(number, rows, np.concatenate([border, seeds * mirror]), faces)
+
+
+def _join(mesh: BoxMesh, thinned: _Thinned, panels: list[_Panel]) -> Coarse:
+    """All panels sewn as the fine ones are: kept vertices first, in their order, then the seeds."""
+    number = np.cumsum(thinned.kept) - 1
+    count = int(thinned.kept.sum())
+    vertices, vertex_of, first = [mesh.vertices[thinned.kept]], [], 0
+    corners = np.zeros((len(mesh.vertices), 3), int)
+    weights = np.zeros((len(mesh.vertices), 3))
+    faces, points = [], []
+    for panel in panels:
+        seeds = len(panel.points) - len(panel.rows)
+        ids = np.concatenate([number[mesh.uv_vertex[panel.rows]], np.arange(count, count + seeds)])
+        count += seeds
+        faces.append(first + panel.faces)
+        first += len(ids)
+        points.append(panel.points)
+        vertex_of.append(ids)
+        fine = _own_rows(mesh, panel)
+        vertices.append(_place(mesh, fine, panel.points[len(panel.rows) :]))
+        triangle, shares = _locate(panel.points, panel.faces, mesh.uv[fine])
+        corners[mesh.uv_vertex[fine]], weights[mesh.uv_vertex[fine]] = ids[panel.faces[triangle]], shares
+    _hold_border(thinned, number, corners, weights)
+    vertex = np.concatenate(vertex_of)
+    rows = np.concatenate(faces)
+    whole = (vertex[rows] != np.roll(vertex[rows], 1, axis=1)).all(axis=1)
+    coarse = BoxMesh(
+        vertices=np.concatenate(vertices),
+        faces=vertex[rows][whole],
+        uv=np.concatenate(points),
+        corners=rows[whole],
+        uv_vertex=vertex,
+        panel_id=np.repeat([panel.number for panel in panels], [len(panel.faces) for panel in panels])[whole],
+        panel_names=mesh.panel_names,
+        panel_labels=mesh.panel_labels,
+        seams=_renumbered(mesh.seams, thinned.kept, number),
+        labels={name: number[ids[thinned.kept[ids]]] for name, ids in mesh.labels.items()},
+    )
+    return Coarse(coarse, corners, weights)
+
+
+def _renumbered(
+    seams: Int[np.ndarray, "s 2"], kept: Bool[np.ndarray, " v"], number: Int[np.ndarray, " v"]
+) -> Int[np.ndarray, "k 2"]:
+    left = seams[kept[seams[:, 0]]]
+    return np.stack([number[left[:, 0]], left[:, 1]], axis=1)
+
+
+def _own_rows(mesh: BoxMesh, panel: _Panel) -> Int[np.ndarray, " n"]:
+    """The rows of ``uv`` of a panel."""
+    return np.unique(mesh.corners[mesh.panel_id == panel.number])
+
+
+def _place(mesh: BoxMesh, rows: Int[np.ndarray, " n"], points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
+    """Where points of a panel stand before sewing: as the nearest point of the fine mesh does, in the panel's plane."""
+    free = rows[mesh.uv_vertex[rows] >= mesh.n_seam_vertices]
+    free = free if len(free) > 2 else rows
+    flat, placed = mesh.uv[free], mesh.vertices[mesh.uv_vertex[free]]
+    plane, *_ = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), placed, rcond=None)
+    _, nearest = cKDTree(flat).query(points)
+    return placed[nearest] + (points - flat[nearest]) @ plane[:2]
+
+
+def _locate(
+    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], wanted: Float[np.ndarray, "n 2"]
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    """The triangle that each wanted point lies in, or lies nearest to, and the shares of its corners."""
+    a, b, c = points[faces].transpose(1, 0, 2)
+    nearby = min(CANDIDATES, len(faces))
+    _, near = cKDTree((a + b + c) / 3).query(wanted, nearby)
+    near = near.reshape(-1, nearby)
+    to, ab, ac = wanted[:, None] - a[near], (b - a)[near], (c - a)[near]
+    double = _cross(ab, ac)
+    second, third = _cross(to, ac) / double, _cross(ab, to) / double
+    shares = np.stack([1 - second - third, second, third], axis=-1)
+    best = shares.min(axis=-1).argmax(axis=1)
+    row = np.arange(len(wanted))
+    shares = shares[row, best].clip(0.0)
+    return near[row, best], shares / shares.sum(axis=1, keepdims=True)
+
+
+def _hold_border(
+    thinned: _Thinned,
+    number: Int[np.ndarray, " v"],
+    corners: Int[np.ndarray, "v 3"],
+    weights: Float[np.ndarray, "v 3"],
+) -> None:
+    """Have border vertices lie where they are kept, or on the line between those beside them."""
+    kept = np.flatnonzero(thinned.kept)
+    corners[kept], weights[kept] = number[kept][:, None], (1.0, 0.0, 0.0)
+    low, high = number[thinned.between].T
+    corners[thinned.dropped] = np.stack([low, high, low], axis=1)
+    weights[thinned.dropped] = np.stack([1.0 - thinned.share, thinned.share, np.zeros_like(thinned.share)], axis=1)
+
+
+def _cross(a: Float[np.ndarray, "*n 2"], b: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -1,0 +1,88 @@
+"""A coarse mesh is the same garment, and what is done to it can be done to the fine one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.generator.mesh.coarsen import Coarse, coarsen
+from gcd_dataset.records import BoxMesh, Pattern
+from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, tube
+from tests.generator.mesh.test_box_mesh import DART, darted, patchwork
+
+PATTERNS = [darted(), patchwork(), tube(), sewn(panel("a", rectangle(20.0, 13.0)))]
+
+
+def meshes(pattern: Pattern) -> tuple[BoxMesh, BoxMesh]:
+    fine = build_box_mesh(pattern, spacing=1.0)
+    return fine, coarsen(fine).mesh
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_panels_keep_their_area_and_seams_their_joins(pattern: Pattern) -> None:
+    fine, coarse = meshes(pattern)
+    for number in range(len(fine.panel_names)):
+        was, now = (areas(m.uv, m.corners[m.panel_id == number]).sum() for m in (fine, coarse))
+        assert now == pytest.approx(was, rel=1e-9)
+    assert euler_characteristic(coarse) == euler_characteristic(fine)
+    assert set(coarse.seams[:, 1]) == set(fine.seams[:, 1])
+    assert len(coarse.vertices) < 0.4 * len(fine.vertices)
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_edges_are_twice_as_long_and_none_over_long(pattern: Pattern) -> None:
+    fine, coarse = meshes(pattern)
+    length, coarse_length = (sides(m.uv, m.corners) for m in (fine, coarse))
+    assert np.median(coarse_length) == pytest.approx(2 * np.median(length), rel=0.15)
+    assert coarse_length.max() < 2 * 1.43
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_kept_points_stay_and_others_lie_between(pattern: Pattern) -> None:
+    """What is linear in a panel's plane at the coarse points is so at all fine ones."""
+    fine = build_box_mesh(pattern, spacing=1.0)
+    coarse = coarsen(fine)
+    assert coarse.weights.min() >= 0
+    assert coarse.weights.sum(axis=1) == pytest.approx(np.ones(len(fine.vertices)))
+    for number in range(len(fine.panel_names)):
+        rows, coarse_rows = (np.unique(m.corners[m.panel_id == number]) for m in (fine, coarse.mesh))
+        field = np.full((len(coarse.mesh.vertices), 3), np.nan)
+        field[coarse.mesh.uv_vertex[coarse_rows]] = _linear(coarse.mesh.uv[coarse_rows])
+        own = fine.uv_vertex[rows]
+        free = np.bincount(own, minlength=len(fine.vertices))[own] == 1
+        free &= ~_beside_a_dart(coarse, own)
+        found = coarse.refine(field)[own[free]]
+        inside = np.isfinite(found).all(axis=1)  # a seam's points may have their weights from the other panel
+        assert inside.sum() > 0.5 * len(own)
+        assert found[inside] == pytest.approx(_linear(fine.uv[rows[free]][inside]), abs=1e-6)
+
+
+def _beside_a_dart(coarse: Coarse, own: np.ndarray) -> np.ndarray:
+    """Which vertices lie between some that stand in two places of the plane, as the legs of a dart do."""
+    rows = np.bincount(coarse.mesh.uv_vertex, minlength=len(coarse.mesh.vertices))
+    return (rows[coarse.corners[own]] > 1).any(axis=1)
+
+
+def _linear(flat: np.ndarray) -> np.ndarray:
+    return np.column_stack([2.0 + flat[:, 0] - 0.3 * flat[:, 1], 0.5 * flat[:, 0], flat[:, 1]])
+
+
+def test_labels_and_places_are_kept() -> None:
+    fine = build_box_mesh(sewn(panel("a", DART, labels={5: "lower_interface"})), spacing=1.0)
+    coarse = coarsen(fine).mesh
+    assert fine.vertices[fine.labels["lower_interface"], 1] == pytest.approx(20.0)
+    assert coarse.vertices[coarse.labels["lower_interface"], 1] == pytest.approx(20.0)
+    flat = coarse.vertices[coarse.uv_vertex][:, :2]
+    free = np.flatnonzero(coarse.uv_vertex >= coarse.n_seam_vertices)
+    assert flat[free] == pytest.approx(coarse.uv[free], abs=1e-6)
+
+
+def test_a_panel_with_a_hole_is_refused() -> None:
+    fine = build_box_mesh(sewn(panel("ring", rectangle(20.0, 20.0))), spacing=1.0)
+    inmost = np.linalg.norm(fine.uv - 10.0, axis=1).argmin()
+    left = ~(fine.corners == inmost).any(axis=1)
+    ring = replace(fine, faces=fine.faces[left], corners=fine.corners[left], panel_id=fine.panel_id[left])
+    with pytest.raises(MeshError, match="ring has a hole"):
+        coarsen(ring)
