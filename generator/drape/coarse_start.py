@@ -65,5 +65,5 @@ def go_on_from(solver: Solver, coarse: Solver, meshes: Sequence[Coarse], worlds:
         outputs=[state.x, state.v, state.ahead],
         device=device,
     )
-    for seen in (state.x_new, state.x_seen, state.x_searched):
+    for seen in (state.x_seen, state.x_searched):
         wp.copy(seen, state.x)

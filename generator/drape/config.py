@@ -102,6 +102,10 @@ class DrapeConfig:
     max_stretch: float = 1.6
     """Length over flat length of the hundredth edge that is stretched most."""
 
+    def __post_init__(self) -> None:
+        if self.substeps < 2 or self.substeps % 2:
+            raise ConfigError(f"{self.substeps} substeps: give an even number")  # two buffers change places every step
+
 
 @dataclass(frozen=True, slots=True)
 class DrapeJob:

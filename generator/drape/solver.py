@@ -8,13 +8,13 @@ import warp as wp
 
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.device import load_kernels
-from gcd_dataset.generator.drape.kernels import body_contact, boxes, contacts, crossing, elastic, search, stillness
+from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, search, step, stillness
 from gcd_dataset.generator.drape.kernels.world import Contacts
 from gcd_dataset.generator.drape.model import ClothModel
 
 __all__ = ["ClothState", "Solver", "new_state"]
 
-KERNELS: tuple[ModuleType, ...] = (body_contact, boxes, contacts, crossing, elastic, search, stillness)
+KERNELS: tuple[ModuleType, ...] = (boxes, contacts, crossing, search, step, stillness)
 REBUILD_EVERY = 10  # frames after which the tree of boxes is built anew
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; longer lists are walked in strides
 
@@ -29,8 +29,7 @@ class ClothState:
     """(v) velocities [cm/s]."""
     ahead: wp.array
     """(v) where forces are taken [cm]."""
-    x_new: wp.array
-    v_new: wp.array
+    ahead_next: wp.array
     x_seen: wp.array
     """(v) positions one frame ago [cm]."""
     x_searched: wp.array
@@ -101,8 +100,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         x=wp.clone(start),
         v=zeros(n, wp.vec3),
         ahead=wp.clone(start),
-        x_new=wp.clone(start),
-        v_new=zeros(n, wp.vec3),
+        ahead_next=wp.clone(start),
         x_seen=wp.clone(start),
         x_searched=wp.clone(start),
         skin=zeros(n, float),
@@ -196,8 +194,8 @@ class Solver:
         m, s = self.model, self.state
         wp.capture_if(s.any_crossing, self._find_crossings)
         self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
-        for step in range(self.config.substeps):
-            if step % self.config.search_every == 0:
+        for turn in range(self.config.substeps):
+            if turn % self.config.search_every == 0:
                 s.any_search.zero_()
                 self._launch(
                     search.plan_search,
@@ -206,7 +204,7 @@ class Solver:
                     [s.moved_far, s.contacts, s.searching, s.crossing_due, s.any_search],
                 )
                 wp.capture_if(s.any_search, self._search)
-            self._step(before_search=(step + 1) % self.config.search_every == 0)
+            self._step(odd=turn % 2 == 1, before_search=(turn + 1) % self.config.search_every == 0)
         s.any_crossing.zero_()
         s.any_running.zero_()
         threads = 1 if m.device == "cpu" else 256
@@ -224,23 +222,21 @@ class Solver:
             + [s.held, s.loose_after, s.moved, s.moved_fast, s.frames, s.untangling, s.any_crossing, s.any_running],
         )
 
-    def _step(self, *, before_search: bool) -> None:
+    def _step(self, *, odd: bool, before_search: bool) -> None:
         m, s = self.model, self.state
-        n, threads = m.n_vertices, self._threads
-        self._launch(
-            elastic.advance, n, [m.worlds, m.cloth, m.rows, s.status, s.time, s.x, s.v, s.ahead], [s.x_new, s.v_new]
-        )
+        threads = self._threads
+        ahead, ahead_next = (s.ahead_next, s.ahead) if odd else (s.ahead, s.ahead_next)
         self._launch(
             contacts.push_contacts,
             threads,
-            [m.worlds, m.cloth, s.contacts, threads, s.status, s.crowd, s.x, s.x_new],
+            [m.worlds, m.cloth, s.contacts, threads, s.status, s.crowd, s.x, s.v],
             [s.time, s.push],
         )
         self._launch(
-            body_contact.finish_step,
-            n,
-            [m.worlds, m.cloth, before_search, s.status, s.held, s.x_new, s.v_new, s.x_searched, s.skin, s.listed],
-            [s.push, s.x, s.v, s.ahead, s.crowd, s.moved_far],
+            step.step,
+            m.n_vertices,
+            [m.worlds, m.cloth, m.rows, before_search, s.status, s.time, s.held, ahead, s.x_searched, s.skin, s.listed],
+            [s.x, s.v, s.push, ahead_next, s.crowd, s.moved_far],
         )
 
     def _find_crossings(self) -> None:

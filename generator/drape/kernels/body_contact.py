@@ -1,17 +1,15 @@
-"""Cloth against the body, by its signed-distance field; and the half-spaces that hold waist and collar for a while."""
+"""Cloth against the body, by its signed-distance field."""
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD
-from gcd_dataset.generator.drape.kernels.push import add_push, add_weight, take_crowd, take_push
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, World
+from gcd_dataset.generator.drape.kernels.push import add_push, add_weight
+from gcd_dataset.generator.drape.kernels.world import Cloth, World
 
 wp.set_module_options({"enable_backward": False})
 
 LEAVING_SPEED = 80.0  # cm/s at which cloth that is already inside the body comes out
-MIDDLE_SHARE = 0.5  # of the gap from the skin, that the middle of an edge keeps
 GRIP = 2.0  # friction of an edge that keeps a garment up, over that of its cloth: it is faced with grip tape
-HOLDING_SPEED = 60.0  # cm/s at which a held edge returns to its half-space
+MIDDLE_SHARE = 0.5  # of the gap from the skin, that the middle of an edge keeps
 
 
 @wp.func
@@ -95,8 +93,8 @@ def push_long_edge(
     world: World,
     cloth: Cloth,
     crowd: wp.array(dtype=float),
-    x_old: wp.array(dtype=wp.vec3),
-    x_new: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
 ):
     """Keep the inside of a long edge off the body."""
@@ -104,7 +102,8 @@ def push_long_edge(
     j = edge[1]
     for quarter in range(1, 4):
         t = 0.25 * float(quarter)
-        here = wp.lerp(x_new[i], x_new[j], t)
+        before = wp.lerp(x[i], x[j], t)
+        here = before + world.dt * wp.lerp(v[i], v[j], t)
         near = sample_field(world, cloth.field, here)
         depth = MIDDLE_SHARE * world.body_gap - near[3]
         if depth <= 0.0:
@@ -115,73 +114,23 @@ def push_long_edge(
         add_weight(push, i, 1.0 - t)
         add_weight(push, j, t)
         normal = wp.vec3(near[0], near[1], near[2])
-        step = here - wp.lerp(x_old[i], x_old[j], t)
+        step = here - before
         out = leave_body(depth, normal, step, world.friction, LEAVING_SPEED * world.dt)
         share = 1.0 / (((1.0 - t) * (1.0 - t) + t * t) * wp.max(crowd[i], crowd[j]))
         add_push(push, i, ((1.0 - t) * share) * out)
         add_push(push, j, (t * share) * out)
 
 
-@wp.kernel
-def finish_step(
-    # model
-    worlds: wp.array(dtype=World),
-    cloth: Cloth,
-    before_search: bool,
-    # state in
-    status: wp.array(dtype=int),
-    held: wp.array(dtype=int),
-    x_new: wp.array(dtype=wp.vec3),
-    v_new: wp.array(dtype=wp.vec3),
-    x_searched: wp.array(dtype=wp.vec3),
-    skin: wp.array(dtype=float),
-    listed: wp.array(dtype=int),
-    # state in and out
-    push: wp.array2d(dtype=int),
-    # state out
-    x: wp.array(dtype=wp.vec3),
-    v: wp.array(dtype=wp.vec3),
-    ahead: wp.array(dtype=wp.vec3),
-    crowd: wp.array(dtype=float),
-    moved_far: wp.array(dtype=int),
-):
-    """Apply the contacts' pushes, hold what is held, keep off the body, and end the step."""
-    i = wp.tid()
-    w = cloth.vertex_world[i]
-    if status[w] != RUNNING:
-        return
-    world = worlds[w]
-    moved = wp.vec3(0.0)
-    if listed[i] != 0:
-        moved = take_push(push, i)
-        crowd[i] = take_crowd(push, i)
-    here = x_new[i] + moved
-    if held[w] != 0:
-        normal = cloth.hold_normal[i]
-        short = cloth.hold_offset[i] - wp.dot(here, normal)
-        if short > 0.0 and wp.length_sq(normal) > 0.0:
-            approach = wp.max(-wp.dot(here - x[i], normal), 0.0)
-            back = wp.min(short, approach + HOLDING_SPEED * world.dt) * normal
-            moved += back
-            here += back
-    if skin[i] < world.clear:
-        near = sample_field(world, cloth.field, here)
-        if near[3] < world.body_gap:
-            part = nearest_part(world, cloth.field_parts, here)
-            if not is_unseen(cloth.unseen_parts[i], part):
-                skin_normal = wp.vec3(near[0], near[1], near[2])
-                friction = world.friction
-                if cloth.keeper[i] != wp.uint8(0):
-                    friction *= GRIP
-                out = leave_body(world.body_gap - near[3], skin_normal, here - x[i], friction, LEAVING_SPEED * world.dt)
-                moved += out
-                here += out
-    speed = v_new[i] + moved / world.dt
-    fast = wp.length(speed)
-    if fast > world.max_speed:
-        speed = speed * (world.max_speed / fast)
-    x[i] = here
-    v[i] = speed
-    ahead[i] = here + (LOOK_AHEAD * world.dt) * speed
-    if before_search and wp.length_sq(here - x_searched[i]) > world.travel * world.travel:
-        moved_far[w] = 1
+@wp.func
+def keep_off_body(i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: Cloth) -> wp.vec3:
+    """Displacement that keeps vertex ``i`` its gap from the skin, and friction against it [cm]."""
+    near = sample_field(world, cloth.field, here)
+    if near[3] >= world.body_gap:
+        return wp.vec3(0.0)
+    if is_unseen(cloth.unseen_parts[i], nearest_part(world, cloth.field_parts, here)):
+        return wp.vec3(0.0)
+    friction = world.friction
+    if cloth.keeper[i] != wp.uint8(0):
+        friction *= GRIP
+    skin = wp.vec3(near[0], near[1], near[2])
+    return leave_body(world.body_gap - near[3], skin, here - before, friction, LEAVING_SPEED * world.dt)

@@ -1,7 +1,8 @@
 """What watched pairs ask of their vertices: to keep the cloth's thickness apart, to come apart, to leave the body.
 
 A pair is found in one of the searches, which also settles on which side its two parts belong; until the next search it
-is pushed apart whenever it comes nearer than the cloth's thickness. Both parts move, by their inertia.
+is pushed apart whenever it comes nearer than the cloth's thickness, by where its vertices go without new forces. Both
+parts move, by their inertia.
 """
 
 import warp as wp
@@ -25,22 +26,22 @@ def push_point(
     world: World,
     inertia: wp.array(dtype=float),
     crowd: wp.array(dtype=float),
-    x_old: wp.array(dtype=wp.vec3),
-    x_new: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
 ):
     """Push a point and a triangle apart if they came too near."""
-    a = x_new[face[0]]
-    b = x_new[face[1]]
-    c = x_new[face[2]]
-    p = x_new[i]
+    a = x[face[0]] + world.dt * v[face[0]]
+    b = x[face[1]] + world.dt * v[face[1]]
+    c = x[face[2]] + world.dt * v[face[2]]
+    p = x[i] + world.dt * v[i]
     weights = closest_on_triangle(p, a, b, c)
     away = p - (weights[0] * a + weights[1] * b + weights[2] * c)
     if wp.length_sq(away) > world.margin * world.margin:
         return
     normal = side * wp.normalize(wp.cross(b - a, c - a))
     gap = wp.dot(away, normal)
-    before = x_old[i] - (weights[0] * x_old[face[0]] + weights[1] * x_old[face[1]] + weights[2] * x_old[face[2]])
+    before = x[i] - (weights[0] * x[face[0]] + weights[1] * x[face[1]] + weights[2] * x[face[2]])
     gap_old = wp.dot(before, normal)
     beside = wp.length_sq(away) - gap * gap  # off the triangle's rim: an edge or a neighbour sees to it
     if is_near(gap - wp.max(gap_old - gap, 0.0), beside, world.thickness):
@@ -76,8 +77,8 @@ def push_edges(
     world: World,
     inertia: wp.array(dtype=float),
     crowd: wp.array(dtype=float),
-    x_old: wp.array(dtype=wp.vec3),
-    x_new: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
 ):
     """Push two edges apart if they came too near; ``found`` is the direction between them when they were found."""
@@ -85,17 +86,21 @@ def push_edges(
     i1 = ends[1]
     j = ends[2]
     j1 = ends[3]
-    st = closest_on_edges(x_new[i], x_new[i1], x_new[j], x_new[j1])
+    p = x[i] + world.dt * v[i]
+    p1 = x[i1] + world.dt * v[i1]
+    q = x[j] + world.dt * v[j]
+    q1 = x[j1] + world.dt * v[j1]
+    st = closest_on_edges(p, p1, q, q1)
     s = st[0]
     t = st[1]
     if s <= 0.0 or s >= 1.0 or t <= 0.0 or t >= 1.0:
         return
-    between = wp.lerp(x_new[j], x_new[j1], t) - wp.lerp(x_new[i], x_new[i1], s)
+    between = wp.lerp(q, q1, t) - wp.lerp(p, p1, s)
     normal = wp.normalize(between)
     if wp.dot(normal, found) < 0.0:
         normal = -normal
     gap = wp.dot(between, normal)
-    gap_old = wp.dot(wp.lerp(x_old[j], x_old[j1], t) - wp.lerp(x_old[i], x_old[i1], s), normal)
+    gap_old = wp.dot(wp.lerp(x[j], x[j1], t) - wp.lerp(x[i], x[i1], s), normal)
     if gap - wp.max(gap_old - gap, 0.0) < world.thickness:
         add_weight(push, i, 1.0 - s)
         add_weight(push, i1, s)
@@ -149,8 +154,8 @@ def push_contacts(
     # state in
     status: wp.array(dtype=int),
     crowd: wp.array(dtype=float),
-    x_old: wp.array(dtype=wp.vec3),
-    x_new: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
     # state in and out
     time: wp.array(dtype=float),
     push: wp.array2d(dtype=int),
@@ -171,13 +176,11 @@ def push_contacts(
         if k < points:
             point = contacts.points[at + k]
             face = wp.vec3i(point[1], point[2], point[3])
-            push_point(point[0], face, contacts.sides[at + k], world, cloth.inertia, crowd, x_old, x_new, push)
+            push_point(point[0], face, contacts.sides[at + k], world, cloth.inertia, crowd, x, v, push)
         elif k < edges:
             k = k - points
-            push_edges(
-                contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, crowd, x_old, x_new, push
-            )
+            push_edges(contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, crowd, x, v, push)
         elif k < longs:
-            push_long_edge(contacts.long_edges[at + k - edges], world, cloth, crowd, x_old, x_new, push)
+            push_long_edge(contacts.long_edges[at + k - edges], world, cloth, crowd, x, v, push)
         else:
-            part_crossing(contacts.crossings[at + k - longs], world, cloth, x_new, push)
+            part_crossing(contacts.crossings[at + k - longs], world, cloth, x, push)

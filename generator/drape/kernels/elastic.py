@@ -1,4 +1,4 @@
-"""Stretch, bending, weight and drag: one gather per vertex, and a step in time without contacts.
+"""Stretch and bending: one gather per vertex.
 
 Stretch is a spring along every mesh edge; bending is the quadratic model of Bergou et al. (2006), a constant matrix. A
 vertex walks its springs and then the vertices that only its
@@ -11,8 +11,6 @@ symplectic Euler step is stable for ``(omega h)² (1 + 2 theta) < 4``.
 """
 
 import warp as wp
-
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, World, sewn_share
 
 wp.set_module_options({"enable_backward": False})
 
@@ -91,41 +89,3 @@ def elastic_force(i: int, sewn: float, rows: Rows, ahead: wp.array(dtype=wp.vec3
         bend = rows.bends[first + k * rows.lanes]
         force -= bend.weight * ahead[bend.vertex]
     return force
-
-
-@wp.kernel
-def advance(
-    # model
-    worlds: wp.array(dtype=World),
-    cloth: Cloth,
-    rows: Rows,
-    # state in
-    status: wp.array(dtype=int),
-    time: wp.array(dtype=float),
-    x_in: wp.array(dtype=wp.vec3),
-    v_in: wp.array(dtype=wp.vec3),
-    ahead: wp.array(dtype=wp.vec3),
-    # state out
-    x_out: wp.array(dtype=wp.vec3),
-    v_out: wp.array(dtype=wp.vec3),
-):
-    """One step of symplectic Euler for every vertex, contacts left for later kernels."""
-    i = wp.tid()
-    w = cloth.vertex_world[i]
-    if status[w] != RUNNING:
-        return
-    world = worlds[w]
-    sewn = sewn_share(world, time[w])
-    force = elastic_force(i, sewn, rows, ahead)
-    drag = world.sewing_damping
-    if time[w] >= world.sewing_time:
-        force += wp.vec3(0.0, -cloth.mass[i] * world.gravity, 0.0)
-        drag = world.damping
-    if wp.dot(v_in[i], force) < 0.0:
-        drag = world.braking
-    v = (v_in[i] + (world.dt / cloth.inertia[i]) * force) * wp.exp(-drag * world.dt)
-    speed = wp.length(v)
-    if speed > world.max_speed:
-        v = v * (world.max_speed / speed)
-    x_out[i] = x_in[i] + world.dt * v
-    v_out[i] = v

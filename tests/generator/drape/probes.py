@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from gcd_dataset.generator.drape.kernels.elastic import Rows, elastic_force
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_triangle, segment_crosses
 
 wp.set_module_options({"enable_backward": False})
@@ -11,6 +12,12 @@ wp.set_module_options({"enable_backward": False})
 def nearest_kernel(points: wp.array2d(dtype=wp.vec3), weights: wp.array(dtype=wp.vec3)):
     i = wp.tid()
     weights[i] = closest_on_triangle(points[i, 0], points[i, 1], points[i, 2], points[i, 3])
+
+
+@wp.kernel
+def elastic_kernel(rows: Rows, sewn: float, x: wp.array(dtype=wp.vec3), force: wp.array(dtype=wp.vec3)):
+    i = wp.tid()
+    force[i] = elastic_force(i, sewn, rows, x)
 
 
 @wp.kernel

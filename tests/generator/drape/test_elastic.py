@@ -8,11 +8,11 @@ import pytest
 import warp as wp
 
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.kernels.elastic import advance
 from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.reference import bending_energy, stretch_energy
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import BoxMesh
+from tests.generator.drape.probes import elastic_kernel
 from tests.helpers import SIZE, far_ball, patch
 
 FABRIC = Fabric(tensile=50.0, bending=2e-5)
@@ -28,14 +28,10 @@ def irregular_patch(rng: np.random.Generator) -> BoxMesh:
 
 def force_on(model: ClothModel, x: np.ndarray) -> np.ndarray:
     """What the kernel makes of positions ``x``, as a force [g cm/s²]."""
-    n = len(x)
     at = wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu")
-    still, x_out, v_out = (wp.zeros(n, dtype=wp.vec3, device="cpu") for _ in range(3))
-    zero = wp.zeros(1, dtype=int, device="cpu")
-    inputs = [model.worlds, model.cloth, model.rows, zero, wp.zeros(1, dtype=float, device="cpu"), at, still, at]
-    wp.launch(advance, dim=n, inputs=inputs, outputs=[x_out, v_out], device="cpu")
-    dt = model.worlds.numpy()["dt"][0]
-    return np.asarray(v_out.numpy() * (model.cloth.inertia.numpy() / dt)[:, None])
+    force = wp.empty_like(at)
+    wp.launch(elastic_kernel, dim=len(x), inputs=[model.rows, 0.0, at], outputs=[force], device="cpu")
+    return np.asarray(force.numpy())
 
 
 def slope_of(energy: Callable[[np.ndarray], float], x: np.ndarray) -> np.ndarray:

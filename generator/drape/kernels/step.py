@@ -1,0 +1,100 @@
+"""A time step of every vertex: symplectic Euler with what contacts ask for, holds and the body."""
+
+import warp as wp
+
+from gcd_dataset.generator.drape.kernels.body_contact import keep_off_body
+from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows, elastic_force
+from gcd_dataset.generator.drape.kernels.push import take_crowd, take_push
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, World, sewn_share
+
+wp.set_module_options({"enable_backward": False})
+
+HOLDING_SPEED = 60.0  # cm/s at which a held edge returns to its half-space
+
+
+@wp.func
+def accelerate(i: int, w: int, world: World, time: float, cloth: Cloth, v: wp.vec3, elastic: wp.vec3) -> wp.vec3:
+    """Velocity after a step under elastic forces, weight and drag [cm/s].
+
+    A vertex that forces slow down is braked harder: so what swings or rings comes to rest in a cycle or two, and what
+    falls is not delayed.
+    """
+    force = elastic
+    drag = world.sewing_damping
+    if time >= world.sewing_time:
+        force += wp.vec3(0.0, -cloth.mass[i] * world.gravity, 0.0)
+        drag = world.damping
+    if wp.dot(v, force) < 0.0:
+        drag = wp.max(drag, world.braking)
+    return slower((v + (world.dt / cloth.inertia[i]) * force) * wp.exp(-drag * world.dt), world.max_speed)
+
+
+@wp.func
+def slower(v: wp.vec3, limit: float) -> wp.vec3:
+    """The velocity, cut to ``limit``."""
+    speed = wp.length(v)
+    if speed > limit:
+        return v * (limit / speed)
+    return v
+
+
+@wp.func
+def hold(i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: Cloth) -> wp.vec3:
+    """Displacement of a held vertex toward its half-space [cm]."""
+    normal = cloth.hold_normal[i]
+    short = cloth.hold_offset[i] - wp.dot(here, normal)
+    if short <= 0.0 or wp.length_sq(normal) == 0.0:
+        return wp.vec3(0.0)
+    approach = wp.max(-wp.dot(here - before, normal), 0.0)
+    return wp.min(short, approach + HOLDING_SPEED * world.dt) * normal
+
+
+@wp.kernel
+def step(
+    # model
+    worlds: wp.array(dtype=World),
+    cloth: Cloth,
+    rows: Rows,
+    before_search: bool,
+    # state in
+    status: wp.array(dtype=int),
+    time: wp.array(dtype=float),
+    held: wp.array(dtype=int),
+    ahead_in: wp.array(dtype=wp.vec3),
+    x_searched: wp.array(dtype=wp.vec3),
+    skin: wp.array(dtype=float),
+    listed: wp.array(dtype=int),
+    # state in and out
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
+    push: wp.array2d(dtype=int),
+    # state out
+    ahead_out: wp.array(dtype=wp.vec3),
+    crowd: wp.array(dtype=float),
+    moved_far: wp.array(dtype=int),
+):
+    """Move every vertex by its forces, then off what it must not enter; mark worlds that have moved far."""
+    i = wp.tid()
+    w = cloth.vertex_world[i]
+    if status[w] != RUNNING:
+        return
+    world = worlds[w]
+    before = x[i]
+    elastic = elastic_force(i, sewn_share(world, time[w]), rows, ahead_in)
+    speed = accelerate(i, w, world, time[w], cloth, v[i], elastic)
+    moved = wp.vec3(0.0)
+    if listed[i] != 0:
+        moved = take_push(push, i)
+        crowd[i] = take_crowd(push, i)
+    here = before + world.dt * speed
+    if held[w] != 0:
+        moved += hold(i, here + moved, before, world, cloth)
+    if skin[i] < world.clear:
+        moved += keep_off_body(i, here + moved, before, world, cloth)
+    here += moved
+    speed = slower(speed + moved / world.dt, world.max_speed)
+    x[i] = here
+    v[i] = speed
+    ahead_out[i] = here + (LOOK_AHEAD * world.dt) * speed
+    if before_search and wp.length_sq(here - x_searched[i]) > world.travel * world.travel:
+        moved_far[w] = 1
