@@ -28,42 +28,33 @@ def coarse_of(job: DrapeJob) -> Coarse | None:
         return None
 
 
-def go_on_from(solver: Solver, coarse: Solver, meshes: Sequence[Coarse], worlds: Sequence[int]) -> None:
-    """Have garments ``worlds`` of ``solver``, made coarser as ``meshes``, start from the end of the coarse drape."""
-    ok = [
-        (world, at, mesh)
-        for at, (world, mesh, status) in enumerate(zip(worlds, meshes, coarse.state.status.numpy(), strict=True))
-        if status != DIVERGED
-    ]
-    model, state, device = solver.model, solver.state, solver.model.device
+def go_on_from(coarse: Solver, fine: Solver, places: Sequence[tuple[int, int, Coarse]]) -> None:
+    """Have garments of ``fine`` start from the end of their coarse drapes, whose worlds in ``coarse`` stand first.
+
+    One whose coarse drape has diverged starts as it is.
+    """
+    status, time, held = (array.numpy() for array in (coarse.state.status, coarse.state.time, coarse.state.held))
+    places = [place for place in places if status[place[0]] != DIVERGED]
+    if not places:
+        return
+    model, state, device = fine.model, fine.state, fine.model.device
     first, first_coarse = model.topology.vertex_offset, coarse.model.topology.vertex_offset
     corners = np.zeros((model.n_vertices, 3), np.int32)
     weights = np.zeros((model.n_vertices, 3), np.float32)
-    time, held, loose = state.time.numpy(), state.held.numpy(), state.loose_after.numpy()
+    times, helds, loose = (array.numpy().copy() for array in (state.time, state.held, state.loose_after))
     frame = model.worlds.numpy()["frame"]
-    for world, at, mesh in ok:
-        span = slice(first[world], first[world + 1])
-        corners[span] = mesh.corners + first_coarse[at]
-        weights[span] = mesh.weights
-        time[world] = coarse.state.time.numpy()[at]
-        held[world] = coarse.state.held.numpy()[at]
-        loose[world] = time[world] + AGAIN_LOOSE * frame[world]
-    state.time.assign(time)
-    state.held.assign(held)
-    state.loose_after.assign(loose)
+    for old, new, mesh in places:
+        span = slice(first[new], first[new + 1])
+        corners[span], weights[span] = mesh.corners + first_coarse[old], mesh.weights
+        times[new], helds[new] = time[old], held[old]
+        loose[new] = time[old] + AGAIN_LOOSE * frame[new]
+    for array, values in ((state.time, times), (state.held, helds), (state.loose_after, loose)):
+        array.assign(values)
+    shares = [wp.array(corners, dtype=wp.vec3i, device=device), wp.array(weights, dtype=wp.vec3, device=device)]
     wp.launch(
         refine,
         dim=model.n_vertices,
-        inputs=[
-            model.worlds,
-            model.cloth.vertex_world,
-            wp.array(corners, dtype=wp.vec3i, device=device),
-            wp.array(weights, dtype=wp.vec3, device=device),
-            coarse.state.x,
-            coarse.state.v,
-        ],
-        outputs=[state.x, state.v, state.ahead],
+        inputs=[model.worlds, model.cloth.vertex_world, *shares, coarse.state.x, coarse.state.v],
+        outputs=[state.x, state.v, state.ahead, state.x_seen, state.x_searched],
         device=device,
     )
-    for seen in (state.x_seen, state.x_searched):
-        wp.copy(seen, state.x)

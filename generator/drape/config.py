@@ -65,7 +65,8 @@ class DrapeConfig:
     search_every: int = 4
     """Time steps after which it is asked whether contacts must be searched anew."""
     max_frames: int = 300
-    """Frames after which a garment that still moves is left as it is."""
+    """Frames after which a garment that still moves is left as it is; half as many of its coarse mesh, where frames are
+    twice as long."""
     coarse_start: bool = True
     """Drape a mesh of twice the spacing first, and go on from its shape."""
     sewing_time: float = 0.2
@@ -93,7 +94,8 @@ class DrapeConfig:
     still_speed: float = 4.0
     """A vertex slower than this rests [cm/s]."""
     calm_speed: float = 18.0
-    """In the last frame it is enough to be slower than this, Korosteleva et al.'s limit: 0.03 cm in 1/600 s [cm/s]."""
+    """From half of the frames on more and more is let pass, in the last one this: 0.03 cm in 1/600 s, the limit of
+    Korosteleva et al. [cm/s]."""
     moving_share: float = 0.015
     """A garment rests when no more than this share of its vertices moves."""
     max_body_crossings: int = 35

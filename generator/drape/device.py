@@ -3,6 +3,7 @@
 import logging
 import os
 import sys
+import threading
 from functools import cache
 from types import ModuleType
 
@@ -10,12 +11,16 @@ import warp as wp
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["load_kernels", "resolve_device"]
+__all__ = ["load_kernels", "one_at_a_time", "resolve_device"]
 
 logger = logging.getLogger("gcd_dataset")
 
 # Warp announces every module it loads; in a data loader's workers that drowns what the user prints.
 wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)
+
+one_at_a_time = threading.RLock()
+"""Held wherever kernels are launched or recorded, since a recording takes in what any thread launches on its device;
+graphs are played without it."""
 
 _loaded: set[tuple[str, str]] = set()
 

@@ -3,7 +3,7 @@
 What stays the same during a drape is the ``ClothModel``; what changes is the ``ClothState``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,14 +52,18 @@ class ClothModel:
         return int(self.topology.edge_offset[-1])
 
 
-def build_model(jobs: Sequence[DrapeJob], config: DrapeConfig, device: str) -> ClothModel:
-    """The batch on a device, in the order of the jobs."""
+def build_model(
+    jobs: Sequence[DrapeJob], config: DrapeConfig, device: str, *, halved: Container[int] = ()
+) -> ClothModel:
+    """The batch on a device, in the order of the jobs; those ``halved`` may run for half of the frames."""
     keepers = [held_from_below(job) for job in jobs]
     topology = build_topology(jobs, [ids for ids, _ in keepers], device)
     bodies = tuple(body_field(job.body, device) for job in jobs)
     fields, offsets, parts = _join_fields(bodies, device)
     steps = _time_steps(topology)
     worlds = [_world(job, config) for job in jobs]
+    for number, world in enumerate(worlds):
+        world.max_frames = config.max_frames // 2 if number in halved else config.max_frames
     for world, step, lengths, start, end in zip(
         worlds, steps, _usual_lengths(topology), topology.vertex_offset, topology.vertex_offset[1:], strict=False
     ):
@@ -153,7 +157,7 @@ def _add_garment(world: World, config: DrapeConfig, step: float, length: float, 
     world.near = float(np.hypot(world.margin, length))
     world.clear = config.body_gap + world.travel + config.search_every * config.max_speed * step
     world.frame = frame
-    world.still, world.hasty = config.still_speed * frame, config.calm_speed * frame
+    world.still, world.calm = config.still_speed * frame, config.calm_speed * frame
     world.restless = config.moving_share * size
     world.falling = config.falling_share * size
 

@@ -1,41 +1,64 @@
 """How a drape ended: at rest, through the body, through itself, or on the floor."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
+from gcd_dataset.generator.drape.device import one_at_a_time
 from gcd_dataset.generator.drape.holds import held_from_below
-from gcd_dataset.records import Outcome
+from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE
+from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.records import Drape, Outcome
 
-__all__ = ["judge", "slid_off"]
+__all__ = ["collect", "slid_off"]
 
 
-def judge(
-    job: DrapeJob,
-    vertices: Float[np.ndarray, "v 3"],
-    config: DrapeConfig,
-    *,
-    running: bool,
-    diverged: bool,
-    overfull: bool,
-    self_crossings: int,
-    body_crossings: int,
-    stretch_p99: float,
-) -> Outcome:
+def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> list[Drape]:
+    """The drapes of some of a batch's garments: ``jobs`` in the given worlds."""
+    if not worlds:
+        return []
+    state, topology = solver.state, solver.model.topology
+    with one_at_a_time:
+        chosen = np.isin(np.arange(solver.model.n_worlds), worlds)
+        self_crossings, body_crossings = solver.self_crossings(chosen), solver.body_crossings(chosen)
+        stretches = solver.stretches()
+    x, status, frames, overfull = (a.numpy() for a in (state.x, state.status, state.frames, state.contacts.overfull))
+    drapes = []
+    for job, w in zip(jobs, worlds, strict=True):
+        vertices = np.array(x[topology.vertex_offset[w] : topology.vertex_offset[w + 1]], np.float32)
+        median, p99 = np.percentile(stretches[topology.edge_offset[w] : topology.edge_offset[w + 1]], [50, 99])
+        drape = Drape(
+            vertices=vertices,
+            outcome=Outcome.SETTLED,
+            frames=int(frames[w]),
+            self_crossings=int(self_crossings[w]),
+            body_crossings=int(body_crossings[w]),
+            stretch_median=float(median),
+            stretch_p99=float(p99),
+        )
+        outcome = _judge(job, drape, solver.config, int(status[w]), overfull=bool(overfull[w]))
+        drapes.append(replace(drape, outcome=outcome))
+    return drapes
+
+
+def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> Outcome:
     """The first of the failures that applies, gravest first; else settled."""
-    if diverged or not np.isfinite(vertices).all():
+    if status == DIVERGED or not np.isfinite(drape.vertices).all():
         return Outcome.DIVERGED
     if overfull:
         return Outcome.OVERFULL
-    if slid_off(job, vertices):
+    if slid_off(job, drape.vertices):
         return Outcome.SLID_OFF
-    if running:
+    if status != DONE:
         return Outcome.NOT_SETTLED
-    if body_crossings > config.max_body_crossings:
+    if drape.body_crossings > config.max_body_crossings:
         return Outcome.THROUGH_BODY
-    if self_crossings > config.max_self_crossings:
+    if drape.self_crossings > config.max_self_crossings:
         return Outcome.THROUGH_ITSELF
-    if stretch_p99 > config.max_stretch:
+    if drape.stretch_p99 > config.max_stretch:
         return Outcome.OVERSTRETCHED
     return Outcome.SETTLED
 

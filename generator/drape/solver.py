@@ -5,9 +5,10 @@ from types import ModuleType
 
 import numpy as np
 import warp as wp
+from jaxtyping import Bool, Int
 
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import load_kernels
+from gcd_dataset.generator.drape.device import load_kernels, one_at_a_time
 from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, search, step, stillness
 from gcd_dataset.generator.drape.kernels.world import Contacts
 from gcd_dataset.generator.drape.model import ClothModel
@@ -56,14 +57,17 @@ class ClothState:
     """(w) ``RUNNING``, ``DONE`` or ``DIVERGED``."""
     frames: wp.array
     """(w) frames it has run."""
-    moved: wp.array
-    """(w) vertices that moved in the last frame, and those that moved fast."""
-    moved_fast: wp.array
     moving: wp.array
+    """(w) vertices that moved in this frame, those that moved fast, and the sum of the keepers' heights."""
     hasty: wp.array
     kept_height: wp.array
     moved_far: wp.array
     """(w) whether a vertex has moved so far that contacts must be searched anew."""
+    fewest: wp.array
+    """(w) the fewest crossings so far since it was let go, and the frame they were found in."""
+    fewest_at: wp.array
+    parting: wp.array
+    """(w) whether what crosses is pushed apart."""
     searching: wp.array
     crossing_due: wp.array
     untangling: wp.array
@@ -114,12 +118,13 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         loose_after=zeros(worlds, float),
         status=zeros(worlds, int),
         frames=zeros(worlds, int),
-        moved=zeros(worlds, int),
-        moved_fast=zeros(worlds, int),
         moving=zeros(worlds, int),
         hasty=zeros(worlds, int),
         kept_height=zeros(worlds, int),
         moved_far=wp.ones(worlds, dtype=int, device=model.device),
+        fewest=zeros(worlds, int),
+        fewest_at=zeros(worlds, int),
+        parting=wp.ones(worlds, dtype=int, device=model.device),
         searching=zeros(worlds, int),
         crossing_due=zeros(worlds, int),
         untangling=wp.ones(worlds, dtype=int, device=model.device),
@@ -154,33 +159,39 @@ class Solver:
 
     def frame(self) -> None:
         """One frame: ``config.substeps`` time steps, and the count of what still moves."""
-        if self.frames % REBUILD_EVERY == 0 and self.frames:
-            self._bound()
-            self._bvh.rebuild()
+        if self.frames % REBUILD_EVERY == 0:
+            with one_at_a_time:
+                self._bound()
+                self._bvh.rebuild()
         if self._graph is None:
-            with wp.ScopedCapture(device=self.model.device) as capture:
+            with one_at_a_time, wp.ScopedCapture(device=self.model.device) as capture:
                 self._record_frame()
             self._graph = capture.graph
         wp.capture_launch(self._graph)
         self.frames += 1
 
-    def self_crossings(self) -> np.ndarray:
-        """Edges of each world that cross its cloth."""
+    def self_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
+        """Edges of each world that cross its cloth; 0 for those that are not asked for."""
         m = self.model
+        asked = self._asked(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
         self._bound()
         self._bvh.refit()
         self._launch(crossing.find_roots, m.n_worlds, [self._bvh.id], [self._roots])
         self._launch(
-            crossing.count_self_crossings, m.n_edges, [m.cloth, self._bvh.id, self._roots, self.state.x], [counts]
+            crossing.count_self_crossings,
+            m.n_edges,
+            [m.cloth, self._bvh.id, self._roots, asked, self.state.x],
+            [counts],
         )
         return counts.numpy()
 
-    def body_crossings(self) -> np.ndarray:
-        """Edges of each world that cross its body."""
+    def body_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
+        """Edges of each world that cross its body; 0 for those that are not asked for."""
         m = self.model
+        asked = self._asked(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
-        self._launch(crossing.count_body_crossings, m.n_edges, [m.cloth, self.state.x], [counts])
+        self._launch(crossing.count_body_crossings, m.n_edges, [m.cloth, asked, self.state.x], [counts])
         return counts.numpy()
 
     def stretches(self) -> np.ndarray:
@@ -189,6 +200,10 @@ class Solver:
         ratio = wp.empty(m.n_edges, dtype=float, device=m.device)
         self._launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.topology.spring, self.state.x], [ratio])
         return ratio.numpy()
+
+    def _asked(self, worlds: Bool[np.ndarray, " w"] | None) -> wp.array:
+        every = np.ones(self.model.n_worlds, bool)
+        return wp.array((every if worlds is None else worlds).astype(np.int32), dtype=int, device=self.model.device)
 
     def _record_frame(self) -> None:
         m, s = self.model, self.state
@@ -211,7 +226,7 @@ class Solver:
         self._launch(
             stillness.watch_frame,
             (m.n_worlds, threads),
-            [m.worlds, m.cloth, threads, s.x],
+            [m.worlds, m.cloth, threads, s.frames, s.x],
             [s.status, s.x_seen, s.moving, s.hasty, s.kept_height],
         )
         self._launch(
@@ -219,7 +234,17 @@ class Solver:
             m.n_worlds,
             [m.worlds, s.time],
             [s.crossing_due, s.contacts.crossing_count, s.status, s.moving, s.hasty, s.kept_height]
-            + [s.held, s.loose_after, s.moved, s.moved_fast, s.frames, s.untangling, s.any_crossing, s.any_running],
+            + [
+                s.held,
+                s.loose_after,
+                s.fewest,
+                s.fewest_at,
+                s.parting,
+                s.frames,
+                s.untangling,
+                s.any_crossing,
+                s.any_running,
+            ],
         )
 
     def _step(self, *, odd: bool, before_search: bool) -> None:
@@ -229,7 +254,7 @@ class Solver:
         self._launch(
             contacts.push_contacts,
             threads,
-            [m.worlds, m.cloth, s.contacts, threads, s.status, s.crowd, s.x, s.v],
+            [m.worlds, m.cloth, s.contacts, threads, s.status, s.parting, s.crowd, s.x, s.v],
             [s.time, s.push],
         )
         self._launch(

@@ -153,6 +153,7 @@ def push_contacts(
     threads: int,
     # state in
     status: wp.array(dtype=int),
+    parting: wp.array(dtype=int),
     crowd: wp.array(dtype=float),
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
@@ -182,5 +183,5 @@ def push_contacts(
             push_edges(contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, crowd, x, v, push)
         elif k < longs:
             push_long_edge(contacts.long_edges[at + k - edges], world, cloth, crowd, x, v, push)
-        else:
+        elif parting[w] != 0:
             part_crossing(contacts.crossings[at + k - longs], world, cloth, x, push)

@@ -142,6 +142,7 @@ def count_self_crossings(
     cloth: Cloth,
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
+    asked: wp.array(dtype=int),
     # state in
     x: wp.array(dtype=wp.vec3),
     # out
@@ -152,6 +153,8 @@ def count_self_crossings(
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
     w = cloth.vertex_world[i]
+    if asked[w] == 0:
+        return
     p = x[i]
     q = x[j]
     query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), roots[w])
@@ -169,6 +172,7 @@ def count_self_crossings(
 def count_body_crossings(
     # model
     cloth: Cloth,
+    asked: wp.array(dtype=int),
     # state in
     x: wp.array(dtype=wp.vec3),
     # out
@@ -178,6 +182,8 @@ def count_body_crossings(
     e = wp.tid()
     i = cloth.edges[e][0]
     w = cloth.vertex_world[i]
+    if asked[w] == 0:
+        return
     along = x[cloth.edges[e][1]] - x[i]
     length = wp.length(along)
     if length > 0.0:

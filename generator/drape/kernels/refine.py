@@ -22,6 +22,8 @@ def refine(
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
     ahead: wp.array(dtype=wp.vec3),
+    x_seen: wp.array(dtype=wp.vec3),
+    x_searched: wp.array(dtype=wp.vec3),
 ):
     """Each vertex between three of the coarse cloth; those without weights stay as they are."""
     i = wp.tid()
@@ -32,5 +34,7 @@ def refine(
     here = share[0] * x_coarse[corner[0]] + share[1] * x_coarse[corner[1]] + share[2] * x_coarse[corner[2]]
     speed = share[0] * v_coarse[corner[0]] + share[1] * v_coarse[corner[1]] + share[2] * v_coarse[corner[2]]
     x[i] = here
+    x_seen[i] = here
+    x_searched[i] = here
     v[i] = speed
     ahead[i] = here + (LOOK_AHEAD * worlds[vertex_world[i]].dt) * speed

@@ -3,11 +3,19 @@
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.push import HEIGHT_SCALE
-from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, RUNNING, Cloth, World
+from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, RUNNING, STOPPED, Cloth, World
 
 wp.set_module_options({"enable_backward": False})
 
 CROSSINGS_EVERY = 2  # frames
+PATIENCE = 40  # frames in which crossings must become fewer, or the cloth is left to rest with them
+
+
+@wp.func
+def still_limit(world: World, frame: int) -> float:
+    """How far a vertex may move in a frame and count as resting [cm]: more in the second half of the time."""
+    late = wp.max(2.0 * float(frame) / float(world.max_frames) - 1.0, 0.0)
+    return wp.lerp(world.still, world.calm, late)
 
 
 @wp.kernel
@@ -17,6 +25,7 @@ def watch_frame(
     cloth: Cloth,
     threads: int,
     # state in
+    frames: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state in and out
     status: wp.array(dtype=int),
@@ -31,6 +40,7 @@ def watch_frame(
     if status[w] != RUNNING:
         return
     world = worlds[w]
+    limit = still_limit(world, frames[w] + 1)
     count = int(0)
     fast = int(0)
     height = int(0)
@@ -38,9 +48,9 @@ def watch_frame(
         moved = wp.length(x[i] - x_seen[i])
         if not wp.isfinite(moved):
             status[w] = DIVERGED
-        if moved > world.still:
+        if moved > limit:
             count += 1
-        if moved > world.hasty:
+        if moved > world.calm:
             fast += 1
         if cloth.keeper[i] != wp.uint8(0):
             height += int(wp.clamp(x[i][1], -1000.0, 1000.0) * HEIGHT_SCALE)
@@ -68,9 +78,10 @@ def end_frame(
     kept_height: wp.array(dtype=int),
     held: wp.array(dtype=int),
     loose_after: wp.array(dtype=float),
+    fewest: wp.array(dtype=int),
+    fewest_at: wp.array(dtype=int),
     # state out
-    moved: wp.array(dtype=int),
-    moved_fast: wp.array(dtype=int),
+    parting: wp.array(dtype=int),
     frames: wp.array(dtype=int),
     untangling: wp.array(dtype=int),
     any_crossing: wp.array(dtype=int),
@@ -78,7 +89,8 @@ def end_frame(
 ):
     """Let go of garments that have fallen into place; end the drape of those that then rest, or that nothing keeps up.
 
-    Crossings are looked for in the next frame where the garment has moved, in every second frame if it had none.
+    Crossings are looked for in the next frame where the garment has moved, in every second frame if it had none. Where
+    they do not become fewer any more, nothing is done about them: pushed without end, a garment would never rest.
     """
     w = wp.tid()
     if status[w] == RUNNING:
@@ -91,13 +103,21 @@ def end_frame(
         if held[w] == 0 and time[w] > loose_after[w]:
             if float(moving[w]) <= world.restless:
                 status[w] = DONE
-            if world.keepers > 0 and float(kept_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers):
+            if (
+                status[w] == RUNNING
+                and world.keepers > 0
+                and float(kept_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers)
+            ):
                 status[w] = DONE
-    moved[w] = moving[w]
-    moved_fast[w] = hasty[w]
+        if status[w] == RUNNING and frames[w] >= world.max_frames:
+            status[w] = STOPPED
     moving[w] = 0
     hasty[w] = 0
     kept_height[w] = 0
+    if untangling[w] != 0 and (crossing_count[w] < fewest[w] or crossing_count[w] == 0 or held[w] != 0):
+        fewest[w] = crossing_count[w]
+        fewest_at[w] = frames[w]
+    parting[w] = int(frames[w] - fewest_at[w] <= PATIENCE)
     untangling[w] = 0
     if status[w] == RUNNING:
         any_running[0] = 1

@@ -7,6 +7,7 @@ wp.set_module_options({"enable_backward": False})
 RUNNING = 0
 DONE = 1
 DIVERGED = 2
+STOPPED = 3  # out of frames
 
 
 @wp.struct
@@ -31,8 +32,9 @@ class World:
     near: float  # cm, vertices nearer than this may belong to such a pair
     travel: float  # cm that a vertex may move until the next search
     clear: float  # cm from the skin, from where no vertex reaches it before the next search
+    max_frames: int
     still: float  # cm in a frame: a vertex that moves less rests
-    hasty: float  # cm in a frame: more than a garment may that is given up only for lack of time
+    calm: float  # cm in a frame: one that moves less counts as resting in the last frame
     restless: float  # vertices that may move in a garment at rest
     falling: float  # vertices that may move fast in a garment that is let go
     frame: float  # s

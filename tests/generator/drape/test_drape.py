@@ -1,5 +1,7 @@
 """Whole drapes: outcomes, and that nothing but the garment decides them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,6 +10,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
 from gcd_dataset.generator.drape.holds import holds
 from gcd_dataset.generator.drape.outcome import slid_off
+from gcd_dataset.generator.drape.queue import drape_in_turn
 from gcd_dataset.records import BoxMesh, Outcome
 from tests.helpers import SIZE, body_from, patch, tube
 
@@ -49,11 +52,37 @@ def test_too_few_frames_are_reported() -> None:
     assert drape.frames == 5
 
 
-@pytest.mark.parametrize(("calm_speed", "outcome"), [(18.0, Outcome.SETTLED), (1e-6, Outcome.NOT_SETTLED)])
-def test_at_the_last_frame_it_is_enough_to_be_calm(calm_speed: float, outcome: Outcome) -> None:
-    never_still = DrapeConfig(still_speed=1e-9, calm_speed=calm_speed, max_frames=60)
-    [drape] = drape_batch([on_a_ball(5)], never_still, device="cpu")
-    assert (drape.outcome, drape.frames) == (outcome, 60)
+def test_late_it_is_enough_to_be_calm() -> None:
+    """What never hangs quite still is let pass in the second half of the frames, if it is slow enough."""
+    never_still = DrapeConfig(still_speed=1e-9, max_frames=60)
+    [slow] = drape_batch([on_a_ball(5)], never_still, device="cpu")
+    assert slow.outcome is Outcome.SETTLED
+    assert 30 < slow.frames <= 60
+    [too_fast] = drape_batch([on_a_ball(5)], replace(never_still, calm_speed=1e-6), device="cpu")
+    assert (too_fast.outcome, too_fast.frames) == (Outcome.NOT_SETTLED, 60)
+
+
+@pytest.mark.parametrize("few", [1, 10_000])
+def test_a_garment_drapes_alike_whoever_leaves_and_joins_its_batch(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a coarse start and without: garments change places, are carried over and go on from coarse ones."""
+    monkeypatch.setattr("gcd_dataset.generator.drape.coarse_start.FEW", few)
+    jobs = [on_a_ball(columns) for columns in (9, 5, 8, 6, 7)]
+    config = DrapeConfig(max_frames=60)
+    alone = [drape for job in jobs for _, drape in drape_in_turn([job], config, device="cpu", at_once=1)]
+    in_turn = dict(drape_in_turn(iter(jobs), config, device="cpu", at_once=3))
+    assert [in_turn[number] for number in range(len(jobs))] == alone
+    assert len({drape.frames for drape in alone}) > 2  # they did not end together
+    assert drape_batch(jobs, config, device="cpu", at_once=2) == alone
+
+
+def test_a_coarse_start_comes_to_the_same_shape(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.drape.coarse_start.FEW", 1)
+    job = on_a_ball(9)
+    [with_start], [without] = (
+        drape_batch([job], DrapeConfig(coarse_start=coarse), device="cpu") for coarse in (True, False)
+    )
+    assert with_start.vertices != pytest.approx(without.vertices, abs=1e-6)
+    assert with_start.vertices == pytest.approx(without.vertices, abs=1.0)
 
 
 def test_what_nothing_holds_up_slides_off() -> None:

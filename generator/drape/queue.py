@@ -1,0 +1,113 @@
+"""Garments that take turns in a batch: one that has come to rest gives its place to the next.
+
+A garment has two turns, its coarse mesh first and then itself, from the shape that the coarse one has come to. What
+happens in a turn does not depend on when it begins, nor on who else is in the batch.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Self
+
+import numpy as np
+from jaxtyping import Bool
+
+from gcd_dataset.generator.drape.carry import carry_over
+from gcd_dataset.generator.drape.coarse_start import coarse_of, go_on_from
+from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob, Fabric
+from gcd_dataset.generator.drape.device import one_at_a_time
+from gcd_dataset.generator.drape.kernels.world import RUNNING
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.outcome import collect
+from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.mesh.coarsen import Coarse
+from gcd_dataset.records import Drape
+
+__all__ = ["drape_in_turn"]
+
+COARSE_THICKNESS = 2.5  # of the fabric's
+POLL_EVERY = 4  # frames after which the device is asked which garments still move
+IDLE = 0.5  # share of the places that may stand empty while garments wait for one
+
+
+def drape_in_turn(
+    jobs: Iterable[DrapeJob], config: DrapeConfig, *, device: str, at_once: int
+) -> Iterator[tuple[int, Drape]]:
+    """The number and the drape of each job, in the order in which they come to rest; ``at_once`` share the device."""
+    waiting = (_Turn.first(number, job, config) for number, job in enumerate(jobs))
+    turns = list(islice(waiting, at_once))
+    any_wait, before = len(turns) == at_once, None
+    while turns:
+        solver = _begin(turns, before, config, device)
+        running = _run(solver, turns, any_wait)
+        frames = solver.state.frames.numpy()
+        ended = [k for k in np.flatnonzero(~running).tolist() if turns[k].coarse is None]
+        for k, drape in zip(ended, collect(solver, [turns[k].whole for k in ended], ended), strict=True):
+            yield turns[k].number, replace(drape, frames=drape.frames + turns[k].frames_before)
+        going_on = [turns[k].goes_on(k) for k in np.flatnonzero(running).tolist()]
+        refined = [turn.refined(k, int(frames[k])) for k, turn in enumerate(turns) if turn.coarse and not running[k]]
+        turns = going_on + refined
+        turns += islice(waiting, at_once - len(turns))
+        any_wait, before = len(turns) == at_once, solver
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """A garment's place in a batch: for its coarse mesh first, if it has one, then for itself."""
+
+    number: int
+    whole: DrapeJob
+    coarse: Coarse | None
+    frames_before: int = 0
+    """Those of the coarse mesh, once it is done."""
+    old_place: int | None = None
+    """Its world in the batch before."""
+    start_from: Coarse | None = None
+    """The coarse mesh in that place, whose shape this turn starts from."""
+
+    @classmethod
+    def first(cls, number: int, job: DrapeJob, config: DrapeConfig) -> Self:
+        return cls(number, job, coarse_of(job) if config.coarse_start else None)
+
+    @property
+    def job(self) -> DrapeJob:
+        if self.coarse is None:
+            return self.whole
+        return replace(self.whole, box_mesh=self.coarse.mesh, fabric=_thicker(self.whole.fabric))
+
+    def goes_on(self, place: int) -> Self:
+        """The same turn in the next batch."""
+        return replace(self, old_place=place, start_from=None)
+
+    def refined(self, place: int, frames: int) -> Self:
+        """The turn after that of the coarse mesh."""
+        return replace(self, coarse=None, frames_before=frames, old_place=place, start_from=self.coarse)
+
+
+def _thicker(fabric: Fabric) -> Fabric:
+    """Layers are kept further apart while the mesh is coarse, lest they cross when chords become folds again."""
+    return replace(fabric, thickness=COARSE_THICKNESS * fabric.thickness)
+
+
+def _begin(turns: Sequence[_Turn], before: Solver | None, config: DrapeConfig, device: str) -> Solver:
+    """The next batch, with what it takes over from the one before."""
+    with one_at_a_time:
+        halved = [k for k, turn in enumerate(turns) if turn.coarse]
+        solver = Solver(build_model([turn.job for turn in turns], config, device, halved=halved), config)
+        if before is not None:
+            places = [(t.old_place, k, t.start_from) for k, t in enumerate(turns) if t.old_place is not None]
+            carry_over(before, solver, [(old, new) for old, new, mesh in places if mesh is None])
+            go_on_from(before, solver, [(old, new, mesh) for old, new, mesh in places if mesh is not None])
+    return solver
+
+
+def _run(solver: Solver, turns: Sequence[_Turn], any_wait: bool) -> Bool[np.ndarray, " w"]:
+    """Step until nothing moves, or many places stand empty that others wait for; which garments still move."""
+    refining = np.array([turn.coarse is not None for turn in turns])
+    while True:
+        running = solver.state.status.numpy() == RUNNING
+        idle = ~running if any_wait else ~running & refining
+        if not running.any() or idle.sum() >= max(1, IDLE * len(turns)):
+            return running
+        for _ in range(POLL_EVERY):
+            solver.frame()
