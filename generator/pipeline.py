@@ -13,7 +13,7 @@ from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_
 from gcd_dataset.generator.body.population import SEXES
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
 from gcd_dataset.generator.garments.design import Bottom
-from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.generator.mesh import Coarse, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of, versions
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Drape, Measurements, Outcome, Pattern, Provenance, Sample
@@ -108,6 +108,7 @@ class _Dressed:
     size: Measurements
     pattern: Pattern
     box_mesh: BoxMesh | None
+    coarse: Coarse | None
 
 
 @dataclass(frozen=True)
@@ -190,7 +191,8 @@ def _dress(wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> _Dresse
         mesh = build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None
     except MeshError as error:
         return Reject("cannot_be_meshed", str(error))
-    return _Dressed(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh)
+    coarse = coarse_start(mesh) if mesh is not None and config.stage == "drape" else None
+    return _Dressed(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse)
 
 
 def _drape(load: Sequence[_Design], config: MakeConfig) -> Iterator[tuple[Drape | None, ...]]:
@@ -200,7 +202,11 @@ def _drape(load: Sequence[_Design], config: MakeConfig) -> Iterator[tuple[Drape 
     from gcd_dataset.generator.drape import DrapeJob, drape_batch
 
     everyone = chain.from_iterable(design.dressed for design in load)
-    jobs = [DrapeJob(worn.box_mesh, worn.body, worn.size) for worn in everyone if worn.box_mesh is not None]
+    jobs = [
+        DrapeJob(worn.box_mesh, worn.body, worn.size, coarse=worn.coarse)
+        for worn in everyone
+        if worn.box_mesh is not None
+    ]
     drapes = iter(drape_batch(jobs, device=config.device))
     return (tuple(islice(drapes, len(design.dressed))) for design in load)
 

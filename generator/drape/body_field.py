@@ -5,8 +5,11 @@ solid, and cloth finds neither a cavity nor a second skin behind the first.
 """
 
 import hashlib
+import weakref
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import partial
+from weakref import WeakValueDictionary
 
 import numpy as np
 import warp as wp
@@ -24,6 +27,9 @@ KEPT = 8  # fields kept for bodies that are dressed again
 FOREARM = 30  # what the drape calls an arm from the elbow on, with the hand; no ``BodyPart``
 ELBOW = 0.42  # of the way from the shoulder to the finger tips
 
+
+_digested: dict[int, tuple[weakref.ref[Body], tuple[bytes, bytes]]] = {}
+_in_use: WeakValueDictionary[tuple[str, bytes], "BodyField"] = WeakValueDictionary()
 _kept: OrderedDict[tuple[str, bytes], "BodyField"] = OrderedDict()
 _skins: OrderedDict[bytes, Skin] = OrderedDict()
 
@@ -45,16 +51,29 @@ class BodyField:
 
 def body_field(body: Body, device: str) -> BodyField:
     """The field of a body on a device; made once for each body and kept while it is in use."""
-    skin = hashlib.sha256(np.ascontiguousarray(body.faces, np.int32).tobytes())
-    skin.update(np.ascontiguousarray(body.parts, np.uint8).tobytes())
-    shape = hashlib.sha256(np.ascontiguousarray(body.vertices, np.float32).tobytes())
-    key = (device, skin.digest() + shape.digest())
-    if key not in _kept:
-        _kept[key] = _make_field(body, _skin(skin.digest(), body), device)
-        if len(_kept) > KEPT:
-            _kept.popitem(last=False)
+    skin, shape = _digests(body)
+    key = (device, skin + shape)
+    field = _in_use.get(key)
+    if field is None:
+        field = _in_use[key] = _make_field(body, _skin(skin, body), device)
+    _kept[key] = field
     _kept.move_to_end(key)
-    return _kept[key]
+    if len(_kept) > KEPT:
+        _kept.popitem(last=False)
+    return field
+
+
+def _digests(body: Body) -> tuple[bytes, bytes]:
+    """What tells a body's faces and parts from others', and its shape; worked out once for each object."""
+    same, found = _digested.get(id(body), (None, None))
+    if found is None or same is None or same() is not body:
+        skin = hashlib.sha256(np.ascontiguousarray(body.faces, np.int32).tobytes())
+        skin.update(np.ascontiguousarray(body.parts, np.uint8).tobytes())
+        shape = hashlib.sha256(np.ascontiguousarray(body.vertices, np.float32).tobytes())
+        found = skin.digest(), shape.digest()
+        forget = partial(_digested.pop, id(body), None)
+        _digested[id(body)] = (weakref.ref(body, lambda _: forget()), found)
+    return found
 
 
 def _skin(digest: bytes, body: Body) -> Skin:

@@ -5,27 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.generator.drape.kernels.refine import refine
 from gcd_dataset.generator.drape.kernels.world import DIVERGED
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.generator.mesh.coarsen import Coarse, coarsen
+from gcd_dataset.generator.mesh.coarsen import Coarse
 
-__all__ = ["coarse_of", "go_on_from"]
+__all__ = ["go_on_from"]
 
-FEW = 1000  # vertices that are draped as fast as they are
 AGAIN_LOOSE = 4  # frames after which a fine garment that goes on may be found at rest
-
-
-def coarse_of(job: DrapeJob) -> Coarse | None:
-    """The job's box mesh made coarser; None for one that is small or too narrow somewhere, which starts as it is."""
-    if job.coarse is not None or len(job.box_mesh.vertices) < FEW:
-        return job.coarse
-    try:
-        return coarsen(job.box_mesh)
-    except MeshError:
-        return None
 
 
 def go_on_from(coarse: Solver, fine: Solver, places: Sequence[tuple[int, int, Coarse]]) -> None:

@@ -13,14 +13,14 @@ import numpy as np
 from jaxtyping import Bool
 
 from gcd_dataset.generator.drape.carry import carry_over
-from gcd_dataset.generator.drape.coarse_start import coarse_of, go_on_from
+from gcd_dataset.generator.drape.coarse_start import go_on_from
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob, Fabric
 from gcd_dataset.generator.drape.device import one_at_a_time
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.generator.mesh.coarsen import Coarse
+from gcd_dataset.generator.mesh import Coarse, coarse_start
 from gcd_dataset.records import Drape
 
 __all__ = ["drape_in_turn"]
@@ -67,7 +67,8 @@ class _Turn:
 
     @classmethod
     def first(cls, number: int, job: DrapeJob, config: DrapeConfig) -> Self:
-        return cls(number, job, coarse_of(job) if config.coarse_start else None)
+        coarse = (job.coarse or coarse_start(job.box_mesh)) if config.coarse_start else None
+        return cls(number, job, coarse)
 
     @property
     def job(self) -> DrapeJob:

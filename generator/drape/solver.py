@@ -316,4 +316,5 @@ class Solver:
         return 1 if self.model.device == "cpu" else min(GPU_THREADS, 2 * self.model.n_vertices)
 
     def _launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.model.device)
+        block = 64 if self.model.n_vertices < GPU_THREADS else 256  # small blocks, lest one garment fills half of a GPU
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.model.device, block_dim=block)

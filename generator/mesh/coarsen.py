@@ -16,9 +16,10 @@ from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.triangulate import triangulate
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["Coarse", "coarsen"]
+__all__ = ["Coarse", "coarse_start", "coarsen"]
 
 STRAIGHT = np.cos(np.radians(25.0))  # a border point that turns the outline further than this is kept
+FEW = 1000  # vertices that are draped as fast without
 CANDIDATES = 6  # nearest triangles among which a point's own is looked for
 
 
@@ -35,6 +36,16 @@ class Coarse:
     def refine(self, values: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "v 3"]:
         """Positions or velocities of the coarse vertices, at the fine ones."""
         return np.einsum("vk,vkd->vd", self.weights, values[self.corners])
+
+
+def coarse_start(mesh: BoxMesh) -> Coarse | None:
+    """What a drape of the mesh starts with; None for one that is small, or too narrow somewhere."""
+    if len(mesh.vertices) < FEW:
+        return None
+    try:
+        return coarsen(mesh)
+    except MeshError:
+        return None
 
 
 def coarsen(mesh: BoxMesh) -> Coarse:

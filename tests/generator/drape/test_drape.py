@@ -65,7 +65,7 @@ def test_late_it_is_enough_to_be_calm() -> None:
 @pytest.mark.parametrize("few", [1, 10_000])
 def test_a_garment_drapes_alike_whoever_leaves_and_joins_its_batch(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a coarse start and without: garments change places, are carried over and go on from coarse ones."""
-    monkeypatch.setattr("gcd_dataset.generator.drape.coarse_start.FEW", few)
+    monkeypatch.setattr("gcd_dataset.generator.mesh.coarsen.FEW", few)
     jobs = [on_a_ball(columns) for columns in (9, 5, 8, 6, 7)]
     config = DrapeConfig(max_frames=60)
     alone = [drape for job in jobs for _, drape in drape_in_turn([job], config, device="cpu", at_once=1)]
@@ -76,7 +76,7 @@ def test_a_garment_drapes_alike_whoever_leaves_and_joins_its_batch(few: int, mon
 
 
 def test_a_coarse_start_comes_to_the_same_shape(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.generator.drape.coarse_start.FEW", 1)
+    monkeypatch.setattr("gcd_dataset.generator.mesh.coarsen.FEW", 1)
     job = on_a_ball(9)
     [with_start], [without] = (
         drape_batch([job], DrapeConfig(coarse_start=coarse), device="cpu") for coarse in (True, False)
