@@ -4,7 +4,7 @@ What stays the same during a drape is the ``ClothModel``; what changes is the ``
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -54,6 +54,7 @@ class ClothModel:
 
 def build_model(jobs: Sequence[DrapeJob], config: DrapeConfig, device: str) -> ClothModel:
     """The batch on a device, in the order of the jobs."""
+    jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
     keepers = [held_from_below(job) for job in jobs]
     topology = build_topology(jobs, [ids for ids, _ in keepers], device)
     bodies = tuple(body_field(job.body, device) for job in jobs)
@@ -136,10 +137,10 @@ def _world(job: DrapeJob, config: DrapeConfig) -> World:
     world.gravity = GRAVITY
     world.max_speed = config.max_speed
     world.friction = job.fabric.friction
-    world.thickness = job.fabric.thickness
+    world.thickness = max(job.fabric.thickness, config.layer_gap)
     world.body_gap = config.body_gap
-    world.margin = max(config.contact_margin, 1.5 * job.fabric.thickness)
-    world.travel = 0.4 * (world.margin - job.fabric.thickness)
+    world.margin = max(config.contact_margin, 1.5 * world.thickness)
+    world.travel = 0.4 * (world.margin - world.thickness)
     return world
 
 

@@ -1,11 +1,13 @@
 """Whole drapes: outcomes, and that nothing but the garment decides them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
+from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_batch
 from gcd_dataset.generator.drape.holds import holds
 from gcd_dataset.generator.drape.outcome import slid_off
 from gcd_dataset.records import BoxMesh, Outcome
@@ -41,6 +43,16 @@ def test_a_garment_drapes_alike_alone_and_in_any_batch() -> None:
     for job, drape in zip(jobs, together, strict=True):
         assert drape_batch([job], config, device="cpu") == [drape]
     assert drape_batch(jobs[::-1], config, device="cpu") == together[::-1]
+
+
+def test_a_fabric_drapes_alike_alone_and_beside_others() -> None:
+    names = ["default", "denim", "interlock", "gcd_soft", "wool_light"]
+    jobs = [replace(on_a_ball(6), fabric=FABRICS[name]) for name in names]
+    config = DrapeConfig(max_frames=30)
+    together = drape_batch(jobs, config, device="cpu")
+    for job, drape in zip(jobs, together, strict=True):
+        assert drape_batch([job], config, device="cpu") == [drape]
+    assert len({drape.vertices.tobytes() for drape in together}) == len(names)
 
 
 def test_too_few_frames_are_reported() -> None:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
+from gcd_dataset.generator.drape import Bending, DrapeConfig, DrapeJob, Fabric, Tensile
+from gcd_dataset.generator.drape.config import GRAVITY
 from gcd_dataset.generator.drape.kernels.elastic import advance
 from gcd_dataset.generator.drape.model import ClothModel, build_model
 from gcd_dataset.generator.drape.reference import bending_energy, stretch_energy
@@ -16,7 +17,10 @@ from gcd_dataset.records import BoxMesh
 from tests.helpers import SIZE, far_ball, patch
 
 FABRIC = Fabric(tensile=50.0, bending=2e-5)
-STILL_AIR = DrapeConfig(sewing_time=1e6, damping=0.0, sewing_damping=0.0, max_speed=1e9)
+GRAINED = Fabric(tensile=Tensile(60.0, 30.0, 12.0), bending=Bending(3e-5, 1e-5))
+STILL_AIR = DrapeConfig(sewing_time=1e-6, damping=0.0, sewing_damping=0.0, max_speed=1e9)
+
+fabrics = pytest.mark.parametrize("fabric", [FABRIC, GRAINED], ids=["alike", "grained"])
 
 
 def irregular_patch(rng: np.random.Generator) -> BoxMesh:
@@ -27,15 +31,18 @@ def irregular_patch(rng: np.random.Generator) -> BoxMesh:
 
 
 def force_on(model: ClothModel, x: np.ndarray) -> np.ndarray:
-    """What the kernel makes of positions ``x``, as a force [g cm/s²]."""
+    """What the kernel makes of positions ``x`` once all is sewn, as a force without the weight [g cm/s²]."""
     n = len(x)
     at = wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu")
     still, x_out, v_out = (wp.zeros(n, dtype=wp.vec3, device="cpu") for _ in range(3))
     zero = wp.zeros(1, dtype=int, device="cpu")
-    inputs = [model.worlds, model.cloth, model.rows, zero, wp.zeros(1, dtype=float, device="cpu"), at, still, at]
+    sewn = wp.ones(1, dtype=float, device="cpu")
+    inputs = [model.worlds, model.cloth, model.rows, zero, sewn, at, still, at]
     wp.launch(advance, dim=n, inputs=inputs, outputs=[x_out, v_out], device="cpu")
     dt = model.worlds.numpy()["dt"][0]
-    return np.asarray(v_out.numpy() * (model.cloth.inertia.numpy() / dt)[:, None])
+    force = v_out.numpy().astype(float) * (model.cloth.inertia.numpy() / dt)[:, None]
+    force[:, 1] += model.cloth.mass.numpy() * GRAVITY
+    return np.asarray(force)
 
 
 def slope_of(energy: Callable[[np.ndarray], float], x: np.ndarray) -> np.ndarray:
@@ -50,21 +57,23 @@ def slope_of(energy: Callable[[np.ndarray], float], x: np.ndarray) -> np.ndarray
     return slope
 
 
-def test_force_is_the_slope_of_the_energy() -> None:
+@fabrics
+def test_force_is_the_slope_of_the_energy(fabric: Fabric) -> None:
     rng = np.random.default_rng(1)
     mesh = irregular_patch(rng)
-    model = build_model([DrapeJob(mesh, far_ball(), SIZE, FABRIC)], STILL_AIR, "cpu")
+    model = build_model([DrapeJob(mesh, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
     x = np.asarray(mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape))
 
     def energy(at: np.ndarray) -> float:
-        return stretch_energy(mesh, at, FABRIC.membrane) + bending_energy(mesh, at, FABRIC.rigidity)
+        return stretch_energy(mesh, at, fabric) + bending_energy(mesh, at, fabric)
 
     slope = slope_of(energy, x)
     force = force_on(model, x)
     assert np.linalg.norm(force + slope) < 2e-3 * np.linalg.norm(slope)
 
 
-def test_three_sheets_sewn_along_one_edge_pull_as_their_energy_says() -> None:
+@fabrics
+def test_three_sheets_sewn_along_one_edge_pull_as_their_energy_says(fabric: Fabric) -> None:
     """The hinge of an edge with three faces is that of the first two; its spring is that of all three."""
     rng = np.random.default_rng(6)
     sheet = patch(2, 1, spacing=1.2)
@@ -81,11 +90,9 @@ def test_three_sheets_sewn_along_one_edge_pull_as_their_energy_says() -> None:
         panel_names=("one", "two", "three"),
         panel_labels=("", "", ""),
     )
-    model = build_model([DrapeJob(book, far_ball(), SIZE, FABRIC)], STILL_AIR, "cpu")
+    model = build_model([DrapeJob(book, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
     x = np.asarray(book.vertices + 0.2 * rng.standard_normal(book.vertices.shape))
-    slope = slope_of(
-        lambda at: stretch_energy(book, at, FABRIC.membrane) + bending_energy(book, at, FABRIC.rigidity), x
-    )
+    slope = slope_of(lambda at: stretch_energy(book, at, fabric) + bending_energy(book, at, fabric), x)
     assert np.linalg.norm(force_on(model, x) + slope) < 2e-3 * np.linalg.norm(slope)
 
 
@@ -104,10 +111,11 @@ def test_an_edge_that_keeps_a_garment_up_is_taped() -> None:
     assert np.abs(pulls[1] - pulls[0])[:20].max() < 1e-2 * own
 
 
-def test_inner_forces_keep_momentum_and_spin() -> None:
+@fabrics
+def test_inner_forces_keep_momentum_and_spin(fabric: Fabric) -> None:
     rng = np.random.default_rng(2)
     mesh = irregular_patch(rng)
-    model = build_model([DrapeJob(mesh, far_ball(), SIZE, FABRIC)], STILL_AIR, "cpu")
+    model = build_model([DrapeJob(mesh, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
     x = np.asarray(mesh.vertices + 0.3 * rng.standard_normal(mesh.vertices.shape))
     force = force_on(model, x)
     scale = np.abs(force).sum()
@@ -115,10 +123,11 @@ def test_inner_forces_keep_momentum_and_spin() -> None:
     assert np.abs(np.cross(x, force).sum(axis=0)).max() < 1e-4 * scale
 
 
-def test_flat_cloth_is_at_rest_wherever_it_lies() -> None:
+@fabrics
+def test_flat_cloth_is_at_rest_wherever_it_lies(fabric: Fabric) -> None:
     mesh = irregular_patch(np.random.default_rng(3))
     turned, _ = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))
-    model = build_model([DrapeJob(mesh, far_ball(), SIZE, FABRIC)], STILL_AIR, "cpu")
+    model = build_model([DrapeJob(mesh, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
     at_rest = force_on(model, mesh.vertices @ turned.T)
     stretched = force_on(model, 1.05 * mesh.vertices @ turned.T)
     assert np.abs(at_rest).max() < 1e-2 * np.abs(stretched).max()
