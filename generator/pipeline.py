@@ -197,10 +197,11 @@ def _drape(load: Sequence[_Design], config: MakeConfig) -> Iterator[tuple[Drape 
     """The drapes of each design's wearers, all draped together; none at an earlier stage."""
     if config.stage != "drape":
         return iter([(None,) * len(design.dressed) for design in load])
-    from gcd_dataset.generator.drape import DrapeJob, drape_batch
+    from gcd_dataset.generator.drape import DrapeJob, drape_batch, fabric_named
 
     everyone = chain.from_iterable(design.dressed for design in load)
-    jobs = [DrapeJob(worn.box_mesh, worn.body, worn.size) for worn in everyone if worn.box_mesh is not None]
+    fabric = fabric_named(config.fabric)
+    jobs = [DrapeJob(worn.box_mesh, worn.body, worn.size, fabric) for worn in everyone if worn.box_mesh is not None]
     drapes = iter(drape_batch(jobs, device=config.device))
     return (tuple(islice(drapes, len(design.dressed))) for design in load)
 
