@@ -33,8 +33,15 @@ from gcd_dataset.seeding import Stage, rng
 __all__ = ["add_arguments", "run"]
 
 SHOWN = ("gcd_soft", "wool_light", "denim", "gcd_stiff")
-SKIRT = Overlay.from_dict({"meta": {"upper": "none", "wb": "StraightWB", "bottom": "SkirtCircle"}})
-TILE = 512  # pixels of one garment
+SKIRT = Overlay.from_dict(
+    {
+        "meta": {"upper": "none", "wb": "StraightWB", "bottom": "SkirtCircle"},
+        "waistband": {"waist": 1.0, "width": 0.3},
+        "flare-skirt": {"length": 0.5, "suns": 1.2, "cut": {"add": False}},
+    }
+)
+TILE = 1024  # pixels of a picture
+SHOWN_PART = np.s_[340:840, 262:762]  # of it: from the waist to the knees
 GRAINS: tuple[Grain, ...] = ("warp", "weft")
 EDGES = 2.0  # of the mesh, in the bending length of a fabric whose strip can show it
 
@@ -60,7 +67,8 @@ def run(options: argparse.Namespace) -> Measured:
     drapes = _drape(job, options.fabrics, device)
     if options.sheet:
         pictures = [render_garment(drape.vertices, job.box_mesh, job.body, size=TILE)[0] for drape, _ in drapes]
-        write_whole(options.sheet, jpeg_bytes(contact_sheet(pictures, columns=len(pictures))))
+        sheet = contact_sheet([picture[SHOWN_PART] for picture in pictures], columns=len(pictures))
+        write_whole(options.sheet, jpeg_bytes(sheet))
     ratios = [row[f"{grain}_over_expected"] for row in rows for grain in ("warp", "weft")]
     return Measured(
         [
