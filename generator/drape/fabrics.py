@@ -18,9 +18,9 @@ GARMENTCODE = (
     "GarmentCodeData (Korosteleva et al., ECCV 2024): the stiffness that its springs and hinges have in effect, over a "
     "weight of 0.2 kg/m²; hinge stiffness {}"
 )
-# The warp is their v, the stiffer way of their denim. Stretch: their matrix at small strain without its cross term; shear
-# is half of c33, whose strain is the tensor's. Bending: at small curvature; a mesh of their hinges, which they fitted to
-# strips, has a quarter of a hinge's number as its rigidity.
+# The warp is their v, the stiffer way of their denim. Stretch: their matrix at small strain without its cross term; the
+# shear is half of c33, whose strain is the tensor's. Bending: at small curvature; a mesh of their hinges, which they
+# fitted to strips, has a quarter of a hinge's number as its rigidity.
 WANG = (
     "Wang, O'Brien and Ramamoorthi, Data-driven elastic models for cloth, ACM Trans. Graph. 30(4), 2011: {}; "
     "thickness: {}"
