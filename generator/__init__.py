@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body
-    from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
+    from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch, fabric_named
     from gcd_dataset.generator.garments import OutfitDesign, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
     from gcd_dataset.generator.mesh import build_box_mesh
@@ -28,6 +28,7 @@ __all__ = [
     "build_pattern",
     "drape_batch",
     "draw_shape",
+    "fabric_named",
     "fit",
     "fit_shape",
     "make",
@@ -41,7 +42,7 @@ __all__ = [
 
 _HOMES = {
     "body": ("build_body", "draw_shape", "fit_shape", "measure", "named_body"),
-    "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_batch"),
+    "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_batch", "fabric_named"),
     "garments": ("OutfitDesign", "sample_design"),
     "garments.overlay": ("Overlay", "read_overlay"),
     "mesh": ("build_box_mesh",),

@@ -14,7 +14,7 @@ import numpy as np
 from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, MeshError
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.generator.drape import DrapeJob, drape_batch, resolve_device
+from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_batch, resolve_device
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
@@ -75,6 +75,7 @@ def fit(
     patterns: Iterable[Pattern],
     body_for: Callable[[Pattern], tuple[Body, Measurements]],
     *,
+    fabric: Fabric = FABRICS[DEFAULT_FABRIC],
     resolution: float = 1.0,
     device: str = "auto",
     batch: int | None = None,
@@ -92,7 +93,7 @@ def fit(
             meshes.append(_box_mesh(pattern, resolution))
             seconds.append(time.perf_counter() - start)
         start = time.perf_counter()
-        jobs = [DrapeJob(mesh, *body_for(pattern)) for pattern, mesh in zip(load, meshes, strict=True)]
+        jobs = [DrapeJob(mesh, *body_for(pattern), fabric) for pattern, mesh in zip(load, meshes, strict=True)]
         drapes = drape_batch(jobs, device=device)
         each = (time.perf_counter() - start) / len(load)
         for pattern, mesh, drape, spent in zip(load, meshes, drapes, seconds, strict=True):
@@ -127,7 +128,9 @@ def write_fitting(fitting: Fitting, body: Body, folder: Path, *, device: str = "
         write_whole(folder / f"{name}{ending}", content)
 
 
-def write_report(fittings: Iterable[Fitting], path: Path, *, body: str, resolution: float, device: str) -> None:
+def write_report(
+    fittings: Iterable[Fitting], path: Path, *, body: str, fabric: str, resolution: float, device: str
+) -> None:
     """What came out of each pattern, with what it was made by, as JSON. Raises ``OutputError``."""
     report = {
         "gcd_dataset": __version__,
@@ -135,6 +138,7 @@ def write_report(fittings: Iterable[Fitting], path: Path, *, body: str, resoluti
         "machine": platform.processor() or platform.machine(),
         "device": device,
         "body": body,
+        "fabric": fabric,
         "resolution_cm": resolution,
         "garments": [fitting.row for fitting in fittings],
     }

@@ -199,11 +199,12 @@ def _drape(load: Sequence[_Design], config: MakeConfig) -> Iterator[tuple[Drape 
     """The drapes of each design's wearers, all draped together; none at an earlier stage."""
     if config.stage != "drape":
         return iter([(None,) * len(design.dressed) for design in load])
-    from gcd_dataset.generator.drape import DrapeJob, drape_batch
+    from gcd_dataset.generator.drape import DrapeJob, drape_batch, fabric_named
 
     everyone = chain.from_iterable(design.dressed for design in load)
+    fabric = fabric_named(config.fabric)
     jobs = [
-        DrapeJob(worn.box_mesh, worn.body, worn.size, coarse=worn.coarse)
+        DrapeJob(worn.box_mesh, worn.body, worn.size, fabric, worn.coarse)
         for worn in everyone
         if worn.box_mesh is not None
     ]

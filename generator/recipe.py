@@ -15,6 +15,7 @@ Bodies = Literal["neutral", "random", "female", "male", "both"]
 LastStage = Literal["pattern", "mesh", "drape"]
 OnFail = Literal["retry", "keep"]
 KINDS = {str: "word", int: "whole number", float: "number", Overlay: "design overlay"}
+USUAL_FABRIC = "default"
 FINEST, COARSEST = 0.2, 10.0  # cm
 
 
@@ -42,6 +43,8 @@ class MakeConfig:
     """Designs tried for one index. The last is kept if it only does not settle."""
     design: Overlay = NO_OVERLAY
     """What designs are narrowed to."""
+    fabric: str = USUAL_FABRIC
+    """What they are draped in, by its name in ``drape.FABRICS``."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -50,6 +53,8 @@ class MakeConfig:
             if getattr(self, name) not in get_args(kind):
                 raise ConfigError(f"{name} is {getattr(self, name)!r}: known are {', '.join(get_args(kind))}")
         object.__setattr__(self, "resolution", float(check_resolution(self.resolution)))  # 2 is 2.0 in a recipe
+        if self.fabric != USUAL_FABRIC:
+            _require_fabric(self.fabric)
         for name, least in {"points": 0, "picture": 0, "max_attempts": 1}.items():
             if getattr(self, name) < least:
                 raise ConfigError(f"{name} is {getattr(self, name)}: give {least} or more")
@@ -71,6 +76,8 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
     """Everything but seed and index that decides what a sample holds, as plain values."""
     recipe = {entry.name: getattr(config, entry.name) for entry in fields(config)}
     recipe["design"] = config.design.to_dict()
+    if config.fabric == USUAL_FABRIC:  # what goes without saying keeps the recipe, and so the data sets made by it
+        del recipe["fabric"]
     recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
     return recipe
 
@@ -86,6 +93,12 @@ def device_kind(config: MakeConfig) -> str:
 def versions() -> dict[str, str]:
     """Of everything that decides the bytes of a sample."""
     return {"gcd_dataset": __version__} | {name: version(name) for name in ("numpy", "scipy", "shapely", "warp-lang")}
+
+
+def _require_fabric(name: str) -> None:
+    from gcd_dataset.generator.drape import fabric_named
+
+    fabric_named(name)
 
 
 def _require_type(name: str, value: object, kind: type) -> None:

@@ -33,11 +33,11 @@ class GeneratedGarments(Garments):
     >>> ds[7]["box"].shape  # doctest: +SKIP
     torch.Size([9731, 3])
 
-    ``bodies``, ``resolution`` [cm], ``device``, ``on_fail`` and ``design`` are those of ``MakeConfig``; an overlay for
-    ``design`` comes from ``read_overlay``. ``drape``: ``warp``, or ``None`` to stop at the box mesh. ``cache_dir``:
-    keeps every garment made there, and reads it from there the next time; each seed, recipe and version of this package
-    has a folder of its own in it, and a damaged garment is made again. On a GPU a batch that a ``DataLoader`` asks for
-    is draped together, on a CPU one garment after the other.
+    ``bodies``, ``resolution`` [cm], ``fabric``, ``device``, ``on_fail`` and ``design`` are those of ``MakeConfig``; an
+    overlay for ``design`` comes from ``read_overlay``. ``drape``: ``warp``, or ``None`` to stop at the box mesh.
+    ``cache_dir``: keeps every garment made there, and reads it from there the next time; each seed, recipe and version
+    of this package has a folder of its own in it, and a damaged garment is made again. On a GPU a batch that a
+    ``DataLoader`` asks for is draped together, on a CPU one garment after the other.
 
     Raises ``ConfigError`` for options that do not fit together; a GPU that is not there is told with the first garment.
     """
@@ -51,6 +51,7 @@ class GeneratedGarments(Garments):
         drape: Literal["warp"] | None = "warp",
         device: str = "auto",
         resolution: float = 1.0,
+        fabric: str = "default",
         cache_dir: str | Path | None = None,
         on_fail: Literal["retry", "keep"] = "retry",
         transform: Transform | None = None,
@@ -72,6 +73,7 @@ class GeneratedGarments(Garments):
             device=device,
             on_fail=on_fail,
             design=design or NO_OVERLAY,
+            fabric=fabric,
         )
         self._cache_dir = None if cache_dir is None else Path(cache_dir)
         # Asked here and not in a worker: a forked one may be told that there is no GPU, and would go on without.

@@ -185,10 +185,13 @@ def of_session(session: int) -> list[int]:
 
 def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert main(["drape", str(spec), "--out", str(out), "--resolution", "4", "--device", "cpu", "--quiet"]) == 0
+    options = ["--fabric", "denim", "--resolution", "4", "--device", "cpu", "--quiet"]
+    assert main(["drape", str(spec), "--out", str(out), *options]) == 0
     for ending in (".obj", ".ply", ".glb", "_front.png", "_back.png", "_pattern.png"):
         assert (out / f"garment{ending}").stat().st_size > 1000
-    [row] = json.loads((out / "report.json").read_text())["garments"]
+    report = json.loads((out / "report.json").read_text())
+    assert report["fabric"] == "denim"
+    [row] = report["garments"]
     lines = (out / "garment.obj").read_text().splitlines()
     assert sum(line.startswith("v ") for line in lines) == row["vertices"]
     assert row["outcome"] == "SETTLED"
@@ -215,6 +218,8 @@ def test_what_cannot_be_draped_is_said_before_anything_is(
     out = ["--out", str(tmp_path / "out")]
     assert main(["drape", str(tmp_path / "missing.json"), *out]) == 1
     assert "missing.json: no such file" in one_line(capsys.readouterr().err)
+    assert main(["drape", str(spec), *out, "--fabric", "denin"]) == 2
+    assert "fabric is 'denin': known are default" in one_line(capsys.readouterr().err)
     assert main(["drape", str(spec), *out, "--device", "cuda:99"]) == 2
     assert "device cuda:99" in one_line(capsys.readouterr().err)
     assert main(["drape", str(spec), *out, "--body", "nobody"]) == 1

@@ -12,6 +12,7 @@ CASES: Mapping[str, str] = {
     "bodies": "benchmarks.cases.bodies",
     "design_space": "benchmarks.cases.design_space",
     "drape": "benchmarks.cases.drape",
+    "fabrics": "benchmarks.cases.fabrics",
     "measures": "benchmarks.cases.measures",
     "parity": "benchmarks.cases.parity",
     "patterns": "benchmarks.cases.patterns",

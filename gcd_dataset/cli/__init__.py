@@ -23,6 +23,7 @@ __all__ = ["main"]
 
 INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
 NAMES = "neutral, female, male, random:SEED, female:SEED, male:SEED"  # of bodies
+FABRICS = "denim, drill, interlock, wool_light ...; a name that is not there is answered with those that are"
 BODY_STAGE = "body"  # the wearers alone, in both poses, with their measures
 
 
@@ -58,7 +59,7 @@ def _generate(options: argparse.Namespace) -> int:
     from gcd_dataset.records import Outcome
 
     given = _read_config(options.config, {field.name for field in fields(MakeConfig)}) if options.config else {}
-    named = {name: getattr(options, name) for name in ("bodies", "stage", "resolution", "device", "on_fail")}
+    named = {name: getattr(options, name) for name in ("bodies", "stage", "fabric", "resolution", "device", "on_fail")}
     given |= {name: value for name, value in named.items() if value is not None}
     if given.get("stage") == BODY_STAGE:
         return _generate_people(options, given)
@@ -114,13 +115,13 @@ def _drape(options: argparse.Namespace) -> int:
 
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.body import named_body
-    from gcd_dataset.generator.drape import resolve_device
+    from gcd_dataset.generator.drape import fabric_named, resolve_device
     from gcd_dataset.generator.fitting import Fitting, fit, needs_legs_apart, read_patterns, write_fitting, write_report
     from gcd_dataset.generator.recipe import check_resolution
     from gcd_dataset.records import Body, Measurements, Pattern
 
     patterns, device = read_patterns(options.spec), resolve_device(options.device)
-    resolution = check_resolution(options.resolution)
+    resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
     wearers: dict[bool, tuple[Body, Measurements]] = {}
     for apart in sorted({needs_legs_apart(pattern) for pattern in patterns}):
         found = named_body(
@@ -134,12 +135,13 @@ def _drape(options: argparse.Namespace) -> int:
     folder = make_folder(options.out)
     fittings: list[Fitting] = []
     try:
-        done = fit(patterns, wearer, resolution=resolution, device=device)
+        done = fit(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
         for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):
             write_fitting(fitting, wearer(fitting.pattern)[0], folder, device=device)
             fittings.append(fitting)
     finally:
-        write_report(fittings, folder / "report.json", body=options.body, resolution=resolution, device=device)
+        made_by = {"body": options.body, "fabric": options.fabric, "device": device}
+        write_report(fittings, folder / "report.json", resolution=resolution, **made_by)
     for fitting in fittings:
         drape = fitting.drape
         print(
@@ -236,6 +238,7 @@ def _parser() -> argparse.ArgumentParser:
         choices=(BODY_STAGE, "pattern", "mesh", "drape"),
         help="last step taken; body: the wearers alone, in two poses, with their measures (default: drape)",
     )
+    generate.add_argument("--fabric", metavar="NAME", help=f"{FABRICS} (default: default)")
     generate.add_argument("--resolution", type=float, metavar="CM", help="length of mesh edges [cm] (default: 1.0)")
     generate.add_argument("--device", help="auto, cpu or cuda:0 (default: auto)")
     generate.add_argument("--on-fail", choices=("retry", "keep"), help="a drape that fails (default: retry)")
@@ -246,8 +249,8 @@ def _parser() -> argparse.ArgumentParser:
         "--config",
         type=Path,
         metavar="FILE.toml",
-        help="bodies, stage, resolution, device, on-fail; also points, picture, max-attempts, and tables such as "
-        "[design.pants] that narrow what designs may be",
+        help="bodies, stage, fabric, resolution, device, on-fail; also points, picture, max-attempts, and tables such "
+        "as [design.pants] that narrow what designs may be",
     )
 
     drape = _verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
@@ -259,6 +262,7 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument(
         "--segmentation", type=Path, metavar="JSON", help="vertex ids by body part, for a mesh file; else found"
     )
+    drape.add_argument("--fabric", default="default", metavar="NAME", help=f"{FABRICS} (default: default)")
     drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")
     drape.add_argument("--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (1.0)")
     drape.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")

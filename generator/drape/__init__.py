@@ -1,7 +1,21 @@
 """Drape garments on bodies: the only part of the package, with the renderer, that imports Warp."""
 
-from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob, Fabric
+from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import load_kernels, resolve_device
 from gcd_dataset.generator.drape.drape import drape_batch
+from gcd_dataset.generator.drape.fabric import Bending, Fabric, Tensile
+from gcd_dataset.generator.drape.fabrics import DEFAULT_FABRIC, FABRICS, fabric_named
 
-__all__ = ["DrapeConfig", "DrapeJob", "Fabric", "drape_batch", "load_kernels", "resolve_device"]
+__all__ = [
+    "DEFAULT_FABRIC",
+    "FABRICS",
+    "Bending",
+    "DrapeConfig",
+    "DrapeJob",
+    "Fabric",
+    "Tensile",
+    "drape_batch",
+    "fabric_named",
+    "load_kernels",
+    "resolve_device",
+]

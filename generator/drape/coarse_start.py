@@ -8,7 +8,7 @@ import warp as wp
 from gcd_dataset.generator.drape.kernels.refine import refine
 from gcd_dataset.generator.drape.kernels.world import DIVERGED
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.generator.mesh.coarsen import Coarse
+from gcd_dataset.generator.mesh.coarse import Coarse
 
 __all__ = ["go_on_from"]
 

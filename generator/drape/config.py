@@ -1,59 +1,16 @@
-"""What a drape can be told: the cloth's fabric and the solver's options. Fabrics in SI, the solver in cm, g and s."""
+"""What a drape can be told: garment, wearer, fabric, and the solver's options. The solver's units are cm, g, s."""
 
 from dataclasses import dataclass
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.mesh.coarsen import Coarse
+from gcd_dataset.generator.drape.fabric import STIFFEST, Fabric
+from gcd_dataset.generator.mesh import Coarse
 from gcd_dataset.records import Body, BoxMesh, Measurements
 
-__all__ = ["DrapeConfig", "DrapeJob", "Fabric"]
+__all__ = ["DrapeConfig", "DrapeJob"]
 
-GRAMS_PER_CM2 = 0.1  # one kg/m²
-DYNES_PER_CM = 1e3  # one N/m
-DYNE_CM = 1e7  # one N·m
 GRAVITY = 981.0  # cm/s²
-
-
-@dataclass(frozen=True, slots=True)
-class Fabric:
-    """A cloth's mechanics. The default is a light, soft plain weave, the paper's middle one.
-
-    Stiffness that stands for the weight it carries (the paper's springs at its effective stiffness, divided by its
-    weight): ``reference`` is Korosteleva et al., ECCV 2024, as converted in DESIGN.
-    """
-
-    density: float = 0.2
-    """Mass per area [kg/m²]."""
-    tensile: float = 100.0
-    """Membrane stiffness: force per width at unit strain [N/m]."""
-    bending: float = 1.4e-5
-    """Plate rigidity [N·m]."""
-    friction: float = 0.5
-    """Coulomb coefficient against the body."""
-    thickness: float = 0.2
-    """Distance kept between two layers [cm]."""
-
-    def __post_init__(self) -> None:
-        for name in ("density", "tensile", "bending", "thickness"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"fabric {name} is {getattr(self, name)}: it must be above 0")
-        if not self.friction >= 0:
-            raise ConfigError(f"fabric friction is {self.friction}: it must be 0 or more")
-
-    @property
-    def mass(self) -> float:
-        """Mass per area [g/cm²]."""
-        return self.density * GRAMS_PER_CM2
-
-    @property
-    def membrane(self) -> float:
-        """Membrane stiffness [g/s²]."""
-        return self.tensile * DYNES_PER_CM
-
-    @property
-    def rigidity(self) -> float:
-        """Plate rigidity [g cm²/s²]."""
-        return self.bending * DYNE_CM
+USUAL_FABRIC = Fabric()
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +44,11 @@ class DrapeConfig:
     """[cm/s]"""
     body_gap: float = 0.35
     """Distance kept from the skin [cm]."""
+    layer_gap: float = 0.2
+    """Layers are kept this far apart, or by the cloth's thickness where that is more [cm]."""
+    stiffest: float = STIFFEST
+    """Tensile stiffness over weight up to which a fabric is taken at its word: see ``Fabric.softened`` [N·m/kg]. With
+    more, cloth gives less and time steps are shorter, by the square root."""
     contact_margin: float = 0.45
     """Pairs nearer than this are watched until the next search [cm]."""
     contact_capacity: int = 12
@@ -116,6 +78,6 @@ class DrapeJob:
     box_mesh: BoxMesh
     body: Body
     measurements: Measurements
-    fabric: Fabric = Fabric()
+    fabric: Fabric = USUAL_FABRIC
     coarse: Coarse | None = None
     """The box mesh made coarser, for ``DrapeConfig.coarse_start``; made when it is needed where it is left out."""

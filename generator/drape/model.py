@@ -4,7 +4,7 @@ What stays the same during a drape is the ``ClothModel``; what changes is the ``
 """
 
 from collections.abc import Container, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -21,6 +21,7 @@ __all__ = ["ClothModel", "build_model"]
 
 STABLE = 4.0 / (1.0 + 2.0 * LOOK_AHEAD)  # of (omega h)²
 SAFETY = 0.9
+COARSE_GAP = 2.5  # distance of layers of coarse cloth, over that of fine cloth
 INERTIA_GAIN = 1.3  # inertia over mass at the typical vertex: a longer step for a slower clock
 
 
@@ -53,17 +54,21 @@ class ClothModel:
 
 
 def build_model(
-    jobs: Sequence[DrapeJob], config: DrapeConfig, device: str, *, halved: Container[int] = ()
+    jobs: Sequence[DrapeJob], config: DrapeConfig, device: str, *, coarse: Container[int] = ()
 ) -> ClothModel:
-    """The batch on a device, in the order of the jobs; those ``halved`` may run for half of the frames."""
+    """The batch on a device, in the order of the jobs; those ``coarse`` are the start of finer ones.
+
+    Layers of coarse cloth are kept further apart, lest they cross when chords become folds again.
+    """
+    jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
     keepers = [held_from_below(job) for job in jobs]
     topology = build_topology(jobs, [ids for ids, _ in keepers], device)
     bodies = tuple(body_field(job.body, device) for job in jobs)
     fields, offsets, parts = _join_fields(bodies, device)
     steps = _time_steps(topology)
-    worlds = [_world(job, config) for job in jobs]
-    for number, world in enumerate(worlds):
-        world.max_frames = config.max_frames // 2 if number in halved else config.max_frames
+    worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0) for k, job in enumerate(jobs)]
+    for k, world in enumerate(worlds):
+        world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
     for world, step, lengths, start, end in zip(
         worlds, steps, _usual_lengths(topology), topology.vertex_offset, topology.vertex_offset[1:], strict=False
     ):
@@ -130,8 +135,8 @@ def _usual_lengths(topology: Topology) -> list[float]:
     return [float(np.median(flat[a:b])) for a, b in spans]
 
 
-def _world(job: DrapeJob, config: DrapeConfig) -> World:
-    """What the options and the fabric alone decide."""
+def _world(job: DrapeJob, config: DrapeConfig, apart: float) -> World:
+    """What the options and the fabric alone decide; layers ``apart`` times as far as in a finished garment."""
     world = World()
     world.damping = config.damping
     world.sewing_damping = config.sewing_damping
@@ -142,10 +147,10 @@ def _world(job: DrapeJob, config: DrapeConfig) -> World:
     world.gravity = GRAVITY
     world.max_speed = config.max_speed
     world.friction = job.fabric.friction
-    world.thickness = job.fabric.thickness
+    world.thickness = apart * max(job.fabric.thickness, config.layer_gap)
     world.body_gap = config.body_gap
-    world.margin = max(config.contact_margin, 1.5 * job.fabric.thickness)
-    world.travel = 0.4 * (world.margin - job.fabric.thickness)
+    world.margin = max(config.contact_margin, 1.5 * world.thickness)
+    world.travel = 0.4 * (world.margin - world.thickness)
     return world
 
 

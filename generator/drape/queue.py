@@ -14,7 +14,7 @@ from jaxtyping import Bool
 
 from gcd_dataset.generator.drape.carry import carry_over
 from gcd_dataset.generator.drape.coarse_start import go_on_from
-from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob, Fabric
+from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import one_at_a_time
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
@@ -25,7 +25,6 @@ from gcd_dataset.records import Drape
 
 __all__ = ["drape_in_turn"]
 
-COARSE_THICKNESS = 2.5  # of the fabric's
 POLL_EVERY = 4  # frames after which the device is asked which garments still move
 IDLE = 0.5  # share of the places that may stand empty while garments wait for one
 
@@ -74,7 +73,7 @@ class _Turn:
     def job(self) -> DrapeJob:
         if self.coarse is None:
             return self.whole
-        return replace(self.whole, box_mesh=self.coarse.mesh, fabric=_thicker(self.whole.fabric))
+        return replace(self.whole, box_mesh=self.coarse.mesh)
 
     def goes_on(self, place: int) -> Self:
         """The same turn in the next batch."""
@@ -85,16 +84,11 @@ class _Turn:
         return replace(self, coarse=None, frames_before=frames, old_place=place, start_from=self.coarse)
 
 
-def _thicker(fabric: Fabric) -> Fabric:
-    """Layers are kept further apart while the mesh is coarse, lest they cross when chords become folds again."""
-    return replace(fabric, thickness=COARSE_THICKNESS * fabric.thickness)
-
-
 def _begin(turns: Sequence[_Turn], before: Solver | None, config: DrapeConfig, device: str) -> Solver:
     """The next batch, with what it takes over from the one before."""
     with one_at_a_time:
-        halved = [k for k, turn in enumerate(turns) if turn.coarse]
-        solver = Solver(build_model([turn.job for turn in turns], config, device, halved=halved), config)
+        coarse = [k for k, turn in enumerate(turns) if turn.coarse]
+        solver = Solver(build_model([turn.job for turn in turns], config, device, coarse=coarse), config)
         if before is not None:
             places = [(t.old_place, k, t.start_from) for k, t in enumerate(turns) if t.old_place is not None]
             carry_over(before, solver, [(old, new) for old, new, mesh in places if mesh is None])

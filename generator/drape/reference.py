@@ -3,13 +3,18 @@
 import numpy as np
 from jaxtyping import Float, Int
 
+from gcd_dataset.generator.drape.fabric import DYNE_CM, DYNES_PER_CM, POISSON, Fabric, shear_stiffness
+from gcd_dataset.generator.drape.kernels.sheet import SLIVER
 from gcd_dataset.records import BoxMesh
 
 __all__ = ["bending_energy", "closest_on_triangle", "segment_crosses_triangle", "stretch_energy"]
 
 
-def stretch_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], membrane: float) -> float:
-    """Energy of one spring for every side of every triangle, stiffness ``membrane A / L²`` each [g cm²/s²].
+def stretch_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -> float:
+    """Energy of every triangle by the strains of its sides [g cm²/s²].
+
+    One spring a side, stiffness ``membrane A / L²``, for a fabric that stretches alike in every direction; else that of
+    an orthotropic sheet with the strain that the sides make.
 
     A side shared by two triangles whose panels give it different lengths counts with the shorter for both.
     """
@@ -23,18 +28,38 @@ def stretch_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], membrane: float) 
             shortest[key] = min(shortest.get(key, np.inf), length)
     energy = 0.0
     for face, corners, a in zip(mesh.faces, flat, area, strict=True):
+        strains = np.zeros(3)
         for k in range(3):
             i, j = _side(face, k)
             own = float(np.linalg.norm(corners[(k + 1) % 3] - corners[k]))
-            energy += 0.5 * membrane * a / own**2 * (float(np.linalg.norm(x[j] - x[i])) - shortest[i, j]) ** 2
+            strains[k] = (float(np.linalg.norm(x[j] - x[i])) - shortest[i, j]) / own
+        energy += 0.5 * a * _sheet_energy(corners, strains, fabric)
     return energy
 
 
-def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], rigidity: float) -> float:
+def _sheet_energy(corners: Float[np.ndarray, "3 2"], strains: Float[np.ndarray, "3"], fabric: Fabric) -> float:
+    """Twice the energy per area of a sheet with these strains along the sides of a flat triangle; a sliver's is of
+    springs."""
+    along = np.roll(corners, -1, axis=0) - corners
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    rows = np.stack([*(along**2).T, along[:, 0] * along[:, 1]], axis=1)
+    if fabric.alike or abs(np.linalg.det(rows)) < SLIVER:
+        return float(fabric.membrane * strains @ strains)
+    weft, warp, shear = np.linalg.solve(rows, strains)
+    compliance = np.array([[1 / fabric.pull.weft, 0.0], [0.0, 1 / fabric.pull.warp]])
+    compliance[0, 1] = compliance[1, 0] = -POISSON * np.sqrt(compliance[0, 0] * compliance[1, 1])
+    pulled = np.array([weft, warp])
+    threads = float(pulled @ np.linalg.solve(compliance, pulled))
+    return DYNES_PER_CM * (threads + shear_stiffness(fabric.pull) * float(shear) ** 2)
+
+
+def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -> float:
     """Quadratic bending energy of every hinge, from the heights of its two triangles [g cm²/s²].
 
     With ``n0, n1`` the in-plane directions from the edge to the two opposite vertices, the bending vector is
-    ``L (n0 + n1)`` of the *deformed* triangles expressed by the *flat* foot points (Bergou et al. 2006).
+    ``L (n0 + n1)`` of the *deformed* triangles expressed by the *flat* foot points (Bergou et al. 2006). A third of
+    their energy is the sheet's, see ``kernels.sheet``; a hinge that bends by a share of s along the weft has the
+    rigidity ``warp + 3/2 s (weft - warp)``, at least half of the softer one's.
     """
     sides: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for f, face in enumerate(mesh.faces):
@@ -45,7 +70,7 @@ def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], rigidity: float) 
     for (i, j), faces in sides.items():
         if len(faces) < 2:
             continue
-        vector, area = np.zeros(3), 0.0
+        vector, area, share = np.zeros(3), 0.0, 0.0
         for f, k in faces[:2]:
             a, b, c = flat[f, k], flat[f, (k + 1) % 3], flat[f, (k + 2) % 3]
             along = (b - a) / np.linalg.norm(b - a)
@@ -55,7 +80,10 @@ def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], rigidity: float) 
             across = x[mesh.faces[f, (k + 2) % 3]] - ((1 - foot) * x[start] + foot * x[end])
             vector += float(np.linalg.norm(b - a)) * across / height
             area += 0.5 * height * float(np.linalg.norm(b - a))
-        energy += 0.5 * rigidity * 3.0 / area * float(vector @ vector)
+            share += 0.5 * float(along[1]) ** 2
+        warp, weft = fabric.bend
+        rigidity = max(warp + 1.5 * share * (weft - warp), 0.5 * min(warp, weft))
+        energy += 0.5 * rigidity * DYNE_CM / area * float(vector @ vector)
     return energy
 
 

@@ -7,10 +7,11 @@ import numpy as np
 import warp as wp
 from jaxtyping import Bool, Int
 
+from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.device import load_kernels, one_at_a_time
 from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, search, step, stillness
-from gcd_dataset.generator.drape.kernels.world import Contacts
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Contacts
 from gcd_dataset.generator.drape.model import ClothModel
 
 __all__ = ["ClothState", "Solver", "new_state"]
@@ -169,6 +170,13 @@ class Solver:
             self._graph = capture.graph
         wp.capture_launch(self._graph)
         self.frames += 1
+
+    def run_for(self, seconds: float) -> None:
+        """Step until every garment has lived so long [s]. Raises ``DrapeError`` where one ends before."""
+        while self.state.time.numpy().min() < seconds:
+            if (self.state.status.numpy() != RUNNING).any():
+                raise DrapeError(f"a garment has ended before {seconds} s: give it more frames, and hold it longer")
+            self.frame()
 
     def self_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """Edges of each world that cross its cloth; 0 for those that are not asked for."""

@@ -9,7 +9,8 @@ import warp as wp
 from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.generator.drape.device import load_kernels
 from gcd_dataset.generator.drape.kernels import topology as kernels
-from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Rows, Spring
+from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring
+from gcd_dataset.generator.drape.kernels.sheet import Sheet, sheet_of
 
 __all__ = ["Topology", "build_topology"]
 
@@ -30,7 +31,7 @@ class Topology:
     opposite: wp.array
     """(e) the vertices across from the edge in its first and second face; -1 for no second face."""
     spring: wp.array
-    """(e) area over squared length summed over the faces; flat length; start length [1, cm, cm]."""
+    """(e) stiffness over the membrane's; flat length; start length [1, cm, cm]."""
     vertex_faces: wp.array
     first_face: wp.array
     """(v + 1) where the faces round each vertex begin among ``vertex_faces``."""
@@ -73,6 +74,7 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     start = put([mesh.vertices for mesh in meshes], np.float32, wp.vec3)
     world = wp.array(np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(vertices)), dtype=int, device=device)
     face = put([mesh.faces for mesh in meshes], np.int32, wp.vec3i, vertices)
+    sheets = wp.array([sheet_of(job.fabric) for job in jobs], dtype=Sheet, device=device)
     flat = empty((int(faces[-1]), 3), wp.vec2d)
     corner = put([mesh.corners for mesh in meshes], np.int32, wp.vec3i, corners)
     launch(kernels.lay_flat, int(faces[-1]), [corner, put([m.uv for m in meshes], np.float64, wp.vec2d)], [flat])
@@ -93,7 +95,7 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     launch(
         kernels.describe_edges,
         sides,
-        [face, flat, start, keys, order, number],
+        [face, flat, start, keys, order, number, world, sheets],
         [edges, opposite, spring, hinge, hinge_scale, side_edge],
     )
 
@@ -106,23 +108,27 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
 
     vertex_faces, first_face = round_vertices(kernels.key_corners, face, sides)
     vertex_edges, first_edge = round_vertices(kernels.key_ends, edges, 2 * count)
+    coupled = not all(job.fabric.alike for job in jobs)
     widest = max(USUAL, int(np.diff(first_edge.numpy()).max()))
+    if coupled:
+        widest = max(widest, int(np.diff(first_face.numpy()).max()))
     rows = Rows()
     rows.count, rows.bend_diagonal = empty(n, wp.vec2i), empty(n, float)
     rows.lanes, rows.width = 1 if device == "cpu" else WARP, widest
     room = -(-n // rows.lanes) * rows.lanes * widest
     rows.springs, rows.start_length, rows.bends = empty(room, Spring), empty(room, float), empty(room, Bend)
+    rows.coupled = int(coupled)
+    rows.corners, rows.corner_count = empty(room * coupled, Corner), empty(n * coupled, int)
     kept = np.zeros(n, np.uint8)
     for shift, ids in zip(vertices, keepers, strict=False):
         kept[shift + ids] = 1
     keeper = wp.array(kept, dtype=wp.uint8, device=device)
     mass, stiffness = empty(n, float), empty(n, float)
-    fabric = np.array([[job.fabric.mass, job.fabric.membrane, job.fabric.rigidity] for job in jobs], np.float32)
     launch(
         kernels.weigh_rows,
         n,
         [face, flat, edges, opposite, side_edge, vertex_faces, first_face, vertex_edges, first_edge]
-        + [spring, hinge, hinge_scale, world, keeper, wp.array(fabric, dtype=wp.vec3, device=device)],
+        + [spring, hinge, hinge_scale, world, keeper, sheets],
         [mass, stiffness, rows],
     )
     return Topology(

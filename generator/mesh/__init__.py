@@ -1,6 +1,6 @@
 """Patterns as triangle meshes: sampled edges, meshed panels, merged seams; and the same made coarser."""
 
 from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
-from gcd_dataset.generator.mesh.coarsen import Coarse, coarse_start, coarsen
+from gcd_dataset.generator.mesh.coarse import Coarse, coarse_start, coarsen
 
 __all__ = ["Coarse", "build_box_mesh", "coarse_start", "coarsen"]

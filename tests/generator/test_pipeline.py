@@ -184,6 +184,7 @@ def test_an_index_may_be_asked_for_twice() -> None:
         ("max_attempts", 0, "max_attempts is 0: give 1 or more"),
         ("resolution", 50, "resolution is 50 cm: give a length from 0.2 to 10"),
         ("bodies", "fat", "bodies is 'fat': known are neutral, random, female, male, both"),
+        ("fabric", "denin", "fabric is 'denin': known are default, gcd_soft"),
     ],
 )
 def test_options_are_checked(option: str, value: object, said: str) -> None:
@@ -196,6 +197,20 @@ def test_a_recipe_tells_no_difference_between_2_and_2_0() -> None:
         recipe_of(replace(DRAPED, resolution=2.0))
     )
     assert recipe_of(DRAPED)["device"] == "cpu"
+
+
+def test_the_fabric_is_part_of_the_recipe_where_one_is_named() -> None:
+    assert "fabric" not in recipe_of(DRAPED)  # as before there was a choice
+    assert recipe_of(replace(DRAPED, fabric="denim"))["fabric"] == "denim"
+
+
+def test_a_garment_hangs_otherwise_in_another_fabric() -> None:
+    skirts = replace(DRAPED, design=only(upper="none", bottom="SkirtCircle"), resolution=5.0, picture=0)
+    usual, limp = (make(5, 0, replace(skirts, fabric=name)) for name in ("default", "gcd_soft"))
+    assert usual.pattern == limp.pattern
+    assert usual.drape is not None
+    assert limp.drape is not None
+    assert not np.array_equal(usual.drape.vertices, limp.drape.vertices)
 
 
 def only(**meta: str) -> Overlay:

@@ -7,7 +7,8 @@ each other. Where more than two panels meet along an edge, its first two faces m
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Rows, Spring, entry
+from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring, entry
+from gcd_dataset.generator.drape.kernels.sheet import Sheet, bend_share, hinge_rigidity, springs_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -93,6 +94,8 @@ def describe_edges(
     keys: wp.array(dtype=wp.int64),
     sides: wp.array(dtype=int),
     number: wp.array(dtype=int),
+    vertex_world: wp.array(dtype=int),
+    sheets: wp.array(dtype=Sheet),
     # out
     edges: wp.array(dtype=wp.vec2i),
     opposite: wp.array(dtype=wp.vec2i),
@@ -101,11 +104,12 @@ def describe_edges(
     hinge_scale: wp.array(dtype=float),
     side_edge: wp.array(dtype=int),
 ):
-    """Ends, vertices across, spring (area over squared length summed over the faces; flat length, the shorter where a
-    gathered seam joins two; start length) and hinge of every edge.
+    """Ends, vertices across, spring (area over squared length summed over the faces, each times its spring's share of
+    the membrane stiffness; flat length, the shorter where a gathered seam joins two; start length) and hinge of every
+    edge.
 
     A hinge is Bergou et al.'s (A Quadratic Bending Model for Inextensible Surfaces, 2006): the weights of the ends and
-    of the vertices across in its bending vector, and the factor of its square in the energy.
+    of the vertices across in its bending vector, and the factor of its square in the energy [g cm²/s² over cm²].
     """
     s = wp.tid()
     e = number[s] - 1
@@ -121,6 +125,8 @@ def describe_edges(
     across = wp.vec2i(-1, -1)
     ends = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
     beside = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
+    share = wp.float64(0.0)
+    sheet = sheets[vertex_world[low]]
     met = int(0)
     at = int(s)
     while at < keys.shape[0]:
@@ -130,8 +136,12 @@ def describe_edges(
         corner = sides[at] % 3
         length_sq = wp.length_sq(flat[f, (corner + 1) % 3] - flat[f, corner])
         shortest = wp.min(shortest, wp.sqrt(length_sq))
-        spread += flat_area(flat, f) / length_sq
+        if sheet.grained != 0:
+            spread += springs_of(flat, f, sheet)[corner, corner] * flat_area(flat, f) / length_sq
+        else:
+            spread += flat_area(flat, f) / length_sq
         if met < 2:
+            share += wp.float64(0.5) * bend_share(flat, f, corner)
             across[met] = faces[f][(corner + 2) % 3]
             here = cotangent(flat, f, corner)
             there = cotangent(flat, f, (corner + 1) % 3)
@@ -151,7 +161,7 @@ def describe_edges(
         steepest = wp.max(wp.max(wp.abs(ends[0]), wp.abs(ends[1])), wp.max(wp.abs(beside[0]), wp.abs(beside[1])))
         softer = wp.min(wp.float64(LARGEST_BEND_WEIGHT) / wp.max(steepest, wp.float64(1.0e-12)), wp.float64(1.0))
         hinge[e] = wp.vec4(float(ends[0]), float(ends[1]), float(beside[0]), float(beside[1]))
-        hinge_scale[e] = float(wp.float64(3.0) * softer * softer / area)
+        hinge_scale[e] = hinge_rigidity(sheet, share) * float(wp.float64(3.0) * softer * softer / area)
 
 
 @wp.func
@@ -165,6 +175,60 @@ def corner_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int) -> f
     cos_sq = wp.dot(out, back) * wp.dot(out, back) / (wp.length_sq(out) * wp.length_sq(back))
     half = wp.float64(0.5)
     return float(half * (k + g) + wp.sqrt(half * half * (k - g) * (k - g) + k * g * cos_sq))
+
+
+@wp.func
+def grained_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int, springs: wp.mat33d) -> float:
+    """The same for a face of a fabric with a grain, coupled as it will be or not, whichever is stiffer.
+
+    Three coupled corners can be half as stiff again, moving together, as two spring ends can.
+    """
+    area = flat_area(flat, f)
+    last = (corner + 2) % 3
+    out = flat[f, (corner + 1) % 3] - flat[f, corner]
+    back = flat[f, last] - flat[f, corner]
+    k = springs[corner, corner] * area / wp.length_sq(out)
+    g = springs[last, last] * area / wp.length_sq(back)
+    both = springs[corner, last] * area / (wp.length(out) * wp.length(back))
+    cos = wp.dot(out, back) / (wp.length(out) * wp.length(back))
+    half = wp.float64(0.5)
+    apart = half * (k + g) + wp.sqrt(half * half * (k - g) * (k - g) + k * g * cos * cos)
+    trace = k + g + wp.float64(2.0) * both * cos
+    determinant = (k * g - both * both) * (wp.float64(1.0) - cos * cos)
+    coupled = half * trace + wp.sqrt(wp.max(half * half * trace * trace - determinant, wp.float64(0.0)))
+    return float(wp.max(apart, wp.float64(1.5) * coupled))
+
+
+@wp.func
+def corner_of(
+    faces: wp.array(dtype=wp.vec3i),
+    flat: wp.array2d(dtype=wp.vec2d),
+    side_edge: wp.array(dtype=int),
+    spring: wp.array(dtype=wp.vec3),
+    f: int,
+    corner: int,
+    springs: wp.mat33d,
+    membrane: float,
+) -> Corner:
+    """What couples the edges of a face, seen from one of its corners."""
+    across = (corner + 1) % 3
+    last = (corner + 2) % 3
+    scale = wp.float64(membrane) * flat_area(flat, f)
+    to_next = wp.length(flat[f, across] - flat[f, corner])
+    to_last = wp.length(flat[f, last] - flat[f, corner])
+    between = wp.length(flat[f, last] - flat[f, across])
+    return Corner(
+        faces[f][across],
+        faces[f][last],
+        wp.vec3(
+            spring[side_edge[3 * f + corner]][1],
+            spring[side_edge[3 * f + last]][1],
+            spring[side_edge[3 * f + across]][1],
+        ),
+        float(scale * springs[corner, last] / (to_next * to_last)),
+        float(scale * springs[corner, across] / (to_next * between)),
+        float(scale * springs[last, across] / (to_last * between)),
+    )
 
 
 @wp.kernel
@@ -252,21 +316,22 @@ def weigh_rows(
     hinge_scale: wp.array(dtype=float),
     vertex_world: wp.array(dtype=int),
     keeper: wp.array(dtype=wp.uint8),
-    fabric: wp.array(dtype=wp.vec3),
+    sheets: wp.array(dtype=Sheet),
     # out
     mass: wp.array(dtype=float),
     stiffness: wp.array(dtype=float),
     rows: Rows,
 ):
-    """One row of springs and bending weights for each vertex; ``fabric`` is mass, stiffness and rigidity by world.
+    """One row of springs and bending weights for each vertex, by the fabric of its garment.
 
     A spring's stiffness is Van Gelder's (1998) for a membrane: stiffness × area / length², summed over its faces; that
-    of the edges that keep a garment up is ``TAPE`` times as large.
+    of the edges that keep a garment up is ``TAPE`` times as large. In a fabric with a grain it is the spring's own part
+    of the face's energy (``springs_of``), and the rest of that couples the edges.
     ``stiffness`` over inertia bounds the squared frequencies, however the faces are turned: a spring's energy is at
     most twice that of its two ends moving alone, and the springs of a face lie in its plane.
     """
     i = wp.tid()
-    world = fabric[vertex_world[i]]
+    sheet = sheets[vertex_world[i]]
     springs = first_edge[i + 1] - first_edge[i]
     bends = int(0)
     area = wp.float64(0.0)
@@ -275,7 +340,7 @@ def weigh_rows(
     for row in range(springs):
         e = vertex_edges[first_edge[i] + row]
         j = edges[e][0] + edges[e][1] - i
-        k = world[1] * spring[e][0]
+        k = sheet.membrane * spring[e][0]
         if keeper[i] != wp.uint8(0) and keeper[j] != wp.uint8(0):
             stretching += (TAPE - 1.0) * spring[e][0]
             k *= TAPE
@@ -283,7 +348,7 @@ def weigh_rows(
         rows.start_length[entry(rows, i, row)] = spring[e][2]
     for row in range(springs):
         e = vertex_edges[first_edge[i] + row]
-        own = world[2] * hinge_scale[e] * hinge_weight(e, i, edges, hinge)
+        own = hinge_scale[e] * hinge_weight(e, i, edges, hinge)
         if own == 0.0:
             continue
         j = edges[e][0] + edges[e][1] - i
@@ -300,7 +365,14 @@ def weigh_rows(
             corner = 1
         elif faces[f][2] == i:
             corner = 2
-        stretching += corner_stiffness(flat, f, corner)
+        if sheet.grained != 0:
+            springs_here = springs_of(flat, f, sheet)
+            stretching += grained_stiffness(flat, f, corner, springs_here)
+            rows.corners[entry(rows, i, at - first_face[i])] = corner_of(
+                faces, flat, side_edge, spring, f, corner, springs_here, sheet.membrane
+            )
+        else:
+            stretching += corner_stiffness(flat, f, corner)
         e = side_edge[3 * f + (corner + 1) % 3]
         own_side = int(-1)
         if opposite[e][1] >= 0:
@@ -310,7 +382,7 @@ def weigh_rows(
                 own_side = 1
         if own_side < 0:
             continue
-        own = world[2] * hinge_scale[e] * hinge[e][2 + own_side]
+        own = hinge_scale[e] * hinge[e][2 + own_side]
         diagonal += own * hinge[e][2 + own_side]
         for end in range(2):
             to = spring_to(i, edges[e][end], edges, vertex_edges, first_edge)
@@ -322,7 +394,9 @@ def weigh_rows(
         rows.start_length[entry(rows, i, row)] = 0.0
     for row in range(bends, USUAL):
         rows.bends[entry(rows, i, row)] = Bend(i, 0.0)
-    mass[i] = world[0] * float(area / wp.float64(3.0))
+    mass[i] = sheet.mass * float(area / wp.float64(3.0))
+    if rows.coupled != 0:
+        rows.corner_count[i] = sheet.grained * (first_face[i + 1] - first_face[i])
     rows.bend_diagonal[i] = diagonal
     rows.count[i] = wp.vec2i(springs, bends)
     bending = wp.abs(diagonal)
@@ -330,7 +404,7 @@ def weigh_rows(
         bending += wp.abs(rows.springs[entry(rows, i, row)].bend)
     for row in range(bends):
         bending += wp.abs(rows.bends[entry(rows, i, row)].weight)
-    stiffness[i] = 2.0 * world[1] * stretching + bending
+    stiffness[i] = 2.0 * sheet.membrane * stretching + bending
 
 
 @wp.kernel

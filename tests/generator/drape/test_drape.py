@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch
+from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_batch
 from gcd_dataset.generator.drape.holds import holds
 from gcd_dataset.generator.drape.outcome import slid_off
 from gcd_dataset.generator.drape.queue import drape_in_turn
@@ -46,6 +46,16 @@ def test_a_garment_drapes_alike_alone_and_in_any_batch() -> None:
     assert drape_batch(jobs[::-1], config, device="cpu") == together[::-1]
 
 
+def test_a_fabric_drapes_alike_alone_and_beside_others() -> None:
+    names = ["default", "denim", "interlock", "gcd_soft", "wool_light"]
+    jobs = [replace(on_a_ball(6), fabric=FABRICS[name]) for name in names]
+    config = DrapeConfig(max_frames=30)
+    together = drape_batch(jobs, config, device="cpu")
+    for job, drape in zip(jobs, together, strict=True):
+        assert drape_batch([job], config, device="cpu") == [drape]
+    assert len({drape.vertices.tobytes() for drape in together}) == len(names)
+
+
 def test_too_few_frames_are_reported() -> None:
     [drape] = drape_batch([on_a_ball(5)], DrapeConfig(max_frames=5), device="cpu")
     assert drape.outcome is Outcome.NOT_SETTLED
@@ -65,7 +75,7 @@ def test_late_it_is_enough_to_be_calm() -> None:
 @pytest.mark.parametrize("few", [1, 10_000])
 def test_a_garment_drapes_alike_whoever_leaves_and_joins_its_batch(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a coarse start and without: garments change places, are carried over and go on from coarse ones."""
-    monkeypatch.setattr("gcd_dataset.generator.mesh.coarsen.FEW", few)
+    monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", few)
     jobs = [on_a_ball(columns) for columns in (9, 5, 8, 6, 7)]
     config = DrapeConfig(max_frames=60)
     alone = [drape for job in jobs for _, drape in drape_in_turn([job], config, device="cpu", at_once=1)]
@@ -76,7 +86,7 @@ def test_a_garment_drapes_alike_whoever_leaves_and_joins_its_batch(few: int, mon
 
 
 def test_a_coarse_start_comes_to_the_same_shape(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.generator.mesh.coarsen.FEW", 1)
+    monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", 1)
     job = on_a_ball(9)
     [with_start], [without] = (
         drape_batch([job], DrapeConfig(coarse_start=coarse), device="cpu") for coarse in (True, False)

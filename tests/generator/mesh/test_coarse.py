@@ -7,7 +7,7 @@ import pytest
 
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.mesh.coarsen import Coarse, coarsen
+from gcd_dataset.generator.mesh.coarse import Coarse, coarsen
 from gcd_dataset.records import BoxMesh, Pattern
 from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, tube
 from tests.generator.mesh.test_box_mesh import DART, darted, patchwork

@@ -1,0 +1,105 @@
+"""Fabrics by name, with the tests that their figures are from.
+
+Where a figure is not published for a cloth, its source says of what it is taken. Friction is for all of them that of
+the reference drape, 0.5 against skin: for one cotton on six places of the body Temel et al. (Tribology Letters 70,
+2022) measured 0.25 to 0.79.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.drape.fabric import Bending, Fabric, Tensile, bias_stiffness
+
+__all__ = ["DEFAULT_FABRIC", "FABRICS", "fabric_named"]
+
+DEFAULT_FABRIC = "default"
+GARMENTCODE = (
+    "GarmentCodeData (Korosteleva et al., ECCV 2024): the stiffness that its springs and hinges have in effect, over a "
+    "weight of 0.2 kg/m²; hinge stiffness {}"
+)
+# The warp is their v, the stiffer way of their denim. Stretch: their matrix at small strain without its cross term; the
+# shear is half of c33, whose strain is the tensor's. Bending: at small curvature; a mesh of their hinges, which they
+# fitted to strips, has a quarter of a hinge's number as its rigidity.
+WANG = (
+    "Wang, O'Brien and Ramamoorthi, Data-driven elastic models for cloth, ACM Trans. Graph. 30(4), 2011: {}; "
+    "thickness: {}"
+)
+PENAVA = "of the class: Penava et al., Fibres & Textiles in Eastern Europe 22(2), 2014, Table 1, {}"
+UNKNOWN = "not published, left at what the solver keeps between layers"
+
+
+def _measured(warp: float, weft: float, shear: float) -> Tensile:
+    """Tensile stiffness of a cloth whose shear was measured, and its bias not [N/m]."""
+    return Tensile(warp, weft, round(bias_stiffness(warp, weft, shear), 1))
+
+
+FABRICS: Mapping[str, Fabric] = MappingProxyType(
+    {
+        DEFAULT_FABRIC: Fabric(),
+        "gcd_soft": Fabric(bending=1.4e-7, source=GARMENTCODE.format("1, its default")),
+        "gcd_medium": Fabric(bending=1.4e-5, source=GARMENTCODE.format("100, mid_bending")),
+        "gcd_stiff": Fabric(bending=6.9e-5, source=GARMENTCODE.format("500, minimal_bending")),
+        "denim": Fabric(
+            density=0.324,
+            tensile=_measured(1010.0, 205.0, 27.0),
+            bending=Bending(2.4e-5, 1.6e-5),
+            thickness=0.107,
+            source=WANG.format(
+                "11 oz black denim, 99 % cotton, 1 % spandex",
+                "of the class: Kumari and Khurana, J. Textiles 2016, 4614168, Table 5, A, whose bending rigidity "
+                "by KES, 0.172 gf cm²/cm = 1.7e-5 N·m, is alike",
+            ),
+        ),
+        "drill": Fabric(
+            density=0.220,
+            tensile=_measured(2030.0, 2020.0, 52.0),
+            bending=Bending(3.1e-5, 3.1e-5),
+            thickness=0.032,
+            source=WANG.format("royal target, 65 % cotton, 35 % polyester, for trousers", PENAVA.format("cotton")),
+        ),
+        "polyester_woven": Fabric(
+            density=0.128,
+            tensile=_measured(2030.0, 2000.0, 9.6),
+            bending=Bending(7.8e-6, 1.3e-5),
+            thickness=0.025,
+            source=WANG.format("white dots on black, polyester, for table cloths", PENAVA.format("polyester")),
+        ),
+        "polyester_light": Fabric(
+            density=0.113,
+            tensile=_measured(171.0, 43.0, 7.2),
+            bending=Bending(5.1e-6, 3.6e-6),
+            thickness=0.025,
+            source=WANG.format("tango red jet set, polyester, for jackets", PENAVA.format("polyester")),
+        ),
+        "interlock": Fabric(
+            density=0.187,
+            tensile=_measured(34.5, 16.6, 18.0),
+            bending=Bending(3.6e-6, 5.8e-6),
+            source=WANG.format("gray interlock knit, 60 % cotton, 40 % polyester, for T-shirts", UNKNOWN),
+        ),
+        "ponte_roma": Fabric(
+            density=0.284,
+            tensile=_measured(44.0, 31.0, 16.0),
+            bending=Bending(9.3e-6, 9.1e-6),
+            source=WANG.format("camel ponte roma knit, 60 % polyester, 40 % rayon, for jackets", UNKNOWN),
+        ),
+        "wool_light": Fabric(
+            density=0.168,
+            tensile=Tensile(2130.0, 1670.0, 104.0),
+            bending=Bending(5.56e-6, 5.02e-6),
+            thickness=0.057,
+            source="plain-woven wool, FAST (CSIRO): bending length 15.0 and 14.5 mm, extension at 98.1 N/m 4.60 and "
+            "5.87 %, on the bias at 4.9 N/m 4.7 % (laboratory report, bartleby.com, 2014); thickness: "
+            + PENAVA.format("wool"),
+        ),
+    }
+)
+"""Along the warp and along the weft, see ``Fabric``; what is capped in a drape tells ``Fabric.softened``."""
+
+
+def fabric_named(name: str) -> Fabric:
+    """The fabric of that name. Raises ``ConfigError`` with the names that there are."""
+    if name not in FABRICS:
+        raise ConfigError(f"fabric is {name!r}: known are {', '.join(FABRICS)}")
+    return FABRICS[name]

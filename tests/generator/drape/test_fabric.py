@@ -1,0 +1,160 @@
+"""Fabrics: that cloth on a mesh stretches, bends and hangs as its figures say, in each direction of the grain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.optimize import brentq
+
+from benchmarks.strips import LEVEL, Grain, bending_length, cantilever, hold_fast, strip, strip_job
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.drape import FABRICS, Bending, DrapeConfig, Fabric, Tensile, fabric_named
+from gcd_dataset.generator.drape.config import GRAVITY
+from gcd_dataset.generator.drape.fabric import POISSON, bias_stiffness, shear_stiffness
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.records import BoxMesh
+from tests.generator.drape.probes import elastic_kernel
+
+GRAINED = Fabric(tensile=Tensile(90.0, 50.0, 20.0), bending=Bending(4e-5, 1.5e-5))
+SEWN = DrapeConfig(sewing_time=1e-6, max_speed=1e9, damping=0.0)
+
+
+def tension(mesh: BoxMesh, fabric: Fabric, strain: np.ndarray) -> np.ndarray:
+    """(2, 2) mean tension of a sheet strained alike everywhere [N/m], from the forces on its vertices."""
+    model = build_model([strip_job(mesh, fabric)], SEWN, "cpu")
+    flat = mesh.uv @ (np.eye(2) + strain)
+    at = wp.array(np.pad(flat, ((0, 0), (0, 1))).astype(np.float32), dtype=wp.vec3, device="cpu")
+    pulls = wp.empty_like(at)
+    wp.launch(elastic_kernel, dim=len(flat), inputs=[model.rows, 1.0, at], outputs=[pulls], device="cpu")
+    force = pulls.numpy()[:, :2]
+    out, back = (mesh.uv[mesh.corners[:, k]] - mesh.uv[mesh.corners[:, 0]] for k in (1, 2))
+    area = 0.5 * np.abs(out[:, 0] * back[:, 1] - out[:, 1] * back[:, 0]).sum()
+    return np.asarray(-(force.T @ mesh.uv) / area / 1e3)
+
+
+def stiffnesses(mesh: BoxMesh, fabric: Fabric) -> Tensile:
+    """What a pull along warp, weft and bias finds of a sheet whose other sides are free."""
+    small = 2e-3
+    strains = [np.array(e) * small for e in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 0.5], [0.5, 0]])]
+    found = [(tension(mesh, fabric, s) - tension(mesh, fabric, -s)) / (2 * small) for s in strains]
+    give = np.linalg.inv(np.stack([[t[0, 0], t[1, 1], 0.5 * (t[0, 1] + t[1, 0])] for t in found], axis=1))
+    pulls = {"warp": [0.0, 1.0, 0.0], "weft": [1.0, 0.0, 0.0], "bias": [0.5, 0.5, 0.5]}
+    return Tensile(**{name: float(1 / (np.array(p) @ give @ np.array(p))) for name, p in pulls.items()})
+
+
+@pytest.mark.parametrize("fabric", [GRAINED, FABRICS["interlock"], FABRICS["wool_light"].softened()])
+@pytest.mark.parametrize("spacing", [1.0, 2.5])
+def test_a_sheet_resists_a_pull_as_its_fabric_does_whatever_the_mesh(fabric: Fabric, spacing: float) -> None:
+    sheet = strip(15.0, 13.0, spacing)
+    assert stiffnesses(sheet, fabric) == pytest.approx(tuple(fabric.pull), rel=1e-3)
+    rng = np.random.default_rng(1)
+    uneven = sheet.uv + 0.08 * spacing * rng.standard_normal(sheet.uv.shape)
+    assert stiffnesses(replace(sheet, uv=uneven), fabric) == pytest.approx(tuple(fabric.pull), rel=1e-3)
+
+
+def test_springs_make_a_sheet_that_is_alike_in_every_direction() -> None:
+    """But for its border, whose half triangles are none of equilateral ones."""
+    found = stiffnesses(strip(40.0, 40.0, 1.0), Fabric(tensile=80.0))
+    assert found == pytest.approx((80.0, 80.0, 80.0), rel=0.04)
+
+
+@pytest.mark.parametrize("grain", ["warp", "weft"])
+def test_a_hanging_strip_gives_by_its_weight_along_the_grain(grain: Grain) -> None:
+    """A strip of length L held at its top grows by rho g L² / (2 E)."""
+    fabric, length = Fabric(tensile=Tensile(40.0, 25.0, 15.0), bending=1e-6), 30.0
+    down = {"warp": [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]], "weft": [[0.0, 1.0], [1.0, 0.0], [0.0, 0.0]]}[grain]
+    size = (5.0, length) if grain == "warp" else (length, 5.0)
+    mesh = strip(*size, 1.0, place=np.array(down))
+    height = mesh.vertices[:, 1]
+    top, bottom = height > height.max() - 1e-6, height < height.min() + 1e-6
+    x = settled(mesh, fabric, top, seconds=1.2)
+    long = np.ptp(height)
+    grown = x[top, 1].mean() - x[bottom, 1].mean() - long
+    stiffness = 1e3 * getattr(fabric.pull, grain)
+    assert grown == pytest.approx(fabric.mass * GRAVITY * long**2 / (2 * stiffness), rel=0.05)
+
+
+def test_a_strip_held_at_both_ends_hangs_as_a_catenary() -> None:
+    mesh = strip(40.0, 4.0, 1.0)
+    span, x = 28.0, mesh.vertices[:, 0]
+    ends = np.abs(x) > np.abs(x).max() - 1e-6
+    slack = np.array(mesh.vertices)
+    slack[:, 0] *= span / np.ptp(x)
+    slack[:, 1] -= 10.0 * (1 - (x / x.max()) ** 2)
+    found = settled(replace(mesh, vertices=slack), FABRICS["gcd_soft"], ends, seconds=2.0)
+    length = np.linalg.norm(np.diff(found[np.isclose(mesh.uv[:, 1], mesh.uv[:, 1].max())], axis=0), axis=1).sum()
+    tight = brentq(lambda a: 2 * a * np.sinh(span / (2 * a)) - length, 3.0, 100.0)
+    expected = LEVEL + tight * (np.cosh(found[:, 0] / tight) - np.cosh(span / (2 * tight)))
+    assert np.abs(found[:, 1] - expected).max() < 0.03 * (LEVEL - found[:, 1].min())
+
+
+def settled(mesh: BoxMesh, fabric: Fabric, held: np.ndarray, *, seconds: float) -> np.ndarray:
+    """Where the vertices are after a time, some of them held [cm]."""
+    config = DrapeConfig(sewing_time=1e-4, held_time=1e6, max_frames=10_000, damping=8.0)
+    solver = Solver(build_model([strip_job(mesh, fabric)], config, "cpu"), config)
+    hold_fast(solver.model, held)
+    solver.run_for(seconds)
+    return np.asarray(solver.state.x.numpy().astype(float))
+
+
+@pytest.mark.parametrize("fabric", [GRAINED, FABRICS["denim"]], ids=["made_up", "denim"])
+@pytest.mark.parametrize("grain", ["warp", "weft"])
+def test_a_strip_over_an_edge_shows_its_bending_length(fabric: Fabric, grain: Grain) -> None:
+    """A strip is free to curl across, which on this mesh lets it bend by 4 % more than a wide sheet; so its border."""
+    assert cantilever(fabric, grain, spacing=0.5) == pytest.approx(0.95 * bending_length(fabric, grain), rel=0.03)
+
+
+def test_bias_of_a_sheet_that_is_alike_in_every_direction() -> None:
+    shear = 80.0 / (2 * (1 + POISSON))
+    assert bias_stiffness(80.0, 80.0, shear) == pytest.approx(80.0)
+    assert shear_stiffness(Tensile(80.0, 80.0, 80.0)) == pytest.approx(shear)
+    assert bias_stiffness(1e9, 1e9, 30.0) == pytest.approx(4 * 30.0)  # threads that do not give: E45 = 4 G
+
+
+def test_a_softened_fabric_gives_no_more_than_asked_and_keeps_its_shear() -> None:
+    wool = FABRICS["wool_light"]
+    soft = wool.softened(500.0)
+    assert (soft.pull.warp, soft.pull.weft) == pytest.approx((84.0, 84.0))
+    assert shear_stiffness(soft.pull) == pytest.approx(shear_stiffness(wool.pull))
+    assert replace(soft, tensile=wool.tensile) == wool
+    assert wool.softened(1e6) == wool
+    assert Fabric(tensile=300.0).softened(500.0) == Fabric(tensile=100.0)
+    for fabric in FABRICS.values():
+        assert max(fabric.softened().pull) <= 500.0 * fabric.density * (1 + 1e-9)
+
+
+def test_the_solver_takes_what_is_softened_at_its_word_unless_told_otherwise() -> None:
+    sheet, wool = strip(6.0, 6.0, 1.0), FABRICS["wool_light"]
+    usual = build_model([strip_job(sheet, wool)], DrapeConfig(), "cpu")
+    stiff = build_model([strip_job(sheet, wool)], DrapeConfig(stiffest=1e9), "cpu")
+    assert stiff.worlds.numpy()["dt"][0] < 0.3 * usual.worlds.numpy()["dt"][0]
+
+
+def test_every_named_fabric_says_where_its_figures_are_from() -> None:
+    assert len(FABRICS) >= 10
+    for name, fabric in FABRICS.items():
+        assert fabric_named(name) is fabric
+        assert fabric.source or name == "default"
+        assert 0.3 < bending_length(fabric, "warp") < 5.0  # cm: from the limpest cloth to the stiffest
+    assert fabric_named("default") == Fabric()
+
+
+def test_a_fabric_that_is_not_there_is_told_with_those_that_are() -> None:
+    with pytest.raises(ConfigError, match=r"'denin': known are default, gcd_soft, .*denim"):
+        fabric_named("denin")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"density": 0.0}, "density is 0.0"),
+        ({"bending": Bending(1e-5, -1e-5)}, "bending is"),
+        ({"layer_friction": -0.1}, "layer_friction is -0.1"),
+        ({"tensile": Tensile(100.0, 50.0, 400.0)}, "on the bias is 400.0 N/m: .* below 194"),
+    ],
+)
+def test_a_fabric_that_cannot_be_is_refused(wrong: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Fabric(**wrong)  # type: ignore[arg-type]
