@@ -19,7 +19,7 @@ from gcd_dataset.generator.body.holes import Skin
 from gcd_dataset.generator.drape.kernels.field import fill_field
 from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["FOREARM", "BodyField", "body_field"]
+__all__ = ["AXES", "FOREARM", "BodyField", "body_field"]
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
@@ -27,6 +27,14 @@ KEPT = 8  # fields kept for bodies that are dressed again
 FOREARM = 30  # what the drape calls an arm from the elbow on, with the hand; no ``BodyPart``
 ELBOW = 0.42  # of the way from the shoulder to the finger tips
 
+AXES = {
+    "trunk": (BodyPart.TRUNK,),
+    "left arm": (BodyPart.LEFT_ARM,),
+    "right arm": (BodyPart.RIGHT_ARM,),
+    "left leg": (BodyPart.LEFT_LEG,),
+    "right leg": (BodyPart.RIGHT_LEG,),
+    "legs": (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG),
+}
 
 _digested: dict[int, tuple[weakref.ref[Body], tuple[bytes, bytes]]] = {}
 _in_use: WeakValueDictionary[tuple[str, bytes], "BodyField"] = WeakValueDictionary()
@@ -45,6 +53,8 @@ class BodyField:
     origin: tuple[float, float, float]
     """Centre of the first voxel [cm]."""
     cell: float
+    axes: Float[np.ndarray, "2 axes 3"]
+    """Ends of the axes of ``AXES``, the upper one first [cm]."""
     mesh: wp.Mesh
     """The skin without what is internal, in cm."""
 
@@ -115,7 +125,20 @@ def _make_field(body: Body, skin: Skin, device: str) -> BodyField:
         outputs=[distance, part],
         device=device,
     )
-    return BodyField(distance, part, (float(low[0]), float(low[1]), float(low[2])), CELL, mesh)
+    axes = _axes(points, skin)
+    return BodyField(distance, part, (float(low[0]), float(low[1]), float(low[2])), CELL, axes, mesh)
+
+
+def _axes(points: Float[np.ndarray, "w 3"], skin: Skin) -> Float[np.ndarray, "2 axes 3"]:
+    """From the middle of each part's highest tenth of faces to that of its lowest; of all faces for a missing part."""
+    middle = points[skin.faces].mean(axis=1)
+    axes = np.zeros((2, len(AXES), 3))
+    for number, parts in enumerate(AXES.values()):
+        own = middle[np.isin(skin.parts, [part.value for part in parts])]
+        own = own[np.argsort(-own[:, 1], kind="stable")] if len(own) else middle
+        tenth = max(len(own) // 10, 1)
+        axes[:, number] = own[:tenth].mean(axis=0), own[-tenth:].mean(axis=0)
+    return axes
 
 
 def _with_forearms(points: Float[np.ndarray, "w 3"], skin: Skin) -> UInt8[np.ndarray, " g"]:

@@ -24,6 +24,24 @@ class DrapeConfig:
     max_frames: int = 300
     """Frames after which a garment that still moves is left as it is; half as many of its coarse mesh, where frames are
     twice as long."""
+    holds: bool = True
+    """Hold waist and collar in half-spaces while the garment falls into place."""
+    gravity_free_start: bool = True
+    """Sew without weight."""
+    self_contact: bool = True
+    """Keep layers apart: points and triangles, edges and edges."""
+    exempt_crossings: bool = True
+    """Look for cloth that has crossed, and do not keep it apart: contacts would lock it in."""
+    untangle: bool = True
+    """Move crossing cloth so that the curve along which it crosses gets shorter."""
+    pull_to_parts: bool = True
+    """Draw crossing cloth of different parts of the body toward its own part."""
+    pull_from_body: bool = True
+    """Draw cloth that is inside the body to the skin."""
+    part_filters: bool = True
+    """Let skirts and trousers pass through the arms, and what they hang on through the forearms."""
+    exact_finish: bool = True
+    """In the end move cloth off the skin itself, where the distance field is too coarse."""
     coarse_start: bool = True
     """Drape a mesh of twice the spacing first, and go on from its shape."""
     sewing_time: float = 0.2

@@ -9,11 +9,11 @@ crosses itself.
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gcd_dataset.generator.drape.body_field import FOREARM
+from gcd_dataset.generator.drape.body_field import AXES, FOREARM
 from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.records import BodyPart, BoxMesh, Measurements
 
-__all__ = ["held_from_below", "holds", "unseen_parts"]
+__all__ = ["held_from_below", "holds", "own_parts", "unseen_parts"]
 
 NECKLINE = frozenset({"left_collar", "right_collar"})
 SLIDING_DROP = 18.0  # cm below its level at which a held edge counts as slid off: about armpits to waist
@@ -77,6 +77,28 @@ def unseen_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     above_legs = ~on_leg & (labels != "arm") & on_leg.any() & ~_sewn_to(mesh, labels == "arm")
     unseen = np.where(on_leg, arms, np.where(above_legs, forearms, 0))
     return np.where(_mostly(mesh, on_leg), arms, np.where(_mostly(mesh, unseen > 0), forearms, 0))
+
+
+def own_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
+    """The axis of ``BodyField.axes`` that each vertex's cloth goes round; -1 where no label tells.
+
+    Sleeves and trousers by the side that their panel stands on. A seam vertex belongs to the last of its panels.
+    """
+    axes = list(AXES)
+    middle = np.bincount(mesh.panel_id, mesh.vertices[mesh.faces, 0].mean(axis=1), minlength=len(mesh.panel_names))
+    axis = np.full(len(mesh.panel_names), -1)
+    for panel, (name, label) in enumerate(zip(mesh.panel_names, mesh.panel_labels, strict=True)):
+        right = middle[panel] < 0
+        if label == "body":
+            axis[panel] = axes.index("trunk")
+        elif label == "arm":
+            axis[panel] = axes.index("right arm" if right else "left arm")
+        elif label == "leg":
+            one = "right leg" if right else "left leg"
+            axis[panel] = axes.index(one if "pant" in name else "legs")
+    own = np.full(len(mesh.vertices), -1)
+    own[mesh.faces] = axis[mesh.panel_id][:, None]
+    return own
 
 
 def _sewn_to(mesh: BoxMesh, chosen: Bool[np.ndarray, " p"]) -> Bool[np.ndarray, " p"]:

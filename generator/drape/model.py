@@ -11,7 +11,7 @@ import warp as wp
 
 from gcd_dataset.generator.drape.body_field import BodyField, body_field
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.holds import held_from_below, holds, unseen_parts
+from gcd_dataset.generator.drape.holds import held_from_below, holds, own_parts, unseen_parts
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.topology import add_inertia
 from gcd_dataset.generator.drape.kernels.world import Cloth, World
@@ -21,6 +21,9 @@ __all__ = ["ClothModel", "build_model"]
 
 STABLE = 4.0 / (1.0 + 2.0 * LOOK_AHEAD)  # of (omega h)²
 SAFETY = 0.9
+LEAVING_SPEED = 80.0  # cm/s
+UNTANGLING = 24000.0  # cm/s²
+PULLING = 12000.0  # cm/s²
 COARSE_GAP = 2.5  # distance of layers of coarse cloth, over that of fine cloth
 INERTIA_GAIN = 1.3  # inertia over mass at the typical vertex: a longer step for a slower clock
 
@@ -79,8 +82,9 @@ def build_model(
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
         world.field_cell = body.cell
-    cloth = _cloth(jobs, topology, _inertia(topology, steps, device), device)
+    cloth = _cloth(jobs, config, topology, _inertia(topology, steps, device), device)
     cloth.field, cloth.field_parts = fields, parts
+    cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
     face_world = np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset))
     return ClothModel(
@@ -94,13 +98,14 @@ def build_model(
     )
 
 
-def _cloth(jobs: Sequence[DrapeJob], topology: Topology, inertia: wp.array, device: str) -> Cloth:
+def _cloth(jobs: Sequence[DrapeJob], config: DrapeConfig, topology: Topology, inertia: wp.array, device: str) -> Cloth:
     """All but the bodies."""
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type) -> wp.array:
         return wp.array(np.concatenate(arrays).astype(kind, copy=False), dtype=dtype, device=device)
 
-    held = [holds(job) for job in jobs]
+    sizes = [len(job.box_mesh.vertices) for job in jobs]
+    held = [holds(job) if config.holds else (np.zeros((n, 3)), np.zeros(n)) for job, n in zip(jobs, sizes, strict=True)]
     cloth = Cloth()
     cloth.vertex_world, cloth.mass, cloth.inertia = topology.vertex_world, topology.mass, inertia
     cloth.faces, cloth.edges, cloth.edge_opposite = topology.faces, topology.edges, topology.opposite
@@ -109,7 +114,8 @@ def _cloth(jobs: Sequence[DrapeJob], topology: Topology, inertia: wp.array, devi
     cloth.hold_normal = put([normal for normal, _ in held], np.float32, wp.vec3)
     cloth.hold_offset = put([offset for _, offset in held], np.float32, float)
     cloth.keeper = topology.keeper
-    cloth.unseen_parts = put([unseen_parts(job.box_mesh) for job in jobs], np.int32, int)
+    cloth.unseen_parts = put([config.part_filters * unseen_parts(job.box_mesh) for job in jobs], np.int32, int)
+    cloth.own_part = put([own_parts(job.box_mesh) for job in jobs], np.int32, int)
     return cloth
 
 
@@ -145,8 +151,12 @@ def _world(job: DrapeJob, config: DrapeConfig, apart: float) -> World:
     world.held_time = config.held_time
     world.longest_hold = config.longest_hold
     world.gravity = GRAVITY
+    world.weight_from = config.sewing_time if config.gravity_free_start else 0.0
     world.max_speed = config.max_speed
-    world.friction = job.fabric.friction
+    world.friction, world.layer_friction = job.fabric.friction, job.fabric.layer_friction
+    world.leaving_speed = LEAVING_SPEED if config.pull_from_body else 0.0
+    world.untangling = UNTANGLING if config.untangle else 0.0
+    world.pulling = PULLING if config.pull_to_parts else 0.0
     world.thickness = apart * max(job.fabric.thickness, config.layer_gap)
     world.body_gap = config.body_gap
     world.margin = max(config.contact_margin, 1.5 * world.thickness)

@@ -23,6 +23,8 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     state, topology = solver.state, solver.model.topology
     with one_at_a_time:
         chosen = np.isin(np.arange(solver.model.n_worlds), worlds)
+        if solver.config.exact_finish:
+            solver.leave_skin(chosen)
         self_crossings, body_crossings = solver.self_crossings(chosen), solver.body_crossings(chosen)
         stretches = solver.stretches()
     x, status, frames, overfull = (a.numpy() for a in (state.x, state.status, state.frames, state.contacts.overfull))

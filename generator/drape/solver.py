@@ -10,14 +10,15 @@ from jaxtyping import Bool, Int
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.device import load_kernels, one_at_a_time
-from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, search, step, stillness
+from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, finish, search, step, stillness
 from gcd_dataset.generator.drape.kernels.world import RUNNING, Contacts
 from gcd_dataset.generator.drape.model import ClothModel
 
 __all__ = ["ClothState", "Solver", "new_state"]
 
-KERNELS: tuple[ModuleType, ...] = (boxes, contacts, crossing, search, step, stillness)
+KERNELS: tuple[ModuleType, ...] = (boxes, contacts, crossing, finish, search, step, stillness)
 REBUILD_EVERY = 10  # frames after which the tree of boxes is built anew
+FINISHING_ROUNDS = 4
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; longer lists are walked in strides
 
 
@@ -151,6 +152,7 @@ class Solver:
         self._bound()
         self._bvh = wp.Bvh(self.state.lower, self.state.upper, groups=model.face_world)
         self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
+        self._none = wp.zeros_like(self.state.tangled)
         self._graph: wp.Graph | None = None
 
     @property
@@ -177,6 +179,22 @@ class Solver:
             if (self.state.status.numpy() != RUNNING).any():
                 raise DrapeError(f"a garment has ended before {seconds} s: give it more frames, and hold it longer")
             self.frame()
+
+    def leave_skin(self, worlds: Bool[np.ndarray, " w"]) -> None:
+        """Move the cloth of garments at rest off the skin where it crosses it, without a crossing of the cloth."""
+        m, s = self.model, self.state
+        chosen, through = self._asked(worlds), wp.zeros_like(s.listed)
+        free, start, moved = wp.empty_like(s.skin), wp.clone(s.x), wp.empty_like(s.x)
+        self._launch(finish.begin_finish, m.n_vertices, [m.worlds, m.cloth, chosen], [s.contacts, free])
+        wp.copy(s.searching, chosen)
+        self._search()
+        threads = 1 if m.device == "cpu" else 256
+        self._launch(finish.bound_moves, (m.n_worlds, threads), [m.worlds, s.contacts, threads, chosen, s.x], [free])
+        for _ in range(FINISHING_ROUNDS):
+            self._launch(finish.mark_body_crossings, m.n_edges, [m.cloth, chosen, s.x], [through])
+            inputs = [m.worlds, m.cloth, chosen, through, free, start, s.x]
+            self._launch(finish.leave_skin, m.n_vertices, inputs, [moved])
+            wp.copy(s.x, moved)
 
     def self_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
         """Edges of each world that cross its cloth; 0 for those that are not asked for."""
@@ -215,7 +233,9 @@ class Solver:
 
     def _record_frame(self) -> None:
         m, s = self.model, self.state
-        wp.capture_if(s.any_crossing, self._find_crossings)
+        c = self.config
+        if c.exempt_crossings or c.untangle or c.pull_to_parts:
+            wp.capture_if(s.any_crossing, self._find_crossings)
         self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
         for turn in range(self.config.substeps):
             if turn % self.config.search_every == 0:
@@ -305,12 +325,9 @@ class Solver:
             [s.x_searched, s.skin, s.beside, s.contacts],
         )
         self._launch(search.share_near, m.n_worlds + 1, [m.worlds, s.searching], [s.contacts])
-        self._launch(
-            search.find_pairs,
-            threads,
-            [m.worlds, m.cloth, threads, s.tangled, s.x],
-            [s.listed, s.contacts],
-        )
+        if self.config.self_contact:
+            exempt = s.tangled if self.config.exempt_crossings else self._none
+            self._launch(search.find_pairs, threads, [m.worlds, m.cloth, threads, exempt, s.x], [s.listed, s.contacts])
         self._launch(search.find_long_edges, m.n_edges, [m.worlds, m.cloth, s.searching, s.x], [s.listed, s.contacts])
         self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
 

@@ -7,7 +7,6 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, World
 
 wp.set_module_options({"enable_backward": False})
 
-LEAVING_SPEED = 80.0  # cm/s at which cloth that is already inside the body comes out
 GRIP = 2.0  # friction of an edge that keeps a garment up, over that of its cloth: it is faced with grip tape
 MIDDLE_SHARE = 0.5  # of the gap from the skin, that the middle of an edge keeps
 
@@ -115,7 +114,7 @@ def push_long_edge(
         add_weight(push, j, t)
         normal = wp.vec3(near[0], near[1], near[2])
         step = here - before
-        out = leave_body(depth, normal, step, world.friction, LEAVING_SPEED * world.dt)
+        out = leave_body(depth, normal, step, world.friction, world.leaving_speed * world.dt)
         share = 1.0 / (((1.0 - t) * (1.0 - t) + t * t) * wp.max(crowd[i], crowd[j]))
         add_push(push, i, ((1.0 - t) * share) * out)
         add_push(push, j, (t * share) * out)
@@ -133,4 +132,4 @@ def keep_off_body(i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: C
     if cloth.keeper[i] != wp.uint8(0):
         friction *= GRIP
     skin = wp.vec3(near[0], near[1], near[2])
-    return leave_body(world.body_gap - near[3], skin, here - before, friction, LEAVING_SPEED * world.dt)
+    return leave_body(world.body_gap - near[3], skin, here - before, friction, world.leaving_speed * world.dt)

@@ -57,11 +57,21 @@ def push_point(
         if weights[corner] > 0.0:
             lever += weights[corner] * weights[corner] / inertia[face[corner]]
             crowded = wp.max(crowded, crowd[face[corner]])
-    step = (apart / (lever * crowded)) * normal
+    step = (apart * normal + rubbing(away - before, normal, apart, world.layer_friction)) / (lever * crowded)
     add_push(push, i, step / inertia[i])
     for corner in range(3):
         if weights[corner] > 0.0:
             add_push(push, face[corner], (-weights[corner] / inertia[face[corner]]) * step)
+
+
+@wp.func
+def rubbing(moved: wp.vec3, normal: wp.vec3, apart: float, friction: float) -> wp.vec3:
+    """What Coulomb friction takes back of how two layers slide over each other in a step [cm]."""
+    sliding = moved - wp.dot(moved, normal) * normal
+    slid = wp.length(sliding)
+    if slid == 0.0:
+        return wp.vec3(0.0)
+    return -wp.min(friction * apart / slid, 1.0) * sliding
 
 
 @wp.func
@@ -100,7 +110,8 @@ def push_edges(
     if wp.dot(normal, found) < 0.0:
         normal = -normal
     gap = wp.dot(between, normal)
-    gap_old = wp.dot(wp.lerp(x[j], x[j1], t) - wp.lerp(x[i], x[i1], s), normal)
+    before = wp.lerp(x[j], x[j1], t) - wp.lerp(x[i], x[i1], s)
+    gap_old = wp.dot(before, normal)
     if gap - wp.max(gap_old - gap, 0.0) < world.thickness:
         add_weight(push, i, 1.0 - s)
         add_weight(push, i1, s)
@@ -116,7 +127,8 @@ def push_edges(
         + t * t / inertia[j1]
     )
     crowded = wp.max(wp.max(crowd[i], crowd[i1]), wp.max(crowd[j], crowd[j1]))
-    step = (apart / (lever * crowded)) * normal
+    rub = rubbing(between - before, normal, apart, world.layer_friction)
+    step = (apart * normal + rub) / (lever * crowded)
     add_push(push, i, ((s - 1.0) / inertia[i]) * step)
     add_push(push, i1, (-s / inertia[i1]) * step)
     add_push(push, j, ((1.0 - t) / inertia[j]) * step)

@@ -15,7 +15,6 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, ta
 wp.set_module_options({"enable_backward": False})
 
 GLANCING = 0.1  # least |E·N| that the step is divided by
-PARTING_ACCELERATION = 24000.0  # cm/s²
 
 
 @wp.kernel
@@ -105,6 +104,19 @@ def into_face(along: wp.vec3, start: wp.vec3, opposite: wp.vec3, normal: wp.vec3
 
 
 @wp.func
+def pull_to_part(i: int, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)):
+    """Accelerate a vertex toward the axis of the part of the body that its cloth covers."""
+    part = cloth.own_part[i]
+    if part < 0 or world.pulling == 0.0:
+        return
+    w = cloth.vertex_world[i]
+    start = cloth.axes[2 * w, part]
+    along = cloth.axes[2 * w + 1, part] - start
+    share = wp.clamp(wp.dot(x[i] - start, along) / wp.max(wp.length_sq(along), 1.0e-6), 0.0, 1.0)
+    add_push(push, i, (world.pulling * world.dt * world.dt) * wp.normalize(start + share * along - x[i]))
+
+
+@wp.func
 def part_crossing(
     crossing: wp.vec2i, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)
 ):
@@ -129,7 +141,12 @@ def part_crossing(
     way = curve - (wp.dot(along, curve) / steep) * normal
     way = way / wp.sqrt(wp.length_sq(way) + 0.25)
     lever = 0.5 * (1.0 / cloth.inertia[i] + 1.0 / cloth.inertia[j])
-    step = (PARTING_ACCELERATION * world.dt * world.dt / lever) * way
+    if cloth.own_part[i] != cloth.own_part[face[0]]:
+        pull_to_part(i, world, cloth, x, push)
+        pull_to_part(j, world, cloth, x, push)
+        for corner in range(3):
+            pull_to_part(face[corner], world, cloth, x, push)
+    step = (world.untangling * world.dt * world.dt / lever) * way
     add_push(push, i, (0.5 / cloth.inertia[i]) * step)
     add_push(push, j, (0.5 / cloth.inertia[j]) * step)
     for corner in range(3):

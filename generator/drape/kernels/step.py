@@ -21,8 +21,9 @@ def accelerate(i: int, w: int, world: World, time: float, cloth: Cloth, v: wp.ve
     """
     force = elastic
     drag = world.sewing_damping
-    if time >= world.sewing_time:
+    if time >= world.weight_from:
         force += wp.vec3(0.0, -cloth.mass[i] * world.gravity, 0.0)
+    if time >= world.sewing_time:
         drag = world.damping
     if wp.dot(v, force) < 0.0:
         drag = wp.max(drag, world.braking)

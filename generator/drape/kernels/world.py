@@ -24,8 +24,13 @@ class World:
     held_time: float  # s, after sewing, for which waist and collar are held at least
     longest_hold: float  # s, after sewing
     gravity: float  # cm/s²
+    weight_from: float  # s
     max_speed: float  # cm/s
     friction: float
+    layer_friction: float
+    leaving_speed: float  # cm/s at which cloth that is inside the body comes out
+    untangling: float  # cm/s², acceleration of cloth that crosses, along what shortens the curve of crossing
+    pulling: float  # cm/s², the same toward its own part of the body
     thickness: float  # cm, between layers
     body_gap: float  # cm, from the skin
     margin: float  # cm, pairs nearer than this are watched
@@ -62,6 +67,8 @@ class Cloth:
     first_edge: wp.array(dtype=int)
     hold_normal: wp.array(dtype=wp.vec3)  # (v) direction in which a held vertex is pushed; zero for none
     hold_offset: wp.array(dtype=float)  # (v) it is pushed while ``x · normal`` is less than this [cm]
+    own_part: wp.array(dtype=int)  # (v) row of ``axes``
+    axes: wp.array2d(dtype=wp.vec3)  # (2 w, parts) ends of the axis of every part of a body [cm]
     keeper: wp.array(dtype=wp.uint8)  # (v) 1 where a vertex keeps the garment up
     unseen_parts: wp.array(dtype=int)  # (v) bit set of the body parts that do not stop it
     field: wp.array(dtype=float)
