@@ -30,6 +30,7 @@ __all__ = ["panel_order", "pattern_from_spec", "read_pattern", "spec_from_patter
 
 UNITS_IN_METER = 100  # ours: centimetres
 NEIGHBOURS = 10.0  # cm: panels that close in x, or in y, stand in one row of the panel order (pattern-format)
+UNPLACED = [0.0, 0.0, 0.0]  # the translation and rotation of a panel that is given none
 LARGEST_UNIT = 1e6  # units in a metre, and metres in a unit
 NAMELESS = frozenset({"specification", "template", "prediction"})  # file names that leave the name to the folder
 
@@ -53,7 +54,8 @@ def write_pattern(pattern: Pattern, path: Path | str) -> None:
 def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
     """The pattern of a parsed specification; ``source`` names it in errors.
 
-    Raises ``SpecError`` with the panel and edge where the content is not of the format.
+    Panels without a translation or rotation stand at the origin, and a file without stitches sews nothing: a drape
+    tells what it makes of that. Raises ``SpecError`` with the panel and edge where the content is not of the format.
     """
     at = Place(source or name)
     at.require_flat(spec)
@@ -63,7 +65,7 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
         key: _panel(key, at.mapping(entry, f"panel {shown(key)}"), form, at.within(f"panel {shown(key)}"))
         for key, entry in at.mapping(body.get("panels"), "pattern.panels").items()
     }
-    seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(at.list_of(body, "stitches")))
+    seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(_stitches(body, at)))
     if not form.loops_normalised:
         panels, seams = _normalise_loops(panels, seams, at)
     order = _given_order(body, panels, at) if "panel_order" in body else panel_order(panels.values())
@@ -135,8 +137,8 @@ class _Form:
 
 
 def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: Place) -> Panel:
-    translation = form.scale * np.array(at.numbers(entry.get("translation"), 3, "translation"))
-    rotation = np.radians(at.numbers(entry.get("rotation"), 3, "rotation"))
+    translation = form.scale * np.array(at.numbers(entry.get("translation", UNPLACED), 3, "translation"))
+    rotation = np.radians(at.numbers(entry.get("rotation", UNPLACED), 3, "rotation"))
     points = [at.numbers(point, 2, f"vertex {i}") for i, point in enumerate(at.list_of(entry, "vertices"))]
     vertices = form.scale * np.array(points, float).reshape(-1, 2)
     edges = tuple(
@@ -147,7 +149,7 @@ def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: Place) -> Panel
         centre = vertices.mean(axis=0)
         vertices = vertices - centre
         translation = translation + np.append(centre, 0.0)
-    label = at.text(entry.get("label", ""), "label")
+    label = at.text(entry.get("label") or "", "label")
     return Panel(name, vertices, edges, Placement(translation, rotation), label)
 
 
@@ -156,7 +158,7 @@ def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _F
     if not (isinstance(ends, list) and len(ends) == 2):
         raise at.error(f"endpoints must be two vertex numbers, found {found(ends)}")
     start, end = (at.index(vertex, "endpoint") for vertex in ends)
-    label = at.text(entry.get("label", ""), "label")
+    label = at.text(entry.get("label") or "", "label")
     if "curvature" not in entry:
         return Edge(start, end, label=label)
     curve = _curve(entry["curvature"], form.scale, at)
@@ -204,6 +206,10 @@ def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at
                 return curve
     except PatternError as error:
         raise at.error(str(error)) from error
+
+
+def _stitches(body: Mapping[str, Any], at: Place) -> Sequence[Any]:
+    return at.list_of(body, "stitches") if "stitches" in body else []
 
 
 def _seam(entry: Any, at: Place) -> Seam:

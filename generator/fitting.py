@@ -1,6 +1,7 @@
 """Fittings: patterns from files, draped on a body, with pictures and mesh files of what comes out."""
 
 import json
+import logging
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -16,6 +17,7 @@ from gcd_dataset.errors import ConfigError, MeshError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_batch, resolve_device
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
+from gcd_dataset.generator.dressing import Dressing, dress, has_legs
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.meshfiles import glb_bytes, obj_bytes, ply_bytes
@@ -24,6 +26,8 @@ from gcd_dataset.spec import read_pattern
 from gcd_dataset.validate import require_valid
 
 __all__ = ["Fitting", "fit", "needs_legs_apart", "read_patterns", "write_fitting", "write_report"]
+
+log = logging.getLogger(__name__)
 
 BATCH = {"cpu": 1, "cuda": 16}  # garments draped at a time
 PICTURE = 800  # pixels
@@ -34,6 +38,9 @@ class Fitting:
     """One pattern draped on one body."""
 
     pattern: Pattern
+    """As it was draped, with all that was assumed."""
+    assumed: tuple[str, ...]
+    """What its file did not say, with the reason."""
     box_mesh: BoxMesh
     drape: Drape
     mesh_seconds: float
@@ -45,6 +52,7 @@ class Fitting:
         """The line of a report."""
         return {
             "pattern": self.pattern.name,
+            "assumed": list(self.assumed),
             "vertices": len(self.box_mesh.vertices),
             "outcome": self.drape.outcome.name,
             "frames": self.drape.frames,
@@ -82,22 +90,33 @@ def fit(
 ) -> Iterator[Fitting]:
     """Each pattern on the body that ``body_for`` gives it, in order; ``batch`` at a time (1 on a CPU, 16 on a GPU).
 
-    Raises ``MeshError`` with the pattern and its panel or seam, and ``ConfigError`` for a device that is not there.
+    What a file does not say is assumed (see ``dress``), told in the log and kept in the ``Fitting``.
+    Raises ``PatternError`` for a pattern whose panels cannot be placed, ``MeshError`` with the pattern and its panel or
+    seam, and ``ConfigError`` for a device that is not there.
     """
     device = resolve_device(device)
     rest = iter(patterns)
     while load := list(islice(rest, batch or BATCH[device.split(":")[0]])):
         meshes, seconds = [], []
-        for pattern in load:
+        wearers = [body_for(pattern) for pattern in load]
+        dressed = [_dressed(pattern, *wearer) for pattern, wearer in zip(load, wearers, strict=True)]
+        for dressing in dressed:
             start = time.perf_counter()
-            meshes.append(_box_mesh(pattern, resolution))
+            meshes.append(_box_mesh(dressing.pattern, resolution))
             seconds.append(time.perf_counter() - start)
         start = time.perf_counter()
-        jobs = [DrapeJob(mesh, *body_for(pattern), fabric) for pattern, mesh in zip(load, meshes, strict=True)]
+        jobs = [DrapeJob(mesh, *wearer, fabric) for mesh, wearer in zip(meshes, wearers, strict=True)]
         drapes = drape_batch(jobs, device=device)
         each = (time.perf_counter() - start) / len(load)
-        for pattern, mesh, drape, spent in zip(load, meshes, drapes, seconds, strict=True):
-            yield Fitting(pattern, mesh, drape, spent, each)
+        for dressing, mesh, drape, spent in zip(dressed, meshes, drapes, seconds, strict=True):
+            yield Fitting(dressing.pattern, dressing.assumed, mesh, drape, spent, each)
+
+
+def _dressed(pattern: Pattern, body: Body, size: Measurements) -> Dressing:
+    dressing = dress(pattern, body, size)
+    for sentence in dressing.assumed:
+        log.info("%s: %s", pattern.name, sentence)
+    return dressing
 
 
 def _box_mesh(pattern: Pattern, resolution: float) -> BoxMesh:
@@ -109,7 +128,7 @@ def _box_mesh(pattern: Pattern, resolution: float) -> BoxMesh:
 
 def needs_legs_apart(pattern: Pattern) -> bool:
     """Whether a garment has legs, so that its wearer's must not touch."""
-    return any(panel.name.startswith("pant_") for panel in pattern.panels)
+    return has_legs(pattern)
 
 
 def write_fitting(fitting: Fitting, body: Body, folder: Path, *, device: str = "auto") -> None:

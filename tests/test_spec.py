@@ -236,7 +236,7 @@ def broken(change: str) -> Any:
         ("tiny unit", "units_in_meter is 1e-300"),
         ("nested", "more than 64 levels deep: flatten it"),
         ("nested vertex", "more than 64 levels deep: flatten it"),
-        ("broken name", r"panel 'two\nlines': translation"),
+        ("broken name", r"panel 'two\nlines': vertices"),
     ],
 )
 def test_what_is_not_of_the_format_is_named(change: str, said: str) -> None:

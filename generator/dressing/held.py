@@ -1,0 +1,145 @@
+"""Which edges hold a garment up: necklines, strapless tops and waists, found among its openings."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.generator.dressing.openings import Opening, edge_line, openings_of, outline
+from gcd_dataset.generator.dressing.wearer import Wearer
+from gcd_dataset.records import BodyPart, EdgeRef, Panel, Pattern
+
+__all__ = ["has_legs", "label_edges"]
+
+COLLARS = ("right_collar", "left_collar")
+HOLDING = frozenset({*COLLARS, "strapless_top", "lower_interface"})
+ASIDE = 8.0  # cm from the middle: the centre of an opening further out is that of an arm or a leg
+LEGS_WITHIN = 36.0  # cm: centres of openings further out are those of sleeves
+OVER_WAIST = 12.0  # cm: a top edge higher than this over the waist is a bodice's
+WAIST_BAND = 35.0  # cm above and below the waist, in which the top of what hangs there is looked for
+ONE_SIDE = 0.2  # of its width: how far off the middle the mean of an edge or panel is that belongs to one side
+
+
+def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
+    """The pattern with labels on the edges that hold it up, and a sentence for each label that was added.
+
+    What hangs from the shoulders is given its collars; else the highest opening round the trunk is a strapless top,
+    or a waist. Labels that are there stay, and nothing is added beside one that does the same.
+    """
+    there = {edge.label for panel in pattern.panels for edge in panel.edges}
+    openings = openings_of(pattern)
+    if hangs_from_shoulders(pattern, openings, wearer):
+        if there & set(COLLARS):
+            return pattern, ()
+        found = _collars(pattern, openings, wearer)
+        return _labelled(pattern, found), tuple(_collar_sentences(found))
+    if there & HOLDING:
+        return pattern, ()
+    top = next((o for o in openings if abs(o.centre[0]) < ASIDE and _is_round_trunk(o, wearer)), None)
+    if top is None:
+        return pattern, (
+            "no opening lies round the waist or the bust: nothing holds the garment up; "
+            "label the edge that should be held lower_interface or strapless_top",
+        )
+    label, place = (
+        ("strapless_top", "bust") if top.centre[1] > wearer.waist + OVER_WAIST else ("lower_interface", "waist")
+    )
+    return _labelled(pattern, dict.fromkeys(top.edges, label)), (
+        f"{_named(top.edges)} taken for {label}: the highest opening round the trunk, {top.length:.0f} cm long, "
+        f"lies {top.centre[1] - (wearer.waist if place == 'waist' else wearer.armpit):+.0f} cm from the "
+        f"{'waist' if place == 'waist' else 'armpits'}",
+    )
+
+
+def hangs_from_shoulders(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> bool:
+    """Whether arms go through the garment: it has sleeves, or an opening beside the trunk above the waist."""
+    if any(panel.label == "arm" for panel in pattern.panels):
+        return True
+    return any(abs(o.centre[0]) > ASIDE and o.low[1] > wearer.waist for o in openings)
+
+
+def has_legs(pattern: Pattern) -> bool:
+    """Whether legs go through the garment one by one, so that its wearer's must not touch.
+
+    It has an opening low on either side, and but one round the middle, above them; or panels called ``pant_``.
+    """
+    if any(panel.name.startswith("pant_") for panel in pattern.panels):
+        return True
+    openings = openings_of(pattern)
+    middle = [o for o in openings if abs(o.centre[0]) < ASIDE]
+    low = [o for o in openings if ASIDE <= abs(o.centre[0]) < LEGS_WITHIN and all(o.high[1] < m.low[1] for m in middle)]
+    return len(middle) == 1 and {bool(o.centre[0] > 0) for o in low} == {True, False}
+
+
+# ------------------------------------------------------------------------------------------------------------- helpers
+
+
+def _is_round_trunk(opening: Opening, wearer: Wearer) -> bool:
+    wide = opening.low[0] < 0 < opening.high[0]
+    deep = opening.high[2] - opening.low[2] > wearer.limbs[BodyPart.TRUNK].deep
+    return bool(wide and deep and wearer.waist - WAIST_BAND < opening.centre[1] < wearer.nape)
+
+
+def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> dict[EdgeRef, str]:
+    """The edges of the neckline, each with its side; those across the middle with none."""
+    necks = {panel.name for panel in pattern.panels if _is_over_neck(panel, wearer)}
+    sewn = {side: other for s in pattern.seams for side, other in ((s.left, s.right), (s.right, s.left))}
+    ends = [ref for ref, other in sewn.items() if ref.panel not in necks and other.panel in necks]
+    for opening in openings:
+        if abs(opening.centre[0]) < ASIDE:
+            ends += [ref for ref in opening.edges if ref.panel not in necks]
+    found = {}
+    for ref in ends:
+        line = edge_line(pattern.panel(ref.panel), ref.edge)
+        if pattern.panel(ref.panel).label != "body" or line[:, 1].mean() < wearer.waist + OVER_WAIST:
+            continue
+        middle = _side(line[:, 0]) or _side(_points(pattern.panel(ref.panel))[:, 0])
+        if middle:
+            found[ref] = COLLARS[int(middle > 0)]
+    return found
+
+
+def _side(x: Float[np.ndarray, " n"]) -> float:
+    """1 for what is to the left of the middle, -1 to the right, 0 across it."""
+    middle = float(x.mean())
+    return float(np.sign(middle)) if abs(middle) > ONE_SIDE * float(np.ptp(x)) else 0.0
+
+
+def _is_over_neck(panel: Panel, wearer: Wearer) -> bool:
+    """Whether a panel is a hood or a collar: most of it hangs above the nape."""
+    return bool(np.median(_points(panel)[:, 1]) > wearer.nape)
+
+
+def _points(panel: Panel) -> Float[np.ndarray, "n 3"]:
+    return panel.placement.apply(outline(panel))
+
+
+def _labelled(pattern: Pattern, found: dict[EdgeRef, str]) -> Pattern:
+    def panel(given: Panel) -> Panel:
+        edges = tuple(
+            replace(edge, label=edge.label or found.get(EdgeRef(given.name, i), ""))
+            for i, edge in enumerate(given.edges)
+        )
+        return replace(given, edges=edges)
+
+    return replace(pattern, panels=tuple(panel(p) for p in pattern.panels))
+
+
+def _collar_sentences(found: dict[EdgeRef, str]) -> Iterable[str]:
+    for label in COLLARS:
+        refs = [ref for ref, given in found.items() if given == label]
+        if refs:
+            yield f"{_named(refs)} taken for {label}: arms go through the garment, and there it lies round the neck"
+
+
+def _named(refs: Iterable[EdgeRef]) -> str:
+    """Edges by panel: ``edges 1, 3 of front and edge 2 of back``."""
+    by_panel: dict[str, list[int]] = {}
+    for ref in refs:
+        by_panel.setdefault(ref.panel, []).append(ref.edge)
+    texts = [
+        f"edge{'s' if len(edges) > 1 else ''} {', '.join(map(str, sorted(edges)))} of {panel}"
+        for panel, edges in by_panel.items()
+    ]
+    return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)

@@ -1,0 +1,78 @@
+"""Which part of the body a panel covers, by where it hangs."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+import shapely
+
+from gcd_dataset.generator.dressing.openings import outline
+from gcd_dataset.generator.dressing.wearer import Wearer
+from gcd_dataset.records import BodyPart, Panel, Pattern
+
+__all__ = ["covered_part", "label_panels", "label_sentences", "named_part", "trunk_part"]
+
+ASIDE = 0.1  # of half the trunk's width: what comes nearer to the middle is on no arm
+BESIDE = 20.0  # cm from an arm's axis to the middle of a panel, at most, for the panel to be on that arm
+BEYOND = 25.0  # cm that the middle of a panel may hang beyond the ends of an arm: cuffs hang there before sewing
+ABOVE_WAIST = 15.0  # cm that a skirt's panel may reach above the waist
+ABOVE_CROTCH = 4.0  # cm: what ends higher is a band
+WORDS = {
+    "leg": ("pant", "skirt", "leg", "trouser", "short"),
+    "arm": ("sleeve", "arm", "cuff", "sl_"),
+    "body": ("torso", "bodice", "wb", "hood", "collar", "lapel", "body", "top", "waist"),
+}
+WHERE = {"arm": "beside an arm", "leg": "round hips and legs", "body": "round the trunk"}
+
+
+def label_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
+    """The pattern with a label on every panel, and a sentence for each kind of label that was added."""
+    found = {panel.name: covered_part(panel, wearer) for panel in pattern.panels if not panel.label}
+    panels = tuple(replace(panel, label=found.get(panel.name, panel.label)) for panel in pattern.panels)
+    return replace(pattern, panels=panels), tuple(label_sentences(found))
+
+
+def covered_part(panel: Panel, wearer: Wearer) -> str:
+    """``arm``, ``leg`` or ``body``, by where the panel hangs; its name has no say."""
+    return "arm" if _is_on_arm(panel, wearer) else trunk_part(panel, wearer)
+
+
+def trunk_part(panel: Panel, wearer: Wearer) -> str:
+    """``leg`` or ``body`` for a panel that is on no arm."""
+    heights = panel.placement.apply(outline(panel))[:, 1]
+    reaches_over_waist = heights.max() > wearer.waist + ABOVE_WAIST
+    return "body" if reaches_over_waist or heights.min() > wearer.crotch + ABOVE_CROTCH else "leg"
+
+
+def named_part(name: str) -> str:
+    """What a panel's name hints at: ``arm``, ``leg``, ``body``, or nothing."""
+    return next((part for part, words in WORDS.items() if any(word in name.lower() for word in words)), "")
+
+
+def _is_on_arm(panel: Panel, wearer: Wearer) -> bool:
+    flat = outline(panel)
+    points = panel.placement.apply(flat)
+    middle = panel.placement.apply(np.array(shapely.Polygon(flat).centroid.coords[0]))
+    side = np.sign(middle[0])
+    arm = wearer.limbs.get(BodyPart.LEFT_ARM if side > 0 else BodyPart.RIGHT_ARM)
+    aside = (side * points[:, 0]).min() > ASIDE * wearer.limbs[BodyPart.TRUNK].wide
+    if arm is None or not aside or middle[1] > wearer.nape:  # hoods and collars stand beside the head
+        return False
+    across, along, _ = arm.local(middle)
+    half = float(np.ptp(arm.skin @ arm.axis)) / 2
+    return bool(abs(across) < BESIDE and abs(along) < half + BEYOND)
+
+
+def label_sentences(found: Mapping[str, str]) -> Iterator[str]:
+    """A sentence for each part that panels without a label were taken to cover."""
+    for part in WHERE:
+        names = [name for name, label in found.items() if label == part]
+        if names:
+            are = (
+                "panel {} has no label: taken to cover"
+                if len(names) == 1
+                else "panels {} have no label: taken to cover"
+            )
+            odd = [name for name in names if named_part(name) not in ("", part)]
+            hint = f"; by name, {', '.join(odd)} would not" if odd else ""
+            yield f"{are.format(', '.join(names))} {part}, since hung {WHERE[part]}{hint}"
