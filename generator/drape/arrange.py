@@ -3,24 +3,32 @@
 A panel that hangs flat before or behind a part of the body is laid on a curve round that part, without stretching it:
 lengths along the part's axis and along the curve stay as they were cut. The curve is an ellipse that holds the part's
 cross sections; where a panel is wider than half of it, the curve is taken as much larger as keeps the
-panel in front of, or behind, the part's middle. Panels that hang edgewise, or lie level, stay as they are.
+panel in front of, or behind, the part's middle. Panels that hang edgewise, lie level, or hang one over the
+other (godets over their skirt), stay as they are.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
+import shapely
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from gcd_dataset.generator.drape.inside import InsideTest
 from gcd_dataset.generator.drape.limbs import Limb, limbs_of
 from gcd_dataset.records import Body, BodyPart, BoxMesh
 
-__all__ = ["arrange"]
+__all__ = ["arrange", "arranged"]
 
 CLEARANCE = 2.0  # cm from the hull to the innermost layer
-LAYERS = 0.15  # of the distance between two panels of one side that is kept between their curves
+LAYERS = 0.2  # of the distance between two panels of one side that is kept between their curves
 FACING = 0.99  # cosine of the turn, from the part's front or back, at which a panel is still laid round it
 OVERLAP = 8.0  # cm along the part, from which two panels hang over each other, not one below the other
+LOOKED_AT = 600  # points, or up to twice as many, that are looked at where all are meant
+COVERED = 0.1  # share of a panel from which it is said to lie on another
+AROUND = 3.0  # cm round the trunk that a sleeve keeps clear of
+FURTHEST = 25.0  # cm that it is drawn off for that
 SIDE = 0.5  # cm that a wide panel keeps from the plane between front and back
 CURVES = (1.0, 1.5, 2.5, 5.0)  # times as large, tried until the panel is nowhere inside the body
 
@@ -41,6 +49,11 @@ class _Hung:
     """Of its plane from the part's axis, forward or backward [cm]."""
 
 
+def arranged(mesh: BoxMesh, body: Body) -> BoxMesh:
+    """The box mesh where its sewing starts."""
+    return replace(mesh, vertices=arrange(mesh, body))
+
+
 def arrange(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     """Start positions of a garment on a body [cm]; a seam vertex stands in the middle of the points it joins."""
     limbs = limbs_of(body)
@@ -52,8 +65,22 @@ def arrange(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
         for group in _groups(side):
             for panel, points in zip(group, _laid(group, nearest, inside), strict=True):
                 placed[panel.rows] = points
+    for arm in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM):
+        rows = [panel.rows for panel in panels if panel.limb is limbs.get(arm)]
+        if rows:
+            sleeve = np.concatenate(rows)
+            placed[sleeve] += _out_of_trunk(placed[sleeve], limbs[arm], _bodice(panels, limbs[BodyPart.TRUNK]))
     members = np.bincount(mesh.uv_vertex)
     return np.stack([np.bincount(mesh.uv_vertex, column) / members for column in placed.T], axis=1)
+
+
+def _out_of_trunk(sleeve: Float[np.ndarray, "m 3"], arm: Limb, trunk: Limb) -> Float[np.ndarray, "3"]:
+    """How a sleeve must be drawn off along its arm to start beside the bodice, not within it [cm]."""
+    for step in np.arange(FURTHEST + 1.0):
+        x, _, z = trunk.local(sleeve + step * arm.axis).T
+        if (np.hypot(x / (trunk.wide + AROUND), z / (trunk.deep + AROUND)) > 1).all():
+            return np.asarray(step * arm.axis)
+    return np.zeros(3)
 
 
 def _sides(panels: list[_Hung]) -> list[list[_Hung]]:
@@ -106,19 +133,51 @@ def _flat(mesh: BoxMesh, rows: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 3"
     return np.asarray((mesh.uv[rows] - flat.mean(axis=0)) @ turn + hung.mean(axis=0))
 
 
+def _some(points: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "n d"]:
+    """Enough of the points to tell for all."""
+    return points[:: max(1, len(points) // LOOKED_AT)]
+
+
+def _bodice(panels: list[_Hung], trunk: Limb) -> Limb:
+    """As much of the trunk as a bodice covers; all of it where there is none."""
+    bodice = [panel for panel in panels if panel.limb is trunk and panel.label == "body"]
+    return _stretch(bodice) if bodice else trunk
+
+
 def _laid(group: list[_Hung], nearest: float, inside: InsideTest) -> list[Float[np.ndarray, "m 3"]]:
     """The panels round their part, on the tightest curves that are clear of the body; flat where none are.
 
     ``nearest`` is how near to the part its innermost panel on this side hangs [cm].
     """
+    if not group[0].facing or _overlap(group):
+        return [panel.points for panel in group]
     limb = _stretch(group)
     curves = [limb.curve(CLEARANCE + LAYERS * (panel.distance - nearest)) for panel in group]
     growth = _growth(curves[0], np.concatenate([limb.local(panel.points)[:, 0] for panel in group]))
-    for times in CURVES if group[0].facing else ():
+    for times in CURVES:
         laid = [_wrapped(panel, limb, curve, times * growth) for panel, curve in zip(group, curves, strict=True)]
-        if not inside(np.concatenate(laid)).any():
+        if not inside(_some(np.concatenate(laid))).any():
             return laid
     return [panel.points for panel in group]
+
+
+def _overlap(group: list[_Hung]) -> bool:
+    """Whether panels lie over each other: the slanted cloth between them would cross others', were they bent."""
+    seen = [panel.limb.local(panel.points)[:, :2] for panel in group]
+    hulls = [shapely.convex_hull(shapely.multipoints(points)) for points in seen]
+    for i, j in combinations(range(len(group)), 2):
+        common = shapely.intersection(hulls[i], hulls[j]).area
+        if common > COVERED * min(hulls[i].area, hulls[j].area) and _covers(seen[i], seen[j]):
+            return True
+    return False
+
+
+def _covers(a: Float[np.ndarray, "m 2"], b: Float[np.ndarray, "n 2"]) -> bool:
+    """Whether more than a few points of the smaller panel lie between those of the other."""
+    few, many = sorted((a, b), key=len)
+    tree = cKDTree(many)
+    spacing = np.median(tree.query(_some(many), k=2)[0][:, 1])
+    return bool((tree.query(_some(few))[0] < spacing / 2).mean() > COVERED)
 
 
 def _stretch(group: list[_Hung]) -> Limb:

@@ -44,6 +44,8 @@ class DrapeConfig:
     """In the end move cloth off the skin itself, where the distance field is too coarse."""
     coarse_start: bool = True
     """Drape a mesh of twice the spacing first, and go on from its shape."""
+    curved_start: bool = False
+    """Panels are bent round trunk and arms before they are sewn; else they start flat, where the pattern hangs them."""
     sewing_time: float = 0.2
     """Panels are drawn together over this time, without gravity [s]."""
     held_time: float = 0.25

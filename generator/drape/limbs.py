@@ -1,11 +1,10 @@
 """Trunk and arms as tubes: an axis, and an ellipse that all of the part's cross sections lie within."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.records import Body, BodyPart
@@ -14,6 +13,8 @@ __all__ = ["Limb", "limbs_of"]
 
 FRONT = np.array([0.0, 0.0, 1.0])
 UP = np.array([0.0, 1.0, 0.0])
+STRAY = 0.5  # percent of a part's vertices that may stray on either side
+NEAR = 5.0  # cm beyond the others from which they do
 FEWEST = 8  # points that make a part
 STEPS = 512  # of a curve round a part
 
@@ -32,24 +33,20 @@ class Limb:
     """Half the width, and half the depth, of an ellipse round all cross sections [cm]."""
     deep: float
 
-    @property
-    def across(self) -> Float[np.ndarray, "3"]:
-        """Unit vector at right angles to the axis, in the body's frontal plane."""
+    @cached_property
+    def frame(self) -> Float[np.ndarray, "3 3"]:
+        """Unit vectors across (in the body's frontal plane), along the axis, and to the front."""
         across = np.cross(self.axis, FRONT)
-        return across / np.linalg.norm(across)
-
-    @property
-    def forward(self) -> Float[np.ndarray, "3"]:
-        """Unit vector at right angles to the axis and to ``across``, to the front."""
-        return np.cross(self.across, self.axis)
+        across /= np.linalg.norm(across)
+        return np.stack([across, self.axis, np.cross(across, self.axis)])
 
     def local(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """Coordinates across, along and to the front [cm]."""
-        return (np.asarray(points) - self.origin) @ np.stack([self.across, self.axis, self.forward], axis=1)
+        return (np.asarray(points) - self.origin) @ self.frame.T
 
     def world(self, local: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """Back from ``local`` [cm]."""
-        return np.asarray(local) @ np.stack([self.across, self.axis, self.forward]) + self.origin
+        return np.asarray(local) @ self.frame + self.origin
 
     def stretch(self, low: float, high: float) -> "Limb":
         """What lies between two places along the axis [cm]; all of it where nothing does."""
@@ -77,16 +74,12 @@ def limbs_of(body: Body) -> dict[BodyPart, Limb]:
 
 
 def _piece(body: Body, *parts: BodyPart) -> Float[np.ndarray, "n 3"]:
-    """The vertices of parts that hang together: the most of them, since some bodies have strays."""
-    member = np.isin(body.parts, [part.value for part in parts])
-    faces = body.faces[member[body.faces].all(axis=1)]
-    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]]).T
-    n = len(member)
-    _, piece = connected_components(
-        coo_array((np.ones(ends.shape[1], bool), tuple(ends)), shape=(n, n)), directed=False
-    )
-    largest = piece == np.argmax(np.bincount(piece[faces.ravel()], minlength=1))
-    return np.asarray(body.vertices, float)[member & largest]
+    """The vertices of parts, without the few that stray: some bodies' segmentations have vertices of other parts."""
+    points = np.asarray(body.vertices, float)[np.isin(body.parts, [part.value for part in parts])]
+    if not len(points):
+        return points
+    low, high = np.percentile(points, [STRAY, 100 - STRAY], axis=0)
+    return points[((points >= low - NEAR) & (points <= high + NEAR)).all(axis=1)]
 
 
 def _arm(arm: Float[np.ndarray, "n 3"]) -> Limb:
@@ -100,5 +93,6 @@ def _tube(skin: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]) -> Limb:
     seen = limb.local(skin)
     low, high = seen.min(axis=0), seen.max(axis=0)
     half, middle = 0.5 * (high - low), 0.5 * (low + high)
+    half[1] = 1.0  # a single section has no extent along the axis
     out = np.sqrt((((seen - middle) / half)[:, [0, 2]] ** 2).sum(axis=1).max())
     return replace(limb, origin=limb.world(middle), wide=float(out * half[0]), deep=float(out * half[2]))

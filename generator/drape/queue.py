@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Bool
 
+from gcd_dataset.generator.drape.arrange import arranged
 from gcd_dataset.generator.drape.carry import carry_over
 from gcd_dataset.generator.drape.coarse_start import go_on_from
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
@@ -67,6 +68,10 @@ class _Turn:
     @classmethod
     def first(cls, number: int, job: DrapeJob, config: DrapeConfig) -> Self:
         coarse = (job.coarse or coarse_start(job.box_mesh)) if config.coarse_start else None
+        if config.curved_start and coarse:
+            coarse = replace(coarse, mesh=arranged(coarse.mesh, job.body))
+        elif config.curved_start:
+            job = replace(job, box_mesh=arranged(job.box_mesh, job.body))
         return cls(number, job, coarse)
 
     @property
