@@ -198,6 +198,24 @@ def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -
     assert np.asarray(Image.open(out / "garment_front.png")).std() > 10
 
 
+def test_what_drape_assumes_is_told_and_reported(spec: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A skirt without a label is held at the waist all the same; one with its labels needs no assumption."""
+    content = json.loads(spec.read_text())
+    for panel in content["pattern"]["panels"].values():
+        panel.pop("label", None)
+        for edge in panel["edges"]:
+            edge.pop("label", None)
+    bare, out = tmp_path / "bare.json", tmp_path / "out"
+    bare.write_text(json.dumps(content))
+    options = ["--out", str(out), "--resolution", "5", "--device", "cpu", "--quiet"]
+    assert main(["drape", str(spec), str(bare), *options]) == 0
+    labelled, found = json.loads((out / "report.json").read_text())["garments"]
+    assert labelled["assumed"] == []
+    assert any("lower_interface" in sentence for sentence in found["assumed"])
+    assert all(f"bare: {sentence}" in caplog.text for sentence in found["assumed"])
+    assert found["outcome"] == labelled["outcome"] == "SETTLED"
+
+
 def test_a_pattern_that_cannot_be_meshed_leaves_the_report_of_the_others(
     spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -92,7 +92,7 @@ def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) ->
     found = {}
     for ref in ends:
         line = edge_line(pattern.panel(ref.panel), ref.edge)
-        if pattern.panel(ref.panel).label != "body" or line[:, 1].mean() < wearer.waist + OVER_WAIST:
+        if pattern.panel(ref.panel).label != "body" or line[:, 1].max() < wearer.waist + OVER_WAIST:
             continue
         middle = _side(line[:, 0]) or _side(_points(pattern.panel(ref.panel))[:, 0])
         if middle:

@@ -14,9 +14,12 @@ __all__ = ["covered_part", "label_panels", "label_sentences", "named_part", "tru
 
 ASIDE = 0.1  # of half the trunk's width: what comes nearer to the middle is on no arm
 BESIDE = 20.0  # cm from an arm's axis to the middle of a panel, at most, for the panel to be on that arm
+BEFORE = 28.0  # cm before or behind the arm: lapels hang further out
 BEYOND = 25.0  # cm that the middle of a panel may hang beyond the ends of an arm: cuffs hang there before sewing
 ABOVE_WAIST = 15.0  # cm that a skirt's panel may reach above the waist
 ABOVE_CROTCH = 4.0  # cm: what ends higher is a band
+BAND = 24.0  # cm: so is what is no taller, and ends
+UNDER_CROTCH = 2.0  # cm below the crotch, or higher
 WORDS = {
     "leg": ("pant", "skirt", "leg", "trouser", "short"),
     "arm": ("sleeve", "arm", "cuff", "sl_"),
@@ -28,8 +31,22 @@ WHERE = {"arm": "beside an arm", "leg": "round hips and legs", "body": "round th
 def label_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
     """The pattern with a label on every panel, and a sentence for each kind of label that was added."""
     found = {panel.name: covered_part(panel, wearer) for panel in pattern.panels if not panel.label}
+    found = _off_skirts(found, pattern)
     panels = tuple(replace(panel, label=found.get(panel.name, panel.label)) for panel in pattern.panels)
     return replace(pattern, panels=panels), tuple(label_sentences(found))
+
+
+def _off_skirts(found: Mapping[str, str], pattern: Pattern) -> dict[str, str]:
+    """The labels, where no panel on an arm is sewn to one on legs: a wide skirt hangs where the arms are."""
+    parts = {panel.name: found.get(panel.name, panel.label) for panel in pattern.panels}
+    while True:
+        sewn = [
+            (a, b) for s in pattern.seams for a, b in ((s.left.panel, s.right.panel), (s.right.panel, s.left.panel))
+        ]
+        skirts = {a for a, b in sewn if a in found and parts[a] == "arm" and parts[b] == "leg"}
+        if not skirts:
+            return {name: parts[name] for name in found}
+        parts |= dict.fromkeys(skirts, "leg")
 
 
 def covered_part(panel: Panel, wearer: Wearer) -> str:
@@ -40,8 +57,9 @@ def covered_part(panel: Panel, wearer: Wearer) -> str:
 def trunk_part(panel: Panel, wearer: Wearer) -> str:
     """``leg`` or ``body`` for a panel that is on no arm."""
     heights = panel.placement.apply(outline(panel))[:, 1]
-    reaches_over_waist = heights.max() > wearer.waist + ABOVE_WAIST
-    return "body" if reaches_over_waist or heights.min() > wearer.crotch + ABOVE_CROTCH else "leg"
+    low, high = heights.min(), heights.max()
+    is_band = low > wearer.crotch + (ABOVE_CROTCH if high - low > BAND else -UNDER_CROTCH)
+    return "body" if high > wearer.waist + ABOVE_WAIST or is_band else "leg"
 
 
 def named_part(name: str) -> str:
@@ -58,9 +76,9 @@ def _is_on_arm(panel: Panel, wearer: Wearer) -> bool:
     aside = (side * points[:, 0]).min() > ASIDE * wearer.limbs[BodyPart.TRUNK].wide
     if arm is None or not aside or middle[1] > wearer.nape:  # hoods and collars stand beside the head
         return False
-    across, along, _ = arm.local(middle)
+    across, along, forward = np.abs(arm.local(middle))
     half = float(np.ptp(arm.skin @ arm.axis)) / 2
-    return bool(abs(across) < BESIDE and abs(along) < half + BEYOND)
+    return bool(across < BESIDE and along < half + BEYOND and forward < BEFORE)
 
 
 def label_sentences(found: Mapping[str, str]) -> Iterator[str]:
