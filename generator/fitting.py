@@ -52,7 +52,6 @@ class Fitting:
         """The line of a report."""
         return {
             "pattern": self.pattern.name,
-            "assumed": list(self.assumed),
             "vertices": len(self.box_mesh.vertices),
             "outcome": self.drape.outcome.name,
             "frames": self.drape.frames,
@@ -159,6 +158,6 @@ def write_report(
         "body": body,
         "fabric": fabric,
         "resolution_cm": resolution,
-        "garments": [fitting.row for fitting in fittings],
+        "garments": [{**fitting.row, "assumed": list(fitting.assumed)} for fitting in fittings],
     }
     write_whole(path, (json.dumps(report, indent=2) + "\n").encode())

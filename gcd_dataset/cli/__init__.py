@@ -123,14 +123,15 @@ def _drape(options: argparse.Namespace) -> int:
     patterns, device = read_patterns(options.spec), resolve_device(options.device)
     resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
     wearers: dict[bool, tuple[Body, Measurements]] = {}
-    for apart in sorted({needs_legs_apart(pattern) for pattern in patterns}):
+    with_legs = {pattern.name: needs_legs_apart(pattern) for pattern in patterns}
+    for apart in sorted(set(with_legs.values())):
         found = named_body(
             options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=apart
         )
         wearers[apart] = found[:2]
 
     def wearer(pattern: Pattern) -> tuple[Body, Measurements]:
-        return wearers[needs_legs_apart(pattern)]
+        return wearers[with_legs[pattern.name]]  # by name: once dressed, a pattern may show legs that its file did not
 
     folder = make_folder(options.out)
     fittings: list[Fitting] = []
