@@ -28,6 +28,7 @@ OVERLAP = 8.0  # cm along the part, from which two panels hang over each other, 
 LOOKED_AT = 600  # points, or up to twice as many, that are looked at where all are meant
 COVERED = 0.1  # share of a panel from which it is said to lie on another
 AROUND = 3.0  # cm round the trunk that a sleeve keeps clear of
+REACH = 0.75  # of the arm, hand or no hand, that it may cover then
 FURTHEST = 25.0  # cm that it is drawn off for that
 SIDE = 0.5  # cm that a wide panel keeps from the plane between front and back
 CURVES = (1.0, 1.5, 2.5, 5.0)  # times as large, tried until the panel is nowhere inside the body
@@ -75,8 +76,13 @@ def arrange(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
 
 
 def _out_of_trunk(sleeve: Float[np.ndarray, "m 3"], arm: Limb, trunk: Limb) -> Float[np.ndarray, "3"]:
-    """How a sleeve must be drawn off along its arm to start beside the bodice, not within it [cm]."""
-    for step in np.arange(FURTHEST + 1.0):
+    """How a sleeve must be drawn off along its arm to start beside the bodice, not within it [cm].
+
+    Not so far that its end comes near the hand: a cuff that is sewn there is caught on it.
+    """
+    along = arm.skin @ arm.axis
+    room = along.min() + REACH * np.ptp(along) - (sleeve @ arm.axis).max()
+    for step in np.arange(min(FURTHEST, room) + 1.0):
         x, _, z = trunk.local(sleeve + step * arm.axis).T
         if (np.hypot(x / (trunk.wide + AROUND), z / (trunk.deep + AROUND)) > 1).all():
             return np.asarray(step * arm.axis)
