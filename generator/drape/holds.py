@@ -6,19 +6,38 @@ waist of what hangs from the shoulders is left alone: held at the body's waist, 
 crosses itself.
 """
 
+from dataclasses import dataclass
+from typing import Self
+
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from gcd_dataset.generator.drape.body_field import AXES, FOREARM
 from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.records import BodyPart, BoxMesh, Measurements
 
-__all__ = ["held_from_below", "holds", "own_parts", "unseen_parts"]
+__all__ = ["Wear", "held_from_below", "holds", "own_parts", "unseen_parts"]
 
 NECKLINE = frozenset({"left_collar", "right_collar"})
 SLIDING_DROP = 18.0  # cm below its level at which a held edge counts as slid off: about armpits to waist
 UNDER_HIPS = 4.0  # cm below the hips at which they hold nothing any more
 COLLAR_SLACK = 2.0  # cm by which the collar may lie nearer to the middle than the neck is wide
+
+
+@dataclass(frozen=True)
+class Wear:
+    """What is to be known of how a garment is worn, worked out once."""
+
+    hold_normal: Float[np.ndarray, "v 3"]
+    hold_offset: Float[np.ndarray, " v"]
+    unseen: Int[np.ndarray, " v"]
+    own_part: Int[np.ndarray, " v"]
+    keepers: Int[np.ndarray, " n"]
+    lowest: float
+
+    @classmethod
+    def of(cls, job: DrapeJob) -> Self:
+        return cls(*holds(job), unseen_parts(job.box_mesh), own_parts(job.box_mesh), *held_from_below(job))
 
 
 def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " v"]]:
@@ -68,15 +87,20 @@ def unseen_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     """Bit set of body parts each vertex passes through: arms for what covers legs, forearms for what that hangs on.
 
     An A-pose hangs the arms where a skirt is drawn together, and a wide skirt would draw waistband and bodice over the
-    hands. A bodice with sleeves meets the whole arm. A seam vertex follows the panels that most of its faces belong to.
+    hands. A bodice with sleeves meets the whole arm. A seam vertex passes through what all of its panels pass through.
     """
     labels = np.array(mesh.panel_labels)
-    on_leg = labels == "leg"
+    on_leg, on_arm = labels == "leg", labels == "arm"
     forearms = 1 << FOREARM
     arms = forearms | sum(1 << part.value for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS))
-    above_legs = ~on_leg & (labels != "arm") & on_leg.any() & ~_sewn_to(mesh, labels == "arm")
-    unseen = np.where(on_leg, arms, np.where(above_legs, forearms, 0))
-    return np.where(_mostly(mesh, on_leg), arms, np.where(_mostly(mesh, unseen > 0), forearms, 0))
+    panel_of_row = _panel_of_row(mesh)
+    touched = np.zeros(len(mesh.vertices), bool)
+    touched[mesh.uv_vertex[on_arm[panel_of_row]]] = True
+    sewn_to_arm = np.bincount(panel_of_row, touched[mesh.uv_vertex], minlength=len(labels)) > 0
+    above_legs = ~on_leg & ~on_arm & on_leg.any() & ~sewn_to_arm
+    unseen = np.full(len(mesh.vertices), arms)
+    np.bitwise_and.at(unseen, mesh.uv_vertex, np.where(on_leg, arms, np.where(above_legs, forearms, 0))[panel_of_row])
+    return unseen
 
 
 def own_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
@@ -85,33 +109,24 @@ def own_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     Sleeves and trousers by the side that their panel stands on. A seam vertex belongs to the last of its panels.
     """
     axes = list(AXES)
-    middle = np.bincount(mesh.panel_id, mesh.vertices[mesh.faces, 0].mean(axis=1), minlength=len(mesh.panel_names))
+    panel_of_row = _panel_of_row(mesh)
+    aside = np.bincount(panel_of_row, mesh.vertices[mesh.uv_vertex, 0], minlength=len(mesh.panel_names))
     axis = np.full(len(mesh.panel_names), -1)
     for panel, (name, label) in enumerate(zip(mesh.panel_names, mesh.panel_labels, strict=True)):
-        right = middle[panel] < 0
+        side = "right" if aside[panel] < 0 else "left"
         if label == "body":
             axis[panel] = axes.index("trunk")
         elif label == "arm":
-            axis[panel] = axes.index("right arm" if right else "left arm")
+            axis[panel] = axes.index(f"{side} arm")
         elif label == "leg":
-            one = "right leg" if right else "left leg"
-            axis[panel] = axes.index(one if "pant" in name else "legs")
+            axis[panel] = axes.index(f"{side} leg" if "pant" in name else "legs")
     own = np.full(len(mesh.vertices), -1)
-    own[mesh.faces] = axis[mesh.panel_id][:, None]
+    own[mesh.uv_vertex] = axis[panel_of_row]
     return own
 
 
-def _sewn_to(mesh: BoxMesh, chosen: Bool[np.ndarray, " p"]) -> Bool[np.ndarray, " p"]:
-    """Which panels share vertices with a chosen one."""
-    touched = np.zeros(len(mesh.vertices), bool)
-    touched[mesh.faces[chosen[mesh.panel_id]]] = True
-    sewn = np.zeros(len(chosen), bool)
-    sewn[mesh.panel_id[touched[mesh.faces].any(axis=1)]] = True
-    return sewn
-
-
-def _mostly(mesh: BoxMesh, chosen: Bool[np.ndarray, " p"]) -> Bool[np.ndarray, " v"]:
-    """Which vertices have most of their faces in chosen panels."""
-    own = np.repeat(chosen[mesh.panel_id].astype(float), 3)
-    n = len(mesh.vertices)
-    return np.bincount(mesh.faces.ravel(), own, minlength=n) > 0.5 * np.bincount(mesh.faces.ravel(), minlength=n)
+def _panel_of_row(mesh: BoxMesh) -> Int[np.ndarray, " c"]:
+    """The panel of each row of ``uv``."""
+    panel = np.zeros(len(mesh.uv), int)
+    panel[mesh.corners] = mesh.panel_id[:, None]
+    return panel

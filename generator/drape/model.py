@@ -11,7 +11,7 @@ import warp as wp
 
 from gcd_dataset.generator.drape.body_field import BodyField, body_field
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.holds import held_from_below, holds, own_parts, unseen_parts
+from gcd_dataset.generator.drape.holds import Wear
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.topology import add_inertia
 from gcd_dataset.generator.drape.kernels.world import Cloth, World
@@ -24,6 +24,7 @@ SAFETY = 0.9
 LEAVING_SPEED = 80.0  # cm/s
 UNTANGLING = 24000.0  # cm/s²
 PULLING = 12000.0  # cm/s²
+SAMPLE = 8  # every eighth vertex or edge tells what is usual
 COARSE_GAP = 2.5  # distance of layers of coarse cloth, over that of fine cloth
 INERTIA_GAIN = 1.3  # inertia over mass at the typical vertex: a longer step for a slower clock
 
@@ -57,15 +58,21 @@ class ClothModel:
 
 
 def build_model(
-    jobs: Sequence[DrapeJob], config: DrapeConfig, device: str, *, coarse: Container[int] = ()
+    jobs: Sequence[DrapeJob],
+    config: DrapeConfig,
+    device: str,
+    *,
+    coarse: Container[int] = (),
+    worn: Sequence[Wear] | None = None,
 ) -> ClothModel:
     """The batch on a device, in the order of the jobs; those ``coarse`` are the start of finer ones.
 
-    Layers of coarse cloth are kept further apart, lest they cross when chords become folds again.
+    Layers of coarse cloth are kept further apart, lest they cross when chords become folds again. ``worn``: what is
+    known of the jobs already.
     """
     jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
-    keepers = [held_from_below(job) for job in jobs]
-    topology = build_topology(jobs, [ids for ids, _ in keepers], device)
+    worn = worn or [Wear.of(job) for job in jobs]
+    topology = build_topology(jobs, [wear.keepers for wear in worn], device)
     bodies = tuple(body_field(job.body, device) for job in jobs)
     fields, offsets, parts = _join_fields(bodies, device)
     steps = _time_steps(topology)
@@ -76,13 +83,13 @@ def build_model(
         worlds, steps, _usual_lengths(topology), topology.vertex_offset, topology.vertex_offset[1:], strict=False
     ):
         _add_garment(world, config, float(step), float(lengths), int(start), int(end - start))
-    for world, body, offset, (ids, lowest) in zip(worlds, bodies, offsets, keepers, strict=True):
-        world.keepers, world.lowest = len(ids), lowest
+    for world, body, offset, wear in zip(worlds, bodies, offsets, worn, strict=True):
+        world.keepers, world.lowest = len(wear.keepers), wear.lowest
         world.field_offset = offset
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
         world.field_cell = body.cell
-    cloth = _cloth(jobs, config, topology, _inertia(topology, steps, device), device)
+    cloth = _cloth(worn, config, topology, _inertia(topology, steps, device), device)
     cloth.field, cloth.field_parts = fields, parts
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
@@ -98,24 +105,22 @@ def build_model(
     )
 
 
-def _cloth(jobs: Sequence[DrapeJob], config: DrapeConfig, topology: Topology, inertia: wp.array, device: str) -> Cloth:
+def _cloth(worn: Sequence[Wear], config: DrapeConfig, topology: Topology, inertia: wp.array, device: str) -> Cloth:
     """All but the bodies."""
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type) -> wp.array:
         return wp.array(np.concatenate(arrays).astype(kind, copy=False), dtype=dtype, device=device)
 
-    sizes = [len(job.box_mesh.vertices) for job in jobs]
-    held = [holds(job) if config.holds else (np.zeros((n, 3)), np.zeros(n)) for job, n in zip(jobs, sizes, strict=True)]
     cloth = Cloth()
     cloth.vertex_world, cloth.mass, cloth.inertia = topology.vertex_world, topology.mass, inertia
     cloth.faces, cloth.edges, cloth.edge_opposite = topology.faces, topology.edges, topology.opposite
     cloth.vertex_faces, cloth.first_face = topology.vertex_faces, topology.first_face
     cloth.vertex_edges, cloth.first_edge = topology.vertex_edges, topology.first_edge
-    cloth.hold_normal = put([normal for normal, _ in held], np.float32, wp.vec3)
-    cloth.hold_offset = put([offset for _, offset in held], np.float32, float)
+    cloth.hold_normal = put([config.holds * wear.hold_normal for wear in worn], np.float32, wp.vec3)
+    cloth.hold_offset = put([wear.hold_offset for wear in worn], np.float32, float)
     cloth.keeper = topology.keeper
-    cloth.unseen_parts = put([config.part_filters * unseen_parts(job.box_mesh) for job in jobs], np.int32, int)
-    cloth.own_part = put([own_parts(job.box_mesh) for job in jobs], np.int32, int)
+    cloth.unseen_parts = put([config.part_filters * wear.unseen for wear in worn], np.int32, int)
+    cloth.own_part = put([wear.own_part for wear in worn], np.int32, int)
     return cloth
 
 
@@ -123,7 +128,8 @@ def _time_steps(topology: Topology) -> np.ndarray:
     """The longest stable time step of each garment [s]."""
     ratio = topology.mass.numpy() / np.maximum(topology.stiffness.numpy(), 1e-9)
     spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
-    return np.sqrt(SAFETY * STABLE * INERTIA_GAIN * np.array([np.median(ratio[a:b]) for a, b in spans]))
+    typical = np.array([np.median(ratio[a:b:SAMPLE]) for a, b in spans])
+    return np.sqrt(SAFETY * STABLE * INERTIA_GAIN * typical)
 
 
 def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
@@ -138,7 +144,7 @@ def _usual_lengths(topology: Topology) -> list[float]:
     """The median flat length of each garment's edges [cm]."""
     flat = topology.spring.numpy()[:, 1]
     spans = zip(topology.edge_offset[:-1], topology.edge_offset[1:], strict=True)
-    return [float(np.median(flat[a:b])) for a, b in spans]
+    return [float(np.median(flat[a:b:SAMPLE])) for a, b in spans]
 
 
 def _world(job: DrapeJob, config: DrapeConfig, apart: float) -> World:

@@ -6,6 +6,7 @@ happens in a turn does not depend on when it begins, nor on who else is in the b
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
 from typing import Self
 
@@ -17,6 +18,7 @@ from gcd_dataset.generator.drape.carry import carry_over
 from gcd_dataset.generator.drape.coarse_start import go_on_from
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import one_at_a_time
+from gcd_dataset.generator.drape.holds import Wear
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect
@@ -65,6 +67,10 @@ class _Turn:
     start_from: Coarse | None = None
     """The coarse mesh in that place, whose shape this turn starts from."""
 
+    @cached_property
+    def wear(self) -> Wear:
+        return Wear.of(self.job)
+
     @classmethod
     def first(cls, number: int, job: DrapeJob, config: DrapeConfig) -> Self:
         coarse = (job.coarse or coarse_start(job.box_mesh)) if config.coarse_start else None
@@ -82,7 +88,9 @@ class _Turn:
 
     def goes_on(self, place: int) -> Self:
         """The same turn in the next batch."""
-        return replace(self, old_place=place, start_from=None)
+        same = replace(self, old_place=place, start_from=None)
+        same.__dict__["wear"] = self.wear
+        return same
 
     def refined(self, place: int, frames: int) -> Self:
         """The turn after that of the coarse mesh."""
@@ -93,7 +101,12 @@ def _begin(turns: Sequence[_Turn], before: Solver | None, config: DrapeConfig, d
     """The next batch, with what it takes over from the one before."""
     with one_at_a_time:
         coarse = [k for k, turn in enumerate(turns) if turn.coarse]
-        solver = Solver(build_model([turn.job for turn in turns], config, device, coarse=coarse), config)
+        solver = Solver(
+            build_model(
+                [turn.job for turn in turns], config, device, coarse=coarse, worn=[turn.wear for turn in turns]
+            ),
+            config,
+        )
         if before is not None:
             places = [(t.old_place, k, t.start_from) for k, t in enumerate(turns) if t.old_place is not None]
             carry_over(before, solver, [(old, new) for old, new, mesh in places if mesh is None])

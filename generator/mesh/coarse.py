@@ -20,7 +20,6 @@ __all__ = ["Coarse", "coarse_start", "coarsen"]
 
 STRAIGHT = np.cos(np.radians(25.0))  # a border point that turns the outline further than this is kept
 FEW = 1000  # vertices that are draped as fast without
-CANDIDATES = 6  # nearest triangles among which a point's own is looked for
 
 
 @dataclass(frozen=True)
@@ -249,31 +248,50 @@ def _own_rows(mesh: BoxMesh, panel: _Panel) -> Int[np.ndarray, " n"]:
 
 
 def _place(mesh: BoxMesh, rows: Int[np.ndarray, " n"], points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
-    """Where points of a panel stand before sewing: as the nearest point of the fine mesh does, in the panel's plane."""
+    """Where points of a panel stand before sewing, by the plane of its points that lie on no seam."""
     free = rows[mesh.uv_vertex[rows] >= mesh.n_seam_vertices]
     free = free if len(free) > 2 else rows
     flat, placed = mesh.uv[free], mesh.vertices[mesh.uv_vertex[free]]
-    plane, *_ = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), placed, rcond=None)
-    _, nearest = cKDTree(flat).query(points)
-    return placed[nearest] + (points - flat[nearest]) @ plane[:2]
+    middle, stood = flat.mean(axis=0), placed.mean(axis=0)
+    plane = np.linalg.pinv((flat - middle).T @ (flat - middle)) @ (flat - middle).T @ (placed - stood)
+    return stood + (points - middle) @ plane
 
 
 def _locate(
     points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], wanted: Float[np.ndarray, "n 2"]
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """The triangle that each wanted point lies in, or lies nearest to, and the shares of its corners."""
+    """The triangle that each wanted point lies in, or lies nearest to, and the shares of its corners.
+
+    It is looked for round the nearest corner.
+    """
+    round_corner = _faces_round(faces, len(points))
+    _, nearest = cKDTree(points, balanced_tree=False, compact_nodes=False).query(wanted)
     a, b, c = points[faces].transpose(1, 0, 2)
-    nearby = min(CANDIDATES, len(faces))
-    _, near = cKDTree((a + b + c) / 3).query(wanted, nearby)
-    near = near.reshape(-1, nearby)
-    to, ab, ac = wanted[:, None] - a[near], (b - a)[near], (c - a)[near]
-    double = _cross(ab, ac)
-    second, third = _cross(to, ac) / double, _cross(ab, to) / double
-    shares = np.stack([1 - second - third, second, third], axis=-1)
-    best = shares.min(axis=-1).argmax(axis=1)
-    row = np.arange(len(wanted))
-    shares = shares[row, best].clip(0.0)
-    return near[row, best], shares / shares.sum(axis=1, keepdims=True)
+    ab, ac = b - a, c - a
+    ab, ac = ab / _cross(ab, ac)[:, None], ac / _cross(ab, ac)[:, None]
+    best, least = np.zeros(len(wanted), int), np.full(len(wanted), -np.inf)
+    shares = np.zeros((len(wanted), 3))
+    for column in round_corner.T:
+        face = column[nearest]
+        to = wanted - a[face]
+        second, third = _cross(to, ac[face]), _cross(ab[face], to)
+        first = 1 - second - third
+        smallest = np.minimum(np.minimum(first, second), third)
+        better = smallest > least
+        least[better], best[better] = smallest[better], face[better]
+        shares[better] = np.stack([first[better], second[better], third[better]], axis=1)
+    shares = shares.clip(0.0)
+    return best, shares / shares.sum(axis=1, keepdims=True)
+
+
+def _faces_round(faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "n most"]:
+    """The faces round each point, the last one again and again where there are fewer."""
+    owner = faces.ravel()
+    order = np.argsort(owner, kind="stable")
+    count = np.bincount(owner, minlength=n)
+    first = np.cumsum(count) - count
+    place = np.minimum(np.arange(count.max()), np.maximum(count - 1, 0)[:, None])
+    return order[np.minimum(first[:, None] + place, len(order) - 1)] // 3
 
 
 def _hold_border(
