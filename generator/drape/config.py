@@ -19,7 +19,7 @@ class DrapeConfig:
 
     substeps: int = 40
     """Time steps in a frame; their length follows from the mesh and the fabric."""
-    search_every: int = 4
+    search_every: int = 8
     """Time steps after which it is asked whether contacts must be searched anew."""
     max_frames: int = 300
     """Frames after which a garment that still moves is left as it is; half as many of its coarse mesh, where frames are
@@ -87,8 +87,12 @@ class DrapeConfig:
     """Length over flat length of the hundredth edge that is stretched most."""
 
     def __post_init__(self) -> None:
-        if self.substeps < 2 or self.substeps % 2:
-            raise ConfigError(f"{self.substeps} substeps: give an even number")  # two buffers change places every step
+        # Two buffers change places in every step, and a frame is made of whole rounds of steps.
+        if self.search_every < 2 or self.search_every % 2 or self.substeps % self.search_every or self.substeps < 1:
+            raise ConfigError(
+                f"{self.substeps} substeps with a search every {self.search_every}: the second must be even, and go "
+                "into the first"
+            )
 
 
 @dataclass(frozen=True, slots=True)

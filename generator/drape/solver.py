@@ -1,5 +1,6 @@
-"""The time steps of a batch: one frame recorded as a graph, on the CPU as on a GPU, and played until all is at rest."""
+"""The time steps of a batch: recorded as graphs, on the CPU as on a GPU, and played until all is at rest."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -142,7 +143,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
 
 
 class Solver:
-    """Steps a batch frame by frame. The first frame records the graph; the rest replay it."""
+    """Steps a batch frame by frame. The first frame records its graphs; the rest replay them."""
 
     def __init__(self, model: ClothModel, config: DrapeConfig) -> None:
         load_kernels("drape", *KERNELS, device=model.device)
@@ -153,7 +154,7 @@ class Solver:
         self._bvh = wp.Bvh(self.state.lower, self.state.upper, groups=model.face_world)
         self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
         self._none = wp.zeros_like(self.state.tangled)
-        self._graph: wp.Graph | None = None
+        self._graphs: list[wp.Graph] = []
 
     @property
     def running(self) -> bool:
@@ -166,12 +167,19 @@ class Solver:
             with one_at_a_time:
                 self._bound()
                 self._bvh.rebuild()
-        if self._graph is None:
-            with one_at_a_time, wp.ScopedCapture(device=self.model.device) as capture:
-                self._record_frame()
-            self._graph = capture.graph
-        wp.capture_launch(self._graph)
+        if not self._graphs:
+            with one_at_a_time:
+                steps = self._recorded(self._record_steps)
+                rounds = self.config.substeps // self.config.search_every
+                self._graphs = [self._recorded(self._record_start), *rounds * [steps], self._recorded(self._record_end)]
+        for graph in self._graphs:
+            wp.capture_launch(graph)
         self.frames += 1
+
+    def _recorded(self, record: Callable[[], None]) -> wp.Graph:
+        with wp.ScopedCapture(device=self.model.device) as capture:
+            record()
+        return capture.graph
 
     def run_for(self, seconds: float) -> None:
         """Step until every garment has lived so long [s]. Raises ``DrapeError`` where one ends before."""
@@ -231,23 +239,30 @@ class Solver:
         every = np.ones(self.model.n_worlds, bool)
         return wp.array((every if worlds is None else worlds).astype(np.int32), dtype=int, device=self.model.device)
 
-    def _record_frame(self) -> None:
-        m, s = self.model, self.state
-        c = self.config
+    def _record_start(self) -> None:
+        """What begins a frame: cloth that has crossed is looked for, where that is due."""
+        m, s, c = self.model, self.state, self.config
         if c.exempt_crossings or c.untangle or c.pull_to_parts:
             wp.capture_if(s.any_crossing, self._find_crossings)
         self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
-        for turn in range(self.config.substeps):
-            if turn % self.config.search_every == 0:
-                s.any_search.zero_()
-                self._launch(
-                    search.plan_search,
-                    m.n_worlds,
-                    [s.status],
-                    [s.moved_far, s.contacts, s.searching, s.crossing_due, s.any_search],
-                )
-                wp.capture_if(s.any_search, self._search)
-            self._step(odd=turn % 2 == 1, before_search=(turn + 1) % self.config.search_every == 0)
+
+    def _record_steps(self) -> None:
+        """A search where one is due, and the time steps until the next."""
+        m, s = self.model, self.state
+        s.any_search.zero_()
+        self._launch(
+            search.plan_search,
+            m.n_worlds,
+            [s.status],
+            [s.moved_far, s.contacts, s.searching, s.crossing_due, s.any_search],
+        )
+        wp.capture_if(s.any_search, self._search)
+        for turn in range(self.config.search_every):
+            self._step(odd=turn % 2 == 1, before_search=turn + 1 == self.config.search_every)
+
+    def _record_end(self) -> None:
+        """What ends a frame: garments that rest, and those that have slid off, are done."""
+        m, s = self.model, self.state
         s.any_crossing.zero_()
         s.any_running.zero_()
         threads = 1 if m.device == "cpu" else 256
