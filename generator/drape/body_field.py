@@ -27,6 +27,7 @@ KEPT = 8  # fields kept for bodies that are dressed again
 FOREARM = 30  # what the drape calls an arm from the elbow on, with the hand; no ``BodyPart``
 ELBOW = 0.42  # of the way from the shoulder to the finger tips
 
+FEW_FACES = 8  # every eighth face tells where a part lies
 AXES = {
     "trunk": (BodyPart.TRUNK,),
     "left arm": (BodyPart.LEFT_ARM,),
@@ -131,11 +132,11 @@ def _make_field(body: Body, skin: Skin, device: str) -> BodyField:
 
 def _axes(points: Float[np.ndarray, "w 3"], skin: Skin) -> Float[np.ndarray, "2 axes 3"]:
     """From the middle of each part's highest tenth of faces to that of its lowest; of all faces for a missing part."""
-    middle = points[skin.faces].mean(axis=1)
+    corner, parts = points[skin.faces[::FEW_FACES, 0]], skin.parts[::FEW_FACES]
     axes = np.zeros((2, len(AXES), 3))
-    for number, parts in enumerate(AXES.values()):
-        own = middle[np.isin(skin.parts, [part.value for part in parts])]
-        own = own[np.argsort(-own[:, 1], kind="stable")] if len(own) else middle
+    for number, own_parts in enumerate(AXES.values()):
+        own = corner[np.isin(parts, [part.value for part in own_parts])]
+        own = own[np.argsort(-own[:, 1], kind="stable")] if len(own) else corner
         tenth = max(len(own) // 10, 1)
         axes[:, number] = own[:tenth].mean(axis=0), own[-tenth:].mean(axis=0)
     return axes
@@ -144,13 +145,14 @@ def _axes(points: Float[np.ndarray, "w 3"], skin: Skin) -> Float[np.ndarray, "2 
 def _with_forearms(points: Float[np.ndarray, "w 3"], skin: Skin) -> UInt8[np.ndarray, " g"]:
     """The part of each face, where arms end at the elbow."""
     parts = skin.parts.copy()
-    middle = points[skin.faces].mean(axis=1)
+    hands = np.flatnonzero(parts == BodyPart.HANDS.value)
     for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
-        limb = np.flatnonzero((parts == part.value) | ((parts == BodyPart.HANDS.value) & (side * middle[:, 0] > 0)))
+        own_hand = hands[side * points[skin.faces[hands, 0], 0] > 0]
+        limb = np.concatenate([np.flatnonzero(skin.parts == part.value), own_hand])
         if not len(limb):
             continue
-        along = middle[limb] - middle[limb].mean(axis=0)
-        axis = np.linalg.svd(along, full_matrices=False)[2][0]
-        reach = along @ (axis * np.sign(side * axis[0]))
+        corner = points[skin.faces[limb, 0]]
+        axis = np.linalg.eigh(np.cov(corner[::FEW_FACES].T))[1][:, -1]
+        reach = corner @ (axis * np.sign(side * axis[0]))
         parts[limb[reach > reach.min() + ELBOW * np.ptp(reach)]] = FOREARM
     return parts
