@@ -8,6 +8,8 @@
     ├── MeshError           a panel that cannot be meshed, a seam that cannot be merged
     ├── DrapeError          a drape that cannot start (a garment without faces)
     ├── ShardError          a data set on disk that is broken, foreign or too new
+    │   └── RemoteError      a server that does not answer, refuses, or sends something else
+    │       └── MissingError a file or repository that the server does not have
     ├── ConfigError         options that do not fit together, or that this machine cannot serve
     └── OutputError         a place that cannot be written
 
@@ -21,8 +23,10 @@ __all__ = [
     "FitError",
     "GcdError",
     "MeshError",
+    "MissingError",
     "OutputError",
     "PatternError",
+    "RemoteError",
     "ShardError",
     "SpecError",
     "shown",
@@ -64,6 +68,14 @@ class DrapeError(GcdError):
 
 class ShardError(GcdError):
     """A data set on disk that is broken, foreign or too new."""
+
+
+class RemoteError(ShardError):
+    """A server that does not answer, refuses, or sends something else than what was published."""
+
+
+class MissingError(RemoteError):
+    """A file or repository that the server does not have, or does not show."""
 
 
 class ConfigError(GcdError):
