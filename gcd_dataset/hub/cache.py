@@ -31,7 +31,7 @@ COUNTER = 8  # bytes at the head of a .have file
 OPEN_SHARDS = 256  # of the 1024 files that most systems give a process
 UNITS = {"": 1, "B": 1} | {
     f"{prefix}{unit}": base ** (power + 1)
-    for unit, base in (("B", 1000), ("iB", 1024))
+    for unit, base in (("B", 1000), ("IB", 1024))
     for power, prefix in enumerate("KMGT")
 }
 
@@ -55,7 +55,7 @@ def size_in_bytes(size: int | str | None) -> int | None:
     """
     if size is None or (isinstance(size, int) and size >= 0):
         return size
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?i?B?)", str(size).strip())
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?I?B?)", str(size).strip().upper())
     if match is None or match[2] not in UNITS:
         raise ConfigError(f"max_cache_size={size!r}: write bytes, or a size such as '20GB' or '500MiB'")
     return int(float(match[1]) * UNITS[match[2]])
