@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.foreign import foreign_index, foreign_shards, scan_foreign
+from gcd_dataset.shards.foreign import SPLITS, foreign_index, foreign_shards, scan_foreign
 from gcd_dataset.shards.index import ShardIndex, known_index, layout_of_shard, scan_shard, tables_of
 from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Layout, foreign_layout, index_name, shards_in
 
@@ -48,30 +48,33 @@ def rebuild_index(folder: Path | str, split: str = "train", layout: Layout = GAR
 def splits_in(folder: Path | str) -> tuple[str, ...]:
     """The splits of which a folder holds shards, by name. Raises ``ShardError``."""
     folder = Path(folder)
+    ours, rest = _by_maker(folder)
+    return tuple(sorted(ours | {split for split in SPLITS if foreign_shards(rest, split)}))
+
+
+def _by_maker(folder: Path) -> tuple[set[str], list[str]]:
+    """Our splits, and the names of foreign archives. Raises ``ShardError``."""
     with reading(folder):
         names = sorted(path.name for path in folder.iterdir() if path.name.endswith(".tar"))
-    ours = {name.rpartition("-")[0] for name in names}
-    ours = {split for split in ours if split and shards_in(folder, split)}
-    rest = [name for name in names if name.rpartition("-")[0] not in ours]
-    return tuple(sorted(ours | {split for split in ("train", "validation", "test") if foreign_shards(rest, split)}))
+    begun = {name.rpartition("-")[0] for name in names} - {""}
+    whole = {split: shards for split in begun if (shards := shards_in(folder, split))}
+    ours = {split for split, shards in whole.items() if layout_of_shard(shards[0]) is not None}
+    known = {path.name for split in ours for path in whole[split]}
+    return ours, [name for name in names if name not in known]
 
 
 def _layout_in(folder: Path, split: str, layout: Layout) -> Layout:
     """The layout of the first shard of a split."""
     with reading(folder):
         shards = shards_in(folder, split)
-    if not shards:
-        return foreign_layout(()) if _foreign_paths(folder, split) and layout == GARMENTS else layout
-    found = layout_of_shard(shards[0], layout)
-    return found or (foreign_layout(()) if layout == GARMENTS else layout)
+    found = layout_of_shard(shards[0], layout) if shards else None
+    if found is None and layout == GARMENTS and _foreign_paths(folder, split):
+        return foreign_layout(())
+    return found or layout
 
 
 def _foreign_paths(folder: Path, split: str) -> list[Path]:
-    with reading(folder):
-        names = [path.name for path in folder.iterdir()]
-    ours = {name.rpartition("-")[0] for name in names} - {split}
-    known = {path.name for other in ours if other for path in shards_in(folder, other)}
-    return [folder / name for name in foreign_shards(set(names) - known, split)]
+    return [folder / name for name in foreign_shards(_by_maker(folder)[1], split)]
 
 
 def _foreign(folder: Path, split: str, known: ShardIndex | None) -> ShardIndex:

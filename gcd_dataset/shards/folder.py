@@ -9,7 +9,7 @@ import numpy as np
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.contents import read_index
+from gcd_dataset.shards.contents import read_index, splits_in
 from gcd_dataset.shards.fetched import read_fetched
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import Layout, shard_number
@@ -76,8 +76,7 @@ class FolderStore(Store):
         names = [path.name for path in self.folder.iterdir()]
         if any(shard_number(name.removesuffix(".part"), split) is not None for name in names):
             return "a run has not finished its first shard: run gcd generate again to finish it"
-        begun = {name.rpartition("-")[0] for name in names if name.endswith(".tar")}
-        whole = sorted(there for there in begun if any(shard_number(name, there) is not None for name in names))
+        whole = splits_in(self.folder)
         return f"there is {', '.join(whole)}" if whole else "give a folder that gcd generate has made"
 
 

@@ -19,7 +19,7 @@ from gcd_dataset.shards.index import ShardIndex, ShardTable
 from gcd_dataset.shards.layout import foreign_layout
 from gcd_dataset.shards.tar import BLOCK, padded, require_header
 
-__all__ = ["ForeignSample", "foreign_index", "foreign_shards", "samples_of", "scan_foreign"]
+__all__ = ["SPLITS", "ForeignSample", "foreign_index", "foreign_shards", "samples_of", "scan_foreign"]
 
 PIECE = 1 << 20  # bytes read at once
 LONGEST_HEADER = 1 << 20  # bytes of a long name or of extended attributes; none that is meant well comes near

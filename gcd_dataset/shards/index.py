@@ -35,7 +35,7 @@ from gcd_dataset.shards.layout import (
     member_name,
     shards_in,
 )
-from gcd_dataset.shards.tar import Entry, tar_entries
+from gcd_dataset.shards.tar import BLOCK, Entry, tar_entries
 
 __all__ = [
     "ShardIndex",
@@ -49,6 +49,7 @@ __all__ = [
 ]
 
 META = "meta.json"
+OURS = re.compile(rb"(gcd_\d{9,})\.meta\.json\0")  # how every archive of ours begins
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,24 +249,20 @@ def scan_shard(path: Path, layout: Layout = GARMENTS) -> ShardTable:
 
 
 def layout_of_shard(path: Path, layout: Layout = GARMENTS) -> Layout | None:
-    """``layout``, or as much of it as the first sample of a shard has; ``None`` for an archive that is not ours.
-
-    Raises ``ShardError`` for what is no archive.
-    """
+    """``layout``, or as much of it as the first sample of a shard has; ``None`` for an archive that is not ours."""
     with _opened(path) as file:
-        try:
-            entries = tar_entries(file)
-            first = next(entries, None)
-            key, _, member = ("", "", "") if first is None else first.name.partition(".")
-            if re.fullmatch(r"gcd_\d{9,}", key) is None or member != META:
-                return None
-            # An error here is damage within the first sample, which the scan will tell.
-            members = [member]
-            with contextlib.suppress(ShardError):
-                members += [name for other, _, name in _names(entries) if other == key][: len(layout.members)]
-            return layout.of(tuple(members)) if layout.holds(members) else layout
-        except ShardError as error:
-            raise ShardError(f"{path}: {error}: {REMEDY}") from error
+        match = OURS.match(os.pread(file, BLOCK, 0))
+        if match is None:
+            return None
+        members = []
+        # An error here is damage, which the scan will tell.
+        with contextlib.suppress(ShardError):
+            for entry in islice(tar_entries(file), len(layout.members)):
+                key, _, member = entry.name.partition(".")
+                if key != match[1].decode():
+                    break
+                members.append(member)
+    return layout.of(members) if layout.holds(members) else layout
 
 
 def whole_samples(path: Path, layout: Layout = GARMENTS) -> ShardTable:
@@ -292,11 +289,6 @@ def _by_sample(entries: Iterator[Entry], layout: Layout) -> Iterator[list[Entry]
     # By number, not by key: to see that a key has changed, one would read into the next sample, which may be torn.
     while sample := list(islice(entries, len(layout.members))):
         yield sample
-
-
-def _names(entries: Iterable[Entry]) -> Iterator[tuple[str, str, str]]:
-    """Key, dot and member of the next few entries, none of which belongs to the sample after the next."""
-    return (entry.name.partition(".") for entry in islice(entries, max(len(GARMENTS.members), len(BODIES.members))))
 
 
 def _lacking(layout: Layout, members: Sequence[str]) -> str:
