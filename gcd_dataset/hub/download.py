@@ -15,9 +15,9 @@ from gcd_dataset.hub.place import MAIN, Repo, Url
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
 from gcd_dataset.shards.access import locked, writing
+from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.fetched import Fetched, FetchedSplit, read_fetched
-from gcd_dataset.shards.growing import GrowingShard, shard_record
-from gcd_dataset.shards.index import ShardIndex, ShardTable, empty_table, scan_shard
+from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import (
     FIELDS,
     FOREIGN,
@@ -32,10 +32,9 @@ from gcd_dataset.shards.layout import (
 from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, keep_split, read_manifest
 from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["download"]
+__all__ = ["download", "remote_splits"]
 
 META = GARMENTS.members[0]
-BATCH = 32  # samples that are asked for together
 LINES = 4  # shards that come at a time
 
 Told = Callable[[int, int], None]
@@ -70,10 +69,7 @@ def download(
     store = RemoteStore(site, None)
     reader = ShardReader(store, split)
     if reader.manifest is None or reader.layout.kind == FOREIGN:
-        raise ConfigError(
-            f"{site.source}: tars of another program have no manifest to check them by: read them without root, or get "
-            "them with hf download"
-        )
+        raise _foreign(site)
     layout = reader.layout.of([member for member in reader.layout.members if member in wanted.members])
     make_folder(folder)
     with locked(folder / lock_name(split), f"writing split {split}"):
@@ -91,6 +87,25 @@ def download(
         note = note.with_split(split, FetchedSplit(layout.members, whole=True))
         note.write(folder)
     return note
+
+
+def remote_splits(place: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple[str, ...]]:
+    """The place at its revision of now, and the splits there are.
+
+    Raises ``ConfigError`` for tars of another program, else as ``download``.
+    """
+    site = Site(place, remote)
+    manifest = RemoteStore(site, None).manifest()
+    if manifest is None:
+        raise _foreign(site)
+    return (replace(place, revision=site.revision) if isinstance(place, Repo) else place), tuple(manifest.splits)
+
+
+def _foreign(site: Site) -> ConfigError:
+    return ConfigError(
+        f"{site.source}: tars of another program have no manifest to check them by: read them without root, or get "
+        "them with hf download"
+    )
 
 
 def _is_there(there: Fetched, place: Repo | Url, split: str, wanted: Layout) -> bool:
@@ -219,7 +234,7 @@ def _bring_fields(folder: Path, reader: ShardReader, layout: Layout, told: Told)
             come[number] += size
             told(sum(come), total)
 
-        shard, table = _narrow_shard(folder / index.shards[number], reader, positions, layout, tell)
+        shard, table = copy_shard(folder / index.shards[number], reader, positions, layout, tell)
         records[number], tables[index.shards[number]] = shard, table
 
     _all_of(bring, len(index.shards))
@@ -227,32 +242,6 @@ def _bring_fields(folder: Path, reader: ShardReader, layout: Layout, told: Told)
         folder / index_name(reader.split)
     )
     return [shard for shard in records if shard is not None]
-
-
-def _narrow_shard(
-    path: Path, reader: ShardReader, positions: Sequence[int], layout: Layout, tell: Callable[[int], None]
-) -> tuple[ShardRecord, ShardTable]:
-    """One shard of some members, gone on with where it was left."""
-    if path.exists():  # whole, from an earlier call
-        table = scan_shard(path, layout)
-        tell(int(table.size.sum()))
-        return shard_record(path, table), table
-    shard = GrowingShard(path, empty_table(layout), layout)
-    try:
-        done = set(shard.table().sample.tolist())
-        tell(int(shard.table().size.sum()))
-        samples = reader.index.table.sample[reader.rows(positions)].tolist()
-        todo = [(place, sample) for place, sample in zip(positions, samples, strict=True) if sample not in done]
-        for start in range(0, len(todo), BATCH):
-            batch = todo[start : start + BATCH]
-            for (_, sample), members in zip(
-                batch, reader.read_many([p for p, _ in batch], layout.members), strict=True
-            ):
-                shard.append(sample, members)
-                tell(sum(len(data) for data in members.values()))
-        return shard.finish(), shard.table()
-    finally:
-        shard.release()
 
 
 def _all_of(bring: Callable[[int], None], count: int) -> None:

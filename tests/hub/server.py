@@ -186,8 +186,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._serve()
 
     def _serve(self) -> None:
-        length = int(self.headers.get("Content-Length") or 0)
-        self.body = self.rfile.read(length) if length else b""
+        self.body = self._read_body()
         self.fault = self._due_fault()
         if self.fault is not None and self.fault.drop:
             self._note(0, 0)
@@ -202,6 +201,16 @@ class _Handler(BaseHTTPRequestHandler):
                 answer(self, **{name: value or "" for name, value in match.groupdict().items()})
                 return
         self._json({"error": "not found"}, 404)
+
+    def _read_body(self) -> bytes:
+        if self.headers.get("Transfer-Encoding", "") != "chunked":
+            return self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        body = b""
+        while size := int(self.rfile.readline(), 16):
+            body += self.rfile.read(size)
+            self.rfile.readline()
+        self.rfile.readline()
+        return body
 
     def _due_fault(self) -> Fault | None:
         for fault in self.hub.faults:

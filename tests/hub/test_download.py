@@ -93,7 +93,7 @@ def test_a_download_of_fields_that_broke_off_goes_on(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("gcd_dataset.hub.web.WAITS", (0.0,))
-    monkeypatch.setattr("gcd_dataset.hub.download.BATCH", 1)
+    monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
     hub.faults = [
         Fault(r"storage/.*train-00001.*", times=1, cut=10**9),
         Fault(r"storage/.*train-00001", drop=True, times=9),
