@@ -9,7 +9,8 @@
     ├── DrapeError          a drape that cannot start (a garment without faces)
     ├── ShardError          a data set on disk that is broken, foreign or too new
     │   └── RemoteError      a server that does not answer, refuses, or sends something else
-    │       └── MissingError a file or repository that the server does not have
+    │       ├── MissingError a file or repository that the server does not have
+    │       └── RefusedError one that the server does not show
     ├── ConfigError         options that do not fit together, or that this machine cannot serve
     └── OutputError         a place that cannot be written
 
@@ -26,6 +27,7 @@ __all__ = [
     "MissingError",
     "OutputError",
     "PatternError",
+    "RefusedError",
     "RemoteError",
     "ShardError",
     "SpecError",
@@ -75,7 +77,11 @@ class RemoteError(ShardError):
 
 
 class MissingError(RemoteError):
-    """A file or repository that the server does not have, or does not show."""
+    """A file or repository that the server does not have."""
+
+
+class RefusedError(RemoteError):
+    """A file or repository that the server does not show, to this token at least."""
 
 
 class ConfigError(GcdError):

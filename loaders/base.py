@@ -58,6 +58,10 @@ class Garments(Dataset[Item], ABC):
         """All garments in order."""
         return (self[index] for index in range(len(self)))
 
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        """Several garments, as a ``DataLoader`` asks for a batch of them."""
+        return [self[index] for index in indices]
+
     def select(self, indices: Iterable[int]) -> "Garments":
         """These garments in this order, as a data set. Raises ``IndexError``."""
         return SelectedGarments(self, [self._position(index) for index in indices])
@@ -95,6 +99,9 @@ class SelectedGarments(Garments):
         if isinstance(index, slice):
             return self.select(range(len(self))[index])
         return self.whole[int(self.positions[self._position(index)])]
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        return self.whole.__getitems__(self.positions[[self._position(index) for index in indices]].tolist())
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self.whole._members(int(self.positions[position]), members)

@@ -18,7 +18,6 @@ from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.base import Garments, Transform, tensor_of
 from gcd_dataset.loaders.splits import parse_splits
-from gcd_dataset.shards.access import REMEDY
 from gcd_dataset.shards.codec import read_json
 from gcd_dataset.shards.layout import FIELDS, FOREIGN, MEMBERS, Bytes
 from gcd_dataset.shards.plain import decode_member
@@ -194,20 +193,21 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         index, name, count = part.reader.index, part.reader.index.shards[shard], 0
         rows = part.reader.rows(part.positions)
         chosen = {index.key(row) for row in rows[index.shard[rows] == shard].tolist()}
-        place, members = part.reader.store.place(name), self._streamed
+        store, members = part.reader.store, self._streamed
+        place = store.place(name)
         for sample in _samples(part.reader, name, None if self._foreign else members):
             count += 1
             if sample["__key__"] not in chosen:
                 continue
             if not self._foreign:
                 if missing := sorted(members - sample.keys()):
-                    raise ShardError(f"{place}: sample {sample['__key__']} has no {missing[0]}: {REMEDY}")
+                    raise ShardError(f"{place}: sample {sample['__key__']} has no {missing[0]}: {store.remedy}")
                 if self._check_stream:
-                    _check(place, sample)
+                    _check(place, sample, store.remedy)
             yield self._item(sample)
         # A damaged header looks like the end of an archive to ``tarfile``, which then leaves out the rest of it.
         if count != (there := int((index.shard == shard).sum())):
-            raise ShardError(f"{place}: {count} samples of {there} read: {REMEDY}")
+            raise ShardError(f"{place}: {count} samples of {there} read: {store.remedy}")
 
     @property
     def _streamed(self) -> set[str]:
@@ -234,15 +234,15 @@ def _samples(reader: ShardReader, shard: str, wanted: Container[str] | None) -> 
             files = tar_file_expander(opened, select_files=None if wanted is None else _among(wanted))
             yield from group_by_keys(files)
     except tarfile.TarError as error:
-        raise ShardError(f"{place}: a damaged archive ({error.args[0]}): {REMEDY}") from error
+        raise ShardError(f"{place}: a damaged archive ({error.args[0]}): {reader.store.remedy}") from error
 
 
-def _check(place: str, sample: Mapping[str, Any]) -> None:
+def _check(place: str, sample: Mapping[str, Any], remedy: str) -> None:
     """Raise ``ShardError`` if a member differs from the CRC-32 in the sample's meta.json."""
     written = read_json(sample[META])["crc32"]
     for member in written.keys() & sample.keys():
         if zlib.crc32(sample[member]) != written[member]:
             raise ShardError(
                 f"{place}: sample {sample['__key__']}, member {member}: bytes differ from those that were written: "
-                f"{REMEDY}"
+                f"{remedy}"
             )

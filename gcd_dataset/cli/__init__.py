@@ -30,7 +30,7 @@ BODY_STAGE = "body"  # the wearers alone, in both poses, with their measures
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``gcd`` with ``arguments`` and return its exit code."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     logging.getLogger("gcd_dataset").setLevel(logging.INFO)
     options = _parser().parse_args(arguments)
     try:

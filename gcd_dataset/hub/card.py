@@ -7,9 +7,8 @@ from typing import Any
 
 import yaml
 
-from gcd_dataset import __version__
 from gcd_dataset.shards.layout import FIELDS
-from gcd_dataset.shards.manifest import MANIFEST, Manifest
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 
 __all__ = ["Release", "card", "croissant"]
 
@@ -38,8 +37,6 @@ FIELD_TEXTS: Mapping[str, str] = {
     "front": "picture from the front",
     "back": "picture from behind",
 }
-TYPES = {"json": "sc:Text", "npy": "sc:Text", "jpg": "sc:ImageObject"}
-ENCODINGS = {"json": "application/json", "npy": "application/x-npy", "jpg": "image/jpeg"}
 
 TEXT = """
 # {title}
@@ -166,16 +163,18 @@ def _made(manifest: Manifest) -> list[str]:
 def croissant(release: Release, files: Mapping[str, tuple[int, str]]) -> dict[str, Any]:
     """The description in Croissant 1.0 (MLCommons); ``files``: path to size and SHA-256."""
     url = f"{release.endpoint}/datasets/{release.repo}"
-    shards = [{"@type": "cr:FileObject", "@id": name, "name": name, "contentUrl": f"{url}/resolve/main/{name}",
-               "contentSize": f"{size} B", "encodingFormat": _format(name), "sha256": digest}
-              for name, (size, digest) in files.items()]  # fmt: skip
-    sets = [
-        {"@type": "cr:FileSet", "@id": f"{name}-{field}", "name": f"{name}-{field}", "includes": f"*.{member}",
-         "containedIn": [{"@id": shard.name} for shard in split.shards],
-         "encodingFormat": ENCODINGS[member.rpartition(".")[2]]}
-        for name, split in release.manifest.splits.items()
-        for field, member in FIELDS.items() if member in release.members
-    ]  # fmt: skip
+    objects = [
+        {
+            "@type": "cr:FileObject",
+            "@id": name,
+            "name": name,
+            "contentUrl": f"{url}/resolve/main/{name}",
+            "contentSize": f"{size} B",
+            "encodingFormat": _format(name),
+            "sha256": digest,
+        }
+        for name, (size, digest) in files.items()
+    ]
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
@@ -186,21 +185,48 @@ def croissant(release: Release, files: Mapping[str, tuple[int, str]]) -> dict[st
         "license": release.license,
         "version": "1.0.0",
         "creator": {"@type": "sc:Organization", "name": release.repo.partition("/")[0]},
-        "sdVersion": __version__,
-        "distribution": shards + sets,
+        "distribution": objects + [_file_set(name, split) for name, split in release.manifest.splits.items()],
         "recordSet": [_records(name, release) for name in release.manifest.splits],
     }
 
 
+def _file_set(split: str, record: SplitRecord) -> dict[str, Any]:
+    """All files in the shards of a split."""
+    return {
+        "@type": "cr:FileSet",
+        "@id": f"{split}-files",
+        "name": f"{split}-files",
+        "containedIn": [{"@id": shard.name} for shard in record.shards],
+        "encodingFormat": "application/octet-stream",
+        "includes": "*",
+    }
+
+
 def _records(split: str, release: Release) -> dict[str, Any]:
-    """The garments of a split: one field a file."""
-    fields = [
-        {"@type": "cr:Field", "@id": f"{split}/{field}", "name": f"{split}/{field}", "description": FIELD_TEXTS[field],
-         "dataType": TYPES[member.rpartition(".")[2]],
-         "source": {"fileSet": {"@id": f"{split}-{field}"}, "extract": {"fileProperty": "content"}}}
-        for field, member in FIELDS.items() if member in release.members
-    ]  # fmt: skip
-    return {"@type": "cr:RecordSet", "@id": split, "name": split, "field": fields}
+    """The files of a split, by name; the words say which file holds what."""
+    there = [(field, member) for field, member in FIELDS.items() if member in release.members]
+    words = "; ".join(f"{member}: {FIELD_TEXTS[field]}" for field, member in there)
+    return {
+        "@type": "cr:RecordSet",
+        "@id": split,
+        "name": split,
+        "description": f"The files of each garment, KEY.MEMBER. {words}",
+        "field": [
+            _field(split, "file", "Key and member.", "filename"),
+            _field(split, "content", "The file's bytes.", "content"),
+        ],
+    }
+
+
+def _field(split: str, name: str, words: str, what: str) -> dict[str, Any]:
+    return {
+        "@type": "cr:Field",
+        "@id": f"{split}/{name}",
+        "name": f"{split}/{name}",
+        "description": words,
+        "dataType": "sc:Text",
+        "source": {"fileSet": {"@id": f"{split}-files"}, "extract": {"fileProperty": what}},
+    }
 
 
 def _format(name: str) -> str:

@@ -70,15 +70,21 @@ def download(
     reader = ShardReader(store, split)
     if reader.manifest is None or reader.layout.kind == FOREIGN:
         raise _foreign(site)
+    for name in reader.index.shards:  # the manifest's too: they have been compared
+        if shard_number(name, split) is None:
+            raise ShardError(f"{site.source}: tells of a shard {name!r}, which is no name for one: tell its publisher")
     layout = reader.layout.of([member for member in reader.layout.members if member in wanted.members])
     make_folder(folder)
-    with locked(folder / lock_name(split), f"writing split {split}"):
+    with locked(folder / lock_name(split), f"writing split {split}", wait=True):
+        there = read_fetched(folder)
+        if there is not None and _is_there(there, place, split, layout):
+            return there  # another process was faster
         note = _begun(folder, site.source, split, layout)
         note.write(folder)
         record = reader.manifest.splits[split]
         _begin_manifest(folder, reader.manifest)
         if layout == reader.layout:
-            _bring_whole(folder, site, split, record, told or _silent)
+            _bring_whole(folder, site, record, told or _silent)
             shards = list(record.shards)
             reader.index.write(folder / index_name(split))
         else:
@@ -142,10 +148,7 @@ def _begin_manifest(folder: Path, manifest: Manifest) -> None:
 # ------------------------------------------------------------------------------------------------------- whole shards
 
 
-def _bring_whole(folder: Path, site: Site, split: str, record: SplitRecord, told: Told) -> None:
-    for shard in record.shards:
-        if shard_number(shard.name, split) is None:
-            raise ShardError(f"{site.source}: the manifest tells of a shard {shard.name!r}: tell its publisher")
+def _bring_whole(folder: Path, site: Site, record: SplitRecord, told: Told) -> None:
     total, come = sum(shard.size for shard in record.shards), [0] * len(record.shards)
 
     def bring(number: int) -> None:

@@ -29,6 +29,8 @@ LINES = 8  # requests at a time
 class RemoteStore(Store):
     """The samples of a site. ``cache``: where what is read is kept, if anywhere."""
 
+    remedy = "try again later, or tell its publisher"
+
     def __init__(self, site: Site, cache: Cache | None) -> None:
         self.site, self._cache, self.source = site, cache, site.source
         self._shards: dict[str, _RemoteShard] = {}
@@ -118,7 +120,7 @@ class RemoteStore(Store):
             assert wrong is not None
             raise RemoteError(
                 f"{self.place(shard)}: {there.name_of(wrong.column)}: other bytes come than were published: nothing of "
-                "it is kept; try again later, or tell its publisher"
+                f"it is kept; {self.remedy}"
             )
         if self._cache is not None:
             pieces = [Piece(part.column, part.offset, content) for part, content in data.items()]

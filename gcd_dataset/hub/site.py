@@ -7,11 +7,11 @@ import logging
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from urllib.parse import quote
 
-from gcd_dataset.errors import ConfigError, MissingError, OutputError, RemoteError
+from gcd_dataset.errors import ConfigError, MissingError, OutputError, RefusedError, RemoteError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.hub.place import COMMIT, Repo, Url
 from gcd_dataset.hub.web import Web
@@ -57,10 +57,11 @@ class Site:
     def __init__(self, place: Repo | Url, remote: Remote) -> None:
         self._place, self._remote = place, remote
         self._seen = remote.folder / "sets" / self._slug()
+        self._headers = partial(_hub_headers, remote.token)
         if isinstance(place, Repo):
             base = f"{hub_endpoint(remote.endpoint)}/datasets/{place.name}/resolve"
             self.revision = place.revision if place.is_pinned else self._look_up(place.revision, self._commit)
-            self.web = Web(f"{base}/{self.revision}", headers=self._headers())
+            self.web = Web(f"{base}/{self.revision}", headers=self._headers)
             self.source = str(Repo(place.name, self.revision))
         else:
             self.web = Web(place.url)
@@ -82,7 +83,14 @@ class Site:
 
     def small(self, name: str) -> bytes:
         """A small file, asked for once. Raises ``MissingError``, or ``RemoteError`` for one that comes damaged."""
-        return self.kept(name, lambda: self._checked(name))
+        sign = self._seen / self.revision / f"{name}.missing"
+        if sign.exists():
+            raise MissingError(f"{self.source}: has no {name}")
+        try:
+            return self.kept(name, lambda: self._checked(self.web, name))
+        except MissingError:
+            _keep(sign, b"")
+            raise
 
     def kept(self, name: str, get: Callable[[], bytes]) -> bytes:
         """What is kept of this revision under a name; gotten and kept where it is not."""
@@ -99,22 +107,23 @@ class Site:
         if not self.allowed:
             raise RemoteError(f"{self._place}: {what} is not in the cache, and download=False: leave that out")
 
-    def _checked(self, name: str) -> bytes:
+    @staticmethod
+    def _checked(web: Web, name: str) -> bytes:
         """A file whose hash is that of its ETag, if that is one."""
         for _ in range(2):
-            content = self.web.get(name)
-            if _is_that(content, self.web.etags.get(name, "")):
+            content = web.get(name)
+            if _is_that(content, web.etags.get(name, "")):
                 return content
-        raise RemoteError(f"{self.web.address(name)}: other bytes come than were published: try again later")
+        raise RemoteError(f"{web.address(name)}: other bytes come than were published: try again later")
 
-    def _look_up(self, name: str, ask: Callable[[], str]) -> str:
+    def _look_up(self, name: str, ask: Callable[[bool], str]) -> str:
         """The revision that a name stands for, or stood for when it was last asked for."""
         path = self._seen / "refs" / quote(name, safe="")
         try:
             if not self.allowed:
                 raise RemoteError(f"{self._place}: never read before, and download=False: leave that out")
-            revision = ask()
-        except MissingError:
+            revision = ask(not path.exists())
+        except (MissingError, RefusedError):
             raise
         except RemoteError as error:
             with contextlib.suppress(OSError):
@@ -126,35 +135,32 @@ class Site:
         _keep(path, revision.encode())
         return revision
 
-    def _commit(self) -> str:
+    def _commit(self, patient: bool) -> str:
         assert isinstance(self._place, Repo)
         try:
-            commit = json.loads(self._api(self._place.revision).get(""))["sha"]
-        except MissingError as error:
-            raise MissingError(f"{error}; and there is no folder {self._place.name} here") from error
+            commit = json.loads(self._api(self._place.revision, patient=patient).get(""))["sha"]
+        except (MissingError, RefusedError) as error:
+            raise type(error)(f"{error}; and there is no folder {self._place.name} here") from error
         except (ValueError, KeyError, TypeError) as error:
             raise RemoteError(f"{self._place}: the server's answer is none of the Hub's: check endpoint") from error
         if COMMIT.fullmatch(str(commit)) is None:
             raise RemoteError(f"{self._place}: {commit!r} is no commit: check endpoint")
         return str(commit)
 
-    def _manifest_hash(self) -> str:
-        content = self._checked(MANIFEST)
+    def _manifest_hash(self, patient: bool) -> str:
+        content = self._checked(Web(self.web.base, patient=patient), MANIFEST)
         revision = hashlib.sha256(content).hexdigest()
         _keep(self._seen / revision / MANIFEST, content)
         return revision
 
-    def _api(self, revision: str) -> Web:
+    def _api(self, revision: str, *, patient: bool = True) -> Web:
         assert isinstance(self._place, Repo)
         endpoint = hub_endpoint(self._remote.endpoint)
         return Web(
-            f"{endpoint}/api/datasets/{self._place.name}/revision/{quote(revision, safe='')}", headers=self._headers()
+            f"{endpoint}/api/datasets/{self._place.name}/revision/{quote(revision, safe='')}",
+            headers=self._headers,
+            patient=patient,
         )
-
-    def _headers(self) -> dict[str, str]:
-        from huggingface_hub.utils import build_hf_headers  # type: ignore[attr-defined]
-
-        return build_hf_headers(token=self._remote.token, library_name="gcd_dataset")
 
     def _slug(self) -> str:
         """A folder's name for the place, whatever the server."""
@@ -163,6 +169,13 @@ class Site:
         else:
             name, server = re.sub(r"[^\w.-]+", "-", self._place.url)[:80], self._place.url
         return f"{name}-{hashlib.sha256(server.encode()).hexdigest()[:8]}"
+
+
+def _hub_headers(token: str | None) -> dict[str, str]:
+    # Only where a request follows: the library may ask the Hub for something of its own on the way.
+    from huggingface_hub.utils import build_hf_headers  # type: ignore[attr-defined]
+
+    return build_hf_headers(token=token, library_name="gcd_dataset")
 
 
 def _is_that(content: bytes, etag: str) -> bool:

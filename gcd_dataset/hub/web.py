@@ -5,14 +5,14 @@ The client is that of ``huggingface_hub``, so that proxies and certificates that
 
 import logging
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, urlsplit
 
-from gcd_dataset.errors import MissingError, RemoteError
+from gcd_dataset.errors import MissingError, RefusedError, RemoteError
 
 if TYPE_CHECKING:
     import httpx2
@@ -33,13 +33,15 @@ log = logging.getLogger(__name__)
 class Web:
     """The files below one address. May be pickled, forked, and used by several threads.
 
-    ``headers`` go to that address alone, not to where it redirects. A redirect is remembered, so that the next part of
-    the same file costs one request; an address that has expired is asked for again.
+    What ``headers`` gives goes to that address alone, not to where it redirects; it is called once, when the first
+    request is made. Not ``patient``: where nobody answers at all, there is no second attempt. A redirect is remembered,
+    so that the next part of the same file costs one request; an address that has expired is asked for again.
     """
 
-    def __init__(self, base: str, *, headers: Mapping[str, str] | None = None) -> None:
+    def __init__(self, base: str, *, headers: Callable[[], Mapping[str, str]] = dict, patient: bool = True) -> None:
         self.base = base.rstrip("/")
-        self._headers = dict(headers or {})
+        self._make_headers, self._patient = headers, patient
+        self._headers: Mapping[str, str] | None = None
         self._moved: dict[str, str] = {}
         self.etags: dict[str, str] = {}
         """ETag of each file that was answered for: that of the large file behind a redirect of the Hub."""
@@ -64,29 +66,27 @@ class Web:
         """The bytes from ``start`` to ``end``, or to the end of the file, as they come; goes on where a line breaks."""
         place, failures = start, 0
         while True:
-            before, trouble = place, ""
+            before = place
             try:
                 for piece in self._once(path, place, end):
                     place += len(piece)
                     yield piece
                 if end is None or place == end:
                     return
-                trouble = f"ends at byte {place} of {end}"
+                trouble = _Trouble(f"ends at byte {place} of {end}")
             except _Trouble as error:
-                trouble = str(error)
-                wait = error.wait
-            else:
-                wait = None
+                trouble = error
             failures = 0 if place > before else failures + 1
-            self._rest(path, trouble, failures, wait)
+            self._rest(path, trouble, failures)
 
-    def _rest(self, path: str, trouble: str, failures: int, asked: float | None) -> None:
+    def _rest(self, path: str, trouble: "_Trouble", failures: int) -> None:
         """Wait before the next attempt. Raises ``RemoteError`` where there shall be none."""
-        if failures > len(WAITS) or (asked or 0.0) > LONGEST_WAIT:
+        hopeless = trouble.is_unreachable and not self._patient
+        if failures > len(WAITS) or (trouble.wait or 0.0) > LONGEST_WAIT or hopeless:
             raise RemoteError(
                 f"{self.address(path)}: {trouble}, after {failures} attempts: try again later; what has come is kept"
             )
-        wait = WAITS[max(failures - 1, 0)] if asked is None else asked
+        wait = WAITS[max(failures - 1, 0)] if trouble.wait is None else trouble.wait
         log.info("%s: %s: once more in %.1f s", self.address(path), trouble, wait)
         time.sleep(wait)
 
@@ -124,6 +124,8 @@ class Web:
 
         own = self.address(path)
         url = self._moved.get(path, own)
+        if self._headers is None:
+            self._headers = self._make_headers()
         headers = {**wanted, **(self._headers if _origin(url) == _origin(own) else {})}
         try:
             with get_session().stream("GET", url, headers=headers, timeout=TIMEOUT) as response:
@@ -137,7 +139,8 @@ class Web:
             raise RemoteError(f"{own}: HF_HUB_OFFLINE is set, and this is not in the cache: unset it") from error
         except httpx2.TransportError as error:
             self._moved.pop(path, None)
-            raise _Trouble(f"no connection ({_reason(error)})") from error
+            nobody = isinstance(error, httpx2.ConnectError | httpx2.ConnectTimeout)
+            raise _Trouble(f"no connection ({_reason(error)})", is_unreachable=nobody) from error
         except httpx2.HTTPError as error:
             raise RemoteError(f"{own}: cannot be read ({_reason(error)}): check the address") from error
         except httpx2.InvalidURL as error:
@@ -160,7 +163,7 @@ class Web:
         if status in GONE:
             raise MissingError(f"{own}: not there ({status}): check the name, and the token if it is private")
         if status in REFUSED:
-            raise MissingError(f"{own}: refused ({status}): ask for access, and give token=, or run hf auth login")
+            raise RefusedError(f"{own}: refused ({status}): ask for access, and give token=, or run hf auth login")
         if status == 416:
             raise RemoteError(f"{own}: shorter than its index tells: tell its publisher, or pin another revision")
         if not response.is_success:
@@ -170,11 +173,11 @@ class Web:
 
 
 class _Trouble(Exception):  # noqa: N818 - nothing has failed yet
-    """What may pass; ``wait``: seconds that the server asks for."""
+    """What may pass; ``wait``: seconds that the server asks for; ``is_unreachable``: there is nobody to ask."""
 
-    def __init__(self, what: str, wait: float | None = None) -> None:
+    def __init__(self, what: str, wait: float | None = None, *, is_unreachable: bool = False) -> None:
         super().__init__(what)
-        self.wait = wait
+        self.wait, self.is_unreachable = wait, is_unreachable
 
 
 def _skip(response: "httpx2.Response", start: int, where: str) -> int:

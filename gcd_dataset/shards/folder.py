@@ -89,7 +89,8 @@ def read_parts(fd: int, parts: Sequence[Part]) -> tuple[dict[int, memoryview], i
         read = os.preadv(fd, [buffer], start)
         if read < len(buffer):
             return {}, start + read
-        content |= {part.column: buffer[part.offset - start : part.end - start] for part in run}
+        for column, offset, size, _ in run:
+            content[column] = buffer[offset - start : offset - start + size]
     return content, None
 
 

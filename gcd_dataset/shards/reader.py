@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.shards.access import REMEDY
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Layout
 from gcd_dataset.shards.store import Part, Store
@@ -51,7 +50,8 @@ class ShardReader:
         if not len(self._row):
             there = f"none of the {len(order)} samples of split {split} has settled"
             raise ShardError(f"{self.store.place()}: {there}: leave out settled_only, or make garments that are draped")
-        self._first = np.searchsorted(self.index.shard, np.arange(len(self.index.shards) + 1))
+        self._first = np.searchsorted(self.index.shard, np.arange(len(self.index.shards))).tolist()
+        self._columns_of: dict[tuple[str, ...], list[int]] = {}
         self._unchecked = self._all_unchecked()
         if verify == "full":
             for position in range(len(self)):
@@ -69,50 +69,61 @@ class ShardReader:
 
         Raises ``ShardError`` with shard, key and member for a byte that is not what was written.
         """
-        return self.read_many([position], members)[0]
+        row, columns = int(self._row[position]), self._columns(tuple(members))
+        wanted = self._parts(row, columns)
+        return self._checked(row, columns, wanted, self.store.read(*wanted))
 
     def read_many(self, positions: Iterable[int], members: Iterable[str]) -> list[dict[str, memoryview]]:
         """As ``read``, for several samples: a server is asked for all of them at once."""
-        rows = self.rows(positions).tolist()
-        columns = sorted({self.layout.members.index(member) for member in members})
+        rows, columns = self.rows(positions).tolist(), self._columns(tuple(members))
         wanted = [self._parts(row, columns) for row in rows]
         content = self.store.read_many(wanted)
-        return [self._checked(row, *entry) for row, entry in zip(rows, zip(wanted, content, strict=True), strict=True)]
+        return [
+            self._checked(row, columns, *entry)
+            for row, entry in zip(rows, zip(wanted, content, strict=True), strict=True)
+        ]
 
     def check(self, position: int) -> None:
         """Raise ``ShardError`` if any byte of a sample is not what was written."""
         row = int(self._row[position])
-        shard, number, parts = self._parts(row, range(len(self.layout.members)))
-        for column, data in self.store.read(shard, number, parts).items():
+        for column, data in self.store.read(*self._parts(row, self._columns(self.layout.members))).items():
             self._require_same(row, column, data)
+
+    def _columns(self, members: tuple[str, ...]) -> list[int]:
+        """Columns of members, in the order of the file."""
+        if members not in self._columns_of:
+            self._columns_of[members] = sorted({self.layout.members.index(member) for member in members})
+        return self._columns_of[members]
 
     def _parts(self, row: int, columns: Iterable[int]) -> tuple[str, int, list[Part]]:
         """Shard, number in it, and members of a sample, in the order of the file."""
-        table, shard, wanted = self.index.table, int(self.index.shard[row]), list(columns)
-        places = (array[row, wanted].tolist() for array in (table.offset, table.size, table.crc))
-        parts = [Part(*entry) for entry in zip(wanted, *places, strict=True)]
+        table, shard = self.index.table, int(self.index.shard[row])
+        offset, size, crc = table.offset[row].tolist(), table.size[row].tolist(), table.crc[row].tolist()
+        parts = [Part(column, offset[column], size[column], crc[column]) for column in columns]
         if self.layout.kind == FOREIGN:  # a sample may lack what others have, and be in another order
             parts = sorted((part for part in parts if part.offset >= 0), key=lambda part: part.offset)
-        return self.index.shards[shard], row - int(self._first[shard]), parts
+        return self.index.shards[shard], row - self._first[shard], parts
 
     def _checked(
-        self, row: int, wanted: tuple[str, int, list[Part]], content: dict[int, memoryview]
+        self, row: int, columns: list[int], wanted: tuple[str, int, list[Part]], content: dict[int, memoryview]
     ) -> dict[str, memoryview]:
         """Member to content, after a look at what has not been looked at."""
-        shard, number, parts = wanted
-        for part in parts:
-            if self._unchecked[row, part.column]:
-                if zlib.crc32(content[part.column]) != part.crc:
-                    content[part.column] = self.store.mend(shard, number, part) or content[part.column]
-                self._require_same(row, part.column, content[part.column])
-        return {self.layout.members[column]: data for column, data in content.items()}
+        if self._unchecked[row].take(columns).any():
+            shard, number, parts = wanted
+            for part in parts:
+                if self._unchecked[row, part.column]:
+                    if zlib.crc32(content[part.column]) != part.crc:
+                        content[part.column] = self.store.mend(shard, number, part) or content[part.column]
+                    self._require_same(row, part.column, content[part.column])
+        members = self.layout.members
+        return {members[column]: data for column, data in content.items()}
 
     def _require_same(self, row: int, column: int, data: memoryview) -> None:
         if zlib.crc32(data) != self.index.table.crc[row, column]:
             shard = self.index.shards[self.index.shard[row]]
             raise ShardError(
                 f"{self.store.place(shard)}: sample {self.index.key(row)}, member {self.layout.members[column]}: bytes "
-                f"differ from those that were written: {REMEDY}"
+                f"differ from those that were written: {self.store.remedy}"
             )
         self._unchecked[row, column] = False
 

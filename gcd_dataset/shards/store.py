@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import BinaryIO, NamedTuple
 
+from gcd_dataset.shards.access import REMEDY
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import Layout
 from gcd_dataset.shards.manifest import Manifest
@@ -31,6 +32,9 @@ class Store(ABC):
 
     source: str | None = None
     """Where the data come from, and which revision of them; ``None`` where nobody has said."""
+
+    remedy: str = REMEDY
+    """What to do about damage in it."""
 
     @abstractmethod
     def place(self, name: str = "") -> str:
@@ -69,5 +73,5 @@ class Store(ABC):
 
 def runs(parts: Sequence[Part], gap: int) -> list[Sequence[Part]]:
     """Members in runs with no more than ``gap`` bytes between neighbours."""
-    cuts = [i + 1 for i, (a, b) in enumerate(pairwise(parts)) if b.offset - a.end > gap]
+    cuts = [i + 1 for i, (a, b) in enumerate(pairwise(parts)) if b.offset - a.offset - a.size > gap]
     return [parts[i:j] for i, j in pairwise([0, *cuts, len(parts)]) if i < j]

@@ -1,7 +1,9 @@
 """Data sets brought here: whole, in part, and in spite of everything."""
 
 import errno
+import multiprocessing
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from gcd_dataset.hub.download import download
 from gcd_dataset.hub.place import Repo, Url
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.shards import ShardReader, rebuild_index
+from gcd_dataset.shards import ShardReader, read_index, rebuild_index
 from tests.hub.conftest import COUNT
 from tests.hub.server import Fault, Hub, read_folder
 from tests.loaders.test_shards import assert_all_same
@@ -165,11 +167,31 @@ def test_a_folder_that_holds_something_else_is_left_alone(hub: Hub, commit: str,
         bring(hub, tmp_path, Repo("org/garments", later), fields=["body"])
 
 
-def test_a_manifest_cannot_write_outside(hub: Hub, commit: str, tmp_path: Path) -> None:
-    for name in ("manifest.json", "index-train.npz"):
-        hub.static[f"evil/{name}"] = hub.static[f"garments/{name}"]
-    text = hub.static["evil/manifest.json"].decode().replace("train-00000.tar", "../escaped.tar")
-    hub.static["evil/manifest.json"] = text.encode()
-    with pytest.raises(ShardError, match=r"differ in|tells of a shard"):
-        bring(hub, tmp_path, Url(f"{hub.endpoint}/files/evil"))
-    assert not list(tmp_path.rglob("escaped*"))
+@pytest.mark.parametrize("fields", [None, ["verts"]])
+@pytest.mark.parametrize(
+    ("name", "told"), [("../escaped.tar", "a shard outside the folder"), ("escaped", "tells of a")]
+)
+def test_a_name_cannot_lead_outside(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, fields: Any, name: str, told: str
+) -> None:
+    index = read_index(folder)
+    evil = replace(index, shards=(name, *index.shards[1:]))
+    text = hub.static["garments/manifest.json"].decode().replace("train-00000.tar", name)
+    hub.static |= {"evil/manifest.json": text.encode(), "evil/index-train.npz": evil.to_bytes()}
+    hub.static |= {f"evil/{shard}": hub.static[f"garments/{shard}"] for shard in index.shards}
+    with pytest.raises(ShardError, match=told):
+        bring(hub, tmp_path, Url(f"{hub.endpoint}/files/evil"), fields=fields)
+    assert not list(tmp_path.rglob("*escaped*"))
+
+
+def brought(endpoint: str, folder: Path) -> int:
+    """Garments in a folder that may have to be downloaded first."""
+    cache = folder.with_name("cache")
+    return len(GarmentDataset("org/garments", root=folder, endpoint=endpoint, cache_dir=cache, verify="full"))
+
+
+@pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
+def test_processes_that_download_into_one_folder_wait_for_each_other(hub: Hub, commit: str, tmp_path: Path) -> None:
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        assert pool.starmap(brought, 2 * [(hub.endpoint, tmp_path / "data")]) == [COUNT, COUNT]
+    assert len([request for request in hub.asked(r"storage/.*tar") if request.status == 206]) == 3

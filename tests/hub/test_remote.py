@@ -3,10 +3,12 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import webdataset as wds
 from torch.utils.data import DataLoader
 
-from gcd_dataset.errors import ConfigError, MissingError, RemoteError, ShardError
+from gcd_dataset.errors import ConfigError, MissingError, RefusedError, RemoteError, ShardError
 from gcd_dataset.hub import remote
 from gcd_dataset.loaders import GarmentDataset, collate_packed
 from gcd_dataset.shards import read_index
@@ -67,7 +69,7 @@ def test_neighbouring_members_come_by_one_request(hub: Hub, commit: str, tmp_pat
 
 def test_a_batch_is_asked_for_at_once(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     ds = opened(hub, tmp_path, fields=["verts"])
-    (batch,) = DataLoader(ds, batch_size=COUNT, collate_fn=collate_packed)
+    (batch,) = DataLoader(ds[:], batch_size=COUNT, collate_fn=collate_packed)
     answered = [request for request in hub.asked(SHARDS) if request.status == 206]
     # Samples so small lie closer together than it pays to ask for them one by one: one request a shard.
     assert len(answered) == 3
@@ -117,7 +119,7 @@ def test_a_url_is_there_without_a_server(hub: Hub, commit: str, tmp_path: Path) 
 
 def test_a_private_repository_asks_for_a_token(hub: Hub, folder: Path, tmp_path: Path) -> None:
     hub.publish("org/garments", folder, private=True)
-    with pytest.raises(MissingError, match="refused"):
+    with pytest.raises(RefusedError, match="refused"):
         opened(hub, tmp_path)
     assert opened(hub, tmp_path, token=hub.token, fields=["meta"])[1]["meta"]["index"] == 1
     assert hub.asked("storage")
@@ -125,7 +127,7 @@ def test_a_private_repository_asks_for_a_token(hub: Hub, folder: Path, tmp_path:
 
 
 def test_what_is_not_there_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
-    with pytest.raises(MissingError, match=r"no folder org/nothing here"):
+    with pytest.raises(RefusedError, match=r"no folder org/nothing here"):
         GarmentDataset("org/nothing", endpoint=hub.endpoint, cache_dir=tmp_path)
     with pytest.raises(MissingError, match="not there"):
         opened(hub, tmp_path, revision="v9")
@@ -276,3 +278,48 @@ def test_damage_in_the_cache_is_mended(hub: Hub, commit: str, folder: Path, tmp_
     assert same(opened(hub, tmp_path, fields=["verts"])[2], expected)
     hub.stop()
     assert same(opened(hub, tmp_path, fields=["verts"], download=False)[2], expected)
+
+
+# -------------------------------------------------------------------------------------------------------- foreign tars
+
+
+@pytest.fixture
+def captions(hub: Hub, tmp_path: Path) -> str:
+    """Two tars by ``webdataset`` in a folder of a repository; its commit."""
+    files = {}
+    for shard in (0, 1):
+        with wds.TarWriter(str(tmp_path / "a.tar")) as writer:
+            for i in range(3):
+                number = shard * 3 + i
+                writer.write({"__key__": f"k{number}", "npy": np.arange(200 + number), "txt": f"{number}"})
+        files[f"data/train-{shard:06d}.tar"] = (tmp_path / "a.tar").read_bytes()
+    return hub.publish("org/foreign", files)
+
+
+def test_foreign_tars_of_a_repository(hub: Hub, captions: str, tmp_path: Path) -> None:
+    options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": tmp_path / "cache"}
+    ds = GarmentDataset("org/foreign", **options)
+    assert [item["txt"] for item in ds] == [str(i) for i in range(6)]
+    assert [item["txt"] for item in GarmentDataset("org/foreign", streaming=True, **options)] == [
+        item["txt"] for item in ds
+    ]
+    assert len(ds[5]["npy"]) == 205
+    hub.stop()
+    again = GarmentDataset("org/foreign", revision=captions, fields=["npy"], **options)
+    assert [len(item["npy"]) for item in again] == [200 + i for i in range(6)]
+
+
+def test_foreign_tars_that_point_outside_are_refused(hub: Hub, captions: str, tmp_path: Path) -> None:
+    files = hub.repos["org/foreign"].commits[-1][1]
+    evil = files["data/train-000000.tar"].replace(b"k0.txt\0\0\0\0\0", b"../k0.txt\0\0")
+    hub.publish("org/foreign", {"data/train-000000.tar": _signed_anew(evil)})
+    with pytest.raises(ShardError, match=r"data/train-000000\.tar: member \.\./k0\.txt points outside"):
+        GarmentDataset("org/foreign", endpoint=hub.endpoint, cache_dir=tmp_path / "cache")
+
+
+def _signed_anew(archive: bytes) -> bytes:
+    """The archive with a right checksum in the header of ``../k0.txt``."""
+    place = archive.index(b"../k0.txt")
+    header = archive[place : place + 512]
+    total = sum(header[:148] + 8 * b" " + header[156:])
+    return archive[: place + 148] + b"%06o\0 " % total + archive[place + 156 :]
