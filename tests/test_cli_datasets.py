@@ -13,6 +13,7 @@ from gcd_dataset.shards.layout import MEMBERS
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, read_folder, running_hub
 from tests.loaders.test_shards import assert_all_same
+from tests.shards import people
 from tests.shards.folders import fill
 
 # How ``huggingface_hub`` sends files is not for us to mend.
@@ -85,6 +86,15 @@ def test_index_is_made_again(data: Path, capsys: Capture) -> None:
     assert "train: 10 samples in 3 shards" in said(capsys)
     assert main(["index", str(data), "--split", "test"]) == 1
     assert main(["index", str(data / "nowhere")]) == 2
+
+
+def test_sets_of_bodies_are_served_too(tmp_path: Path, capsys: Capture) -> None:
+    folder = people.fill(tmp_path / "people", range(6))
+    (folder / "index-train.npz").unlink()
+    for verb in ("index", "verify", "info"):
+        assert main([verb, str(folder)]) == 0
+    assert "no fault found" in (text := said(capsys))
+    assert "straight" in text
 
 
 @pytest.fixture

@@ -86,7 +86,7 @@ def _verify(options: argparse.Namespace) -> int:
 def _index(options: argparse.Namespace) -> int:
     from gcd_dataset.errors import ShardError
     from gcd_dataset.shards import rebuild_index
-    from gcd_dataset.shards.contents import splits_in
+    from gcd_dataset.shards.contents import layout_in, splits_in
 
     _require_folder(options.dataset)
     splits = splits_in(options.dataset)
@@ -95,7 +95,7 @@ def _index(options: argparse.Namespace) -> int:
     if not splits:
         raise ShardError(f"{options.dataset}: no shards of split {options.split or 'train'}: give a folder of shards")
     for split in splits:
-        index = rebuild_index(options.dataset, split)
+        index = rebuild_index(options.dataset, split, layout_in(options.dataset, split))
         print(f"{options.dataset}: {split}: {len(index)} samples in {len(index.shards)} shards")
     return 0
 

@@ -12,7 +12,7 @@ import numpy as np
 from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.hub.partition import BODY, DESIGN, leaks
 from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.contents import splits_in
+from gcd_dataset.shards.contents import layout_in, splits_in
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import ShardTable, known_index, scan_shard
 from gcd_dataset.shards.layout import FOREIGN, GARMENTS, index_name
@@ -42,7 +42,8 @@ def info_lines(store: Store) -> Iterator[str]:
     maker = "" if manifest is None else f", begun by gcd_dataset {manifest.generator}, schema {manifest.schema}"
     yield f"{store.place()}{source}{maker}"
     for split in splits:
-        reader = ShardReader(store, split)
+        layout = layout_in(store.folder, split) if isinstance(store, FolderStore) else GARMENTS
+        reader = ShardReader(store, split, layout=layout)
         yield ""
         yield from _split_lines(reader)
         record = manifest.splits.get(split) if manifest is not None else None
@@ -57,7 +58,7 @@ def _split_lines(reader: ShardReader) -> Iterator[str]:
     index, count = reader.index, len(reader)
     size = f"{index.length.sum() / 1e6:.1f} MB"
     settled = int(index.table.settled.sum())
-    rest = "" if reader.layout.kind == FOREIGN else f", {settled} at rest ({settled / count:.1%})"
+    rest = "" if reader.layout.kind != GARMENTS.kind else f", {settled} at rest ({settled / count:.1%})"
     yield f"{reader.split}: {count} samples in {len(index.shards)} shards, {size}{rest}"
 
 
@@ -127,7 +128,7 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
     readers = {}
     for split in splits:
         try:
-            readers[split] = ShardReader(store, split)
+            readers[split] = ShardReader(store, split, layout=layout_in(folder, split))
         except GcdError as error:
             yield str(error)
             continue
@@ -142,7 +143,7 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
 
 def _shard_faults(reader: ShardReader, folder: Path, *, full: bool) -> Iterator[str]:
     manifest, index = reader.manifest, reader.index
-    kept = known_index(folder, reader.split, partial=True)
+    kept = known_index(folder, reader.split, reader.layout, partial=True)
     if kept is None:
         yield f"{folder / index_name(reader.split)}: not there: run gcd index"
     elif (kept.shards, kept.length.tolist()) != (index.shards, index.length.tolist()):

@@ -158,7 +158,7 @@ def _bring_whole(folder: Path, site: Site, record: SplitRecord, told: Told) -> N
 
         _bring_shard(folder, site, record.shards[number], tell)
 
-    _all_of(bring, len(record.shards))
+    _all_of(bring, len(record.shards), LINES)
 
 
 def _bring_shard(folder: Path, site: Site, shard: ShardRecord, tell: Callable[[int], None]) -> None:
@@ -240,16 +240,16 @@ def _bring_fields(folder: Path, reader: ShardReader, layout: Layout, told: Told)
         shard, table = copy_shard(folder / index.shards[number], reader, positions, layout, tell)
         records[number], tables[index.shards[number]] = shard, table
 
-    _all_of(bring, len(index.shards))
+    _all_of(bring, len(index.shards), 1)  # the samples of one come side by side
     ShardIndex.of(folder, {name: tables[name] for name in index.shards}, layout).write(
         folder / index_name(reader.split)
     )
     return [shard for shard in records if shard is not None]
 
 
-def _all_of(bring: Callable[[int], None], count: int) -> None:
-    """Bring every shard, a few at a time; the first error ends it, once those on their way have come."""
-    with ThreadPoolExecutor(LINES) as pool:
+def _all_of(bring: Callable[[int], None], count: int, lines: int) -> None:
+    """Bring every shard, ``lines`` at a time; the first error ends it, once those on their way have come."""
+    with ThreadPoolExecutor(lines) as pool:
         jobs = [pool.submit(bring, number) for number in range(count)]
         try:
             for job in jobs:

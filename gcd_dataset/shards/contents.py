@@ -6,10 +6,10 @@ from pathlib import Path
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.foreign import SPLITS, foreign_index, foreign_shards, scan_foreign
-from gcd_dataset.shards.index import ShardIndex, known_index, layout_of_shard, scan_shard, tables_of
-from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Layout, foreign_layout, index_name, shards_in
+from gcd_dataset.shards.index import ShardIndex, known_index, members_of_shard, scan_shard, tables_of
+from gcd_dataset.shards.layout import BODIES, FOREIGN, GARMENTS, Layout, foreign_layout, index_name, shards_in
 
-__all__ = ["read_index", "rebuild_index", "splits_in"]
+__all__ = ["layout_in", "read_index", "rebuild_index", "splits_in"]
 
 log = logging.getLogger(__name__)
 
@@ -52,13 +52,20 @@ def splits_in(folder: Path | str) -> tuple[str, ...]:
     return tuple(sorted(ours | {split for split in SPLITS if foreign_shards(rest, split)}))
 
 
+def layout_in(folder: Path | str, split: str) -> Layout:
+    """``BODIES`` for a set of bodies, else ``GARMENTS``. Raises ``ShardError``."""
+    with reading(Path(folder)):
+        shards = shards_in(Path(folder), split)
+    return BODIES if shards and members_of_shard(shards[0]) == BODIES.members else GARMENTS
+
+
 def _by_maker(folder: Path) -> tuple[set[str], list[str]]:
     """Our splits, and the names of foreign archives. Raises ``ShardError``."""
     with reading(folder):
         names = sorted(path.name for path in folder.iterdir() if path.name.endswith(".tar"))
     begun = {name.rpartition("-")[0] for name in names} - {""}
     whole = {split: shards for split in begun if (shards := shards_in(folder, split))}
-    ours = {split for split, shards in whole.items() if layout_of_shard(shards[0]) is not None}
+    ours = {split for split, shards in whole.items() if members_of_shard(shards[0]) is not None}
     known = {path.name for split in ours for path in whole[split]}
     return ours, [name for name in names if name not in known]
 
@@ -67,10 +74,10 @@ def _layout_in(folder: Path, split: str, layout: Layout) -> Layout:
     """The layout of the first shard of a split."""
     with reading(folder):
         shards = shards_in(folder, split)
-    found = layout_of_shard(shards[0], layout) if shards else None
-    if found is None and layout == GARMENTS and _foreign_paths(folder, split):
+    members = members_of_shard(shards[0]) if shards else None
+    if members is None and layout == GARMENTS and _foreign_paths(folder, split):
         return foreign_layout(())
-    return found or layout
+    return layout.of(members) if members is not None and layout.holds(members) else layout
 
 
 def _foreign_paths(folder: Path, split: str) -> list[Path]:

@@ -42,13 +42,14 @@ __all__ = [
     "ShardTable",
     "has_settled",
     "known_index",
-    "layout_of_shard",
+    "members_of_shard",
     "scan_shard",
     "tables_of",
     "whole_samples",
 ]
 
 META = "meta.json"
+MOST_MEMBERS = 64  # of a sample that is looked at
 OURS = re.compile(rb"(gcd_\d{9,})\.meta\.json\0")  # how every archive of ours begins
 
 
@@ -248,21 +249,21 @@ def scan_shard(path: Path, layout: Layout = GARMENTS) -> ShardTable:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
 
 
-def layout_of_shard(path: Path, layout: Layout = GARMENTS) -> Layout | None:
-    """``layout``, or as much of it as the first sample of a shard has; ``None`` for an archive that is not ours."""
+def members_of_shard(path: Path) -> tuple[str, ...] | None:
+    """The members of the first sample of a shard; ``None`` for an archive that is not ours."""
+    members: list[str] = []
     with _opened(path) as file:
         match = OURS.match(os.pread(file, BLOCK, 0))
         if match is None:
             return None
-        members = []
         # An error here is damage, which the scan will tell.
         with contextlib.suppress(ShardError):
-            for entry in islice(tar_entries(file), len(layout.members)):
+            for entry in islice(tar_entries(file), MOST_MEMBERS):
                 key, _, member = entry.name.partition(".")
                 if key != match[1].decode():
                     break
                 members.append(member)
-    return layout.of(members) if layout.holds(members) else layout
+    return tuple(members)
 
 
 def whole_samples(path: Path, layout: Layout = GARMENTS) -> ShardTable:
