@@ -110,12 +110,12 @@ class GarmentDataset(Garments):
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments, as a ``DataLoader`` asks for a batch of them: of a server all at once."""
         places = [self._place(self._position(index)) for index in indices]
-        members: dict[tuple[int, int], Mapping[str, Bytes]] = {}
+        members: dict[int, Mapping[str, Bytes]] = {}
         for reader in {id(part.reader): part.reader for part, _ in places}.values():
-            wanted = [place for part, place in places if part.reader is reader]
-            content = reader.read_many(wanted, self._wanted)
-            members |= {(id(reader), place): entry for place, entry in zip(wanted, content, strict=True)}
-        return [self._item(members[id(part.reader), place]) for part, place in places]
+            rows = [row for row, (part, _) in enumerate(places) if part.reader is reader]
+            content = reader.read_many([places[row][1] for row in rows], self._wanted)
+            members |= dict(zip(rows, content, strict=True))
+        return [self._item(members[row]) for row in range(len(places))]
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` was made with, and ``source`` if it was published.

@@ -79,10 +79,16 @@ class RemoteStore(Store):
             jobs += [partial(self._fetch, shard, run) for run in runs(missing, GAP)]
         for fetched in _at_once(jobs):
             content |= fetched
-        return [
-            {part.column: content[shard, self._shards[shard].flag(number, part.column)] for part in parts}
-            for shard, number, parts in wanted
-        ]
+        given: set[tuple[str, int]] = set()
+        samples = []
+        for shard, number, parts in wanted:
+            places = {part.column: (shard, self._shards[shard].flag(number, part.column)) for part in parts}
+            # A sample may be asked for twice, and what is given is the caller's own.
+            samples.append(
+                {c: _copy(content[place]) if place in given else content[place] for c, place in places.items()}
+            )
+            given.update(places.values())
+        return samples
 
     def mend(self, shard: str, number: int, part: Part) -> memoryview | None:
         there = self._shards[shard]
@@ -181,6 +187,10 @@ class _Pieces(io.RawIOBase):
         buffer[:count] = self._rest[:count]
         self._rest = self._rest[count:]
         return count
+
+
+def _copy(data: memoryview) -> memoryview:
+    return memoryview(bytearray(data))
 
 
 def _at_once(jobs: Sequence[Callable[[], T]]) -> Iterator[T]:

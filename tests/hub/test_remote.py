@@ -1,10 +1,12 @@
 """Garments from a server that behaves like the Hub: which bytes are asked for, and what is kept."""
 
+import pickle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 import webdataset as wds
 from torch.utils.data import DataLoader
 
@@ -75,6 +77,26 @@ def test_a_batch_is_asked_for_at_once(hub: Hub, commit: str, folder: Path, tmp_p
     assert len(answered) == 3
     (expected,) = DataLoader(GarmentDataset(folder, fields=["verts"]), batch_size=COUNT, collate_fn=collate_packed)
     assert same(batch, expected)
+
+
+def test_every_item_is_its_own(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+    def doubled(item: Any) -> Any:
+        item["verts"] *= 2
+        return item
+
+    expected = GarmentDataset(folder, fields=["verts"])[1]["verts"] * 2
+    remote_one = opened(hub, tmp_path, fields=["verts"], transform=doubled)
+    here = GarmentDataset(folder, fields=["verts"], transform=doubled)
+    for ds in (remote_one, remote_one, here):  # from the server, from the cache, from the folder
+        assert all(torch.equal(item["verts"], expected) for item in ds.__getitems__([1, 1, 1]))
+
+
+def test_a_data_set_may_be_sent_to_another_process(hub: Hub, commit: str, tmp_path: Path) -> None:
+    ds = opened(hub, tmp_path, fields=["verts"])
+    first = ds[0]
+    copy = pickle.loads(pickle.dumps(ds))
+    assert same(copy[0], first)
+    assert same(copy[7], ds[7])
 
 
 def test_nothing_is_asked_for_twice(hub: Hub, commit: str, tmp_path: Path) -> None:
