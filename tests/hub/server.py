@@ -49,6 +49,8 @@ class Fault:
     headers: Mapping[str, str] = field(default_factory=dict)
     cut: int | None = None
     """Close the line after so many bytes of the body."""
+    hold: bool = False
+    """After the cut, keep the line open and silent until the server goes."""
     flip: int | None = None
     """Change one bit of this byte of the file."""
     flip_share: float | None = None
@@ -239,6 +241,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
         with contextlib.suppress(OSError):
             self.wfile.write(body)
+            if self.fault is not None and self.fault.hold:
+                self.rfile.read(1)  # until the other side is gone
         return len(body)
 
     def _note(self, status: int, size: int) -> None:

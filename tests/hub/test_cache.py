@@ -3,6 +3,7 @@
 import errno
 import multiprocessing
 import os
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -146,6 +147,29 @@ def test_processes_that_fill_one_cache_agree(tmp_path: Path, limit: int | None) 
     assert Cache(tmp_path).used == int((tmp_path / "used").read_text()) == SIZE * int(np.sum(flags))
     assert limit is not None or len(flags) == 6
     assert limit is None or Cache(tmp_path).used <= limit
+
+
+def test_processes_that_are_killed_leave_a_cache_in_order(tmp_path: Path) -> None:
+    for seed in range(8):
+        child = multiprocessing.get_context("fork").Process(
+            target=fill_at_random, args=(tmp_path, 20 * SIZE, seed, 100_000)
+        )
+        child.start()
+        used = tmp_path / "used"
+        before = used.stat().st_ino if used.exists() else 0
+        while not used.exists() or used.stat().st_ino == before:
+            assert child.is_alive()
+            time.sleep(0.001)
+        time.sleep(0.003 * seed)  # each in another place
+        child.kill()
+        child.join()
+        cache = Cache(tmp_path, 20 * SIZE)
+        for shard in range(6):
+            found = cache.read(f"{shard}", MEMBERS, parts(range(MEMBERS)))
+            assert all(data == piece(flag, shard).data for flag, data in found.items())
+        cache.keep("0", MEMBERS, [piece(seed)])
+        assert cache.read("0", MEMBERS, parts([seed]))
+        assert cache.used <= 20 * SIZE
 
 
 def test_threads_that_fill_one_cache_agree(tmp_path: Path) -> None:

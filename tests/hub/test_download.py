@@ -3,6 +3,7 @@
 import errno
 import multiprocessing
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -195,3 +196,26 @@ def test_processes_that_download_into_one_folder_wait_for_each_other(hub: Hub, c
     with multiprocessing.get_context("fork").Pool(2) as pool:
         assert pool.starmap(brought, 2 * [(hub.endpoint, tmp_path / "data")]) == [COUNT, COUNT]
     assert len([request for request in hub.asked(r"storage/.*tar") if request.status == 206]) == 3
+
+
+@pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
+@pytest.mark.parametrize("fields", [None, ["verts"]])
+def test_a_download_that_was_killed_goes_on(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
+) -> None:
+    monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
+    hub.faults = [Fault(r"storage/.*train-00002", cut=3000, hold=True, times=99)]
+    child = multiprocessing.get_context("fork").Process(target=bring, args=(hub, tmp_path), kwargs={"fields": fields})
+    child.start()
+    last = tmp_path / "data" / "train-00002.tar.part"
+    while not (last.exists() and (last.stat().st_size >= 3000 or fields) and len(list(last.parent.glob("*.tar"))) == 2):
+        assert child.is_alive()
+        time.sleep(0.01)
+    child.kill()
+    child.join()
+    hub.faults.clear()
+    hub.log.clear()
+    assert_all_same(
+        GarmentDataset(bring(hub, tmp_path, fields=fields)), GarmentDataset(folder, fields=_with_meta(fields))
+    )
+    assert not hub.asked(r"storage/.*train-0000[01]")
