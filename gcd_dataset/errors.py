@@ -8,6 +8,9 @@
     ├── MeshError           a panel that cannot be meshed, a seam that cannot be merged
     ├── DrapeError          a drape that cannot start (a garment without faces)
     ├── ShardError          a data set on disk that is broken, foreign or too new
+    │   └── RemoteError      a server that does not answer, refuses, or sends something else
+    │       ├── MissingError a file or repository that the server does not have
+    │       └── RefusedError one that the server does not show
     ├── ConfigError         options that do not fit together, or that this machine cannot serve
     └── OutputError         a place that cannot be written
 
@@ -21,8 +24,11 @@ __all__ = [
     "FitError",
     "GcdError",
     "MeshError",
+    "MissingError",
     "OutputError",
     "PatternError",
+    "RefusedError",
+    "RemoteError",
     "ShardError",
     "SpecError",
     "shown",
@@ -64,6 +70,18 @@ class DrapeError(GcdError):
 
 class ShardError(GcdError):
     """A data set on disk that is broken, foreign or too new."""
+
+
+class RemoteError(ShardError):
+    """A server that does not answer, refuses, or sends something else than what was published."""
+
+
+class MissingError(RemoteError):
+    """A file or repository that the server does not have."""
+
+
+class RefusedError(RemoteError):
+    """A file or repository that the server does not show, to this token at least."""
 
 
 class ConfigError(GcdError):

@@ -2,7 +2,7 @@
 
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,7 +13,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.codec import decode_fields
 from gcd_dataset.shards.layout import FIELDS, Bytes, known_fields
 
-__all__ = ["Garments", "Item", "Transform", "as_item", "natural"]
+__all__ = ["Garments", "Item", "SelectedGarments", "Transform", "as_item", "natural", "tensor_of"]
 
 Item: TypeAlias = dict[str, Any]
 """A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
@@ -23,8 +23,10 @@ Transform: TypeAlias = Callable[[Item], Any]
 class Garments(Dataset[Item], ABC):
     """Garments by number; ``fields`` chooses what an item holds, ``transform`` changes it on the way out."""
 
-    def __init__(self, fields: Iterable[str] | None, transform: Transform | None) -> None:
-        self.fields = known_fields(fields)
+    def __init__(
+        self, fields: Iterable[str] | None, transform: Transform | None, *, there: Iterable[str] = FIELDS
+    ) -> None:
+        self.fields = known_fields(fields, there)
         """Names of what an item holds; see ``gcd_dataset.shards.codec`` for shapes, types and units."""
         self.transform = transform
 
@@ -43,13 +45,26 @@ class Garments(Dataset[Item], ABC):
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         """The encoded content of at least the members asked for."""
 
-    def __getitem__(self, index: int) -> Any:
-        """Garment ``index``; negative ones count from the end. Raises ``IndexError``."""
+    def __getitem__(self, index: int | slice) -> Any:
+        """Garment ``index``, negative ones count from the end; for a slice the garments in it, as a data set.
+
+        Raises ``IndexError``.
+        """
+        if isinstance(index, slice):
+            return self.select(range(len(self))[index])
         return self._item(self._members(self._position(index), tuple(FIELDS[field] for field in self.fields)))
 
     def __iter__(self) -> Iterator[Any]:
         """All garments in order."""
         return (self[index] for index in range(len(self)))
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        """Several garments, as a ``DataLoader`` asks for a batch of them."""
+        return [self[index] for index in indices]
+
+    def select(self, indices: Iterable[int]) -> "Garments":
+        """These garments in this order, as a data set. Raises ``IndexError``."""
+        return SelectedGarments(self, [self._position(index) for index in indices])
 
     def _item(self, members: Mapping[str, Bytes]) -> Any:
         item = as_item(members, self.fields)
@@ -60,6 +75,36 @@ class Garments(Dataset[Item], ABC):
         if not -len(self) <= number < len(self):
             raise IndexError(f"garment {number} of {len(self)}")
         return number % len(self)
+
+
+class SelectedGarments(Garments):
+    """Some garments of a data set, in an order of their own; fields and transform are those of the whole."""
+
+    def __init__(self, whole: Garments, positions: Sequence[int]) -> None:
+        super().__init__(whole.fields, whole.transform, there=whole.fields)
+        self.whole = whole
+        self.positions = np.asarray(positions, np.int64)
+        """Where each garment stands in the whole."""
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def recipe(self, index: int) -> dict[str, Any]:
+        return self.whole.recipe(int(self.positions[self._position(index)]))
+
+    def verify(self, index: int) -> None:
+        self.whole.verify(int(self.positions[self._position(index)]))
+
+    def __getitem__(self, index: int | slice) -> Any:
+        if isinstance(index, slice):
+            return self.select(range(len(self))[index])
+        return self.whole[int(self.positions[self._position(index)])]
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        return self.whole.__getitems__(self.positions[[self._position(index) for index in indices]].tolist())
+
+    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
+        return self.whole._members(int(self.positions[position]), members)
 
 
 def natural(name: str, value: int) -> int:
@@ -76,9 +121,10 @@ def natural(name: str, value: int) -> int:
 def as_item(members: Mapping[str, Bytes], fields: Iterable[str]) -> Item:
     """Encoded members as tensors, parsed JSON and pictures."""
     values = decode_fields(members, fields)
-    return {field: _tensor(value) if isinstance(value, np.ndarray) else value for field, value in values.items()}
+    return {field: tensor_of(value) if isinstance(value, np.ndarray) else value for field, value in values.items()}
 
 
-def _tensor(array: np.ndarray) -> torch.Tensor:
+def tensor_of(array: np.ndarray) -> torch.Tensor:
+    """The array as a tensor, without a copy where it is writable."""
     # Views of ``bytes`` are read-only, which no tensor can be.
     return torch.from_numpy(array if array.flags.writeable else array.copy())

@@ -111,7 +111,7 @@ class BodyDataset(Bodies):
     ) -> None:
         super().__init__(fields, transform)
         self._reader = ShardReader(source, split, layout=BODIES, verify=verify)
-        self._mesh = read_mesh(self._reader.folder, split, self.recipe(0)["recipe"]["mesh"])
+        self._mesh = read_mesh(Path(source), split, self.recipe(0)["recipe"]["mesh"])
 
     @property
     def mesh(self) -> BodyMesh:

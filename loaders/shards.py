@@ -1,40 +1,61 @@
 """Garments from shards: by number, or as a stream."""
 
+import bisect
 import tarfile
 import zlib
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from torch.utils.data import IterableDataset
 from webdataset.shardlists import split_by_node, split_by_worker
 from webdataset.tariterators import group_by_keys, tar_file_expander
 
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.loaders.base import Garments, Transform
-from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.hub.opening import open_store
+from gcd_dataset.hub.site import Remote
+from gcd_dataset.loaders.base import Garments, Transform, tensor_of
+from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.shards.codec import read_json
-from gcd_dataset.shards.index import has_settled
-from gcd_dataset.shards.layout import FIELDS, MEMBERS, Bytes
+from gcd_dataset.shards.layout import FIELDS, FOREIGN, MEMBERS, Bytes
+from gcd_dataset.shards.plain import decode_member
 from gcd_dataset.shards.reader import ShardReader, Verify
 
 __all__ = ["GarmentDataset", "StreamedGarments"]
 
+META = MEMBERS[0]
+
 
 class GarmentDataset(Garments):
-    """Garments in a folder of shards, by number.
+    """Garments in a folder of shards, at a URL, or in a repository of the Hugging Face Hub, by number.
 
     >>> ds = GarmentDataset("garments", fields=("verts", "faces"))  # doctest: +SKIP
     >>> ds[0]["verts"].shape  # doctest: +SKIP
     torch.Size([14425, 3])
+    >>> GarmentDataset("org/garments", "train[:10%]", fields=["points"], max_cache_size="20GB")  # doctest: +SKIP
 
-    ``fields``: what to read; all for ``None``, nothing else is touched. ``transform``: called with each item.
-    ``verify``: ``lazy`` checks a member's CRC-32 the first time that a process reads it, ``full`` checks everything at
-    once, ``off`` nothing. ``settled_only``: only garments whose drape hangs still. ``streaming``: an iterable data set
-    instead, which reads shards from end to end through ``webdataset`` and shares them out over ranks and workers.
+    ``source``: a folder, ``http://…``, ``https://…``, ``file://…``, or ``ORG/NAME`` (also ``hf://…``, ``…@REVISION``).
+    ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
+    ``fields``: what to read; all that there are for ``None``, nothing else is touched, nor asked of a server.
+    ``root``: download the split, or the fields of it, into this folder first, and read it there.
+    ``download``: without it no server is asked: what is in ``root`` or the cache has to do.
+    ``revision``: branch, tag or commit of a repository; looked up once, see the attribute ``revision``.
+    ``cache_dir``, ``max_cache_size``: where what was read of a server is kept, and how much of it, such as ``"20GB"``;
+    may be shared by any number of processes. By default ``~/.cache/gcd_dataset``, without limit.
+    ``endpoint``, ``token``: of the Hub; by default what ``HF_ENDPOINT`` and ``hf auth login`` have set.
+    ``transform``: called with each item. ``verify``: ``lazy`` checks a member's CRC-32 the first time that a process
+    reads it, ``full`` checks everything at once, ``off`` nothing; what comes from a server is checked in any case.
+    ``settled_only``: only garments whose drape hangs still. ``streaming``: an iterable data set instead, which reads
+    shards from end to end through ``webdataset`` and shares them out over ranks and workers; of a server too, where it
+    keeps nothing.
 
-    Only folders are read so far, where ``download`` has nothing to do; the other options for remote sources raise
-    ``ConfigError``. Raises ``ShardError`` for a folder that holds no such split, or a broken, foreign or newer one.
+    Tars that others have made for ``webdataset`` are read too: their fields are the endings of their names, such as
+    ``seg.png``, decoded by the last of these, and ``None`` where a sample has no such file.
+
+    Raises ``ShardError`` for a source that holds no such split, or a broken or newer one, ``RemoteError`` for a server
+    that does not answer, ``ConfigError`` for options that do not fit together.
     """
 
     def __new__(cls, *args: Any, streaming: bool = False, **options: Any) -> "GarmentDataset":
@@ -58,95 +79,170 @@ class GarmentDataset(Garments):
         verify: Verify = "lazy",
         settled_only: bool = False,
     ) -> None:
-        super().__init__(fields, transform)
-        remote = {
-            "root": root, "revision": revision, "cache_dir": cache_dir, "max_cache_size": max_cache_size,
-            "endpoint": endpoint, "token": token,
-        }  # fmt: skip
-        self._reader = ShardReader(_folder(source, remote), split, verify=verify, settled_only=settled_only)
-        self._check_stream, self._settled_only = verify != "off", settled_only
+        parts = parse_splits(split)
+        fields = None if fields is None else [fields] if isinstance(fields, str) else list(fields)
+        remote = Remote(revision, cache_dir, max_cache_size, endpoint, token, allowed=download)
+        splits = tuple(dict.fromkeys(part.name for part in parts))
+        store = open_store(source, remote, root=root, splits=splits, fields=fields)
+        readers = {name: ShardReader(store, name, verify=verify, settled_only=settled_only) for name in splits}
+        self._parts = [_Part(readers[part.name], part.range_of(len(readers[part.name]))) for part in parts]
+        self._ends = list(accumulate(len(part.positions) for part in self._parts))
+        self._member_of = _member_of([part.reader for part in self._parts])
+        super().__init__(fields, transform, there=self._member_of)
+        self._foreign = self._parts[0].reader.layout.kind == FOREIGN
+        self._check_stream = verify != "off"
+        self.source = store.source
+        """Where the garments come from, with the revision: ``None`` for a folder that was not downloaded."""
+
+    @property
+    def revision(self) -> str | None:
+        """The commit of the Hub that is read, or the hash of a URL's manifest."""
+        return None if self.source is None else self.source.rpartition("@")[2]
 
     def __len__(self) -> int:
-        return len(self._reader)
+        return self._ends[-1]
+
+    def __getitem__(self, index: int | slice) -> Any:
+        if isinstance(index, slice):
+            return self.select(range(len(self))[index])
+        return self._item(self._members(self._position(index), self._wanted))
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        """Several garments, as a ``DataLoader`` asks for a batch of them: of a server all at once."""
+        places = [self._place(self._position(index)) for index in indices]
+        members: dict[int, Mapping[str, Bytes]] = {}
+        for reader in {id(part.reader): part.reader for part, _ in places}.values():
+            rows = [row for row, (part, _) in enumerate(places) if part.reader is reader]
+            content = reader.read_many([places[row][1] for row in rows], self._wanted)
+            members |= dict(zip(rows, content, strict=True))
+        return [self._item(members[row]) for row in range(len(places))]
 
     def recipe(self, index: int) -> dict[str, Any]:
-        """Seed, index, options and versions that garment ``index`` was made with. Raises ``IndexError``."""
-        meta = read_json(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
-        return {name: meta[name] for name in ("seed", "index", "recipe", "versions")}
+        """Seed, index, options and versions that garment ``index`` was made with, and ``source`` if it was published.
+
+        Raises ``IndexError``, and ``ConfigError`` for a foreign sample, which does not tell.
+        """
+        position = self._position(index)
+        if self._foreign:
+            raise ConfigError("samples of foreign archives do not tell how they were made: ask their maker")
+        meta = read_json(self._members(position, (META,))[META])
+        made = {name: meta[name] for name in ("seed", "index", "recipe", "versions")}
+        return made if self.source is None else {**made, "source": self.source}
 
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` with shard, key and member if a byte of garment ``index`` is not as it was written."""
-        self._reader.check(self._position(index))
+        part, position = self._place(self._position(index))
+        part.reader.check(position)
+
+    @property
+    def _wanted(self) -> tuple[str, ...]:
+        return tuple(self._member_of[field] for field in self.fields)
+
+    def _place(self, position: int) -> tuple["_Part", int]:
+        """The part that holds a garment, and its position in the part's reader."""
+        number = bisect.bisect_right(self._ends, position)
+        part = self._parts[number]
+        return part, part.positions[position - (self._ends[number] - len(part.positions))]
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        return self._reader.read(position, members)
+        part, place = self._place(position)
+        return part.reader.read(place, members)
+
+    def _item(self, members: Mapping[str, Bytes]) -> Any:
+        if not self._foreign:
+            return super()._item(members)
+        values = {name: decode_member(name, members[name]) if name in members else None for name in self.fields}
+        item = {name: tensor_of(value) if isinstance(value, np.ndarray) else value for name, value in values.items()}
+        return item if self.transform is None else self.transform(item)
+
+
+class _Part(NamedTuple):
+    """Some samples of a split."""
+
+    reader: ShardReader
+    positions: range
+
+
+def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
+    """Field to member, of those that all splits have. Raises ``ConfigError`` for splits of different kinds."""
+    layouts = [reader.layout for reader in readers]
+    if len({layout.kind for layout in layouts}) > 1:
+        raise ConfigError("our samples in one split and foreign ones in another: open them as two data sets")
+    shared = [member for member in layouts[0].members if all(member in layout.members for layout in layouts)]
+    if layouts[0].kind == FOREIGN:
+        return {member: member for member in shared}
+    return {field: member for field, member in FIELDS.items() if member in shared}
 
 
 class StreamedGarments(GarmentDataset, IterableDataset):
     """The same items in the order of the shards; each rank and worker reads shards of its own."""
 
+    def select(self, indices: Iterable[int]) -> Garments:
+        raise ConfigError("a stream has no numbers to choose by: leave out streaming=True, or slice the split")
+
+    def __getitem__(self, index: int | slice) -> Any:
+        raise ConfigError("a stream has no numbers to choose by: leave out streaming=True")
+
     def __iter__(self) -> Iterator[Any]:
-        for path in self._own_shards():
-            count = 0
-            for sample in _samples(path, self._wanted):
-                count += 1
-                if missing := sorted(self._wanted - sample.keys()):
-                    raise ShardError(f"{path}: sample {sample['__key__']} has no {missing[0]}: {REMEDY}")
+        shards = [(part, shard) for part in self._parts for shard in _shards_of(part)]
+        for part, shard in split_by_worker(split_by_node(shards)):
+            yield from self._from_shard(part, shard)
+
+    def _from_shard(self, part: _Part, shard: int) -> Iterator[Any]:
+        """The samples of a part that are in one of its shards."""
+        index, name, count = part.reader.index, part.reader.index.shards[shard], 0
+        rows = part.reader.rows(part.positions)
+        chosen = {index.key(row) for row in rows[index.shard[rows] == shard].tolist()}
+        store, members = part.reader.store, self._streamed
+        place = store.place(name)
+        for sample in _samples(part.reader, name, None if self._foreign else members):
+            count += 1
+            if sample["__key__"] not in chosen:
+                continue
+            if not self._foreign:
+                if missing := sorted(members - sample.keys()):
+                    raise ShardError(f"{place}: sample {sample['__key__']} has no {missing[0]}: {store.remedy}")
                 if self._check_stream:
-                    _check(path, sample)
-                if not self._settled_only or has_settled(read_json(sample[MEMBERS[0]])):
-                    yield self._item(sample)
-            # A damaged header looks like the end of an archive to ``tarfile``, which then leaves out the rest of it.
-            if count != self._count[path.name]:
-                raise ShardError(f"{path}: {count} samples of {self._count[path.name]} read: {REMEDY}")
+                    _check(place, sample, store.remedy)
+            yield self._item(sample)
+        # A damaged header looks like the end of an archive to ``tarfile``, which then leaves out the rest of it.
+        if count != (there := int((index.shard == shard).sum())):
+            raise ShardError(f"{place}: {count} samples of {there} read: {store.remedy}")
 
     @property
-    def _wanted(self) -> set[str]:
-        """Members to take out of the archives: the first always, or a sample without fields would not be one."""
-        return {MEMBERS[0], *(FIELDS[field] for field in self.fields)}
-
-    @property
-    def _count(self) -> dict[str, int]:
-        """Samples of each shard."""
-        return {name: len(table) for name, table in self._reader.index.tables().items()}
-
-    def _own_shards(self) -> list[Path]:
-        """The shards of this rank and worker."""
-        paths = (self._reader.folder / name for name in self._reader.index.shards)
-        return list(split_by_worker(split_by_node(paths)))
+    def _streamed(self) -> set[str]:
+        """Members to take out of our archives: the first always, or a sample without fields would not be one."""
+        return {META, *self._wanted}
 
 
-def _samples(path: Path, wanted: Container[str]) -> Iterator[Mapping[str, Any]]:
+def _shards_of(part: _Part) -> list[int]:
+    """The shards that hold samples of a part, in the order of the index."""
+    return np.unique(part.reader.index.shard[part.reader.rows(part.positions)]).tolist()
+
+
+def _among(wanted: Container[str]) -> Callable[[str], bool]:
+    return lambda name: name.partition(".")[2] in wanted
+
+
+def _samples(reader: ShardReader, shard: str, wanted: Container[str] | None) -> Iterator[Mapping[str, Any]]:
     """The samples of a shard as ``webdataset`` gives them. Raises ``ShardError`` for a damaged archive."""
+    place = reader.store.place(shard)
     try:
         # Opened here, since WDS_SECURE=1 forbids ``webdataset`` to open files.
-        with reading(path), path.open("rb") as stream:
-            shard = [{"url": str(path), "stream": stream}]
-            files = tar_file_expander(shard, select_files=lambda name: name.partition(".")[2] in wanted)
+        with reader.store.stream(shard) as stream:
+            opened = [{"url": place, "stream": stream}]
+            files = tar_file_expander(opened, select_files=None if wanted is None else _among(wanted))
             yield from group_by_keys(files)
     except tarfile.TarError as error:
-        raise ShardError(f"{path}: a damaged archive ({error.args[0]}): {REMEDY}") from error
+        raise ShardError(f"{place}: a damaged archive ({error.args[0]}): {reader.store.remedy}") from error
 
 
-def _check(path: Path, sample: Mapping[str, Any]) -> None:
+def _check(place: str, sample: Mapping[str, Any], remedy: str) -> None:
     """Raise ``ShardError`` if a member differs from the CRC-32 in the sample's meta.json."""
-    written = read_json(sample[MEMBERS[0]])["crc32"]
+    written = read_json(sample[META])["crc32"]
     for member in written.keys() & sample.keys():
         if zlib.crc32(sample[member]) != written[member]:
             raise ShardError(
-                f"{path}: sample {sample['__key__']}, member {member}: bytes differ from those that were written: "
-                f"{REMEDY}"
+                f"{place}: sample {sample['__key__']}, member {member}: bytes differ from those that were written: "
+                f"{remedy}"
             )
-
-
-def _folder(source: str | Path, remote: Mapping[str, Any]) -> Path:
-    """The folder to read. Raises ``ConfigError`` for another source, or an option that only another source has."""
-    with reading(Path(source)):
-        is_folder = Path(source).is_dir()
-    if not is_folder:
-        raise ConfigError(f"{source}: no such folder: only folders are read so far, neither URLs nor the Hub")
-    if given := [name for name, value in remote.items() if value is not None]:
-        raise ConfigError(
-            f"{given[0]}={remote[given[0]]!r} is for URLs and the Hub, and {source} is a folder: leave it out"
-        )
-    return Path(source)

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "gcd_dataset"
-HEAVY = ("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset")
+HEAVY = ("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "httpx2")
 
 
 def loaded_by(module: str) -> set[str]:
@@ -29,7 +29,7 @@ def test_the_front_door_brings_numpy_alone(module: str) -> None:
 def test_loaders_bring_torch_but_no_simulator() -> None:
     loaded = loaded_by("gcd_dataset.loaders")
     assert "torch" in loaded
-    assert not loaded & {"warp", "h5py"}
+    assert not loaded & {"warp", "h5py", "huggingface_hub", "httpx2"}
 
 
 def test_patterns_are_drawn_without_the_simulator() -> None:
@@ -90,7 +90,14 @@ def test_imports_point_one_way(module: str) -> None:
 
 def test_shards_and_published_files_know_nothing_of_the_generator() -> None:
     for path in sources():
-        if path.relative_to(PACKAGE).parts[0] in ("shards", "release"):
+        if path.relative_to(PACKAGE).parts[0] in ("shards", "release", "hub"):
             assert not any(
                 name.startswith(("gcd_dataset.generator", "gcd_dataset.loaders")) for name in imports_of(path)
             )
+
+
+def test_the_hub_is_imported_in_its_package_alone_and_shards_know_nothing_of_it() -> None:
+    for path in sources():
+        part, names = path.relative_to(PACKAGE).parts[0], imports_of(path)
+        assert part == "hub" or not any(name.startswith(("huggingface_hub", "httpx")) for name in names)
+        assert part not in ("shards", "release") or not any(name.startswith("gcd_dataset.hub") for name in names)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
+from gcd_dataset.cli.datasets import add_verbs
 from gcd_dataset.errors import ConfigError, GcdError, SpecError
 from gcd_dataset.tomlfile import read_toml
 
@@ -29,7 +30,7 @@ BODY_STAGE = "body"  # the wearers alone, in both poses, with their measures
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``gcd`` with ``arguments`` and return its exit code."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     logging.getLogger("gcd_dataset").setLevel(logging.INFO)
     options = _parser().parse_args(arguments)
     try:
@@ -288,6 +289,8 @@ def _parser() -> argparse.ArgumentParser:
     show.add_argument("--index", type=_natural, default=0, help="which sample of the data set (default: 0)")
     show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready to be cut")
+
+    add_verbs(lambda name, run, text: _verb(verbs, name, run, text))
     return parser
 
 

@@ -8,9 +8,10 @@ import contextlib
 import io
 import json
 import os
+import re
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -23,21 +24,33 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import Outcome, Record
 from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.layout import BODIES, GARMENTS, SCHEMA, Layout, index_name, member_name, shards_in
-from gcd_dataset.shards.tar import Entry, tar_entries
+from gcd_dataset.shards.layout import (
+    BODIES,
+    GARMENTS,
+    SCHEMA,
+    Layout,
+    foreign_layout,
+    index_name,
+    key_of,
+    member_name,
+    shards_in,
+)
+from gcd_dataset.shards.tar import BLOCK, Entry, tar_entries
 
 __all__ = [
     "ShardIndex",
     "ShardTable",
     "has_settled",
-    "read_index",
-    "rebuild_index",
+    "known_index",
+    "members_of_shard",
     "scan_shard",
     "tables_of",
     "whole_samples",
 ]
 
 META = "meta.json"
+MOST_MEMBERS = 64  # of a sample that is looked at
+OURS = re.compile(rb"(gcd_\d{9,})\.meta\.json\0")  # how every archive of ours begins
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +102,8 @@ class ShardIndex(Record):
     """Row of ``shards`` for each sample."""
     table: ShardTable
     layout: Layout = GARMENTS
+    keys: tuple[str, ...] = ()
+    """Names of the samples of foreign archives; ours follow from their indices."""
 
     @classmethod
     def of(cls, folder: Path, tables: Mapping[str, ShardTable], layout: Layout = GARMENTS) -> Self:
@@ -102,34 +117,85 @@ class ShardIndex(Record):
     def __len__(self) -> int:
         return len(self.table)
 
+    def key(self, row: int) -> str:
+        """The name of a sample in its shard."""
+        return self.keys[row] if self.keys else key_of(int(self.table.sample[row]))
+
     def write(self, path: Path) -> None:
         """Keep the index as ``path``, whole or not at all. Raises ``OutputError``."""
+        write_whole(path, self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """The index as a file."""
         file = io.BytesIO()
         arrays: dict[str, Any] = {name: getattr(self.table, name) for name in _COLUMNS}
         arrays |= {"shards": np.array(self.shards, np.str_), "length": self.length, "shard": self.shard}
+        if self.keys:
+            arrays["keys"] = np.array(self.keys, np.str_)
         np.savez(file, schema=np.array(SCHEMA), members=np.array(self.layout.members), **arrays)
-        write_whole(path, file.getvalue())
+        return file.getvalue()
 
     @classmethod
-    def read(cls, path: Path, layout: Layout = GARMENTS) -> Self:
-        """The index in ``path``. Raises ``ShardError`` for a file that is broken, of another schema or layout."""
+    def read(cls, path: Path, layout: Layout = GARMENTS, *, partial: bool = False) -> Self:
+        """The index in ``path``; ``partial``: one of some of the layout's members, or of foreign archives, will do too.
+
+        Raises ``ShardError`` for a file that is broken, of another schema or layout.
+        """
+        with reading(path):
+            content = path.read_bytes()
+        return cls.parse(content, str(path), layout, partial=partial)
+
+    @classmethod
+    def parse(cls, content: bytes, path: str, layout: Layout = GARMENTS, *, partial: bool = False) -> Self:
+        """The index in a file's content; ``path`` names it in errors. Raises as ``read`` does."""
         try:
-            with reading(path), np.load(path, allow_pickle=False) as file:
+            with np.load(io.BytesIO(content), allow_pickle=False) as file:
                 arrays = dict(file)
             schema, members = int(arrays["schema"]), tuple(arrays["members"].tolist())
             table = ShardTable(*(arrays[name] for name in _COLUMNS))
-            index = cls(tuple(arrays["shards"].tolist()), arrays["length"], arrays["shard"], table, layout)
+            keys = tuple(arrays["keys"].tolist()) if "keys" in arrays else ()
+            found = foreign_layout(members) if keys else layout
+            if partial and schema == SCHEMA and not keys and layout.holds(members):
+                found = layout.of(members)
+            index = cls(tuple(arrays["shards"].tolist()), arrays["length"], arrays["shard"], table, found, keys)
         except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise ShardError(f"{path}: not an index ({error}): delete it, it is made again from the shards") from error
+        if schema == SCHEMA and members == found.members and (partial or not keys):
+            return index._consistent(path)
         for other in (GARMENTS, BODIES):
             if schema == SCHEMA and members == other.members != layout.members:
                 raise ShardError(
                     f"{path}: an index of {other.kind}, not of {layout.kind}: read them with {other.reader}, or choose "
                     "another folder"
                 )
-        if schema != SCHEMA or members != layout.members:
-            raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {SCHEMA}: delete it")
-        return index
+        if schema == SCHEMA and (keys or layout.holds(members)):
+            what = "foreign archives" if keys else f"samples without {_lacking(layout, members)}"
+            raise ShardError(f"{path}: an index of {what}, which are only read: choose another folder")
+        raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {SCHEMA}: delete it")
+
+    def _consistent(self, path: str) -> Self:
+        """The index itself. Raises ``ShardError`` unless its columns fit together and every member is in its shard."""
+        try:
+            self._require_consistent()
+        except ValueError as error:
+            raise ShardError(f"{path}: not an index ({error}): delete it, it is made again from the shards") from error
+        return self
+
+    def _require_consistent(self) -> None:
+        n, m, k = len(self.table), len(self.layout.members), len(self.shards)
+        shapes = {name: getattr(self.table, name).shape for name in _COLUMNS} | {"shard": self.shard.shape}
+        if any(shape != ((n, m) if name in ("offset", "size", "crc") else (n,)) for name, shape in shapes.items()):
+            raise ValueError(f"columns of {sorted(set(shapes.values()))} rows and members")
+        if len(self.length) != k or (self.keys and len(self.keys) != n):
+            raise ValueError(f"{len(self.length)} lengths and {len(self.keys)} keys for {k} shards of {n} samples")
+        if n and (not 0 <= self.shard.min() <= self.shard.max() < k or (np.diff(self.shard) < 0).any()):
+            raise ValueError(f"rows of shards beyond {k}, or out of order")
+        there = self.table.offset >= 0
+        ends = np.where(there, self.table.offset + self.table.size.astype(np.int64), 0)
+        if n and (ends > self.length[self.shard][:, None]).any():
+            raise ValueError("a member beyond the end of its shard")
+        if any("/" in name or name in ("", ".", "..") for name in self.shards):
+            raise ValueError("a shard outside the folder")
 
     def tables(self) -> dict[str, ShardTable]:
         """File name to contents."""
@@ -137,36 +203,25 @@ class ShardIndex(Record):
         return {name: self.table[first[i] : first[i + 1]] for i, name in enumerate(self.shards)}
 
 
-def read_index(folder: Path | str, split: str = "train", layout: Layout = GARMENTS) -> ShardIndex:
-    """The index of a split, brought up to date with the shards that are there; nothing is written.
-
-    Raises ``ShardError`` for a broken index or shard.
-    """
-    folder = Path(folder)
-    return ShardIndex.of(folder, tables_of(folder, split, layout), layout)
-
-
-def rebuild_index(folder: Path | str, split: str = "train", layout: Layout = GARMENTS) -> ShardIndex:
-    """The index of a split, made anew from its shards and kept in the folder.
-
-    Raises ``ShardError`` for a broken shard and ``OutputError`` where the folder cannot be written.
-    """
-    folder = Path(folder)
+def known_index(folder: Path, split: str, layout: Layout = GARMENTS, *, partial: bool = False) -> ShardIndex | None:
+    """The index that is kept in a folder; ``None`` where there is none. Raises as ``ShardIndex.read`` does."""
     with reading(folder):
-        paths = shards_in(folder, split)
-    index = ShardIndex.of(folder, {path.name: scan_shard(path, layout) for path in paths}, layout)
-    index.write(folder / index_name(split))
-    return index
+        is_there = (path := folder / index_name(split)).exists()
+    return ShardIndex.read(path, layout, partial=partial) if is_there else None
 
 
-def tables_of(folder: Path, split: str, layout: Layout = GARMENTS) -> dict[str, ShardTable]:
-    """The contents of each whole shard of a split, from the index where that knows the shard."""
+def tables_of(
+    folder: Path, split: str, layout: Layout = GARMENTS, *, index: ShardIndex | None = None
+) -> dict[str, ShardTable]:
+    """The contents of each whole shard of a split, from its ``index`` where that knows the shard.
+
+    Without ``index`` the one that is kept in the folder. Raises ``ShardError`` for one of another layout.
+    """
+    index = known_index(folder, split, layout) if index is None else index
     known: dict[tuple[str, int], ShardTable] = {}
     with reading(folder):
         sizes = {path: path.stat().st_size for path in shards_in(folder, split)}
-        has_index = (path := folder / index_name(split)).exists()
-    if has_index:
-        index = ShardIndex.read(path, layout)
+    if index is not None:
         known = dict(zip(zip(index.shards, index.length.tolist(), strict=True), index.tables().values(), strict=True))
     tables = {}
     for shard, size in sizes.items():
@@ -194,6 +249,23 @@ def scan_shard(path: Path, layout: Layout = GARMENTS) -> ShardTable:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
 
 
+def members_of_shard(path: Path) -> tuple[str, ...] | None:
+    """The members of the first sample of a shard; ``None`` for an archive that is not ours."""
+    members: list[str] = []
+    with _opened(path) as file:
+        match = OURS.match(os.pread(file, BLOCK, 0))
+        if match is None:
+            return None
+        # An error here is damage, which the scan will tell.
+        with contextlib.suppress(ShardError):
+            for entry in islice(tar_entries(file), MOST_MEMBERS):
+                key, _, member = entry.name.partition(".")
+                if key != match[1].decode():
+                    break
+                members.append(member)
+    return tuple(members)
+
+
 def whole_samples(path: Path, layout: Layout = GARMENTS) -> ShardTable:
     """The contents of a shard whose writing was broken off: every sample up to the first that is not whole."""
     rows: list[ShardTable] = []
@@ -218,6 +290,10 @@ def _by_sample(entries: Iterator[Entry], layout: Layout) -> Iterator[list[Entry]
     # By number, not by key: to see that a key has changed, one would read into the next sample, which may be torn.
     while sample := list(islice(entries, len(layout.members))):
         yield sample
+
+
+def _lacking(layout: Layout, members: Sequence[str]) -> str:
+    return ", ".join(member for member in layout.members if member not in members)
 
 
 def _row(file: int, entries: list[Entry], layout: Layout) -> ShardTable:

@@ -1,6 +1,7 @@
 """How a data set's folder is laid out: names of files, of samples, of the members of a sample.
 
     manifest.json         schema, recipe and seed of each split; count, size and sha256 of each shard
+    download.json         of a data set that was downloaded: where from
     index-train.npz       where each member of each sample lies
     mesh-train.npz        of bodies: triangles and parts, which all of them share
     train-00000.tar       samples 0 … shard_size-1, each as the files of ``MEMBERS``, bodies as those of ``BODIES``
@@ -12,8 +13,8 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -22,11 +23,13 @@ from gcd_dataset.errors import ConfigError
 __all__ = [
     "BODIES",
     "FIELDS",
+    "FOREIGN",
     "GARMENTS",
     "MEMBERS",
     "SCHEMA",
     "Bytes",
     "Layout",
+    "foreign_layout",
     "index_name",
     "key_of",
     "known_fields",
@@ -67,9 +70,25 @@ class Layout:
     reader: str
     """The data set to read them with."""
 
+    def holds(self, members: Sequence[str]) -> bool:
+        """Whether these are members of the layout, in its order, the first among them."""
+        return list(members) == [m for m in self.members if m in members] and list(members[:1]) == list(
+            self.members[:1]
+        )
+
+    def of(self, members: Sequence[str]) -> "Layout":
+        """The layout with these members and no others."""
+        return replace(self, members=tuple(members))
+
 
 GARMENTS = Layout("garments", MEMBERS, "GarmentDataset")
+FOREIGN = "foreign"
 BODIES = Layout("bodies", ("meta.json", "measures.json", "body.npy", "straight.npy", "apart.npy"), "BodyDataset")
+
+
+def foreign_layout(members: Sequence[str]) -> Layout:
+    """The layout of archives by others: any members, each of which a sample may lack."""
+    return Layout(FOREIGN, tuple(members), "GarmentDataset")
 
 
 def key_of(index: int) -> str:

@@ -13,7 +13,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.shards.access import locked, reading
 from gcd_dataset.shards.layout import SCHEMA
 
-__all__ = ["MANIFEST", "Manifest", "ShardRecord", "SplitRecord", "keep_split", "read_manifest"]
+__all__ = ["MANIFEST", "Manifest", "ShardRecord", "SplitRecord", "keep_split", "parse_manifest", "read_manifest"]
 
 MANIFEST = "manifest.json"
 
@@ -84,8 +84,11 @@ def read_manifest(folder: Path) -> Manifest | None:
     path = folder / MANIFEST
     with reading(path):
         content = path.read_bytes() if path.exists() else None
-    if content is None:
-        return None
+    return None if content is None else parse_manifest(content, str(path))
+
+
+def parse_manifest(content: bytes, path: str) -> Manifest:
+    """The manifest in a file's content; ``path`` names it in errors. Raises as ``read_manifest`` does."""
     try:
         entry = json.loads(content)
         if (schema := entry["schema"]) != SCHEMA:

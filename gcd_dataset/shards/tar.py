@@ -7,13 +7,14 @@ from typing import NamedTuple
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.layout import Bytes
 
-__all__ = ["BLOCK", "END", "Entry", "padded", "tar_entries", "tar_entry"]
+__all__ = ["BLOCK", "END", "Entry", "padded", "require_header", "tar_entries", "tar_entry"]
 
 BLOCK = 512
 END = 2 * BLOCK  # zeros that end an archive
 LONGEST_NAME = 100
 LARGEST = 8**11 - 1  # bytes: eleven octal digits
 CHECKSUM = slice(148, 156)
+KIND, PLAIN = 156, ord("0")
 
 
 class Entry(NamedTuple):
@@ -72,9 +73,25 @@ def _signed(header: bytes) -> bytes:
     return header[: CHECKSUM.start] + b"%06o\0 " % sum(header) + header[CHECKSUM.stop :]
 
 
+def require_header(header: bytes, position: int) -> None:
+    """Raise ``ShardError`` unless the checksum of a header, by any program, is that of its bytes."""
+    blank = header[: CHECKSUM.start] + 8 * b" " + header[CHECKSUM.stop :]
+    digits = header[CHECKSUM].strip(b" \0")
+    if len(header) < BLOCK or not digits.isdigit() or not digits.isascii() or _octal(digits) != sum(blank):
+        raise ShardError(f"no tar header at byte {position}")
+
+
+def _octal(digits: bytes) -> int:
+    return int(digits, 8) if not digits.strip(b"01234567") else -1
+
+
 def _parse(header: bytes, position: int) -> tuple[str, int]:
     """Name and size of a member."""
-    blank = header[: CHECKSUM.start] + 8 * b" " + header[CHECKSUM.stop :]
-    if len(header) < BLOCK or _signed(blank) != header:
-        raise ShardError(f"no tar header at byte {position}")
-    return header[:LONGEST_NAME].rstrip(b"\0").decode(), int(header[124:135], 8)
+    require_header(header, position)
+    try:
+        name, size = header[:LONGEST_NAME].rstrip(b"\0").decode("ascii"), int(header[124:135], 8)
+    except ValueError as error:
+        raise ShardError(f"no tar header of ours at byte {position}") from error
+    if header[KIND] != PLAIN:
+        raise ShardError(f"member {name} at byte {position} is no plain file")
+    return name, size

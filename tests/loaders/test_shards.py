@@ -189,11 +189,13 @@ def test_verify_finds_a_flipped_bit(tmp_path: Path) -> None:
         ds.verify(1)
 
 
-def test_what_is_not_served_yet_is_refused(folder: Path) -> None:
-    with pytest.raises(ConfigError, match="only folders are read so far"):
-        GarmentDataset("org/garments")
-    with pytest.raises(ConfigError, match="revision='main' is for URLs and the Hub"):
+def test_options_for_servers_are_refused_for_a_folder(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="revision='main' is for repositories of the Hub"):
         GarmentDataset(folder, revision="main")
+    with pytest.raises(ConfigError, match="max_cache_size='1GB' is for URLs and the Hub"):
+        GarmentDataset(folder, max_cache_size="1GB")
+    with pytest.raises(ConfigError, match="nowhere: no such folder, and neither a URL nor a repository"):
+        GarmentDataset(tmp_path / "nowhere")
 
 
 def test_collate_list_leaves_items_alone() -> None:

@@ -11,7 +11,8 @@ import pytest
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_index, reader
+from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_index
+from gcd_dataset.shards import folder as folders
 from tests.shards.folders import fill, forbidden, public_folder
 
 
@@ -39,7 +40,7 @@ def test_members_come_back_in_any_order(folder: Path) -> None:
 
 
 def test_far_members_are_read_apart(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reader, "GAP", 0)
+    monkeypatch.setattr(folders, "GAP", 0)
     expected = encode_sample(fake_sample(0, 4))
     read = ShardReader(folder).read(4, ["back.jpg", "meta.json", "verts.npy"])
     assert read == {name: expected[name] for name in ("meta.json", "verts.npy", "back.jpg")}
@@ -155,7 +156,7 @@ def test_missing_samples_leave_positions_dense(tmp_path: Path) -> None:
 
 
 def test_it_may_be_pickled_forked_and_shared_by_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reader, "OPEN_FILES", 1)
+    monkeypatch.setattr(folders, "OPEN_FILES", 1)
     shards = ShardReader(folder)
     expected = [encode_sample(fake_sample(0, position))["verts.npy"] for position in range(10)]
     assert shards.read(0, ["verts.npy"])["verts.npy"] == expected[0]

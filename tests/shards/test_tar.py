@@ -99,3 +99,15 @@ def test_damage_is_told_with_the_byte(tmp_path: Path) -> None:
 def test_names_that_no_header_holds_are_refused() -> None:
     with pytest.raises(ShardError, match="do not fit into a tar header"):
         tar_entry("x" * 101, b"")
+
+
+def test_datasets_reads_it(shard: Path, tmp_path: Path) -> None:
+    datasets = pytest.importorskip("datasets")
+    options = {"data_files": {"train": str(shard)}, "split": "train"}
+    for streaming in (False, True):
+        samples = list(
+            datasets.load_dataset("webdataset", streaming=streaming, cache_dir=str(tmp_path / "cache"), **options)
+        )
+        assert [sample["__key__"] for sample in samples] == [f"gcd_{i:09d}" for i in range(3)]
+        assert np.asarray(samples[1]["verts.npy"]).shape == fake_sample(0, 1).drape.vertices.shape  # type: ignore[union-attr]
+        assert samples[2]["meta.json"]["index"] == 2

@@ -1,0 +1,160 @@
+"""The verbs of whole data sets: info, verify, index, download, publish."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from gcd_dataset.errors import ConfigError
+
+__all__ = ["add_verbs"]
+
+AddVerb = Callable[[str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
+
+
+def add_verbs(add: AddVerb) -> None:
+    """Put the verbs into a parser."""
+    info = add("info", _info, "counts, shares and plots of a data set")
+    info.add_argument("dataset", metavar="DATASET", help="folder, URL, or repository ORG/NAME of the Hub")
+    _add_server(info)
+
+    verify = add("verify", _verify, "whether a data set is whole; exit 1 if not")
+    verify.add_argument("dataset", type=Path, metavar="DATASET", help="folder of shards")
+    verify.add_argument("--full", action="store_true", help="every byte of it, not only headers and lengths")
+
+    index = add("index", _index, "the index of a data set, made anew from its tars")
+    index.add_argument("dataset", type=Path, metavar="DATASET", help="folder of shards, ours or webdataset's")
+    index.add_argument("--split", help="one split (default: all)")
+
+    download = add("download", _download, "a data set from the Hub or a URL; broken off, it goes on")
+    download.add_argument("repo", metavar="REPO", help="repository ORG/NAME of the Hub, or URL of a data set's folder")
+    download.add_argument("--split", help="one split (default: all)")
+    download.add_argument(
+        "--fields", nargs="+", metavar="FIELD", help="of each garment, such as points panels edges (default: all)"
+    )
+    download.add_argument(
+        "--out", "--root", type=Path, metavar="DIR", help="folder for it (default: the name of the repository)"
+    )
+    download.add_argument("--revision", help="branch, tag or commit (default: main)")
+    download.add_argument("--quiet", action="store_true", help="no progress bar")
+    _add_server(download)
+
+    publish = add("publish", _publish, "a data set to the Hub, with card, Croissant and splits")
+    publish.add_argument("dataset", type=Path, metavar="DATASET", help="folder of shards that gcd generate has made")
+    publish.add_argument("repo", metavar="REPO", help="repository ORG/NAME; made if it is not there")
+    publish.add_argument("--dry-run", action="store_true", help="write everything, list it, and send nothing")
+    publish.add_argument(
+        "--shares", default="90,5,5", metavar="A,B,C", help="of train, validation, test [%%] (default: 90,5,5)"
+    )
+    publish.add_argument("--license", default="unknown", help="identifier of the Hub, such as cc-by-4.0 (unknown)")
+    publish.add_argument("--private", action="store_true", help="a repository that only you see")
+    publish.add_argument(
+        "--stage", type=Path, metavar="DIR", help="folder for what goes up (default: DATASET/published)"
+    )
+    _add_server(publish)
+
+
+def _add_server(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--endpoint", metavar="URL", help="of the Hub (default: HF_ENDPOINT, or huggingface.co)")
+
+
+def _info(options: argparse.Namespace) -> int:
+    from gcd_dataset.cli.inspect import info_lines
+    from gcd_dataset.hub.opening import open_store
+    from gcd_dataset.hub.place import Repo, find_place
+    from gcd_dataset.hub.site import Remote
+
+    endpoint = options.endpoint if isinstance(find_place(options.dataset), Repo) else None
+    for line in info_lines(open_store(options.dataset, Remote(endpoint=endpoint))):
+        print(line)
+    return 0
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from gcd_dataset.cli.inspect import faults
+
+    _require_folder(options.dataset)
+    found = 0
+    for fault in faults(options.dataset, full=options.full):
+        print(fault)
+        found += 1
+    if not found:
+        print(f"{options.dataset}: no fault found{'' if options.full else '; --full reads every byte'}")
+    return 1 if found else 0
+
+
+def _index(options: argparse.Namespace) -> int:
+    from gcd_dataset.errors import ShardError
+    from gcd_dataset.shards import rebuild_index
+    from gcd_dataset.shards.contents import layout_in, splits_in
+
+    _require_folder(options.dataset)
+    splits = splits_in(options.dataset)
+    if options.split is not None:
+        splits = tuple(split for split in splits if split == options.split)
+    if not splits:
+        raise ShardError(f"{options.dataset}: no shards of split {options.split or 'train'}: give a folder of shards")
+    for split in splits:
+        index = rebuild_index(options.dataset, split, layout_in(options.dataset, split))
+        print(f"{options.dataset}: {split}: {len(index)} samples in {len(index.shards)} shards")
+    return 0
+
+
+def _download(options: argparse.Namespace) -> int:
+    from tqdm import tqdm
+
+    from gcd_dataset.hub.download import download, remote_splits
+    from gcd_dataset.hub.place import Folder, Repo, find_place
+    from gcd_dataset.hub.site import Remote
+    from gcd_dataset.shards.layout import known_fields
+
+    place = find_place(options.repo, options.revision)
+    if isinstance(place, Folder):
+        raise ConfigError(f"{options.repo}: a folder of this machine: there is nothing to download")
+    remote = Remote(endpoint=options.endpoint)
+    name = place.name if isinstance(place, Repo) else place.url
+    out = options.out or Path(name.rpartition("/")[2])
+    fields = None if options.fields is None else [f for entry in options.fields for f in entry.split(",") if f]
+    known_fields(fields)
+    place, splits = remote_splits(place, remote)
+    for split in splits if options.split is None else [options.split]:
+        with tqdm(desc=split, unit="B", unit_scale=True, disable=options.quiet, file=sys.stderr) as bar:
+
+            def tell(come: int, total: int, bar: tqdm = bar) -> None:
+                bar.total = total
+                bar.update(come - bar.n)
+
+            note = download(place, out, remote, split=split, fields=fields, told=tell)
+        members = ", ".join(member.split(".")[0] for member in note.splits[split].members)
+        print(f"{out}: {split} of {note.source}: {members}")
+    return 0
+
+
+def _publish(options: argparse.Namespace) -> int:
+    from gcd_dataset.hub.partition import as_shares
+    from gcd_dataset.hub.publish import stage, upload
+
+    _require_folder(options.dataset)
+    staged = stage(
+        options.dataset,
+        options.repo,
+        options.stage or options.dataset / "published",
+        shares=as_shares(options.shares),
+        license=options.license,
+        endpoint=options.endpoint,
+    )
+    for name, split in staged.manifest.splits.items():
+        print(f"{name}: {sum(shard.count for shard in split.shards)} garments in {len(split.shards)} shards")
+    for path, size in staged.files.items():
+        print(f"  {path}  {size} bytes")
+    if options.dry_run:
+        print(f"{staged.folder}: {len(staged.files)} files would go up to {options.repo}; nothing was sent")
+        return 0
+    commit = upload(staged, options.repo, endpoint=options.endpoint, private=options.private)
+    print(f"{options.repo}@{commit}: {len(staged.files)} files are up")
+    return 0
+
+
+def _require_folder(path: Path) -> None:
+    if not path.is_dir():
+        raise ConfigError(f"{path}: no such folder: give a folder of shards")

@@ -1,0 +1,186 @@
+"""What ``gcd info`` prints of a data set, and the faults that ``gcd verify`` finds in one."""
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gcd_dataset.errors import GcdError, ShardError
+from gcd_dataset.hub.partition import BODY, DESIGN, leaks
+from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.shards.contents import layout_in, splits_in
+from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.index import ShardTable, known_index, scan_shard
+from gcd_dataset.shards.layout import FOREIGN, GARMENTS, index_name
+from gcd_dataset.shards.manifest import MANIFEST, SplitRecord
+from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.store import Store
+
+__all__ = ["faults", "info_lines"]
+
+LOOKED_AT = 500  # samples of a split whose designs are counted: shares to a few per cent
+BAR = 30  # characters
+
+
+# --------------------------------------------------------------------------------------------------------------- info
+
+
+def info_lines(store: Store) -> Iterator[str]:
+    """Counts, shares and their plots. Raises ``ShardError``."""
+    manifest = store.manifest()
+    if isinstance(store, FolderStore):
+        splits = splits_in(store.folder)
+    else:
+        splits = tuple(manifest.splits) if manifest is not None else ("train",)
+    if not splits:
+        raise ShardError(f"{store.place()}: no shards: give a folder that gcd generate has made")
+    source = "" if store.source in (None, store.place()) else f", from {store.source}"
+    maker = "" if manifest is None else f", begun by gcd_dataset {manifest.generator}, schema {manifest.schema}"
+    yield f"{store.place()}{source}{maker}"
+    for split in splits:
+        layout = layout_in(store.folder, split) if isinstance(store, FolderStore) else GARMENTS
+        reader = ShardReader(store, split, layout=layout)
+        yield ""
+        yield from _split_lines(reader)
+        record = manifest.splits.get(split) if manifest is not None else None
+        if record is not None:
+            yield from _made_lines(record)
+        yield from _bars("bytes by field", _bytes_by_member(reader))
+        if reader.layout.kind == GARMENTS.kind and isinstance(store, FolderStore):
+            yield from _content_lines(reader)
+
+
+def _split_lines(reader: ShardReader) -> Iterator[str]:
+    index, count = reader.index, len(reader)
+    size = f"{index.length.sum() / 1e6:.1f} MB"
+    settled = int(index.table.settled.sum())
+    rest = "" if reader.layout.kind != GARMENTS.kind else f", {settled} at rest ({settled / count:.1%})"
+    yield f"{reader.split}: {count} samples in {len(index.shards)} shards, {size}{rest}"
+
+
+def _made_lines(record: SplitRecord) -> Iterator[str]:
+    yield f"  seed {record.seed}, recipe {json.dumps(dict(record.recipe), sort_keys=True)}"
+    if record.rejects:
+        yield from _bars("turned down on the way, by rule", record.rejects)
+
+
+def _bytes_by_member(reader: ShardReader) -> dict[str, int]:
+    total = reader.index.table.size.sum(axis=0, dtype=np.int64)
+    return {member.split(".")[0]: int(size) for member, size in zip(reader.layout.members, total, strict=True)}
+
+
+def _content_lines(reader: ShardReader) -> Iterator[str]:
+    """Outcomes, wearers and kinds of garments, of some samples that lie evenly."""
+    members = [member for member in ("meta.json", DESIGN) if member in reader.layout.members]
+    chosen = np.unique(np.linspace(0, len(reader) - 1, min(len(reader), LOOKED_AT)).astype(int)).tolist()
+    counts: dict[str, Counter[str]] = {name: Counter() for name in ("outcome", "wearer", "upper", "bottom")}
+    panels = []
+    for content in reader.read_many(chosen, members):
+        meta = json.loads(bytes(content["meta.json"]))
+        counts["outcome"][meta["drape"]["outcome"] if meta["drape"] else "not draped"] += 1
+        counts["wearer"][str(meta["body"]).partition(":")[0] or "unnamed"] += 1
+        panels.append(len(meta["panel_names"]))
+        kinds = json.loads(bytes(content[DESIGN])).get("meta", {}) if DESIGN in content else {}
+        for name in ("upper", "bottom"):
+            if name in kinds:
+                counts[name][str(_value(kinds[name]))] += 1
+    looked = "" if len(chosen) == len(reader) else f", of {len(chosen)} looked at"
+    for name, counter in counts.items():
+        if counter:
+            yield from _bars(f"{name}{looked}", dict(counter.most_common()))
+    low, middle, high = np.percentile(panels, [0, 50, 100])
+    yield f"  panels: {low:.0f} to {high:.0f}, median {middle:.0f}{looked}"
+
+
+def _value(entry: Any) -> Any:
+    return entry.get("v") if isinstance(entry, Mapping) else entry
+
+
+def _bars(title: str, amounts: Mapping[str, int]) -> Iterator[str]:
+    """A plot in text: one line an entry."""
+    total, most = sum(amounts.values()), max(amounts.values())
+    if not total:
+        return
+    yield f"  {title}:"
+    width = max(map(len, amounts))
+    for name, amount in amounts.items():
+        bar = "█" * round(BAR * amount / most)
+        yield f"    {name:<{width}} {amount / total:6.1%} {bar}"
+
+
+# ------------------------------------------------------------------------------------------------------------- verify
+
+
+def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
+    """What is wrong with the data set in a folder, one line each.
+
+    Of every shard its headers, its length and its place in the index; with ``full`` every byte, by the hash of the
+    shard and those of its members. Of splits: whether they share designs.
+    """
+    store = FolderStore(folder)
+    splits = splits_in(folder)
+    if not splits:
+        raise ShardError(f"{folder}: no shards: give a folder that gcd generate has made")
+    readers = {}
+    for split in splits:
+        try:
+            readers[split] = ShardReader(store, split, layout=layout_in(folder, split))
+        except GcdError as error:
+            yield str(error)
+            continue
+        yield from _shard_faults(readers[split], folder, full=full)
+    listed = store.manifest()
+    for split in sorted(set(listed.splits) - set(splits) if listed is not None else ()):
+        if listed is not None and listed.splits[split].shards:
+            yield f"{folder}: split {split} of {MANIFEST} has no shards: copy them again"
+    if all({DESIGN, BODY} <= set(reader.layout.members) for reader in readers.values()):
+        yield from (f"{folder}: {told}: a model trained on one knows what it is tested on" for told in leaks(readers))
+
+
+def _shard_faults(reader: ShardReader, folder: Path, *, full: bool) -> Iterator[str]:
+    manifest, index = reader.manifest, reader.index
+    kept = known_index(folder, reader.split, reader.layout, partial=True)
+    if kept is None:
+        yield f"{folder / index_name(reader.split)}: not there: run gcd index"
+    elif (kept.shards, kept.length.tolist()) != (index.shards, index.length.tolist()):
+        yield f"{folder / index_name(reader.split)}: does not know the shards that are there: run gcd index"
+    record = manifest.splits.get(reader.split) if manifest is not None else None
+    records = {shard.name: shard for shard in record.shards} if record is not None else {}
+    for name, table in index.tables().items():
+        path = folder / name
+        if record is not None and name not in records:
+            yield f"{path}: {MANIFEST} does not know it: run gcd generate again"
+        elif record is not None and records[name].count != len(table):
+            yield f"{path}: {len(table)} samples, {MANIFEST} tells of {records[name].count}: copy it again"
+        if reader.layout.kind != FOREIGN:
+            yield from _header_faults(path, reader, table)
+        if full and name in records and _sha256(path) != records[name].sha256:
+            yield f"{path}: its bytes are not those that {MANIFEST} tells of: {REMEDY}"
+    if full:
+        for position in range(len(reader)):
+            try:
+                reader.check(position)
+            except ShardError as error:
+                yield str(error)
+
+
+def _header_faults(path: Path, reader: ShardReader, table: ShardTable) -> Iterator[str]:
+    try:
+        found = scan_shard(path, reader.layout)
+    except ShardError as error:
+        yield str(error)
+        return
+    same = all(
+        np.array_equal(getattr(found, name), getattr(table, name)) for name in ("sample", "offset", "size", "crc")
+    )
+    if not same:
+        yield f"{path}: the index tells of other contents: run gcd index"
+
+
+def _sha256(path: Path) -> str:
+    with reading(path), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

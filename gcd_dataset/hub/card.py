@@ -1,0 +1,273 @@
+"""What the Hub shows of a data set: its card, and its description for machines (Croissant)."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from gcd_dataset.shards.layout import FIELDS
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
+
+__all__ = ["Release", "card", "croissant"]
+
+SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+TAGS = ["webdataset", "garments", "sewing-patterns", "cloth-simulation", "synthetic", "3d"]
+
+FIELD_TEXTS: Mapping[str, str] = {
+    "meta": "seed, index, versions, recipe; names that the arrays refer to; outcome and figures of the drape; hashes",
+    "spec": "the sewing pattern as a GarmentCode specification [cm]",
+    "design": "the design's parameters",
+    "measures": "the wearer's tailor's measures [cm, degrees]",
+    "panels": "the pattern as arrays: one row a panel",
+    "edges": "one row an edge",
+    "stitches": "one row a seam",
+    "body": "weights of the body's shape components [standard deviations]",
+    "faces": "triangles, rows of verts and box",
+    "uv": "panel-plane coordinates of the seam-split vertices [cm]",
+    "panel_id": "the panel of each face",
+    "labels": "vertices that have a label",
+    "seams": "vertices on seams",
+    "corners": "rows of uv at each face's corners",
+    "uv_vertex": "the vertex of each row of uv",
+    "box": "vertex positions before sewing [cm]",
+    "verts": "vertex positions at rest on the body [cm]",
+    "points": "surface points [cm] and normals",
+    "front": "picture from the front",
+    "back": "picture from behind",
+}
+
+TEXT = """
+# {title}
+
+{total} garments with their sewing patterns, made by [gcd_dataset](https://pypi.org/project/gcd-dataset/) {generator}:
+body, tailor's measures, design, pattern, mesh, drape and pictures of each. Centimetres; y up, the wearer faces +z, the
+wearer's left is +x, soles at y = 0.
+
+| split | garments | settled drapes | shards | size |
+|---|---|---|---|---|
+{splits}
+
+{promise}
+
+## Use
+
+```python
+from gcd_dataset.loaders import GarmentDataset
+
+ds = GarmentDataset("{repo}", "train", fields=["points", "panels", "edges", "stitches"])  # asks for these bytes alone
+ds[12]
+```
+
+```sh
+gcd download {repo} --split train --fields points panels edges stitches
+```
+
+The shards are plain tars that `webdataset` reads, and `datasets.load_dataset("{repo}", streaming=True)`.
+
+## Fields
+
+| field | file | holds |
+|---|---|---|
+{fields}
+
+## How it was made
+
+{made}
+
+`ds.recipe(i)` tells what it takes to make a garment again. The hash of every shard is in `{manifest}`, that of every
+file of every garment in `index-….npz`.
+"""
+
+
+@dataclass(frozen=True)
+class Release:
+    """A data set as it is published."""
+
+    repo: str
+    manifest: Manifest
+    settled: Mapping[str, int]
+    """Drapes at rest, of each split."""
+    members: tuple[str, ...]
+    """Files of each garment."""
+    license: str
+    divided: bool
+    """Whether the splits were made from one, so that neither designs nor bodies are shared."""
+    endpoint: str
+
+    @property
+    def total(self) -> int:
+        """Garments."""
+        return sum(shard.count for split in self.manifest.splits.values() for shard in split.shards)
+
+    @property
+    def title(self) -> str:
+        return self.repo.rpartition("/")[2].replace("-", " ").replace("_", " ")
+
+
+def card(release: Release) -> str:
+    """``README.md``: facts for the Hub in YAML, then words for people."""
+    paths = [{"split": name, "path": f"{name}-*.tar"} for name in release.manifest.splits]
+    facts = {
+        "license": release.license,
+        "pretty_name": release.title,
+        "task_categories": ["image-to-3d", "other"],
+        "tags": TAGS,
+        "size_categories": [next((text for most, text in SIZES if release.total < most), "n>1M")],
+        "configs": [{"config_name": "default", "default": True, "data_files": paths}],
+    }
+    words = TEXT.format(
+        title=release.title,
+        repo=release.repo,
+        total=release.total,
+        generator=release.manifest.generator,
+        manifest=MANIFEST,
+        splits="\n".join(_split_rows(release)),
+        promise=_promise(release),
+        fields="\n".join(
+            f"| {field} | `{member}` | {FIELD_TEXTS[field]} |"
+            for field, member in FIELDS.items()
+            if member in release.members
+        ),
+        made="\n".join(_made(release.manifest)),
+    )
+    return f"---\n{yaml.safe_dump(facts, sort_keys=False, allow_unicode=True)}---\n{words}"
+
+
+def _split_rows(release: Release) -> list[str]:
+    rows = []
+    for name, split in release.manifest.splits.items():
+        count, size = sum(shard.count for shard in split.shards), sum(shard.size for shard in split.shards)
+        rows.append(f"| {name} | {count} | {release.settled[name]} | {len(split.shards)} | {size / 1e6:.1f} MB |")
+    return rows
+
+
+def _promise(release: Release) -> str:
+    if len(release.manifest.splits) < 2:
+        return "There is one split."
+    if release.divided:
+        return "No design, and no body but the neutral one, is in two splits."
+    return "No design is in two splits."
+
+
+def _made(manifest: Manifest) -> list[str]:
+    """One line a way of making; splits that were made the same way share it."""
+    ways: dict[str, list[str]] = {}
+    for name, split in manifest.splits.items():
+        options = {option: value for option, value in split.recipe.items() if option != "part"}
+        ways.setdefault(f"seed {split.seed}, recipe `{json.dumps(options, sort_keys=True)}`", []).append(name)
+    return [f"- {', '.join(names)}: {way}" for way, names in ways.items()]
+
+
+def croissant(release: Release, files: Mapping[str, tuple[int, str]]) -> dict[str, Any]:
+    """The description in Croissant 1.0 (MLCommons); ``files``: path to size and SHA-256."""
+    url = f"{release.endpoint}/datasets/{release.repo}"
+    objects = [
+        {
+            "@type": "cr:FileObject",
+            "@id": name,
+            "name": name,
+            "contentUrl": f"{url}/resolve/main/{name}",
+            "contentSize": f"{size} B",
+            "encodingFormat": _format(name),
+            "sha256": digest,
+        }
+        for name, (size, digest) in files.items()
+    ]
+    return {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        "name": release.repo.rpartition("/")[2],
+        "description": f"{release.total} garments with their sewing patterns, on bodies, at rest.",
+        "url": url,
+        "license": release.license,
+        "version": "1.0.0",
+        "creator": {"@type": "sc:Organization", "name": release.repo.partition("/")[0]},
+        "distribution": objects + [_file_set(name, split) for name, split in release.manifest.splits.items()],
+        "recordSet": [_records(name, release) for name in release.manifest.splits],
+    }
+
+
+def _file_set(split: str, record: SplitRecord) -> dict[str, Any]:
+    """All files in the shards of a split."""
+    return {
+        "@type": "cr:FileSet",
+        "@id": f"{split}-files",
+        "name": f"{split}-files",
+        "containedIn": [{"@id": shard.name} for shard in record.shards],
+        "encodingFormat": "application/octet-stream",
+        "includes": "*",
+    }
+
+
+def _records(split: str, release: Release) -> dict[str, Any]:
+    """The files of a split, by name; the words say which file holds what."""
+    there = [(field, member) for field, member in FIELDS.items() if member in release.members]
+    words = "; ".join(f"{member}: {FIELD_TEXTS[field]}" for field, member in there)
+    return {
+        "@type": "cr:RecordSet",
+        "@id": split,
+        "name": split,
+        "description": f"The files of each garment, KEY.MEMBER. {words}",
+        "field": [
+            _field(split, "file", "Key and member.", "filename"),
+            _field(split, "content", "The file's bytes.", "content"),
+        ],
+    }
+
+
+def _field(split: str, name: str, words: str, what: str) -> dict[str, Any]:
+    return {
+        "@type": "cr:Field",
+        "@id": f"{split}/{name}",
+        "name": f"{split}/{name}",
+        "description": words,
+        "dataType": "sc:Text",
+        "source": {"fileSet": {"@id": f"{split}-files"}, "extract": {"fileProperty": what}},
+    }
+
+
+def _format(name: str) -> str:
+    endings = {"tar": "application/x-tar", "npz": "application/zip", "json": "application/json"}
+    return endings[name.rpartition(".")[2]]
+
+
+_CONTEXT: dict[str, Any] = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    "sc": "https://schema.org/",
+    "cr": "http://mlcommons.org/croissant/",
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "dct": "http://purl.org/dc/terms/",
+    "citeAs": "cr:citeAs",
+    "column": "cr:column",
+    "conformsTo": "dct:conformsTo",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+    "extract": "cr:extract",
+    "field": "cr:field",
+    "fileObject": "cr:fileObject",
+    "fileProperty": "cr:fileProperty",
+    "fileSet": "cr:fileSet",
+    "format": "cr:format",
+    "includes": "cr:includes",
+    "isLiveDataset": "cr:isLiveDataset",
+    "jsonPath": "cr:jsonPath",
+    "key": "cr:key",
+    "md5": "cr:md5",
+    "parentField": "cr:parentField",
+    "path": "cr:path",
+    "recordSet": "cr:recordSet",
+    "references": "cr:references",
+    "regex": "cr:regex",
+    "repeated": "cr:repeated",
+    "replace": "cr:replace",
+    "separator": "cr:separator",
+    "source": "cr:source",
+    "subField": "cr:subField",
+    "transform": "cr:transform",
+}
+"""The words of Croissant 1.0, as its specification lists them."""

@@ -1,0 +1,93 @@
+"""What a user may write where a data set is asked for: a folder, a URL, a repository of the Hugging Face Hub.
+
+>>> find_place("org/garments@v1.0")
+Repo(name='org/garments', revision='v1.0')
+>>> find_place("https://example.org/garments/").url
+'https://example.org/garments'
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+from urllib.parse import unquote, urlsplit
+
+from gcd_dataset.errors import ConfigError, shown
+from gcd_dataset.shards.access import reading
+
+__all__ = ["Folder", "Place", "Repo", "Url", "find_place"]
+
+MAIN = "main"
+COMMIT = re.compile(r"[0-9a-f]{40}")
+REPO = re.compile(r"(?:hf://)?(?:datasets/)?(?P<name>[\w.-]+/[\w.-]+)(?:@(?P<revision>[\w./-]+))?")
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder of this machine."""
+
+    path: Path
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+
+@dataclass(frozen=True)
+class Url:
+    """A folder of a web server."""
+
+    url: str
+
+    def __str__(self) -> str:
+        return self.url
+
+
+@dataclass(frozen=True)
+class Repo:
+    """A data set repository of the Hub."""
+
+    name: str
+    revision: str = MAIN
+    """Branch, tag or commit."""
+
+    @property
+    def is_pinned(self) -> bool:
+        """Whether the revision is a commit, which never changes."""
+        return COMMIT.fullmatch(self.revision) is not None
+
+    def __str__(self) -> str:
+        return f"hf://datasets/{self.name}@{self.revision}"
+
+
+Place: TypeAlias = Folder | Url | Repo
+
+
+def find_place(source: str | Path, revision: str | None = None) -> Place:
+    """The place that ``source`` names. What is a folder here is taken as one, before a repository of that name.
+
+    Raises ``ConfigError`` for anything else, and for a revision of what has none.
+    """
+    with reading(Path(source)):
+        is_folder = "://" not in str(source) and Path(source).is_dir()
+    if is_folder:
+        return _without_revision(Folder(Path(source)), revision)
+    text = str(source)
+    if text.startswith("file://"):
+        return find_place(Path(unquote(urlsplit(text).path)), revision)
+    if text.startswith(("http://", "https://")):
+        return _without_revision(Url(text.rstrip("/")), revision)
+    match = None if isinstance(source, Path) else REPO.fullmatch(text)
+    if match is None:
+        raise ConfigError(
+            f"{shown(text)}: no such folder, and neither a URL nor a repository of the Hub: give a folder, http://…, "
+            "https://… or ORG/NAME"
+        )
+    if match["revision"] and revision and match["revision"] != revision:
+        raise ConfigError(f"{text}: revision={revision!r} is another: give one of them")
+    return Repo(match["name"], revision or match["revision"] or MAIN)
+
+
+def _without_revision(place: Folder | Url, revision: str | None) -> Folder | Url:
+    if revision is not None:
+        raise ConfigError(f"revision={revision!r} is for repositories of the Hub, and {place} is none: leave it out")
+    return place

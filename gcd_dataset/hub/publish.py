@@ -1,0 +1,213 @@
+"""A data set brought to the Hub: divided into splits, described, and uploaded."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+
+from gcd_dataset.errors import ConfigError, RemoteError
+from gcd_dataset.files import make_folder, write_whole
+from gcd_dataset.hub.card import Release, card, croissant
+from gcd_dataset.hub.partition import BODY, DESIGN, SHARES, leaks, partition
+from gcd_dataset.hub.place import Repo, find_place
+from gcd_dataset.hub.site import hub_endpoint
+from gcd_dataset.shards.access import locked, writing
+from gcd_dataset.shards.contents import splits_in
+from gcd_dataset.shards.copying import copy_shard
+from gcd_dataset.shards.index import ShardIndex
+from gcd_dataset.shards.layout import FOREIGN, index_name, lock_name, shard_name, shards_in
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
+from gcd_dataset.shards.reader import ShardReader
+
+__all__ = ["Staged", "stage", "upload"]
+
+CARD, CROISSANT = "README.md", "croissant.json"
+HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
+"""What the Hub calls splits that others call otherwise."""
+
+
+@dataclass(frozen=True)
+class Staged:
+    """A folder that is ready to go up."""
+
+    folder: Path
+    manifest: Manifest
+    files: Mapping[str, int]
+    """Path to size of what goes up."""
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """Which samples go into a split."""
+
+    reader: ShardReader
+    record: SplitRecord
+    positions: list[int]
+
+
+def stage(
+    dataset: Path,
+    repo: str,
+    folder: Path,
+    *,
+    shares: Mapping[str, float] = SHARES,
+    license: str = "unknown",  # noqa: A002 - the Hub's word
+    endpoint: str | None = None,
+) -> Staged:
+    """Put what is to be published as ``repo`` into ``folder``; gone on with where an earlier call was left.
+
+    A data set of one split is divided by ``shares``, so that neither designs nor bodies are shared; several splits stay
+    as they are. Raises ``ConfigError`` for splits that share designs, or a data set that is not ours.
+    """
+    if not isinstance(find_place(repo), Repo):
+        raise ConfigError(f"{repo}: no repository: write ORG/NAME, and see to it that no folder here is called so")
+    plans = _plans(dataset, shares)
+    make_folder(folder)
+    splits: dict[str, SplitRecord] = {}
+    settled: dict[str, int] = {}
+    members: tuple[str, ...] = ()
+    for name, plan in plans.items():
+        with locked(folder / lock_name(name), f"writing split {name}"):
+            splits[name] = _write_split(folder, name, plan)
+        settled[name] = int(plan.reader.index.table.settled[plan.reader.rows(plan.positions)].sum())
+        members = plan.reader.layout.members
+    generator = next(iter(plans.values())).reader.manifest or Manifest()
+    manifest = replace(generator, splits=splits)
+    _tidy(folder, manifest)
+    manifest.write(folder)
+    release = Release(repo, manifest, settled, members, license, len(splits_in(dataset)) == 1, hub_endpoint(endpoint))
+    write_whole(folder / CARD, card(release).encode())
+    listed = {name: _size_and_hash(folder / name) for name in [MANIFEST, *map(index_name, splits)]}
+    listed |= {shard.name: (shard.size, shard.sha256) for split in splits.values() for shard in split.shards}
+    described = croissant(release, listed)
+    write_whole(folder / CROISSANT, (json.dumps(described, indent=1) + "\n").encode())
+    names = [CARD, CROISSANT, *listed]
+    return Staged(folder, manifest, {name: (folder / name).stat().st_size for name in names})
+
+
+def upload(
+    staged: Staged, repo: str, *, endpoint: str | None = None, token: str | None = None, private: bool = False
+) -> str:
+    """Bring what is staged to the Hub, which is made to hold it if need be; the commit.
+
+    Shards first, then, at once, all that names them: no reader meets a manifest of shards that are not there.
+    Raises ``RemoteError`` for a Hub that does not answer, or refuses.
+    """
+    from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
+
+    api = HfApi(endpoint=hub_endpoint(endpoint), token=token)
+    name = _repo_name(repo)
+    small = [path for path in staged.files if not path.endswith(".tar")]
+    with _asking_hub(repo):
+        api.create_repo(name, repo_type="dataset", private=private, exist_ok=True)
+        shards = [path for path in staged.files if path.endswith(".tar")]
+        api.upload_folder(
+            repo_id=name,
+            repo_type="dataset",
+            folder_path=staged.folder,
+            allow_patterns=shards,
+            commit_message=f"{len(shards)} shards",
+        )
+        there = api.list_repo_files(name, repo_type="dataset")
+        stale = [path for path in there if _is_ours(path) and path not in staged.files]
+        commit = api.create_commit(
+            name,
+            [CommitOperationAdd(path, staged.folder / path) for path in small]
+            + [CommitOperationDelete(path) for path in stale],
+            repo_type="dataset",
+            commit_message="Card, manifest and index",
+        )
+    return str(commit.oid)
+
+
+def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
+    """Split to what goes into it."""
+    readers = {split: ShardReader(dataset, split) for split in splits_in(dataset)}
+    if not readers:
+        raise ConfigError(f"{dataset}: no shards: give a folder that gcd generate has made")
+    for split, reader in readers.items():
+        if reader.layout.kind == FOREIGN or reader.manifest is None or split not in reader.manifest.splits:
+            raise ConfigError(f"{dataset}: {MANIFEST} does not tell how split {split} was made: run gcd generate again")
+        if missing := [member for member in (DESIGN, BODY) if member not in reader.layout.members]:
+            raise ConfigError(f"{dataset}: its garments have no {missing[0]} to divide them by: publish the whole")
+    if len(readers) == 1:
+        ((split, reader),) = readers.items()
+        assert reader.manifest is not None
+        record, parts = reader.manifest.splits[split], partition(reader, shares)
+        return {name: _Plan(reader, _part(record, shares, name), positions) for name, positions in parts.items()}
+    if told := leaks(readers):
+        raise ConfigError(f"{dataset}: {told[0]}: publish it as one split, which is then divided, or make them anew")
+    manifests = {split: reader.manifest for split, reader in readers.items()}
+    return {
+        HUB_NAMES.get(split, split): _Plan(reader, manifest.splits[split], list(range(len(reader))))
+        for (split, reader), manifest in zip(readers.items(), manifests.values(), strict=True)
+        if manifest is not None
+    }
+
+
+def _part(record: SplitRecord, shares: Mapping[str, float], name: str) -> SplitRecord:
+    """How a part of a split was made; its shards hold as many samples as those of the whole, about."""
+    cut = {"of": {split: round(share, 6) for split, share in shares.items()}, "name": name}
+    return replace(
+        record, recipe={**record.recipe, "part": cut}, shard_size=round(record.shard_size / max(shares[name], 0.01))
+    )
+
+
+def _write_split(folder: Path, name: str, plan: _Plan) -> SplitRecord:
+    """The shards and the index of a split."""
+    sample = plan.reader.index.table.sample[plan.reader.rows(plan.positions)]
+    numbered = zip((sample // plan.record.shard_size).tolist(), plan.positions, strict=True)
+    records, tables = [], {}
+    for number, group in groupby(sorted(numbered), key=lambda entry: entry[0]):
+        path = folder / shard_name(name, number)
+        positions = [position for _, position in group]
+        record, tables[path.name] = copy_shard(path, plan.reader, positions, plan.reader.layout, lambda size: None)
+        records.append(record)
+    ShardIndex.of(folder, tables, plan.reader.layout).write(folder / index_name(name))
+    return replace(plan.record, shards=tuple(records))
+
+
+def _tidy(folder: Path, manifest: Manifest) -> None:
+    """Remove shards of an earlier call that are no longer part of it."""
+    listed = {shard.name for split in manifest.splits.values() for shard in split.shards}
+    for split in splits_in(folder):
+        for path in shards_in(folder, split):
+            if path.name not in listed:
+                with writing(path):
+                    path.unlink()
+
+
+def _is_ours(path: str) -> bool:
+    """Whether a file of a repository is one that a release replaces."""
+    return "/" not in path and (path.endswith(".tar") or (path.startswith("index-") and path.endswith(".npz")))
+
+
+def _size_and_hash(path: Path) -> tuple[int, str]:
+    content = path.read_bytes()
+    return len(content), hashlib.sha256(content).hexdigest()
+
+
+def _repo_name(repo: str) -> str:
+    place = find_place(repo)
+    assert isinstance(place, Repo)
+    return place.name
+
+
+@contextmanager
+def _asking_hub(repo: str) -> Iterator[None]:
+    """Turn what ``huggingface_hub`` raises into a ``RemoteError``."""
+    import httpx2
+    from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
+
+    try:
+        yield
+    except (HfHubHTTPError, httpx2.HTTPError, OfflineModeIsEnabled, RuntimeError, ValueError) as error:
+        # An upload that fails comes as a RuntimeError or ValueError.
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise RemoteError(
+            f"{repo}: cannot be published ({reason}): see to the token (hf auth login) and your rights, then run it "
+            "again: what is up is not sent again"
+        ) from error

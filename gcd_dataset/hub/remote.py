@@ -1,0 +1,202 @@
+"""A data set on a server, read sample by sample: only the members asked for, each checked, each asked for once."""
+
+import io
+import re
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import BinaryIO, TypeVar
+
+from gcd_dataset.errors import MissingError, RemoteError, ShardError
+from gcd_dataset.hub.cache import Cache, Piece
+from gcd_dataset.hub.listing import foreign_site_index
+from gcd_dataset.hub.site import Site
+from gcd_dataset.shards.index import ShardIndex
+from gcd_dataset.shards.layout import GARMENTS, Layout, index_name
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, parse_manifest
+from gcd_dataset.shards.store import Part, Store, runs
+
+__all__ = ["RemoteStore"]
+
+T = TypeVar("T")
+
+GAP = 1 << 17  # bytes: they come in about the time that one more answer takes, and requests are what servers count
+SHA256 = re.compile(r"[0-9a-f]{64}")
+LINES = 8  # requests at a time
+
+
+class RemoteStore(Store):
+    """The samples of a site. ``cache``: where what is read is kept, if anywhere."""
+
+    remedy = "try again later, or tell its publisher"
+
+    def __init__(self, site: Site, cache: Cache | None) -> None:
+        self.site, self._cache, self.source = site, cache, site.source
+        self._shards: dict[str, _RemoteShard] = {}
+
+    def place(self, name: str = "") -> str:
+        return f"{self.source}/{name}" if name else str(self.source)
+
+    def manifest(self) -> Manifest | None:
+        try:
+            return parse_manifest(self.site.small(MANIFEST), self.place(MANIFEST))
+        except MissingError:
+            return None
+
+    def index(self, split: str, layout: Layout) -> ShardIndex:
+        manifest, name = self.manifest(), index_name(split)
+        if manifest is not None and split not in manifest.splits:
+            raise ShardError(f"{self.place()}: no samples of split {split}: there is {', '.join(manifest.splits)}")
+        try:
+            index = ShardIndex.parse(self.site.small(name), self.place(name), layout, partial=True)
+        except MissingError as error:
+            if manifest is not None or layout != GARMENTS:
+                raise RemoteError(f"{error}: ask its publisher to run gcd index and publish it again") from error
+            index = foreign_site_index(self.site, split)
+        self._require_listed(index, split, manifest)
+        first = 0
+        for shard, table in index.tables().items():
+            self._shards[shard] = _RemoteShard(self._key(shard, split, manifest), len(table), first, index)
+            first += len(table)
+        return index
+
+    def read(self, shard: str, number: int, parts: Sequence[Part]) -> dict[int, memoryview]:
+        return self.read_many([(shard, number, parts)])[0]
+
+    def read_many(self, wanted: Sequence[tuple[str, int, Sequence[Part]]]) -> list[dict[int, memoryview]]:
+        content: dict[tuple[str, int], memoryview] = {}
+        asked: dict[str, dict[int, Part]] = {}
+        for shard, number, parts in wanted:
+            flags = asked.setdefault(shard, {})
+            flags |= {self._shards[shard].flag(number, part.column): part for part in parts}
+        jobs: list[Callable[[], dict[tuple[str, int], memoryview]]] = []
+        for shard, flags in asked.items():
+            here = self._kept(shard, flags)
+            content |= {(shard, flag): data for flag, data in here.items()}
+            missing = [part._replace(column=flag) for flag, part in flags.items() if flag not in here]
+            missing.sort(key=lambda part: part.offset)
+            jobs += [partial(self._fetch, shard, run) for run in runs(missing, GAP)]
+        for fetched in _at_once(jobs):
+            content |= fetched
+        given: set[tuple[str, int]] = set()
+        samples = []
+        for shard, number, parts in wanted:
+            places = {part.column: (shard, self._shards[shard].flag(number, part.column)) for part in parts}
+            # A sample may be asked for twice, and what is given is the caller's own.
+            samples.append(
+                {c: _copy(content[place]) if place in given else content[place] for c, place in places.items()}
+            )
+            given.update(places.values())
+        return samples
+
+    def mend(self, shard: str, number: int, part: Part) -> memoryview | None:
+        there = self._shards[shard]
+        flag = there.flag(number, part.column)
+        if self._cache is not None:
+            self._cache.drop(there.key, there.count, flag, part.size)
+        return self._fetch(shard, [part._replace(column=flag)])[shard, flag]
+
+    def stream(self, shard: str) -> BinaryIO:
+        self.site.require_allowed(f"a stream of {shard}")
+        return io.BufferedReader(_Pieces(self.site.web.pieces(shard)), 1 << 20)
+
+    def _kept(self, shard: str, flags: dict[int, Part]) -> dict[int, memoryview]:
+        if self._cache is None:
+            return {}
+        there = self._shards[shard]
+        wanted = sorted(flags.items(), key=lambda entry: entry[1].offset)
+        return self._cache.read(there.key, there.count, wanted)
+
+    def _fetch(self, shard: str, run: Sequence[Part]) -> dict[tuple[str, int], memoryview]:
+        """Members that lie close together, by one request; ``column`` of a part is its flag here. Keeps what comes.
+
+        Raises ``RemoteError`` with sample and member for bytes that are wrong twice.
+        """
+        there = self._shards[shard]
+        self.site.require_allowed(f"{shard}, {there.name_of(run[0].column)}")
+        wrong = None
+        for _ in range(2):
+            buffer = self.site.web.read(shard, run[0].offset, run[-1].end)
+            data = {part: buffer[part.offset - run[0].offset : part.end - run[0].offset] for part in run}
+            wrong = next((part for part, content in data.items() if zlib.crc32(content) != part.crc), None)
+            if wrong is None:
+                break
+        else:
+            assert wrong is not None
+            raise RemoteError(
+                f"{self.place(shard)}: {there.name_of(wrong.column)}: other bytes come than were published: nothing of "
+                f"it is kept; {self.remedy}"
+            )
+        if self._cache is not None:
+            pieces = [Piece(part.column, part.offset, content) for part, content in data.items()]
+            self._cache.keep(there.key, there.count, pieces)
+        return {(shard, part.column): content for part, content in data.items()}
+
+    def _require_listed(self, index: ShardIndex, split: str, manifest: Manifest | None) -> None:
+        """Raise ``RemoteError`` unless index and manifest tell of the same shards."""
+        if manifest is None:
+            return
+        listed = {shard.name: (shard.size, shard.count) for shard in manifest.splits[split].shards}
+        counts = [len(table) for table in index.tables().values()]
+        found = dict(zip(index.shards, zip(index.length.tolist(), counts, strict=True), strict=True))
+        if found != listed:
+            odd = sorted(name for name, _ in listed.items() ^ found.items())[0]
+            raise RemoteError(
+                f"{self.place()}: {index_name(split)} and {MANIFEST} differ in {odd}: ask its publisher to run "
+                "gcd index and publish it again"
+            )
+
+    def _key(self, shard: str, split: str, manifest: Manifest | None) -> str:
+        """What the cache knows a shard by: its hash, so that data sets and revisions share what they share."""
+        records = manifest.splits[split].shards if manifest is not None else ()
+        known = {record.name: record.sha256 for record in records if SHA256.fullmatch(record.sha256)}
+        return known.get(shard) or f"{zlib.crc32(self.place(shard).encode()):08x}-{self.site.revision}"
+
+
+class _RemoteShard:
+    """One shard: its members are numbered through, sample by sample."""
+
+    def __init__(self, key: str, samples: int, first: int, index: ShardIndex) -> None:
+        self.key, self._first, self._index = key, first, index
+        self._members = len(index.layout.members)
+        self.count = samples * self._members
+
+    def flag(self, number: int, column: int) -> int:
+        return number * self._members + column
+
+    def name_of(self, flag: int) -> str:
+        """Sample and member, as messages name them."""
+        number, column = divmod(flag, self._members)
+        return f"sample {self._index.key(self._first + number)}, member {self._index.layout.members[column]}"
+
+
+class _Pieces(io.RawIOBase):
+    """Bytes that come in pieces, as a file that is read from its beginning."""
+
+    def __init__(self, pieces: Iterator[bytes]) -> None:
+        self._pieces, self._rest = pieces, memoryview(b"")
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
+        if not self._rest:
+            self._rest = memoryview(next(self._pieces, b""))
+        count = min(len(buffer), len(self._rest))
+        buffer[:count] = self._rest[:count]
+        self._rest = self._rest[count:]
+        return count
+
+
+def _copy(data: memoryview) -> memoryview:
+    return memoryview(bytearray(data))
+
+
+def _at_once(jobs: Sequence[Callable[[], T]]) -> Iterator[T]:
+    """What jobs bring, a few of them running at a time."""
+    if len(jobs) < 2:
+        yield from (job() for job in jobs)
+        return
+    with ThreadPoolExecutor(min(LINES, len(jobs))) as pool:
+        yield from pool.map(lambda job: job(), jobs)

@@ -1,0 +1,210 @@
+"""Files of a web server, whole or in part, with patience for one that is busy, or gone for a while.
+
+The client is that of ``huggingface_hub``, so that proxies and certificates that were set up for it hold here too.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from email.utils import parsedate_to_datetime
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote, urlsplit
+
+from gcd_dataset.errors import MissingError, RefusedError, RemoteError
+
+if TYPE_CHECKING:
+    import httpx2
+
+__all__ = ["Web"]
+
+WAITS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # s between attempts that brought nothing: half a minute in all
+LONGEST_WAIT = 300.0  # s; a server that asks for more is given up
+TIMEOUT = 30.0  # s without a byte
+
+BUSY = frozenset({408, 425, 429, 500, 502, 503, 504})
+REFUSED = frozenset({401, 403})
+GONE = frozenset({404, 410})
+
+log = logging.getLogger(__name__)
+
+
+class Web:
+    """The files below one address. May be pickled, forked, and used by several threads.
+
+    What ``headers`` gives goes to that address alone, not to where it redirects; it is called once, when the first
+    request is made. Not ``patient``: where nobody answers at all, there is no second attempt. A redirect is remembered,
+    so that the next part of the same file costs one request; an address that has expired is asked for again.
+    """
+
+    def __init__(self, base: str, *, headers: Callable[[], Mapping[str, str]] = dict, patient: bool = True) -> None:
+        self.base = base.rstrip("/")
+        self._make_headers, self._patient = headers, patient
+        self._headers: Mapping[str, str] | None = None
+        self._moved: dict[str, str] = {}
+        self.etags: dict[str, str] = {}
+        """ETag of each file that was answered for: that of the large file behind a redirect of the Hub."""
+
+    def address(self, path: str) -> str:
+        """The URL of a file."""
+        return f"{self.base}/{quote(path)}" if path else self.base
+
+    def get(self, path: str) -> bytes:
+        """A whole file. Raises ``MissingError`` where there is none, ``RemoteError`` for any other trouble."""
+        return b"".join(self.pieces(path))
+
+    def read(self, path: str, start: int, end: int) -> memoryview:
+        """Bytes ``start`` to ``end`` of a file, writable and the caller's own. Raises as ``get`` does."""
+        buffer, place = memoryview(bytearray(end - start)), 0
+        for piece in self.pieces(path, start, end):
+            buffer[place : place + len(piece)] = piece
+            place += len(piece)
+        return buffer
+
+    def pieces(self, path: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
+        """The bytes from ``start`` to ``end``, or to the end of the file, as they come; goes on where a line breaks."""
+        place, failures = start, 0
+        while True:
+            before = place
+            try:
+                for piece in self._once(path, place, end):
+                    place += len(piece)
+                    yield piece
+                if end is None or place == end:
+                    return
+                trouble = _Trouble(f"ends at byte {place} of {end}")
+            except _Trouble as error:
+                trouble = error
+            failures = 0 if place > before else failures + 1
+            self._rest(path, trouble, failures)
+
+    def _rest(self, path: str, trouble: "_Trouble", failures: int) -> None:
+        """Wait before the next attempt. Raises ``RemoteError`` where there shall be none."""
+        hopeless = trouble.is_unreachable and not self._patient
+        if failures > len(WAITS) or (trouble.wait or 0.0) > LONGEST_WAIT or hopeless:
+            raise RemoteError(
+                f"{self.address(path)}: {trouble}, after {failures} attempts: try again later; what has come is kept"
+            )
+        wait = WAITS[max(failures - 1, 0)] if trouble.wait is None else trouble.wait
+        log.info("%s: %s: once more in %.1f s", self.address(path), trouble, wait)
+        time.sleep(wait)
+
+    def _once(self, path: str, start: int, end: int | None) -> Iterator[bytes]:
+        """One attempt. Raises ``_Trouble`` where another may do better."""
+        whole = start == 0 and end is None
+        if end is not None and start >= end:
+            return
+        # Packed bytes could be neither counted nor cut.
+        wanted = {"Accept-Encoding": "identity"}
+        if not whole:
+            wanted["Range"] = f"bytes={start}-{'' if end is None else end - 1}"
+        with self._answer(path, wanted) as response:
+            if response.status_code == 416 and end is None:
+                return  # all of it is there
+            self._require(path, response, ranged=not whole)
+            skip = 0 if whole else _skip(response, start, self.address(path))
+            left = None if end is None else end - start
+            for piece in response.iter_raw():  # as it comes: what is gathered first is lost where the line breaks
+                part = piece[skip:] if left is None else piece[skip : skip + left]
+                skip -= min(skip, len(piece))
+                if left is not None:
+                    left -= len(part)
+                if part:
+                    yield part
+                if left == 0:
+                    return
+
+    @contextmanager
+    def _answer(self, path: str, wanted: Mapping[str, str]) -> Iterator["httpx2.Response"]:
+        """The server's answer. Raises ``_Trouble`` for a line that breaks, now or while the answer is read."""
+        import httpx2
+        from huggingface_hub import get_session
+        from huggingface_hub.errors import OfflineModeIsEnabled
+
+        own = self.address(path)
+        url = self._moved.get(path, own)
+        if self._headers is None:
+            self._headers = self._make_headers()
+        headers = {**wanted, **(self._headers if _origin(url) == _origin(own) else {})}
+        try:
+            with get_session().stream("GET", url, headers=headers, timeout=TIMEOUT) as response:
+                if url != own and response.status_code in REFUSED | GONE:
+                    self._moved.pop(path, None)
+                    raise _Trouble(f"its address has expired ({response.status_code})", wait=0.0)
+                if response.is_success:
+                    self._remember(path, response)
+                yield response
+        except OfflineModeIsEnabled as error:
+            raise RemoteError(f"{own}: HF_HUB_OFFLINE is set, and this is not in the cache: unset it") from error
+        except httpx2.TransportError as error:
+            self._moved.pop(path, None)
+            nobody = isinstance(error, httpx2.ConnectError | httpx2.ConnectTimeout)
+            raise _Trouble(f"no connection ({_reason(error)})", is_unreachable=nobody) from error
+        except httpx2.HTTPError as error:
+            raise RemoteError(f"{own}: cannot be read ({_reason(error)}): check the address") from error
+        except httpx2.InvalidURL as error:
+            raise RemoteError(f"{own}: no address ({error}): check it") from error
+
+    def _remember(self, path: str, response: "httpx2.Response") -> None:
+        """What the answer tells of the file: its ETag, and where it lies."""
+        first = response.history[0] if response.history else response
+        etag = first.headers.get("X-Linked-Etag") or first.headers.get("ETag")
+        if etag:
+            self.etags[path] = etag.removeprefix("W/").strip('"')
+        if response.history:
+            self._moved[path] = str(response.url)
+
+    def _require(self, path: str, response: "httpx2.Response", *, ranged: bool) -> None:
+        """Raise ``_Trouble`` or ``RemoteError`` unless the answer holds what was asked for."""
+        status, own = response.status_code, self.address(path)
+        if status in BUSY:
+            raise _Trouble(f"the server is busy ({status})", wait=_retry_after(response.headers))
+        if status in GONE:
+            raise MissingError(f"{own}: not there ({status}): check the name, and the token if it is private")
+        if status in REFUSED:
+            raise RefusedError(f"{own}: refused ({status}): ask for access, and give token=, or run hf auth login")
+        if status == 416:
+            raise RemoteError(f"{own}: shorter than its index tells: tell its publisher, or pin another revision")
+        if not response.is_success:
+            raise RemoteError(f"{own}: answered with {status}: check the address")
+        if status == 206 and not ranged:
+            raise RemoteError(f"{own}: sent a part of what was asked for whole: try another server")
+
+
+class _Trouble(Exception):  # noqa: N818 - nothing has failed yet
+    """What may pass; ``wait``: seconds that the server asks for; ``is_unreachable``: there is nobody to ask."""
+
+    def __init__(self, what: str, wait: float | None = None, *, is_unreachable: bool = False) -> None:
+        super().__init__(what)
+        self.wait, self.is_unreachable = wait, is_unreachable
+
+
+def _skip(response: "httpx2.Response", start: int, where: str) -> int:
+    """How many bytes of the answer lie before ``start``: all, from a server that knows no ranges."""
+    if response.status_code == 200:
+        return start
+    span = response.headers.get("Content-Range", "")
+    if not span.startswith(f"bytes {start}-"):
+        raise RemoteError(f"{where}: sent {span or 'an unnamed part'}, asked for byte {start}: try another server")
+    return 0
+
+
+def _retry_after(headers: Mapping[str, str]) -> float | None:
+    """Seconds that the server asks to wait; ``None`` where it does not say."""
+    text = headers.get("Retry-After", "").strip()
+    if text.isdecimal():
+        return float(text)
+    try:
+        return max(0.0, (parsedate_to_datetime(text) - datetime.now(UTC)).total_seconds())
+    except (ValueError, TypeError):
+        return None
+
+
+def _origin(url: str) -> tuple[str, str]:
+    parts = urlsplit(url)
+    return parts.scheme, parts.netloc
+
+
+def _reason(error: Any) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

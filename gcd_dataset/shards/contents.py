@@ -1,0 +1,104 @@
+"""The index of a folder, whoever wrote its archives."""
+
+import logging
+from pathlib import Path
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.foreign import SPLITS, foreign_index, foreign_shards, scan_foreign
+from gcd_dataset.shards.index import ShardIndex, known_index, members_of_shard, scan_shard, tables_of
+from gcd_dataset.shards.layout import BODIES, FOREIGN, GARMENTS, Layout, foreign_layout, index_name, shards_in
+
+__all__ = ["layout_in", "read_index", "rebuild_index", "splits_in"]
+
+log = logging.getLogger(__name__)
+
+
+def read_index(folder: Path | str, split: str = "train", layout: Layout = GARMENTS) -> ShardIndex:
+    """The index of a split, brought up to date with the shards that are there; nothing is written.
+
+    Its layout holds the members that are there: all of ``layout``'s, some in a folder where only some were downloaded,
+    and others where ``webdataset``'s tars by another program are. Raises ``ShardError`` for a broken index or shard.
+    """
+    folder = Path(folder)
+    known = known_index(folder, split, layout, partial=True)
+    found = _layout_in(folder, split, layout) if known is None else known.layout
+    if found.kind == FOREIGN:
+        return _foreign(folder, split, known)
+    return ShardIndex.of(folder, tables_of(folder, split, found, index=known), found)
+
+
+def rebuild_index(folder: Path | str, split: str = "train", layout: Layout = GARMENTS) -> ShardIndex:
+    """The index of a split, made anew from its shards and kept in the folder.
+
+    Raises ``ShardError`` for a broken shard and ``OutputError`` where the folder cannot be written.
+    """
+    folder = Path(folder)
+    found = _layout_in(folder, split, layout)
+    if found.kind == FOREIGN:
+        index = _scanned(folder, _foreign_paths(folder, split))
+    else:
+        with reading(folder):
+            paths = shards_in(folder, split)
+        index = ShardIndex.of(folder, {path.name: scan_shard(path, found) for path in paths}, found)
+    index.write(folder / index_name(split))
+    return index
+
+
+def splits_in(folder: Path | str) -> tuple[str, ...]:
+    """The splits of which a folder holds shards, by name. Raises ``ShardError``."""
+    folder = Path(folder)
+    ours, rest = _by_maker(folder)
+    return tuple(sorted(ours | {split for split in SPLITS if foreign_shards(rest, split)}))
+
+
+def layout_in(folder: Path | str, split: str) -> Layout:
+    """``BODIES`` for a set of bodies, else ``GARMENTS``. Raises ``ShardError``."""
+    with reading(Path(folder)):
+        shards = shards_in(Path(folder), split)
+    return BODIES if shards and members_of_shard(shards[0]) == BODIES.members else GARMENTS
+
+
+def _by_maker(folder: Path) -> tuple[set[str], list[str]]:
+    """Our splits, and the names of foreign archives. Raises ``ShardError``."""
+    with reading(folder):
+        names = sorted(path.name for path in folder.iterdir() if path.name.endswith(".tar"))
+    begun = {name.rpartition("-")[0] for name in names} - {""}
+    whole = {split: shards for split in begun if (shards := shards_in(folder, split))}
+    ours = {split for split, shards in whole.items() if members_of_shard(shards[0]) is not None}
+    known = {path.name for split in ours for path in whole[split]}
+    return ours, [name for name in names if name not in known]
+
+
+def _layout_in(folder: Path, split: str, layout: Layout) -> Layout:
+    """The layout of the first shard of a split."""
+    with reading(folder):
+        shards = shards_in(folder, split)
+    members = members_of_shard(shards[0]) if shards else None
+    if members is None and layout == GARMENTS and _foreign_paths(folder, split):
+        return foreign_layout(())
+    return layout.of(members) if members is not None and layout.holds(members) else layout
+
+
+def _foreign_paths(folder: Path, split: str) -> list[Path]:
+    return [folder / name for name in foreign_shards(_by_maker(folder)[1], split)]
+
+
+def _foreign(folder: Path, split: str, known: ShardIndex | None) -> ShardIndex:
+    """The index of foreign archives: the one kept if they are as long as it says, else made anew."""
+    paths = _foreign_paths(folder, split)
+    with reading(folder):
+        lengths = [path.stat().st_size for path in paths]
+    if known is not None and (list(known.shards), known.length.tolist()) == ([path.name for path in paths], lengths):
+        return known
+    log.info("%s: no index of split %s: all of it is read; gcd index keeps what is found", folder, split)
+    return _scanned(folder, paths)
+
+
+def _scanned(folder: Path, paths: list[Path]) -> ShardIndex:
+    with reading(folder):
+        lengths = [path.stat().st_size for path in paths]
+    index = foreign_index({path.name: scan_foreign(path) for path in paths}, lengths)
+    if not len(index):
+        raise ShardError(f"{folder}: no sample in {', '.join(path.name for path in paths)}: give archives of samples")
+    return index

@@ -1,0 +1,126 @@
+"""A data set in a folder of this machine."""
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.shards.contents import read_index, splits_in
+from gcd_dataset.shards.fetched import read_fetched
+from gcd_dataset.shards.index import ShardIndex
+from gcd_dataset.shards.layout import Layout, shard_number
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, read_manifest
+from gcd_dataset.shards.store import Part, Store, runs
+
+__all__ = ["FolderStore", "OpenFiles", "read_parts"]
+
+GAP = 1 << 16  # bytes: reading over a gap this long costs less than a second call
+OPEN_FILES = 256  # of the 1024 that most systems give a process
+
+
+class FolderStore(Store):
+    """The shards in a folder. Raises ``ShardError`` for a download that was not finished."""
+
+    def __init__(self, folder: Path | str) -> None:
+        self.folder = Path(folder)
+        fetched = read_fetched(self.folder)
+        self.source = None if fetched is None else fetched.source
+        self._files = OpenFiles()
+
+    def place(self, name: str = "") -> str:
+        return str(self.folder / name)
+
+    def manifest(self) -> Manifest | None:
+        return read_manifest(self.folder)
+
+    def index(self, split: str, layout: Layout) -> ShardIndex:
+        self._require_whole(split)
+        index = read_index(self.folder, split, layout)
+        if not len(index):
+            raise ShardError(f"{self.folder}: no samples of split {split}: {self._way_out(split)}")
+        return index
+
+    def read(self, shard: str, number: int, parts: Sequence[Part]) -> dict[int, memoryview]:
+        path = self.folder / shard
+        with reading(path):
+            file = self._files.open(path)  # held, so that no other thread closes it meanwhile
+            content, end = read_parts(file.fd, parts)
+        if end is not None:
+            raise ShardError(f"{path}: ends at byte {end}, in a sample: {REMEDY}")
+        return content
+
+    def stream(self, shard: str) -> BinaryIO:
+        with reading(self.folder / shard):
+            return (self.folder / shard).open("rb")
+
+    def _require_whole(self, split: str) -> None:
+        """Raise ``ShardError`` if a download of the split has not ended, or a shard is missing or cut off."""
+        fetched = read_fetched(self.folder)
+        if fetched is not None and split in fetched.unfinished:
+            raise ShardError(f"{self.folder}: the download of split {split} has not ended: run gcd download again")
+        manifest = self.manifest()
+        record = manifest.splits.get(split) if manifest else None
+        for shard in record.shards if record else ():
+            path = self.folder / shard.name
+            with reading(path):
+                size = path.stat().st_size if path.exists() else 0
+            if size < shard.size:  # longer is no fault: a shard may have grown since
+                raise ShardError(f"{path}: {size} of the {shard.size} bytes in {MANIFEST}: {REMEDY}")
+
+    def _way_out(self, split: str) -> str:
+        """What to do in a folder without samples of the split."""
+        names = [path.name for path in self.folder.iterdir()]
+        if any(shard_number(name.removesuffix(".part"), split) is not None for name in names):
+            return "a run has not finished its first shard: run gcd generate again to finish it"
+        whole = splits_in(self.folder)
+        return f"there is {', '.join(whole)}" if whole else "give a folder that gcd generate has made"
+
+
+def read_parts(fd: int, parts: Sequence[Part]) -> tuple[dict[int, memoryview], int | None]:
+    """Column to content, by one call a run; and where the file ends, if that is before the last part."""
+    content: dict[int, memoryview] = {}
+    for run in runs(parts, GAP):
+        start, end = run[0].offset, run[-1].end
+        buffer = np.empty(end - start, np.uint8).data
+        read = os.preadv(fd, [buffer], start)
+        if read < len(buffer):
+            return {}, start + read
+        for column, offset, size, _ in run:
+            content[column] = buffer[offset - start : offset - start + size]
+    return content, None
+
+
+class OpenFiles:
+    """Descriptors of files that are read again and again, no more than a process may have."""
+
+    def __init__(self) -> None:
+        self._files: dict[Path, _OpenFile] = {}
+
+    def open(self, path: Path) -> "_OpenFile":
+        """The file, open for reading. Raises ``OSError``."""
+        file = self._files.get(path)
+        if file is None:
+            if len(self._files) >= OPEN_FILES:
+                self._files.pop(next(iter(list(self._files))), None)
+            file = self._files[path] = _OpenFile(os.open(path, os.O_RDONLY))
+        return file
+
+    def __iter__(self) -> Iterator[Path]:
+        return iter(list(self._files))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_files": {}}
+
+
+class _OpenFile:
+    """A descriptor that is closed when the last thread lets go of it."""
+
+    def __init__(self, fd: int) -> None:
+        self.fd = fd
+
+    def __del__(self) -> None:
+        os.close(self.fd)

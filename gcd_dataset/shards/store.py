@@ -1,0 +1,77 @@
+"""Where the files of a data set lie: what a reader asks of a folder, and of a server."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import BinaryIO, NamedTuple
+
+from gcd_dataset.shards.access import REMEDY
+from gcd_dataset.shards.index import ShardIndex
+from gcd_dataset.shards.layout import Layout
+from gcd_dataset.shards.manifest import Manifest
+
+__all__ = ["Part", "Store", "runs"]
+
+
+class Part(NamedTuple):
+    """Where one member of a sample lies in its shard."""
+
+    column: int
+    """Place among the members of the layout."""
+    offset: int
+    size: int
+    crc: int
+
+    @property
+    def end(self) -> int:
+        return self.offset + self.size
+
+
+class Store(ABC):
+    """The files of a data set. May be pickled, forked, and read from several threads."""
+
+    source: str | None = None
+    """Where the data come from, and which revision of them; ``None`` where nobody has said."""
+
+    remedy: str = REMEDY
+    """What to do about damage in it."""
+
+    @abstractmethod
+    def place(self, name: str = "") -> str:
+        """A file, or all of them, as messages name it."""
+
+    @abstractmethod
+    def manifest(self) -> Manifest | None:
+        """What the data set is made of, if that is written down. Raises ``ShardError``."""
+
+    @abstractmethod
+    def index(self, split: str, layout: Layout) -> ShardIndex:
+        """The contents of a split; its layout holds the members that are there, ``layout``'s at most.
+
+        Raises ``ShardError`` for one that is broken, foreign, incomplete, or without samples.
+        """
+
+    @abstractmethod
+    def read(self, shard: str, number: int, parts: Sequence[Part]) -> dict[int, memoryview]:
+        """Column to content of some members of sample ``number`` of a shard, in the order of the file.
+
+        Writable, and the caller's own. Raises ``ShardError``.
+        """
+
+    def read_many(self, wanted: Sequence[tuple[str, int, Sequence[Part]]]) -> list[dict[int, memoryview]]:
+        """As ``read``, for several samples: shard, number and members of each. Raises ``ShardError``."""
+        return [self.read(*sample) for sample in wanted]
+
+    def mend(self, shard: str, number: int, part: Part) -> memoryview | None:
+        """A member that was found damaged, got anew; ``None`` where there is nowhere to get it."""
+        return None
+
+    @abstractmethod
+    def stream(self, shard: str) -> BinaryIO:
+        """A shard from its first byte on. Raises ``ShardError``, when it is read too."""
+
+
+def runs(parts: Sequence[Part], gap: int) -> list[Sequence[Part]]:
+    """Members in runs with no more than ``gap`` bytes between neighbours."""
+    cuts = [i + 1 for i, (a, b) in enumerate(pairwise(parts)) if b.offset - a.offset - a.size > gap]
+    return [parts[i:j] for i, j in pairwise([0, *cuts, len(parts)]) if i < j]

@@ -1,0 +1,41 @@
+"""A server and a published data set for every test."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.hub import web
+from tests.hub.server import Hub, running_hub
+from tests.shards.folders import fill
+
+COUNT = 10
+
+
+@pytest.fixture(autouse=True)
+def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Half a minute's patience in a few milliseconds; no token and no cache but those of the test."""
+    monkeypatch.setattr(web, "WAITS", (0.001,) * 6)
+    monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_DISABLE_XET", True)
+    monkeypatch.setattr(Path, "home", lambda: tmp_path / "home")
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of ten garments in three shards."""
+    return fill(tmp_path_factory.mktemp("published"), range(COUNT))
+
+
+@pytest.fixture
+def hub() -> Iterator[Hub]:
+    with running_hub() as server:
+        yield server
+
+
+@pytest.fixture
+def commit(hub: Hub, folder: Path) -> str:
+    """The commit under which the data set is published as ``org/garments``; also below ``/files/garments``."""
+    sha = hub.publish("org/garments", folder)
+    hub.static |= {f"garments/{name}": data for name, data in hub.repos["org/garments"].commits[-1][1].items()}
+    return sha

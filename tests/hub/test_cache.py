@@ -1,0 +1,212 @@
+"""What is kept of a server: never more than the limit, never wrong, whoever else uses the folder."""
+
+import errno
+import multiprocessing
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gcd_dataset.hub import cache as cache_module
+from gcd_dataset.hub.cache import COUNTER, Cache, Piece
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.shards import read_index
+from gcd_dataset.shards.store import Part
+from tests.hub.server import Hub
+from tests.loaders.test_shards import assert_all_same
+
+# To start a process afresh would take longer than all else here.
+pytestmark = pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
+
+SIZE = 1000  # bytes of a member
+MEMBERS = 8  # of a shard
+
+
+def piece(flag: int, shard: int = 0) -> Piece:
+    data = np.random.default_rng((shard, flag)).integers(256, size=SIZE, dtype=np.uint8)
+    return Piece(flag, flag * SIZE, data.data)
+
+
+def parts(flags: Any) -> list[tuple[int, Part]]:
+    return [(flag, Part(0, flag * SIZE, SIZE, 0)) for flag in flags]
+
+
+def disk_use(folder: Path) -> int:
+    return sum(path.stat().st_blocks * 512 for path in (folder / "shards").glob("*.tar"))
+
+
+def test_what_is_kept_comes_back(tmp_path: Path) -> None:
+    Cache(tmp_path).keep("a", MEMBERS, [piece(3), piece(1)])
+    kept = Cache(tmp_path).read("a", MEMBERS, parts(range(MEMBERS)))
+    assert kept == {1: piece(1).data, 3: piece(3).data}
+    assert Cache(tmp_path).read("b", MEMBERS, parts([1])) == {}
+    assert Cache(tmp_path).used == 2 * SIZE
+
+
+def test_it_never_holds_more_than_its_limit(tmp_path: Path) -> None:
+    cache = Cache(tmp_path, 5 * SIZE + 10)
+    for shard in range(4):
+        for flag in range(4):
+            cache.keep(f"{shard}", MEMBERS, [piece(flag, shard)])
+            assert cache.used <= 5 * SIZE
+            assert int((tmp_path / "used").read_text()) == cache.used
+            assert cache.read(f"{shard}", MEMBERS, parts([flag])) == {flag: piece(flag, shard).data}
+    assert disk_use(tmp_path) <= 8 * 4096
+    assert not Cache(tmp_path).read("0", MEMBERS, parts(range(4)))
+
+
+def test_the_shard_not_asked_for_the_longest_goes_first(tmp_path: Path) -> None:
+    cache = Cache(tmp_path, 4 * SIZE)
+    for order, key in enumerate("abcd"):
+        cache.keep(key, MEMBERS, [piece(0)])
+        os.utime(tmp_path / "shards" / f"{key}.have", (order, order))
+    assert Cache(tmp_path).read("a", MEMBERS, parts([0]))  # asked for just now
+    cache.keep("e", MEMBERS, [piece(0)])
+    assert [key for key in "abcde" if Cache(tmp_path).read(key, MEMBERS, parts([0]))] == ["a", "c", "d", "e"]
+
+
+def test_a_shard_that_makes_way_frees_its_bytes_though_others_hold_it_open(tmp_path: Path) -> None:
+    reader, writer = Cache(tmp_path, 2 * SIZE), Cache(tmp_path, 2 * SIZE)
+    writer.keep("a", MEMBERS, [piece(0), piece(1)])
+    assert reader.read("a", MEMBERS, parts([0, 1]))
+    (shard,) = reader._open.values()
+    writer.keep("b", MEMBERS, [piece(0)])
+    assert os.fstat(shard.fd).st_size == 0
+    assert reader.read("a", MEMBERS, parts([0, 1])) == {}
+    reader.keep("a", MEMBERS, [piece(1)])
+    assert writer.read("a", MEMBERS, parts([0, 1])) == {1: piece(1).data}
+    assert reader.used == 2 * SIZE
+
+
+def test_what_does_not_fit_at_all_is_not_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    cache = Cache(tmp_path, SIZE - 1)
+    cache.keep("a", MEMBERS, [piece(0)])
+    assert cache.used == 0
+    assert "raise max_cache_size" in caplog.text
+
+
+def test_a_full_disk_keeps_nothing_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    cache = Cache(tmp_path)
+    cache.keep("a", MEMBERS, [piece(0)])
+    real = os.pwrite
+
+    def full(fd: int, data: Any, place: int) -> int:
+        if place >= SIZE:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(fd, data, place)
+
+    monkeypatch.setattr(os, "pwrite", full)
+    cache.keep("a", MEMBERS, [piece(5), piece(6)])
+    assert cache.read("a", MEMBERS, parts(range(MEMBERS))) == {0: piece(0).data}
+    assert cache.used == SIZE
+    assert "No space left on device): make room there" in caplog.text
+
+
+def test_a_kill_leaves_nothing_that_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = Cache(tmp_path, 10 * SIZE)
+    cache.keep("a", MEMBERS, [piece(0)])
+
+    def killed(path: Path, place: int, content: bytes) -> None:
+        if place >= COUNTER:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(cache_module, "_set", killed)
+    with pytest.raises(KeyboardInterrupt):
+        cache.keep("a", MEMBERS, [piece(1)])
+    monkeypatch.undo()
+    after = Cache(tmp_path, 10 * SIZE)
+    assert after.read("a", MEMBERS, parts(range(MEMBERS))) == {0: piece(0).data}
+    after.keep("a", MEMBERS, [piece(1)])
+    assert after.read("a", MEMBERS, parts([1])) == {1: piece(1).data}
+
+
+def fill_at_random(folder: Path, limit: int | None, seed: int, count: int) -> int:
+    """Keep and read members in some order; how many came back wrong."""
+    cache, wrong = Cache(folder, limit), 0
+    for shard, flag in np.random.default_rng(seed).integers((6, MEMBERS), size=(count, 2)).tolist():
+        found = cache.read(f"{shard}", MEMBERS, parts([flag]))
+        wrong += flag in found and found[flag] != piece(flag, shard).data
+        if not found:
+            cache.keep(f"{shard}", MEMBERS, [piece(flag, shard), piece((flag + 1) % MEMBERS, shard)])
+        wrong += limit is not None and cache.used > limit + 2 * SIZE
+    return wrong
+
+
+@pytest.mark.parametrize("limit", [None, 20 * SIZE])
+def test_processes_that_fill_one_cache_agree(tmp_path: Path, limit: int | None) -> None:
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        wrong = pool.starmap(fill_at_random, [(tmp_path, limit, seed, 300) for seed in (1, 2)])
+    assert wrong == [0, 0]
+    flags = [np.fromfile(path, np.uint8)[COUNTER:] for path in (tmp_path / "shards").glob("*.have")]
+    assert Cache(tmp_path).used == int((tmp_path / "used").read_text()) == SIZE * int(np.sum(flags))
+    assert limit is not None or len(flags) == 6
+    assert limit is None or Cache(tmp_path).used <= limit
+
+
+def test_processes_that_are_killed_leave_a_cache_in_order(tmp_path: Path) -> None:
+    for seed in range(8):
+        child = multiprocessing.get_context("fork").Process(
+            target=fill_at_random, args=(tmp_path, 20 * SIZE, seed, 100_000)
+        )
+        child.start()
+        used = tmp_path / "used"
+        before = used.stat().st_ino if used.exists() else 0
+        while not used.exists() or used.stat().st_ino == before:
+            assert child.is_alive()
+            time.sleep(0.001)
+        time.sleep(0.003 * seed)  # each in another place
+        child.kill()
+        child.join()
+        cache = Cache(tmp_path, 20 * SIZE)
+        for shard in range(6):
+            found = cache.read(f"{shard}", MEMBERS, parts(range(MEMBERS)))
+            assert all(data == piece(flag, shard).data for flag, data in found.items())
+        cache.keep("0", MEMBERS, [piece(seed)])
+        assert cache.read("0", MEMBERS, parts([seed]))
+        assert cache.used <= 20 * SIZE
+
+
+def test_threads_that_fill_one_cache_agree(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(4) as pool:
+        assert not sum(pool.map(lambda seed: fill_at_random(tmp_path, 20 * SIZE, seed, 100), range(4)))
+    assert Cache(tmp_path).used == int((tmp_path / "used").read_text()) <= 20 * SIZE
+
+
+# ---------------------------------------------------------------------------------------------- through the front door
+
+
+def read_all(endpoint: str, cache_dir: Path, limit: int | None) -> list[float]:
+    """The sums of all vertices, read of a server."""
+    ds = GarmentDataset("org/garments", fields=["verts"], endpoint=endpoint, cache_dir=cache_dir, max_cache_size=limit)
+    return [float(ds[i]["verts"].sum()) for i in [*range(len(ds)), *reversed(range(len(ds)))]]
+
+
+@pytest.mark.parametrize("limit", [None, 6000])
+def test_two_processes_fill_one_cache(hub: Hub, commit: str, folder: Path, tmp_path: Path, limit: int | None) -> None:
+    here = [float(item["verts"].sum()) for item in GarmentDataset(folder, fields=["verts"])]
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        read = pool.starmap(read_all, 2 * [(hub.endpoint, tmp_path, limit)])
+    assert read == 2 * [here + here[::-1]]
+    assert limit is None or Cache(tmp_path).used <= limit
+    if limit is None:
+        column = read_index(folder).layout.members.index("verts.npy")
+        assert Cache(tmp_path).used == int(read_index(folder).table.size[:, column].sum())
+
+
+def test_a_cache_that_is_full_goes_on_serving(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+    for limit in ("1B", "7kB", "1GB"):
+        ds = GarmentDataset("org/garments", endpoint=hub.endpoint, cache_dir=tmp_path, max_cache_size=limit)
+        assert_all_same(ds, GarmentDataset(folder))
+        assert_all_same(ds[::-1], GarmentDataset(folder)[::-1])
+
+
+def test_a_cache_that_cannot_be_written_goes_on_serving(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    ds = GarmentDataset("org/garments", endpoint=hub.endpoint, cache_dir=tmp_path / "file", fields=["verts"])
+    assert_all_same(ds, GarmentDataset(folder, fields=["verts"]))

@@ -1,0 +1,221 @@
+"""Data sets brought here: whole, in part, and in spite of everything."""
+
+import errno
+import multiprocessing
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gcd_dataset.errors import ConfigError, OutputError, RemoteError, ShardError
+from gcd_dataset.hub.download import download
+from gcd_dataset.hub.place import Repo, Url
+from gcd_dataset.hub.site import Remote
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.shards import ShardReader, read_index, rebuild_index
+from tests.hub.conftest import COUNT
+from tests.hub.server import Fault, Hub, read_folder
+from tests.loaders.test_shards import assert_all_same
+
+REPO = Repo("org/garments")
+
+
+def bring(hub: Hub, tmp_path: Path, place: Repo | Url = REPO, **options: Any) -> Path:
+    download(place, tmp_path / "data", Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "cache"), **options)
+    return tmp_path / "data"
+
+
+@pytest.mark.parametrize("from_url", [False, True])
+def test_a_download_is_the_folder_that_was_published(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, from_url: bool
+) -> None:
+    told: list[tuple[int, int]] = []
+    place = Url(f"{hub.endpoint}/files/garments") if from_url else REPO
+    data = bring(hub, tmp_path, place, told=lambda come, total: told.append((come, total)))
+    there, published = read_folder(data), read_folder(folder)
+    assert there.keys() == published.keys() | {"download.json"}
+    assert all(there[name] == published[name] for name in published if not name.endswith(".npz"))
+    assert told[-1] == (total := sum(len(data) for name, data in published.items() if name.endswith(".tar")), total)
+    assert len(ShardReader(data, verify="full")) == COUNT
+    hub.log.clear()
+    bring(hub, tmp_path, place)
+    assert not hub.log
+
+
+def test_fields_make_a_data_set_of_their_own(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+    fields = ["panels", "edges", "stitches", "points"]
+    data = bring(hub, tmp_path, fields=fields)
+    ds = GarmentDataset(data)
+    assert ds.fields == ("meta", *fields)
+    assert_all_same(GarmentDataset(data, fields=fields), GarmentDataset(folder, fields=fields))
+    assert_all_same(GarmentDataset(data, fields=fields, streaming=True), GarmentDataset(folder, fields=fields))
+    assert ds.recipe(2) == {**GarmentDataset(folder).recipe(2), "source": f"hf://datasets/org/garments@{commit}"}
+    ds.verify(0)
+    assert sum(path.stat().st_size for path in data.glob("*.tar")) < 0.6 * sum(
+        path.stat().st_size for path in folder.glob("*.tar")
+    )
+    with pytest.raises(ConfigError, match="no field verts: there are meta, panels"):
+        GarmentDataset(data, fields=["verts"])
+    (data / "index-train.npz").unlink()
+    assert_all_same(GarmentDataset(data), ds)
+    rebuild_index(data)
+    assert_all_same(GarmentDataset(data), ds)
+
+
+def test_root_downloads_first(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+    options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": tmp_path / "cache", "fields": ["body"]}
+    ds = GarmentDataset("org/garments", root=tmp_path / "data", **options)
+    hub.stop()
+    assert_all_same(ds, GarmentDataset(folder, fields=["body"]))
+    for download_ in (True, False):
+        again = GarmentDataset("org/garments", root=tmp_path / "data", download=download_, **options)
+        assert_all_same(again, ds)
+
+
+def test_a_download_that_broke_off_goes_on(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gcd_dataset.hub.web.WAITS", (0.0,))
+    hub.faults = [Fault(r"storage/.*train-00000", cut=20000), Fault(r"storage/.*train-00000", drop=True, times=99)]
+    with pytest.raises(RemoteError, match="what has come is kept"):
+        bring(hub, tmp_path)
+    assert (tmp_path / "data" / "train-00000.tar.part").stat().st_size == 20000
+    with pytest.raises(ShardError, match="the download of split train has not ended: run gcd download again"):
+        GarmentDataset(tmp_path / "data")
+    hub.faults.clear()
+    hub.log.clear()
+    assert_all_same(GarmentDataset(bring(hub, tmp_path)), GarmentDataset(folder))
+    (rest,) = [request for request in hub.asked(r"storage/.*train-00000") if request.status == 206]
+    assert rest.span == "bytes=20000-" + str((folder / "train-00000.tar").stat().st_size - 1)
+
+
+def test_a_download_of_fields_that_broke_off_goes_on(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gcd_dataset.hub.web.WAITS", (0.0,))
+    monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
+    hub.faults = [
+        Fault(r"storage/.*train-00001.*", times=1, cut=10**9),
+        Fault(r"storage/.*train-00001", drop=True, times=9),
+    ]
+    with pytest.raises(RemoteError, match="no connection"):
+        bring(hub, tmp_path, fields=["verts"])
+    hub.faults.clear()
+    before = len(hub.asked(r"storage/.*tar"))
+    assert_all_same(GarmentDataset(bring(hub, tmp_path, fields=["verts"]), fields=["verts"]),
+                    GarmentDataset(folder, fields=["verts"]))  # fmt: skip
+    assert before + len(hub.asked(r"storage/.*tar")[before:]) <= COUNT + 9 + 3  # samples, drops, ends of shards
+
+
+@pytest.mark.parametrize("fields", [None, ["verts"]])
+def test_one_flipped_byte_does_not_stay(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
+) -> None:
+    monkeypatch.setattr("gcd_dataset.hub.remote.GAP", 0)  # a byte that nobody wants may well be wrong
+    hub.faults = [Fault(r"storage/.*train-00001", flip_share=0.4)]
+    assert_all_same(
+        GarmentDataset(bring(hub, tmp_path, fields=fields)), GarmentDataset(folder, fields=_with_meta(fields))
+    )
+    hub.faults = [Fault(r"storage/.*train-00001", flip_share=0.4, times=99)]
+    with pytest.raises(RemoteError, match=r"train-00001\.tar.*other bytes come than were published"):
+        bring(hub, tmp_path / "elsewhere", fields=fields)
+    assert not (tmp_path / "elsewhere" / "data" / "train-00001.tar").exists()
+    hub.faults.clear()
+    assert len(GarmentDataset(bring(hub, tmp_path / "elsewhere", fields=fields))) == COUNT
+
+
+def _with_meta(fields: list[str] | None) -> list[str] | None:
+    return None if fields is None else ["meta", *fields]
+
+
+def test_a_shard_cut_off_on_the_server_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
+    name = "garments/train-00002.tar"
+    hub.static[name] = hub.static[name][:3000]
+    with pytest.raises(RemoteError, match=r"train-00002\.tar: shorter than its index tells"):
+        bring(hub, tmp_path, Url(f"{hub.endpoint}/files/garments"))
+    with pytest.raises(ShardError, match="has not ended"):
+        GarmentDataset(tmp_path / "data")
+
+
+def test_a_full_disk_is_told_and_gone_on_with(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(fd: int, data: Any, place: int) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "pwrite", full)
+    with pytest.raises(OutputError, match=r"\.tar\.part: cannot be written \(No space left on device\)"):
+        bring(hub, tmp_path)
+    monkeypatch.undo()
+    monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))
+    assert_all_same(GarmentDataset(bring(hub, tmp_path)), GarmentDataset(folder))
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+    remote = Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "cache")
+    before = read_folder(folder)
+    with pytest.raises(ConfigError, match="holds a data set that was not downloaded"):
+        download(REPO, folder, remote)
+    assert read_folder(folder) == before
+    bring(hub, tmp_path, fields=["body"])
+    with pytest.raises(ConfigError, match="holds the fields meta, body of split train, asked for meta, verts"):
+        bring(hub, tmp_path, fields=["verts"])
+    later = hub.publish("org/garments", {**read_folder(folder), "README.md": b"words"})
+    with pytest.raises(ConfigError, match=rf"holds hf://datasets/org/garments@{commit}, asked for .*@{later}"):
+        bring(hub, tmp_path, Repo("org/garments", later), fields=["body"])
+
+
+@pytest.mark.parametrize("fields", [None, ["verts"]])
+@pytest.mark.parametrize(
+    ("name", "told"), [("../escaped.tar", "a shard outside the folder"), ("escaped", "tells of a")]
+)
+def test_a_name_cannot_lead_outside(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, fields: Any, name: str, told: str
+) -> None:
+    index = read_index(folder)
+    evil = replace(index, shards=(name, *index.shards[1:]))
+    text = hub.static["garments/manifest.json"].decode().replace("train-00000.tar", name)
+    hub.static |= {"evil/manifest.json": text.encode(), "evil/index-train.npz": evil.to_bytes()}
+    hub.static |= {f"evil/{shard}": hub.static[f"garments/{shard}"] for shard in index.shards}
+    with pytest.raises(ShardError, match=told):
+        bring(hub, tmp_path, Url(f"{hub.endpoint}/files/evil"), fields=fields)
+    assert not list(tmp_path.rglob("*escaped*"))
+
+
+def brought(endpoint: str, folder: Path) -> int:
+    """Garments in a folder that may have to be downloaded first."""
+    cache = folder.with_name("cache")
+    return len(GarmentDataset("org/garments", root=folder, endpoint=endpoint, cache_dir=cache, verify="full"))
+
+
+@pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
+def test_processes_that_download_into_one_folder_wait_for_each_other(hub: Hub, commit: str, tmp_path: Path) -> None:
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        assert pool.starmap(brought, 2 * [(hub.endpoint, tmp_path / "data")]) == [COUNT, COUNT]
+    assert len([request for request in hub.asked(r"storage/.*tar") if request.status == 206]) == 3
+
+
+@pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
+@pytest.mark.parametrize("fields", [None, ["verts"]])
+def test_a_download_that_was_killed_goes_on(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
+) -> None:
+    monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
+    hub.faults = [Fault(r"storage/.*train-00002", cut=3000, hold=True, times=99)]
+    child = multiprocessing.get_context("fork").Process(target=bring, args=(hub, tmp_path), kwargs={"fields": fields})
+    child.start()
+    last = tmp_path / "data" / "train-00002.tar.part"
+    while not (last.exists() and (last.stat().st_size >= 3000 or fields) and len(list(last.parent.glob("*.tar"))) == 2):
+        assert child.is_alive()
+        time.sleep(0.01)
+    child.kill()
+    child.join()
+    hub.faults.clear()
+    hub.log.clear()
+    assert_all_same(
+        GarmentDataset(bring(hub, tmp_path, fields=fields)), GarmentDataset(folder, fields=_with_meta(fields))
+    )
+    assert not hub.asked(r"storage/.*train-0000[01]")

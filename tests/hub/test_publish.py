@@ -1,0 +1,189 @@
+"""Publishing: what goes up, into which split, and what others make of it."""
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from gcd_dataset.errors import ConfigError, RemoteError
+from gcd_dataset.hub.partition import families, leaks, partition
+from gcd_dataset.hub.publish import Staged, stage, upload
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import BodyShape, Sample
+from gcd_dataset.shards import ShardReader
+from tests.hub.server import Fault, Hub, read_folder
+from tests.loaders.test_shards import assert_all_same
+from tests.shards.folders import fill, open_writer
+
+# How ``huggingface_hub`` sends files is not for us to mend.
+pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
+
+NEUTRAL = BodyShape(np.zeros(8))
+
+
+def put(folder: Path, samples: Iterable[Sample], *, split: str = "train") -> Path:
+    with open_writer(folder, split=split) as writer:
+        for sample in samples:
+            writer.write(sample)
+    return folder
+
+
+def sample(index: int, *, design: int, body: int | None = None) -> Sample:
+    """Garment ``index`` of a design, on a body; on the neutral one for ``None``."""
+    shape = NEUTRAL if body is None else BodyShape(np.full(8, float(body + 1)))
+    return replace(fake_sample(0, index), design={"skirt": {"number": design}}, shape=shape)
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Forty designs, each on the neutral body and on one of its own, as ``--bodies both`` makes them."""
+    samples = (sample(i, design=i // 2, body=None if i % 2 == 0 else i) for i in range(80))
+    return put(tmp_path_factory.mktemp("both"), samples)
+
+
+SHARES = {"train": 0.6, "validation": 0.2, "test": 0.2}
+
+
+def test_no_design_and_no_body_is_in_two_splits(both: Path) -> None:
+    reader = ShardReader(both)
+    parts = partition(reader, SHARES)
+    assert sorted(position for part in parts.values() for position in part) == list(range(80))
+    designs = {name: {position // 2 for position in part} for name, part in parts.items()}
+    assert sum(map(len, designs.values())) == 40
+    assert [len(parts[name]) for name in SHARES] == pytest.approx([48, 16, 16], abs=14)
+
+
+def test_garments_that_share_a_body_stay_together(tmp_path: Path) -> None:
+    worn = [(0, 0), (1, 0), (1, 1), (2, 2), (3, None), (4, None), (4, 3), (5, 3)]
+    put(tmp_path, [sample(i, design=design, body=body) for i, (design, body) in enumerate(worn)])
+    assert families(ShardReader(tmp_path)).tolist() == [0, 0, 0, 1, 2, 3, 3, 3]
+
+
+def test_a_garment_stays_where_it_is_when_the_data_set_grows(both: Path, tmp_path: Path) -> None:
+    put(tmp_path, (sample(i, design=i // 2, body=None if i % 2 == 0 else i) for i in range(60)))
+    before, after = partition(ShardReader(tmp_path), SHARES), partition(ShardReader(both), SHARES)
+    for name, positions in before.items():
+        assert positions == [position for position in after[name] if position < 60]
+
+
+def test_few_designs_have_all_splits_too(tmp_path: Path) -> None:
+    put(tmp_path, (sample(i, design=i) for i in range(4)))
+    parts = partition(ShardReader(tmp_path))
+    assert list(parts) == ["train", "validation", "test"]
+    assert sorted(position for part in parts.values() for position in part) == [0, 1, 2, 3]
+    assert partition(ShardReader(tmp_path), {"train": 1.0, "validation": 0.0, "test": 0.0}) == {"train": [0, 1, 2, 3]}
+    with pytest.raises(ConfigError, match="add up to 1"):
+        partition(ShardReader(tmp_path), {"train": 0.5})
+
+
+@pytest.fixture(scope="module")
+def staged(both: Path, tmp_path_factory: pytest.TempPathFactory) -> Staged:
+    folder = tmp_path_factory.mktemp("staged") / "up"
+    return stage(both, "org/new-set", folder, shares=SHARES, license="cc-by-4.0", endpoint="https://hub.example")
+
+
+def test_what_is_staged_is_the_same_garments(both: Path, staged: Staged) -> None:
+    whole, seen = GarmentDataset(both), []
+    for name in SHARES:
+        ds = GarmentDataset(staged.folder, name, verify="full")
+        ids = [ds.recipe(i)["index"] for i in range(len(ds))]
+        assert_all_same(ds, [whole[i] for i in ids])
+        seen += ids
+    assert sorted(seen) == list(range(80))
+    assert not leaks({name: ShardReader(staged.folder, name) for name in SHARES})
+    assert staged.files.keys() == read_folder(staged.folder).keys()
+
+
+def test_the_card_names_every_split(staged: Staged) -> None:
+    text = (staged.folder / "README.md").read_text()
+    facts = yaml.safe_load(text.split("---")[1])
+    assert (facts["license"], facts["size_categories"]) == ("cc-by-4.0", ["n<1K"])
+    (config,) = facts["configs"]
+    assert [entry["split"] for entry in config["data_files"]] == list(SHARES)
+    for entry in config["data_files"]:
+        assert sorted(path.name for path in staged.folder.glob(entry["path"])) == [
+            shard.name for shard in staged.manifest.splits[entry["split"]].shards
+        ]
+    assert "80 garments" in text
+    assert 'GarmentDataset("org/new-set"' in text
+
+
+def test_croissant_tells_the_hash_of_every_file(staged: Staged) -> None:
+    entry = json.loads((staged.folder / "croissant.json").read_text())
+    assert entry["conformsTo"] == "http://mlcommons.org/croissant/1.0"
+    objects = {thing["@id"]: thing for thing in entry["distribution"]}
+    files = {name: thing for name, thing in objects.items() if thing["@type"] == "cr:FileObject"}
+    assert files.keys() == staged.files.keys() - {"README.md", "croissant.json"}
+    for name, thing in files.items():
+        assert thing["sha256"] == hashlib.sha256((staged.folder / name).read_bytes()).hexdigest()
+        assert thing["contentUrl"] == f"https://hub.example/datasets/org/new-set/resolve/main/{name}"
+    for thing in objects.values():
+        assert all(inside["@id"] in files for inside in thing.get("containedIn", ()))
+    sources = [field["source"]["fileSet"]["@id"] for records in entry["recordSet"] for field in records["field"]]
+    assert all(objects[source]["@type"] == "cr:FileSet" for source in sources)
+
+
+def test_it_is_staged_again_only_where_it_changed(tmp_path: Path) -> None:
+    data = fill(tmp_path / "data", range(20))
+    first = stage(data, "org/new", tmp_path / "up")
+    before = {path: (tmp_path / "up" / path).stat().st_ino for path in first.files if path.endswith(".tar")}
+    again = stage(data, "org/new", tmp_path / "up")
+    assert again.manifest == first.manifest
+    assert before == {path: (tmp_path / "up" / path).stat().st_ino for path in before}
+    fill(data, range(20, 40))
+    grown = stage(data, "org/new", tmp_path / "up")
+    assert sum(len(GarmentDataset(tmp_path / "up", name)) for name in grown.manifest.splits) == 40
+
+
+def test_splits_that_are_there_stay_as_they_are(tmp_path: Path) -> None:
+    put(tmp_path / "data", (sample(i, design=i) for i in range(5)))
+    put(tmp_path / "data", (sample(i, design=i) for i in range(50, 53)), split="val")
+    up = stage(tmp_path / "data", "org/new", tmp_path / "up")
+    assert {name: len(GarmentDataset(up.folder, name)) for name in up.manifest.splits} == {"train": 5, "validation": 3}
+    put(tmp_path / "data", [sample(60, design=3)], split="test")
+    with pytest.raises(ConfigError, match="test and train share 1 design: publish it as one split"):
+        stage(tmp_path / "data", "org/new", tmp_path / "up")
+
+
+def test_what_goes_up_comes_down(hub: Hub, both: Path, staged: Staged, tmp_path: Path) -> None:
+    from huggingface_hub import HfApi, hf_hub_download, snapshot_download
+
+    commit = upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
+    assert hub.repos["org/new-set"].commits[-1] == (commit, read_folder(staged.folder))
+    place: dict[str, Any] = {"repo_type": "dataset", "endpoint": hub.endpoint, "cache_dir": tmp_path / "theirs"}
+    snapshot = Path(snapshot_download("org/new-set", revision=commit, **place))
+    assert read_folder(snapshot) == read_folder(staged.folder)
+    (tmp_path / "local").mkdir()
+    part = snapshot_download(
+        "org/new-set", repo_type="dataset", endpoint=hub.endpoint, allow_patterns="test-*", local_dir=tmp_path / "local"
+    )
+    assert list(Path(part).glob("*.tar"))
+    hf_hub_download("org/new-set", "manifest.json", **place)
+    assert HfApi(endpoint=hub.endpoint).repo_info("org/new-set", repo_type="dataset").sha == commit
+    ds = GarmentDataset("org/new-set", "test", endpoint=hub.endpoint, cache_dir=tmp_path / "ours", fields=["verts"])
+    assert_all_same(ds, GarmentDataset(staged.folder, "test", fields=["verts"]))
+
+
+def test_shards_of_an_older_release_go(hub: Hub, staged: Staged, tmp_path: Path) -> None:
+    hub.publish("org/new-set", {"train-00099.tar": b"old", "index-old.npz": b"old", "notes/a.tar": b"theirs"})
+    upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
+    assert hub.repos["org/new-set"].commits[-1][1].keys() == {*staged.files, "notes/a.tar"}
+    # Whoever reads meanwhile finds no manifest of shards that are not there.
+    for _, files in hub.repos["org/new-set"].commits:
+        if "manifest.json" in files:
+            listed = json.loads(files["manifest.json"])["splits"].values()
+            assert all(shard["name"] in files for split in listed for shard in split["shards"])
+
+
+def test_a_hub_that_refuses_is_told(hub: Hub, staged: Staged, tmp_path: Path) -> None:
+    with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*hf auth login"):
+        upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
+    hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]
+    assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)  # sent once more

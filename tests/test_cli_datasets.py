@@ -1,0 +1,154 @@
+"""The verbs of whole data sets, as a user meets them."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.cli import main
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.shards import read_index
+from gcd_dataset.shards.layout import MEMBERS
+from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
+from tests.hub.server import Hub, read_folder, running_hub
+from tests.loaders.test_shards import assert_all_same
+from tests.shards import people
+from tests.shards.folders import fill
+
+# How ``huggingface_hub`` sends files is not for us to mend.
+pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return fill(tmp_path / "data", range(10))
+
+
+def said(capsys: Capture) -> str:
+    return capsys.readouterr().out
+
+
+def test_info_counts_and_plots(data: Path, capsys: Capture) -> None:
+    assert main(["info", str(data)]) == 0
+    text = said(capsys)
+    assert "train: 10 samples in 3 shards" in text
+    assert "10 at rest (100.0%)" in text
+    assert "panels: 2 to 2, median 2" in text
+    share = read_index(data).table.size
+    column = MEMBERS.index("verts.npy")
+    assert f"verts {share[:, column].sum() / share.sum():6.1%}".split() in [
+        line.split()[:2] for line in text.splitlines()
+    ]
+
+
+def test_verify_finds_nothing_wrong(data: Path, capsys: Capture) -> None:
+    assert main(["verify", str(data)]) == 0
+    assert main(["verify", str(data), "--full"]) == 0
+    assert said(capsys).count("no fault found") == 2
+
+
+def test_verify_names_one_flipped_byte(data: Path, capsys: Capture) -> None:
+    index, path = read_index(data), data / "train-00001.tar"
+    content = bytearray(path.read_bytes())
+    content[int(index.table.offset[5, MEMBERS.index("verts.npy")]) + 200] ^= 1
+    path.write_bytes(content)
+    assert main(["verify", str(data)]) == 0  # within a member: its headers are as they were
+    assert main(["verify", str(data), "--full"]) == 1
+    text = said(capsys)
+    assert "train-00001.tar: its bytes are not those that manifest.json tells of" in text
+    assert "sample gcd_000000005, member verts.npy: bytes differ" in text
+
+
+@pytest.mark.parametrize(
+    ("harm", "told"),
+    [
+        (lambda folder: (folder / "train-00001.tar").unlink(), "train-00001.tar: 0 of the"),
+        (lambda folder: (folder / "train-00001.tar").write_bytes(b"short"), "train-00001.tar: 5 of the "),
+        (lambda folder: (folder / "index-train.npz").unlink(), "index-train.npz: not there: run gcd index"),
+        (lambda folder: (folder / "index-train.npz").write_bytes(b"PK"), "index-train.npz: not an index"),
+        (lambda folder: shutil.copy(folder / "train-00000.tar", folder / "test-00000.tar"), "test and train share 4"),
+    ],
+)  # fmt: skip
+def test_verify_names_what_is_wrong(data: Path, capsys: Capture, harm: object, told: str) -> None:
+    harm(data)  # type: ignore[operator]
+    assert main(["verify", str(data)]) == 1
+    assert told in said(capsys)
+
+
+def test_index_is_made_again(data: Path, capsys: Capture) -> None:
+    before = (data / "index-train.npz").read_bytes()
+    (data / "index-train.npz").unlink()
+    assert main(["index", str(data)]) == 0
+    assert (data / "index-train.npz").read_bytes() == before
+    assert "train: 10 samples in 3 shards" in said(capsys)
+    assert main(["index", str(data), "--split", "test"]) == 1
+    assert main(["index", str(data / "nowhere")]) == 2
+
+
+def test_sets_of_bodies_are_served_too(tmp_path: Path, capsys: Capture) -> None:
+    folder = people.fill(tmp_path / "people", range(6))
+    (folder / "index-train.npz").unlink()
+    for verb in ("index", "verify", "info"):
+        assert main([verb, str(folder)]) == 0
+    assert "no fault found" in (text := said(capsys))
+    assert "straight" in text
+
+
+@pytest.fixture
+def hub() -> Iterator[Hub]:
+    with running_hub() as server:
+        yield server
+
+
+def test_publish_and_download(
+    hub: Hub, data: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", hub.endpoint)  # as HF_ENDPOINT sets it
+    monkeypatch.setenv("HF_TOKEN", hub.token)
+    before = read_folder(data)
+    assert main(["publish", str(data), "me/garments", "--dry-run"]) == 0
+    assert "would go up to me/garments; nothing was sent" in said(capsys)
+    assert not hub.log
+    assert main(["publish", str(data), "me/garments"]) == 0
+    commit = hub.repos["me/garments"].commits[-1][0]
+    assert f"me/garments@{commit}" in said(capsys)
+    assert {name: data for name, data in read_folder(data).items() if not name.startswith("published/")} == before
+
+    monkeypatch.chdir(tmp_path)
+    assert main(["download", "me/garments", "--quiet"]) == 0
+    splits = [split for split in ("train", "validation", "test") if (tmp_path / f"garments/index-{split}.npz").exists()]
+    assert sum(len(GarmentDataset("garments", split)) for split in splits) == 10
+    assert main(["verify", "garments", "--full"]) == 0
+    some = ["download", "me/garments", "--split", "train", "--fields", "panels,edges", "stitches", "--quiet"]
+    assert main([*some, "--out", "some"]) == 0
+    assert main(["verify", "some", "--full"]) == 0
+    assert GarmentDataset("some").fields == ("meta", "panels", "edges", "stitches")
+    assert_all_same(GarmentDataset("some", fields=["edges"]), GarmentDataset("garments", fields=["edges"]))
+    said(capsys)
+    assert main(["info", "me/garments"]) == 0
+    assert f"hf://datasets/me/garments@{commit}" in said(capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        (["download", "me/nothing"], 1, "me/nothing"),
+        (["download", "."], 2, "a folder of this machine"),
+        (["download", "one two"], 2, "neither a URL nor a repository"),
+        (["download", "me/garments", "--fields", "vertices"], 2, "no field vertices"),
+        (["publish", "DATA", "nobody"], 2, "neither a URL nor a repository"),
+        (["publish", "DATA", "me/garments", "--shares", "90,5"], 2, "write per cent"),
+        (["publish", "nowhere", "me/garments"], 2, "nowhere: no such folder"),
+        (["verify", "nowhere"], 2, "nowhere: no such folder"),
+    ],
+)
+def test_errors_are_one_line(hub: Hub, data: Path, capsys: Capture, arguments: list[str], code: int, told: str) -> None:
+    hub.publish("me/garments", data)
+    server = ["--endpoint", hub.endpoint] if arguments[0] != "verify" else []
+    assert main([str(data) if word == "DATA" else word for word in arguments] + server) == code
+    error = capsys.readouterr().err.strip()
+    assert told in error
+    assert len(error.splitlines()) == 1
