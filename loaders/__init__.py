@@ -5,13 +5,17 @@ from gcd_dataset.loaders.bodies import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.loaders.collate import collate_list, collate_packed
 from gcd_dataset.loaders.fake import FakeGarments
 from gcd_dataset.loaders.generated import GeneratedGarments
+from gcd_dataset.loaders.loader import GarmentLoader
+from gcd_dataset.loaders.order import ElasticSampler
 from gcd_dataset.loaders.shards import GarmentDataset
 
 __all__ = [
     "Bodies",
     "BodyDataset",
+    "ElasticSampler",
     "FakeGarments",
     "GarmentDataset",
+    "GarmentLoader",
     "Garments",
     "GeneratedGarments",
     "PublishedBodies",

@@ -23,6 +23,11 @@ Transform: TypeAlias = Callable[[Item], Any]
 class Garments(Dataset[Item], ABC):
     """Garments by number; ``fields`` chooses what an item holds, ``transform`` changes it on the way out."""
 
+    reads_only = False
+    """Whether garments are only read, so that a thread beside the training can do it as well as a process."""
+    endless = False
+    """Whether numbers from ``len()`` on are garments too, those of the epochs that follow in an order of their own."""
+
     def __init__(
         self, fields: Iterable[str] | None, transform: Transform | None, *, there: Iterable[str] = FIELDS
     ) -> None:
@@ -40,6 +45,12 @@ class Garments(Dataset[Item], ABC):
     @abstractmethod
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` unless garment ``index`` is, byte for byte, what it should be."""
+
+    def identity(self) -> dict[str, Any]:
+        """What tells this data set from another, wherever it lies: its length, and how its ends were made."""
+        ends = [self.recipe(index) for index in (0, -1)]
+        made = [{name: end[name] for name in ("seed", "index", "recipe")} for end in ends]
+        return {"length": len(self), "ends": made}
 
     @abstractmethod
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:

@@ -58,6 +58,8 @@ class GarmentDataset(Garments):
     that does not answer, ``ConfigError`` for options that do not fit together.
     """
 
+    reads_only = True
+
     def __new__(cls, *args: Any, streaming: bool = False, **options: Any) -> "GarmentDataset":
         return super().__new__(StreamedGarments if streaming else cls)
 

@@ -1,0 +1,218 @@
+"""The order in which garments come: a pure function of seed, epoch and position, shared out over any number of ranks.
+
+A position counts the garments that all ranks together have received since the first epoch began; epoch ``e`` is the
+positions from ``e * n`` on. What comes at a position depends on neither ranks, workers nor batch size, so one integer
+is all that has to be kept to go on later, with other ones too.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping, Sized
+from functools import lru_cache
+from typing import Any, Literal, get_args
+
+import numpy as np
+import torch.distributed
+from torch.utils.data import Sampler
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.loaders.base import Garments, natural
+
+__all__ = ["ElasticSampler", "Order", "Pad", "Permutation", "identity_of", "permutation", "position_of", "rank_of"]
+
+Pad = Literal["none", "repeat"]
+
+ROUNDS = 8  # of the network: half of them change a number's left part, half its right
+WORD = (1 << 64) - 1
+
+
+class Permutation:
+    """A permutation of 0 … ``length`` - 1 chosen by some numbers, without a table of it.
+
+    >>> shuffled = Permutation(5, 0, 7)
+    >>> [shuffled(place) for place in range(5)]
+    [1, 0, 2, 4, 3]
+
+    A Feistel network over the smallest grid of about √length × √length that holds all numbers, walked on from numbers
+    beyond ``length`` (Black and Rogaway, Ciphers with Arbitrary Finite Domains, CT-RSA 2002). NumPy's own
+    ``permutation`` may change with its releases, and a stored position must not then mean another garment.
+    """
+
+    def __init__(self, length: int, *key: int) -> None:
+        self.length = length
+        self._rows = math.isqrt(length - 1) + 1
+        self._columns = -(-length // self._rows)
+        keys = np.random.SeedSequence(key).generate_state(ROUNDS, np.uint64).tolist()
+        self._rounds = tuple(zip(keys[::2], keys[1::2], strict=True))
+
+    def __call__(self, place: int) -> int:
+        rows, columns = self._rows, self._columns
+        while True:
+            row, column = divmod(place, columns)
+            for first, second in self._rounds:
+                row = (row + _scrambled(column + first)) % rows
+                column = (column + _scrambled(row + second)) % columns
+            place = row * columns + column
+            if place < self.length:
+                return place
+
+
+permutation = lru_cache(maxsize=64)(Permutation)
+"""The same, kept for the next place."""
+
+
+def _scrambled(number: int) -> int:
+    """A word in which every bit depends on every bit of ``number``: that is how SplitMix64 ends (Steele 2014)."""
+    number = ((number ^ number >> 30) * 0xBF58476D1CE4E5B9) & WORD
+    number = ((number ^ number >> 27) * 0x94D049BB133111EB) & WORD
+    return number ^ number >> 31
+
+
+class Order:
+    """Which garment comes at which position: all of an epoch, then those of the next in another order.
+
+    ``shuffle``: by chance, named by ``seed``; otherwise as they are numbered. A data set with an order of its own, as
+    ``MixedDataset`` is one, comes in that. Raises ``ConfigError`` for a data set without garments.
+    """
+
+    def __init__(self, dataset: Sized, *, shuffle: bool, seed: int) -> None:
+        self.length, self.shuffle, self.seed = len(dataset), shuffle, natural("seed", seed)
+        if not self.length:
+            raise ConfigError("a data set without garments has no order: give one with 1 or more")
+        self._as_it_comes = isinstance(dataset, Garments) and dataset.endless
+        self._identity = identity_of(dataset)
+
+    def __getitem__(self, position: int) -> int:
+        """The number of the garment at a position."""
+        if self._as_it_comes:
+            return position
+        epoch, place = divmod(position, self.length)
+        return permutation(self.length, self.seed, epoch)(place) if self.shuffle else place
+
+    def end(self, position: int) -> int:
+        """Where the epoch of a position ends and the next begins."""
+        return (position // self.length + 1) * self.length
+
+    def state(self, position: int) -> dict[str, Any]:
+        """A position, with all that says whose order it is one of."""
+        return {"position": position, **self._names()}
+
+    def position_of(self, state: Mapping[str, Any]) -> int:
+        """The position in a state. Raises ``ConfigError`` for the state of another order."""
+        return position_of(state, self._names())
+
+    def _names(self) -> dict[str, Any]:
+        return {"seed": self.seed, "shuffle": self.shuffle, "length": self.length, "dataset": self._identity}
+
+
+class ElasticSampler(Sampler[int]):
+    """This rank's garments of an epoch, for a plain ``DataLoader``; the next time those of the next epoch.
+
+    >>> from gcd_dataset.loaders import FakeGarments
+    >>> [list(ElasticSampler(FakeGarments(7), rank=rank, world_size=2)) for rank in (0, 1)]
+    [[1, 0, 2], [3, 6, 4]]
+
+    Ranks take turns, so that the first garments of all ranks together are the first of the order, whatever their
+    number. ``rank`` and ``world_size`` are those of ``torch.distributed`` where it runs, else 0 and 1. ``pad``: what
+    happens at the end of an epoch to fewer garments than ranks: with ``none`` they are left out, so that all ranks get
+    equally many, and with ``repeat`` the first garments of the epoch fill up.
+
+    The state counts garments as they are handed to the ``DataLoader``; worker processes ask ahead of the training loop,
+    which then has to say how many it has ``received``. Raises ``ConfigError`` for ranks that cannot be.
+    """
+
+    def __init__(
+        self,
+        dataset: Sized,
+        *,
+        shuffle: bool = True,
+        seed: int = 0,
+        rank: int | None = None,
+        world_size: int | None = None,
+        pad: Pad = "none",
+    ) -> None:
+        if pad not in get_args(Pad):
+            raise ConfigError(f"pad={pad!r}: there is {', '.join(get_args(Pad))}")
+        self.order = Order(dataset, shuffle=shuffle, seed=seed)
+        self.rank, self.world_size, self.pad = *rank_of(rank, world_size), pad
+        if not len(self):
+            raise ConfigError(
+                f"{self.order.length} garments for {self.world_size} ranks: give pad='repeat', or fewer ranks"
+            )
+        self.position = self._begun = 0
+
+    def __len__(self) -> int:
+        """This rank's garments in a whole epoch."""
+        return len(self.share(0))
+
+    def __iter__(self) -> Iterator[int]:
+        self._begun = begun = self.begin(self.position)
+        return self._handed_out(begun)
+
+    def state_dict(self, received: int | None = None) -> dict[str, Any]:
+        """Where the training loop has come to; ``received``: this rank's garments since the last ``iter()``."""
+        position = self.position if received is None else self.after(self._begun, natural("received", received))
+        return self.order.state(position)
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from there at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
+        self.position = self._begun = self.order.position_of(state)
+
+    def begin(self, position: int) -> int:
+        """Where to go on: the next epoch if what is left of this one is not enough for every rank."""
+        return position if self.share(position) else self.order.end(position)
+
+    def share(self, position: int) -> range:
+        """The positions of this rank from there to the end of the epoch, and beyond it for those that fill up."""
+        left = self.order.end(position) - position
+        own = -(-left // self.world_size) if self.pad == "repeat" else left // self.world_size
+        return range(position + self.rank, position + self.rank + own * self.world_size, self.world_size)
+
+    def after(self, begun: int, received: int) -> int:
+        """The position after every rank has received that many garments."""
+        done = received >= len(self.share(begun))
+        return self.order.end(begun) if done else begun + received * self.world_size
+
+    def garment(self, begun: int, position: int) -> int:
+        """The number of the garment at a position; behind the epoch that was begun follow its first garments."""
+        first = self.order.end(begun) - self.order.length
+        return self.order[first + (position - first) % self.order.length]
+
+    def _handed_out(self, begun: int) -> Iterator[int]:
+        for count, position in enumerate(self.share(begun), 1):
+            self.position = self.after(begun, count)
+            yield self.garment(begun, position)
+
+
+def position_of(state: Mapping[str, Any], names: Mapping[str, Any]) -> int:
+    """The position in a state whose other entries are ``names``. Raises ``ConfigError`` for another state."""
+    missing = ({"position"} | names.keys()) - state.keys()
+    if missing:
+        raise ConfigError(f"a state without {', '.join(sorted(missing))}: give one that state_dict() has returned")
+    for name, value in names.items():
+        if state[name] != value:
+            raise ConfigError(
+                f"the state of another order: its {name} is {state[name]!r}, and here it is {value!r}: load it with "
+                "the same data set, seed and shuffle"
+            )
+    return natural("position", state["position"])
+
+
+def identity_of(dataset: object) -> str:
+    """What tells a data set from another: of garments a hash of how they were made, otherwise the name of the class."""
+    if not isinstance(dataset, Garments):
+        return type(dataset).__qualname__
+    return hashlib.sha256(json.dumps(dataset.identity(), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def rank_of(rank: int | None, world_size: int | None) -> tuple[int, int]:
+    """Rank and number of ranks: those given, those of ``torch.distributed``, or one alone."""
+    if (rank is None) != (world_size is None):
+        raise ConfigError(f"rank={rank} and world_size={world_size}: give both, or neither")
+    if rank is None or world_size is None:
+        running = torch.distributed.is_available() and torch.distributed.is_initialized()
+        return (torch.distributed.get_rank(), torch.distributed.get_world_size()) if running else (0, 1)
+    if not 0 <= natural("rank", rank) < natural("world_size", world_size):
+        raise ConfigError(f"rank {rank} of {world_size}: ranks count from 0")
+    return rank, world_size

@@ -1,0 +1,320 @@
+"""A training run, stopped at any moment and gone on with elsewhere, has seen what it would have seen."""
+
+import multiprocessing
+import random
+from collections.abc import Iterator
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch.utils.data import Dataset, IterableDataset
+
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.loaders import FakeGarments, GarmentDataset, GarmentLoader, collate_list
+from gcd_dataset.loaders.base import Item
+from tests.shards.folders import fill
+
+N = 50
+
+
+def garments(n: int = N, **options: Any) -> FakeGarments:
+    return FakeGarments(n, fields=["meta"], **options)
+
+
+def loaders(ranks: int, n: int = N, batch_size: int = 4, **options: Any) -> list[GarmentLoader]:
+    return [GarmentLoader(garments(n), batch_size, rank=r, world_size=ranks, **options) for r in range(ranks)]
+
+
+def ids(batch: Any) -> list[int]:
+    """The numbers of a batch's garments."""
+    return [meta["index"] for meta in batch["meta"]]
+
+
+def together(ranks: list[GarmentLoader], steps: int | None = None) -> list[int]:
+    """What all ranks get in so many steps, or to the end of the epoch, in the order of the positions."""
+    seen: list[int] = []
+    streams = [iter(rank) for rank in ranks]
+    while steps is None or steps > 0:
+        batches = [batch for stream in streams if (batch := next(stream, None)) is not None]
+        if not batches:
+            return seen
+        assert len(batches) == len(ranks)  # nobody waits for another
+        seen += [number for turn in zip(*map(ids, batches), strict=True) for number in turn]
+        steps = None if steps is None else steps - 1
+    return seen
+
+
+ORDER = together(loaders(1))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three shards: of 4, 4 and 2 garments."""
+    return fill(tmp_path_factory.mktemp("data"), range(10))
+
+
+def test_an_epoch_holds_every_garment_once_and_epochs_follow_on() -> None:
+    loader = GarmentLoader(garments(), 8)
+    epochs = [[ids(batch) for batch in loader] for _ in range(3)]
+    assert [len(epoch) for epoch in epochs] == 3 * [len(loader)] == [7, 7, 7]
+    flat = [[number for batch in epoch for number in batch] for epoch in epochs]
+    assert all(sorted(epoch) == list(range(N)) for epoch in flat)
+    assert len({tuple(epoch) for epoch in flat}) == 3
+    assert loader.epoch == 3
+    assert flat[0] == ORDER
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_give_the_same_stream(workers: int) -> None:
+    alone, helped = GarmentLoader(garments(), 4), GarmentLoader(garments(), 4, num_workers=workers)
+    for _ in range(2):
+        assert [ids(batch) for batch in helped] == [ids(batch) for batch in alone]
+
+
+def test_the_state_counts_what_was_received() -> None:
+    """Two workers have made four batches by the time that the loop has one."""
+    loader = GarmentLoader(garments(), 4, num_workers=2)
+    batches = iter(loader)
+    assert loader.state_dict()["position"] == 0
+    for count in (1, 2, 3):
+        next(batches)
+        assert loader.state_dict()["position"] == 4 * count
+
+
+@pytest.mark.parametrize("stop", [1, 7, 12, 13])
+def test_a_stopped_run_goes_on(stop: int) -> None:
+    first = GarmentLoader(garments(), 4)
+    seen = [number for _, batch in zip(range(stop), first, strict=False) for number in ids(batch)]
+    second = GarmentLoader(garments(), 4)
+    second.load_state_dict(first.state_dict())
+    rest = [number for batch in second for number in ids(batch)]
+    if stop == 13:  # all of the epoch: what comes is the next
+        assert (seen, second.epoch) == (ORDER, 2)
+        assert sorted(rest) == sorted(ORDER)
+    else:
+        assert seen + rest == ORDER
+
+
+def test_four_ranks_then_three_of_another_batch_size() -> None:
+    four = loaders(4, batch_size=2)
+    seen = together(four, steps=3)
+    states = [rank.state_dict() for rank in four]
+    assert states == 4 * [states[0]]
+    three = loaders(3, batch_size=5)
+    for rank in three:
+        rank.load_state_dict(states[0])
+    seen += together(three)
+    assert seen == ORDER[: len(seen)]
+    assert N - len(seen) < 3
+    assert {rank.state_dict()["position"] for rank in three} == {N}
+
+
+def test_a_rest_too_small_for_all_ranks_is_no_epoch_of_its_own() -> None:
+    three = loaders(3)
+    for rank in three:
+        rank.load_state_dict({**rank.state_dict(), "position": N - 2})
+    assert len(together(three)) == N - N % 3
+    assert {rank.epoch for rank in three} == {2}
+
+
+def test_three_shards_on_two_ranks(folder: Path) -> None:
+    for streaming in (False, True):
+        ds = GarmentDataset(folder, fields=["meta"], streaming=streaming)
+        ranks = [GarmentLoader(ds, 2, rank=rank, world_size=2, shuffle=not streaming) for rank in (0, 1)]
+        assert [len(rank) for rank in ranks] == [3, 3]
+        assert sorted(together(ranks)) == list(range(10))
+
+
+def test_padding_is_marked() -> None:
+    ranks = loaders(4, n=10, batch_size=2, pad="repeat")
+    batches = [list(rank) for rank in ranks]
+    assert [len(mine) for mine in batches] == 4 * [2]
+    assert [batch["repeated"].tolist() for batch in batches[1]] == [[False, False], [False]]
+    assert [batch["repeated"].tolist() for batch in batches[3]] == [[False, False], [True]]
+    real = [n for mine in batches for b in mine for n, again in zip(ids(b), b["repeated"], strict=True) if not again]
+    assert sorted(real) == list(range(10))
+
+
+def test_small_batches_can_be_left_out() -> None:
+    loader = GarmentLoader(garments(), 8, drop_last=True)
+    assert [len(ids(batch)) for batch in loader] == len(loader) * [8] == 6 * [8]
+    assert loader.state_dict()["position"] == N
+    with pytest.raises(ConfigError, match="no rank has 51 of 50 garments: leave out drop_last"):
+        GarmentLoader(garments(), 51, drop_last=True)
+
+
+def test_a_loop_that_broke_off_goes_on() -> None:
+    loader, seen = GarmentLoader(garments(), 4), []
+    for batch in loader:
+        seen += ids(batch)
+        if len(seen) == 12:
+            break
+    assert seen + [number for batch in loader for number in ids(batch)] == ORDER
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_an_iterator_begun_before_the_state_came_is_refused(workers: int) -> None:
+    state = {**GarmentLoader(garments(), 4).state_dict(), "position": 8}
+    loader = GarmentLoader(garments(), 4, num_workers=workers)
+    unused, used = iter(loader), iter(loader)
+    next(used)
+    loader.load_state_dict(state)
+    for early in (unused, used):
+        with pytest.raises(ConfigError, match=r"load_state_dict\(\) has come after: call iter\(\) again"):
+            next(early)
+    assert ids(next(iter(loader))) == ORDER[8:12]
+
+
+def test_a_foreign_state_is_refused(folder: Path) -> None:
+    state = GarmentLoader(garments(10), 4).state_dict()
+    loader = GarmentLoader(garments(10, seed=1), 4)
+    with pytest.raises(ConfigError, match="the state of another order: its dataset"):
+        loader.load_state_dict(state)
+    # Fake garments made on the spot and read from shards are the same garments.
+    GarmentLoader(GarmentDataset(folder, fields=["meta"]), 4).load_state_dict(state)
+
+
+def test_the_callers_random_numbers_are_left_alone() -> None:
+    before = torch.random.get_rng_state()
+    list(GarmentLoader(garments(), 4))
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
+# --------------------------------------------------------------------------------------------------------------- faults
+
+
+class Broken(Dataset):
+    """Numbers, of which one cannot be had."""
+
+    def __len__(self) -> int:
+        return 8
+
+    def __getitem__(self, index: int) -> int:
+        if index == 5:
+            raise ShardError("torn")
+        return index
+
+
+class BrokenTogether(Broken):
+    def __getitems__(self, indices: list[int]) -> list[int]:
+        return [self[index] for index in indices]
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_an_error_names_the_garment(workers: int) -> None:
+    loader = GarmentLoader(Broken(), 4, shuffle=False, num_workers=workers, collate_fn=collate_list)
+    batches = iter(loader)
+    assert next(batches) == [0, 1, 2, 3]
+    with pytest.raises(ShardError, match="while loading garment 5 of Broken"):
+        next(batches)
+    assert loader.state_dict()["position"] == 4
+
+
+def test_an_error_of_a_batch_made_together_names_the_batch() -> None:
+    loader = GarmentLoader(BrokenTogether(), 4, shuffle=False, collate_fn=collate_list)
+    with pytest.raises(ShardError, match="while loading garments 4, 5, 6, 7 of BrokenTogether"):
+        list(loader)
+
+
+def test_an_error_in_the_thread_names_the_garment(folder: Path) -> None:
+    def fail_at_7(item: Item) -> Item:
+        if item["meta"]["index"] == 7:
+            raise ValueError("not this one")
+        return item
+
+    ds = GarmentDataset(folder, fields=["meta"], transform=fail_at_7)
+    with pytest.raises(ValueError, match="while loading garment 7 of GarmentDataset"):
+        list(GarmentLoader(ds, 2))
+
+
+KILLS, EPOCHS = 20, 20
+
+
+def train(ds: Any, workers: int, log: Path, tell: Connection) -> None:
+    """A run that keeps the numbers it has trained on with its state, and goes on from there."""
+    loader = GarmentLoader(ds, 4, num_workers=workers)
+    seen: list[int] = []
+    if log.exists():
+        kept = torch.load(log)
+        seen = kept["seen"]
+        loader.load_state_dict(kept["state"])
+    while loader.epoch < EPOCHS:
+        for batch in loader:
+            seen += ids(batch)
+            torch.save({"seen": seen, "state": loader.state_dict()}, log.with_suffix(".part"))
+            log.with_suffix(".part").replace(log)
+            tell.send(len(seen))
+    tell.send(None)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_killed_at_any_batch_a_run_goes_on(workers: int, tmp_path: Path, folder: Path) -> None:
+    """Twenty times for each way to load: in the thread, and in a worker process, which the kill leaves an orphan."""
+    ds: Any = GarmentDataset(folder, fields=["meta"]) if workers == 0 else garments(10)
+    log, chance, fork = tmp_path / "run.pt", random.Random(0), multiprocessing.get_context("fork")
+
+    def run(batches: int | None) -> None:
+        """Train on; killed in the middle of what follows so many batches."""
+        hear, tell = fork.Pipe(duplex=False)
+        child = fork.Process(target=train, args=(ds, workers, log, tell))
+        child.start()
+        tell.close()
+        told = 0
+        while hear.recv() is not None:
+            told += 1
+            if told == batches:
+                child.kill()
+                break
+        else:
+            assert batches is None
+        child.join()
+
+    for _ in range(KILLS):
+        run(chance.randint(1, 3))
+    run(None)
+    whole = GarmentLoader(ds, 4)
+    assert torch.load(log)["seen"] == [number for _ in range(EPOCHS) for batch in whole for number in ids(batch)]
+
+
+# -------------------------------------------------------------------------------------------------------------- streams
+
+
+class Count(IterableDataset):
+    """0, 1, … 10."""
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(11))
+
+
+def stream(**options: Any) -> GarmentLoader:
+    return GarmentLoader(Count(), 3, shuffle=False, collate_fn=collate_list, **options)
+
+
+def test_a_stream_is_shared_out_and_gone_on_with() -> None:
+    assert list(stream()) == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10]]
+    ranks = [stream(rank=rank, world_size=2) for rank in (0, 1)]
+    assert [list(rank) for rank in ranks] == [[[0, 2, 4], [6, 8]], [[1, 3, 5], [7, 9]]]
+    first, second = stream(rank=0, world_size=2), stream()
+    next(iter(first))
+    second.load_state_dict(first.state_dict())
+    assert list(second) == [[6, 7, 8], [9, 10]]
+    assert list(second) == list(stream())  # the next pass
+    done = stream()
+    for _ in done:
+        state = done.state_dict()
+    second.load_state_dict(state)
+    assert list(second) == list(stream())  # nothing was left
+
+
+def test_what_a_stream_cannot_do_is_refused() -> None:
+    for options, told in (
+        ({}, "a stream comes in its own order"),
+        ({"shuffle": False, "num_workers": 2}, "each would read the whole stream"),
+        ({"shuffle": False, "pad": "repeat"}, "does not come again"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            GarmentLoader(Count(), 3, **options)
+    with pytest.raises(TypeError, match="no length"):
+        len(stream())
