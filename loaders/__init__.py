@@ -6,6 +6,7 @@ from gcd_dataset.loaders.collate import collate_list, collate_packed
 from gcd_dataset.loaders.fake import FakeGarments
 from gcd_dataset.loaders.generated import GeneratedGarments
 from gcd_dataset.loaders.loader import GarmentLoader
+from gcd_dataset.loaders.mixed import MixedDataset
 from gcd_dataset.loaders.order import ElasticSampler
 from gcd_dataset.loaders.shards import GarmentDataset
 
@@ -18,6 +19,7 @@ __all__ = [
     "GarmentLoader",
     "Garments",
     "GeneratedGarments",
+    "MixedDataset",
     "PublishedBodies",
     "collate_list",
     "collate_packed",

@@ -1,7 +1,7 @@
 """Batches of garments that a training run, stopped at any moment, goes on with: nothing lost, nothing repeated."""
 
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Sized
+from collections.abc import Callable, Generator, Iterator, Mapping, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, nullcontext
 from functools import partial
@@ -18,7 +18,7 @@ from gcd_dataset.loaders.plan import ByNumber, Plan, Streamed
 
 __all__ = ["GarmentLoader"]
 
-Collate = Callable[[Sequence[Any]], Any]
+Collate = Callable[[list[Any]], Any]
 
 AHEAD = 2  # batches
 END = object()
