@@ -72,14 +72,17 @@ class FakeGarments(Garments):
         return encode_sample(fake_sample(self._seed, position))
 
 
-def fake_sample(seed: int, index: int) -> Sample:
-    """A skirt that is a tube round the y axis: front and back are rectangles, sewn together at both sides."""
+def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINTS) -> Sample:
+    """A skirt that is a tube round the y axis: front and back are rectangles, sewn together at both sides.
+
+    ``fineness``: triangles along each that would be one; ``points``: how many lie on its surface.
+    """
     random = rng(seed, index, Stage.DESIGN)
     tube = _Tube(
         width=float(random.uniform(30.0, 50.0)),
         length=float(random.uniform(20.0, 40.0)),
-        columns=int(random.integers(3, 7)),
-        rows=int(random.integers(4, 9)),
+        columns=int(random.integers(3, 7)) * fineness,
+        rows=int(random.integers(4, 9)) * fineness,
     )
     return Sample(
         key=key_of(index),
@@ -90,7 +93,7 @@ def fake_sample(seed: int, index: int) -> Sample:
         shape=BodyShape(random.normal(size=COMPONENTS).astype(np.float32).astype(float)),
         box_mesh=tube.box_mesh(),
         drape=Drape(tube.round_shape(), Outcome.SETTLED, int(random.integers(50, 300)), 0, 0, 1.0, 1.0),
-        points=tube.surface_points(rng(seed, index, Stage.POINTS)),
+        points=tube.surface_points(rng(seed, index, Stage.POINTS), points),
         front=_picture(random),
         back=_picture(random),
     )
@@ -148,10 +151,10 @@ class _Tube:
         vertices[self._vertex()] = points
         return vertices
 
-    def surface_points(self, random: np.random.Generator) -> Float[np.ndarray, "n 6"]:
+    def surface_points(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "n 6"]:
         """Points of the cylinder with outward normals."""
-        angle, height = random.uniform(0, 2 * np.pi, POINTS), random.uniform(60, 60 + self.length, POINTS)
-        outward = np.stack([np.cos(angle), np.zeros(POINTS), np.sin(angle)], axis=1)
+        angle, height = random.uniform(0, 2 * np.pi, count), random.uniform(60, 60 + self.length, count)
+        outward = np.stack([np.cos(angle), np.zeros(count), np.sin(angle)], axis=1)
         place = self.width / np.pi * outward + np.stack([0 * height, height, 0 * height], axis=1)
         return np.concatenate([place, outward], axis=1)
 
