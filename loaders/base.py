@@ -1,8 +1,10 @@
 """What every data set of garments has in common."""
 
 import operator
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,7 +15,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.codec import decode_fields
 from gcd_dataset.shards.layout import FIELDS, Bytes, known_fields
 
-__all__ = ["Garments", "Item", "SelectedGarments", "Transform", "as_item", "natural", "tensor_of"]
+__all__ = ["Garments", "Item", "SelectedGarments", "Transform", "as_item", "items_of", "naming", "natural", "tensor_of"]
 
 Item: TypeAlias = dict[str, Any]
 """A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
@@ -94,6 +96,7 @@ class SelectedGarments(Garments):
     def __init__(self, whole: Garments, positions: Sequence[int]) -> None:
         super().__init__(whole.fields, whole.transform, there=whole.fields)
         self.whole = whole
+        self.reads_only = whole.reads_only
         self.positions = np.asarray(positions, np.int64)
         """Where each garment stands in the whole."""
 
@@ -112,10 +115,42 @@ class SelectedGarments(Garments):
         return self.whole[int(self.positions[self._position(index)])]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        return self.whole.__getitems__(self.positions[[self._position(index) for index in indices]].tolist())
+        """Several garments, at once where the whole can do that."""
+        return items_of(self.whole, [int(self.positions[self._position(index)]) for index in indices])
+
+    def identity(self) -> dict[str, Any]:
+        """That of the whole, and which of it."""
+        return {"of": self.whole.identity(), "chosen": zlib.crc32(self.positions.tobytes())}
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self.whole._members(int(self.positions[position]), members)
+
+
+def items_of(dataset: Any, indices: Sequence[int]) -> list[Any]:
+    """Several items, at once where the data set can do that, as a ``DataLoader`` asks for them.
+
+    An error gets a note that says which they were.
+    """
+    if not hasattr(dataset, "__getitems__"):
+        return [_item_of(dataset, index) for index in indices]
+    with naming(dataset, *indices):
+        return dataset.__getitems__(indices)
+
+
+@contextmanager
+def naming(dataset: Any, *indices: int) -> Iterator[None]:
+    """Note on an error which items it came up with."""
+    try:
+        yield
+    except Exception as error:
+        which = f"{', '.join(map(str, indices))} of {type(dataset).__name__}"
+        error.add_note(f"while loading {'garment' if len(indices) == 1 else 'garments'} {which}")
+        raise
+
+
+def _item_of(dataset: Any, index: int) -> Any:
+    with naming(dataset, index):
+        return dataset[index]
 
 
 def natural(name: str, value: int) -> int:

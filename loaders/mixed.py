@@ -12,7 +12,7 @@ from math import gcd, lcm
 from typing import Any
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, Transform, natural
+from gcd_dataset.loaders.base import Garments, Transform, items_of, natural
 from gcd_dataset.loaders.order import permutation
 from gcd_dataset.shards.layout import Bytes
 
@@ -55,7 +55,8 @@ class MixedDataset(Garments):
     ) -> None:
         self.datasets, self.weights = tuple(datasets), _proportions(weights)
         _require_alike(self.datasets, weights)
-        super().__init__(self.datasets[0].fields, transform)
+        fields = self.datasets[0].fields
+        super().__init__(fields, transform, there=fields)
         self._seed, self._turns = natural("seed", seed), _turns(self.weights)
         self.reads_only = all(dataset.reads_only for dataset in self.datasets)
 
@@ -78,8 +79,10 @@ class MixedDataset(Garments):
         epoch, place = divmod(turn, length)
         return part, permutation(length, self._seed, part, epoch)(place)
 
-    def __getitem__(self, index: int) -> Any:
-        """Garment ``index``; negative ones count from the end of the first epoch. Raises ``IndexError``."""
+    def __getitem__(self, index: int | slice) -> Any:
+        """Garment ``index``, negative ones count from the end of the first epoch; a slice of that as a data set."""
+        if isinstance(index, slice):
+            return self.select(range(len(self))[index])
         part, number = self.source(index)
         return self._changed(self.datasets[part][number])
 
@@ -89,7 +92,7 @@ class MixedDataset(Garments):
         of_part: dict[int, list[int]] = defaultdict(list)
         for part, number in sources:
             of_part[part].append(number)
-        items = {part: iter(_several(self.datasets[part], numbers)) for part, numbers in of_part.items()}
+        items = {part: iter(items_of(self.datasets[part], numbers)) for part, numbers in of_part.items()}
         return [self._changed(next(items[part])) for part, _ in sources]
 
     def recipe(self, index: int) -> dict[str, Any]:
@@ -192,8 +195,3 @@ def _require_alike(datasets: Sequence[Garments], weights: Sequence[float]) -> No
             raise ConfigError(f"data set {number} has no garments: leave it out")
         if odd := sorted(set(dataset.fields) ^ set(datasets[0].fields)):
             raise ConfigError(f"only one of data sets 0 and {number} has {', '.join(odd)}: give both the same fields")
-
-
-def _several(dataset: Garments, numbers: Sequence[int]) -> list[Any]:
-    at_once = getattr(dataset, "__getitems__", None)
-    return at_once(numbers) if at_once else [dataset[number] for number in numbers]

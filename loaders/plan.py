@@ -8,6 +8,7 @@ import torch
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.loaders.base import items_of
 from gcd_dataset.loaders.order import ElasticSampler, identity_of, position_of, rank_of
 
 __all__ = ["ByNumber", "Plan", "Streamed"]
@@ -160,24 +161,10 @@ class Streamed(IterableDataset):
 
 
 class _Named(Dataset):
-    """A data set whose errors say which garment they came up with."""
+    """A data set whose errors say which garments they came up with."""
 
-    def __init__(self, dataset: Any) -> None:
+    def __init__(self, dataset: Dataset) -> None:
         self._dataset = dataset
 
-    def __getitem__(self, index: int) -> Any:
-        try:
-            return self._dataset[index]
-        except Exception as error:
-            error.add_note(f"while loading garment {index} of {type(self._dataset).__name__}")
-            raise
-
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """A batch at once where the data set can do that: those that are made on a GPU are made together."""
-        if not hasattr(self._dataset, "__getitems__"):
-            return [self[index] for index in indices]
-        try:
-            return self._dataset.__getitems__(indices)
-        except Exception as error:
-            error.add_note(f"while loading garments {', '.join(map(str, indices))} of {type(self._dataset).__name__}")
-            raise
+        return items_of(self._dataset, indices)

@@ -16,7 +16,7 @@ from webdataset.tariterators import group_by_keys, tar_file_expander
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
-from gcd_dataset.loaders.base import Garments, Transform, tensor_of
+from gcd_dataset.loaders.base import Garments, Transform, naming, tensor_of
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.shards.codec import read_json
 from gcd_dataset.shards.layout import FIELDS, FOREIGN, MEMBERS, Bytes
@@ -117,7 +117,11 @@ class GarmentDataset(Garments):
             rows = [row for row, (part, _) in enumerate(places) if part.reader is reader]
             content = reader.read_many([places[row][1] for row in rows], self._wanted)
             members |= dict(zip(rows, content, strict=True))
-        return [self._item(members[row]) for row in range(len(places))]
+        items = []
+        for row, index in enumerate(indices):
+            with naming(self, index):
+                items.append(self._item(members[row]))
+        return items
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` was made with, and ``source`` if it was published.
@@ -130,6 +134,14 @@ class GarmentDataset(Garments):
         meta = read_json(self._members(position, (META,))[META])
         made = {name: meta[name] for name in ("seed", "index", "recipe", "versions")}
         return made if self.source is None else {**made, "source": self.source}
+
+    def identity(self) -> dict[str, Any]:
+        """What tells these garments from others, wherever they lie; of foreign ones, who tell nothing, their names."""
+        if not self._foreign:
+            return super().identity()
+        places = [self._place(self._position(index)) for index in (0, -1)]
+        keys = [part.reader.index.key(int(part.reader.rows([place])[0])) for part, place in places]
+        return {"length": len(self), "ends": keys}
 
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` with shard, key and member if a byte of garment ``index`` is not as it was written."""

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-settings.register_profile("same", derandomize=True)  # every run tries the same; --hypothesis-profile=default explores
+settings.register_profile("same", derandomize=True, deadline=None)  # every run tries the same; --hypothesis-profile=default explores
 settings.load_profile("same")
 
 EXAMPLES = Path(__file__).resolve().parent.parent.parent / "shared" / "examples"

@@ -176,6 +176,14 @@ def test_a_foreign_state_is_refused(folder: Path) -> None:
     GarmentLoader(GarmentDataset(folder, fields=["meta"]), 4).load_state_dict(state)
 
 
+def test_chosen_garments_are_another_data_set() -> None:
+    some, others = garments()[::2], garments()[1::2]
+    loader = GarmentLoader(some, 4)
+    assert sorted(number for batch in loader for number in ids(batch)) == list(range(0, N, 2))
+    with pytest.raises(ConfigError, match="another order: its dataset"):
+        GarmentLoader(others, 4).load_state_dict(loader.state_dict())
+
+
 def test_the_callers_random_numbers_are_left_alone() -> None:
     before = torch.random.get_rng_state()
     list(GarmentLoader(garments(), 4))

@@ -88,6 +88,7 @@ def test_it_is_a_data_set_like_its_parts(tmp_path: Path) -> None:
         ds.verify(i)
     assert [item["meta"]["seed"] for item in islice(ds, 8)] == [ds[i]["meta"]["seed"] for i in range(8)]
     assert sum(recipe["seed"] for recipe in map(ds.recipe, range(40))) == 30
+    assert [item["meta"]["seed"] for item in ds[4:8]] == [ds[i]["meta"]["seed"] for i in range(4, 8)]
     with pytest.raises(IndexError):
         ds[-41]
 
