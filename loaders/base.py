@@ -12,7 +12,7 @@ import torch
 from torch.utils.data import Dataset
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.codec import decode_fields
+from gcd_dataset.shards.codec import decode_field
 from gcd_dataset.shards.layout import FIELDS, Bytes, known_fields
 
 __all__ = ["Garments", "Item", "SelectedGarments", "Transform", "as_item", "items_of", "naming", "natural", "tensor_of"]
@@ -166,8 +166,8 @@ def natural(name: str, value: int) -> int:
 
 def as_item(members: Mapping[str, Bytes], fields: Iterable[str]) -> Item:
     """Encoded members as tensors, parsed JSON and pictures."""
-    values = decode_fields(members, fields)
-    return {field: tensor_of(value) if isinstance(value, np.ndarray) else value for field, value in values.items()}
+    values = ((field, decode_field(field, members[FIELDS[field]])) for field in fields)
+    return {field: tensor_of(value) if isinstance(value, np.ndarray) else value for field, value in values}
 
 
 def tensor_of(array: np.ndarray) -> torch.Tensor:

@@ -1,5 +1,6 @@
 """Batches of garments, which differ in size."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,6 +9,7 @@ from torch import Tensor
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Item
+from gcd_dataset.shards.room import room_for
 from gcd_dataset.tensors import EdgeColumn, StitchColumn
 
 __all__ = ["collate_list", "collate_packed"]
@@ -60,15 +62,13 @@ def collate_packed(items: Sequence[Item]) -> dict[str, Any]:
     """
     _require_same_fields(items)
     batch: dict[str, Any] = {"batch_size": len(items)}
+    batch |= {f"{field}_ptr": _pointers([item[field] for item in items]) for field in RAGGED if field in items[0]}
     for field in items[0]:
         values = [item[field] for item in items]
         if field in RAGGED:
-            batch[field], batch[f"{field}_ptr"] = torch.cat(values), _pointers(values)
+            batch[field] = _packed(values, batch, field)
         else:
-            batch[field] = torch.stack(values) if _of_one_shape(values) else values
-    for field in POINTS_TO.keys() & batch.keys():
-        for column, target in POINTS_TO[field]:
-            _raise_rows(batch, field, column, _starts(batch, field, target))
+            batch[field] = _stacked(values) if _of_one_shape(values) else values
     return batch
 
 
@@ -90,25 +90,47 @@ def _of_one_shape(values: Sequence[Any]) -> bool:
     return all(isinstance(value, Tensor) and value.shape == values[0].shape for value in values)
 
 
-def _starts(batch: Mapping[str, Any], field: str, target: str) -> Tensor:
-    """Row of ``target`` at which each garment begins."""
+def _starts(pointers: Mapping[str, Any], field: str, target: str) -> Tensor:
+    """Row of ``target`` at which each garment begins, and the end of the last."""
     if target != "vertices":
-        if target not in batch:
+        if f"{target}_ptr" not in pointers:
             raise ConfigError(f"{field} holds rows of {target}: load the field {target} too")
-        return batch[f"{target}_ptr"]
-    there = [batch[f"{name}_ptr"] for name in ("verts", "box") if name in batch and len(batch[name])]
-    if not there and not len(batch[field]):
-        return torch.zeros(batch["batch_size"] + 1, dtype=torch.int64)
+        return pointers[f"{target}_ptr"]
+    own = pointers[f"{field}_ptr"]
+    there = [starts for name in ("verts", "box") if (starts := pointers.get(f"{name}_ptr")) is not None and starts[-1]]
+    if not there and not own[-1]:
+        return torch.zeros_like(own)
     if not there:
         raise ConfigError(f"{field} holds rows of verts and box: load the field verts or box too")
-    if not all(torch.equal(pointers, there[0]) for pointers in there):
+    if not all(torch.equal(starts, there[0]) for starts in there):
         raise ConfigError("draped and undraped garments in one batch: load verts or box, not both")
     return there[0]
 
 
-def _raise_rows(batch: Mapping[str, Any], field: str, column: slice | int, starts: Tensor) -> None:
-    """Add to the row numbers of each garment where that garment begins in the batch."""
-    rows, ends = batch[field], batch[f"{field}_ptr"].tolist()
-    for start, first, last in zip(starts.tolist(), ends[:-1], ends[1:], strict=False):
-        block = rows[first:last] if rows.ndim == 1 else rows[first:last, column]
-        block += start
+def _packed(values: Sequence[Tensor], batch: Mapping[str, Any], field: str) -> Tensor:
+    """The rows one below the other, and the row numbers in them raised by where each garment begins."""
+    starts = [(column, _starts(batch, field, target)) for column, target in POINTS_TO.get(field, ())]
+    rows = _room((int(batch[f"{field}_ptr"][-1]), *values[0].shape[1:]), values)
+    if starts and starts[0][0] == ALL:
+        ends = batch[f"{field}_ptr"].tolist()
+        for value, start, first, last in zip(values, starts[0][1].tolist()[:-1], ends[:-1], ends[1:], strict=True):
+            torch.add(value, start, out=rows[first:last])
+        return rows
+    torch.cat(list(values), out=rows)
+    for column, start in starts:
+        raised = start[:-1].repeat_interleave(batch[f"{field}_ptr"].diff())
+        part = rows[:, column]
+        part += raised.to(rows.dtype) if part.ndim == 1 else raised.to(rows.dtype)[:, None]
+    return rows
+
+
+def _stacked(values: Sequence[Tensor]) -> Tensor:
+    return torch.stack(list(values), out=_room((len(values), *values[0].shape), values))
+
+
+def _room(shape: Sequence[int], values: Sequence[Tensor]) -> Tensor:
+    """Where values of one type are put together."""
+    like = values[0]
+    if like.device.type != "cpu":
+        return torch.empty(shape, dtype=like.dtype, device=like.device)
+    return torch.from_numpy(room_for(math.prod(shape) * like.itemsize)).view(like.dtype).view(shape)

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-settings.register_profile("same", derandomize=True, deadline=None)  # every run tries the same; --hypothesis-profile=default explores
+# Every run tries the same; --hypothesis-profile=default explores; and nothing is timed.
+settings.register_profile("same", derandomize=True, deadline=None)
 settings.load_profile("same")
 
 EXAMPLES = Path(__file__).resolve().parent.parent.parent / "shared" / "examples"

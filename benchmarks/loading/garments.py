@@ -22,6 +22,7 @@ CONFIGS: Mapping[str, tuple[str, ...]] = {
 FINENESS = 16  # 14 500 vertices on average: a dress at 1 cm has 14 475
 POINTS = 8192
 PANELS, CORNERS, SEAMS = 11, 7, 28  # the mean of GarmentCodeData's patterns: 10.9 panels of 6.8 edges, 28 stitches
+SHARD = 32  # so that every worker of a stream has shards of its own
 RECIPE = {"fake": True, "fineness": FINENESS}
 
 
@@ -53,7 +54,7 @@ def _patchwork(name: str, names: tuple[str, ...]) -> Pattern:
 
 def write_shards(folder: Path, count: int) -> Path:
     """The first ``count`` garments as shards; those that are there stay."""
-    with ShardWriter(folder, seed=0, recipe=RECIPE) as writer:
+    with ShardWriter(folder, seed=0, recipe=RECIPE, shard_size=SHARD) as writer:
         for index in sorted(set(range(count)) - writer.done):
             writer.write(large_sample(index))
     return folder

@@ -42,10 +42,11 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.records import BodyShape, BoxMesh, Drape, Measurements, Outcome, Pattern, Provenance, Sample
 from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMA, Bytes, known_fields, recipe_hash
 from gcd_dataset.shards.npy import read_npy, write_npy
+from gcd_dataset.shards.room import room_for
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 from gcd_dataset.tensors import PatternTensor, encode_pattern
 
-__all__ = ["NO_PICTURE", "decode_fields", "decode_sample", "encode_sample", "read_json"]
+__all__ = ["NO_PICTURE", "decode_field", "decode_fields", "decode_sample", "encode_sample", "read_json"]
 
 NO_PICTURE = (
     bytes.fromhex("ffd8ffe000104a46494600010100000100010000ffdb004300")
@@ -189,7 +190,7 @@ def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str] | None = N
     Floats come as they are stored and as views of the members where they can; ids as int32. Raises ``ConfigError`` for
     a field that does not exist, ``ShardError`` with the member's name for content that is not what it should be.
     """
-    return {field: _decode(field, members[FIELDS[field]]) for field in known_fields(fields)}
+    return {field: decode_field(field, members[FIELDS[field]]) for field in known_fields(fields)}
 
 
 def decode_sample(members: Mapping[str, Bytes]) -> Sample:
@@ -223,7 +224,8 @@ def read_json(data: Bytes) -> Any:
         raise ShardError(f"not JSON ({error})") from error
 
 
-def _decode(field: str, data: Bytes) -> Any:
+def decode_field(field: str, data: Bytes) -> Any:
+    """One of ``FIELDS``, as ``decode_fields`` does it."""
     kind = FIELDS[field].rpartition(".")[2]
     try:
         if kind == "json":
@@ -235,7 +237,13 @@ def _decode(field: str, data: Bytes) -> Any:
         raise ShardError(
             f"member {FIELDS[field]}: {error}: copy its shard again, or delete that and run gcd generate again"
         ) from error
-    return array.astype(np.int32) if field in IDS else array
+    return _as_int32(array) if field in IDS else array
+
+
+def _as_int32(array: np.ndarray) -> np.ndarray:
+    wide = room_for(array.size * 4).view(np.int32).reshape(array.shape)
+    np.copyto(wide, array, casting="same_kind")
+    return wide
 
 
 def _picture(data: Bytes) -> np.ndarray:

@@ -5,8 +5,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
-
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.contents import read_index, splits_in
@@ -14,6 +12,7 @@ from gcd_dataset.shards.fetched import read_fetched
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import Layout, shard_number
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, read_manifest
+from gcd_dataset.shards.room import room_for
 from gcd_dataset.shards.store import Part, Store, runs
 
 __all__ = ["FolderStore", "OpenFiles", "read_parts"]
@@ -30,6 +29,7 @@ class FolderStore(Store):
         fetched = read_fetched(self.folder)
         self.source = None if fetched is None else fetched.source
         self._files = OpenFiles()
+        self._paths: dict[str, Path] = {}  # to join a path anew for every sample costs as much as to read a small one
 
     def place(self, name: str = "") -> str:
         return str(self.folder / name)
@@ -45,13 +45,19 @@ class FolderStore(Store):
         return index
 
     def read(self, shard: str, number: int, parts: Sequence[Part]) -> dict[int, memoryview]:
-        path = self.folder / shard
+        path = self._path(shard)
         with reading(path):
             file = self._files.open(path)  # held, so that no other thread closes it meanwhile
             content, end = read_parts(file.fd, parts)
         if end is not None:
             raise ShardError(f"{path}: ends at byte {end}, in a sample: {REMEDY}")
         return content
+
+    def _path(self, shard: str) -> Path:
+        path = self._paths.get(shard)
+        if path is None:
+            path = self._paths[shard] = self.folder / shard
+        return path
 
     def stream(self, shard: str) -> BinaryIO:
         with reading(self.folder / shard):
@@ -85,7 +91,7 @@ def read_parts(fd: int, parts: Sequence[Part]) -> tuple[dict[int, memoryview], i
     content: dict[int, memoryview] = {}
     for run in runs(parts, GAP):
         start, end = run[0].offset, run[-1].end
-        buffer = np.empty(end - start, np.uint8).data
+        buffer = room_for(end - start).data
         read = os.preadv(fd, [buffer], start)
         if read < len(buffer):
             return {}, start + read

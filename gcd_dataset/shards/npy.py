@@ -11,6 +11,7 @@ array([[1, 2],
 import math
 import re
 import struct
+from functools import lru_cache
 
 import numpy as np
 
@@ -21,6 +22,7 @@ __all__ = ["read_npy", "write_npy"]
 
 MAGIC = b"\x93NUMPY\x01\x00"
 ALIGNMENT = 64
+USUAL = 2 * ALIGNMENT  # bytes of a header, unless it has many numbers
 KINDS = "biuf"  # NumPy's letters for booleans, integers and floats: never objects, which would need pickle
 HEADER = re.compile(rb"\{'descr': '([<|][biuf]\d)', 'fortran_order': False, 'shape': \(([\d, ]*)\), \} *\n")
 
@@ -40,13 +42,24 @@ def write_npy(array: np.ndarray) -> bytes:
 def read_npy(file: Bytes) -> np.ndarray:
     """The array in a ``.npy`` file, as a view of it. Raises ``ShardError`` for a file of another writer."""
     data = memoryview(file)
-    if bytes(data[: len(MAGIC)]) != MAGIC or len(data) < len(MAGIC) + 2:
+    start, dtype, shape, size = _parsed(bytes(data[:USUAL]))
+    if start > USUAL:
+        start, dtype, shape, size = _parsed(bytes(data[:start]))
+    if len(data) - start != size:
+        raise ShardError(f"a .npy file of {len(data) - start} bytes for {dtype} of shape {shape}")
+    return np.frombuffer(data, dtype, offset=start).reshape(shape)
+
+
+@lru_cache(maxsize=4096)
+def _parsed(head: bytes) -> tuple[int, np.dtype, tuple[int, ...], int]:
+    """Where the array begins, its type and shape, and how many bytes it takes; if ``head`` is too short the first."""
+    if not head.startswith(MAGIC) or len(head) < len(MAGIC) + 2:
         raise ShardError("not a .npy file of version 1.0")
-    start = len(MAGIC) + 2 + struct.unpack_from("<H", data, len(MAGIC))[0]
-    match = HEADER.fullmatch(bytes(data[len(MAGIC) + 2 : start]))
+    start = len(MAGIC) + 2 + struct.unpack_from("<H", head, len(MAGIC))[0]
+    if start > len(head) == USUAL:
+        return start, np.dtype("u1"), (), 0
+    match = HEADER.fullmatch(head[len(MAGIC) + 2 : start])
     if match is None:
         raise ShardError("a .npy header of another writer: only plain C-ordered, little-endian numbers are read")
     dtype, shape = np.dtype(match[1].decode()), tuple(int(n) for n in match[2].split(b",") if n.strip())
-    if len(data) - start != dtype.itemsize * math.prod(shape):
-        raise ShardError(f"a .npy file of {len(data) - start} bytes for {dtype} of shape {shape}")
-    return np.frombuffer(data, dtype, offset=start).reshape(shape)
+    return start, dtype, shape, dtype.itemsize * math.prod(shape)

@@ -98,7 +98,8 @@ class ShardReader:
     def _parts(self, row: int, columns: Iterable[int]) -> tuple[str, int, list[Part]]:
         """Shard, number in it, and members of a sample, in the order of the file."""
         table, shard = self.index.table, int(self.index.shard[row])
-        offset, size, crc = table.offset[row].tolist(), table.size[row].tolist(), table.crc[row].tolist()
+        # Whole rows: to pick columns of an array costs more than to pick entries of a list.
+        offset, size, crc = (array[row].tolist() for array in (table.offset, table.size, table.crc))
         parts = [Part(column, offset[column], size[column], crc[column]) for column in columns]
         if self.layout.kind == FOREIGN:  # a sample may lack what others have, and be in another order
             parts = sorted((part for part in parts if part.offset >= 0), key=lambda part: part.offset)

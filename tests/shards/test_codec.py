@@ -138,7 +138,7 @@ def test_unknown_fields_are_told_with_those_there_are(sample: Sample) -> None:
 
 
 @pytest.mark.parametrize("dtype", ["u1", "<u2", ">f4", "f8", "?", "f2", "i8"])
-@pytest.mark.parametrize("shape", [(), (0,), (5,), (2, 3), (0, 3), (2, 3, 4)])
+@pytest.mark.parametrize("shape", [(), (0,), (5,), (2, 3), (0, 3), (2, 3, 4), 30 * (1,)])
 def test_npy_round_trip(dtype: str, shape: tuple[int, ...]) -> None:
     array = (np.arange(np.prod(shape)).reshape(shape) % 2).astype(dtype)
     file = write_npy(array)

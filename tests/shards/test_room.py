@@ -1,0 +1,72 @@
+"""Memory is used again, and never while somebody holds a part of it."""
+
+import multiprocessing
+import random
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import torch
+
+from gcd_dataset.shards import room
+from gcd_dataset.shards.room import room_for
+
+LARGE = 100_000
+
+
+def marked(number: int, size: int) -> np.ndarray:
+    memory = room_for(size)
+    memory[:] = number % 251
+    return memory
+
+
+def test_what_is_held_is_nobody_elses() -> None:
+    chance, held = random.Random(0), dict[int, np.ndarray]()
+    for number in range(2000):
+        held[number] = marked(number, chance.choice([100, LARGE, 3 * LARGE]))
+        if len(held) > 20:
+            del held[chance.choice(list(held))]
+        assert all((memory == number % 251).all() for number, memory in list(held.items())[-3:])
+    assert all((memory == number % 251).all() for number, memory in held.items())
+
+
+def test_a_view_holds_its_memory() -> None:
+    tensor = torch.from_numpy(room_for(LARGE)).view(torch.float32)[5:9]
+    tensor.fill_(7.0)
+    others = [marked(0, LARGE) for _ in range(10)]
+    assert tensor.tolist() == 4 * [7.0]
+    assert len({memory.ctypes.data for memory in others}) == 10
+
+
+def test_memory_is_used_again() -> None:
+    first, second = room_for(LARGE), room_for(LARGE)
+    places = {first.ctypes.data, second.ctypes.data}
+    del first, second
+    again = [room_for(LARGE + 1), room_for(LARGE - 1)]
+    assert {memory.ctypes.data for memory in again} == places
+
+
+def test_no_more_than_so_much_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    pool = room._Pool()
+    monkeypatch.setattr(room, "_pool", pool)
+    monkeypatch.setattr(room, "KEPT", 3 << 17)
+    memories = [room_for(LARGE) for _ in range(9)]
+    del memories
+    assert [len(free) for free in pool._free.values()] == [3]
+    assert not pool._lent
+
+
+def _sums(sizes: Sequence[int]) -> list[int]:
+    return [int(marked(number, size).sum(dtype=np.int64)) for number, size in enumerate(sizes)]
+
+
+def test_threads_and_forked_processes_have_their_own() -> None:
+    sizes = [LARGE + number for number in range(60)]
+    expected = [number % 251 * size for number, size in enumerate(sizes)]
+    with ThreadPoolExecutor(4) as threads:
+        assert all(sums == expected for sums in threads.map(_sums, 8 * [sizes]))
+    held = marked(9, LARGE)
+    with multiprocessing.get_context("fork").Pool(2) as processes:
+        assert all(sums == expected for sums in processes.map(_sums, 4 * [sizes]))
+    assert (held == 9).all()
