@@ -1,10 +1,12 @@
 """Garments and bodies for a ``torch.utils.data.DataLoader``: from shards, made on the spot, or as published."""
 
 from gcd_dataset.loaders.base import Garments
+from gcd_dataset.loaders.batches import PackedBatch, PaddedBatch
 from gcd_dataset.loaders.bodies import Bodies, BodyDataset, PublishedBodies
-from gcd_dataset.loaders.collate import collate_list, collate_packed
+from gcd_dataset.loaders.collate import collate_list, collate_packed, collate_padded
 from gcd_dataset.loaders.fake import FakeGarments
 from gcd_dataset.loaders.generated import GeneratedGarments
+from gcd_dataset.loaders.graph import SeamGraph, mesh_edges, seam_graph, to_pyg
 from gcd_dataset.loaders.loader import GarmentLoader
 from gcd_dataset.loaders.mixed import MixedDataset
 from gcd_dataset.loaders.order import ElasticSampler
@@ -20,7 +22,14 @@ __all__ = [
     "Garments",
     "GeneratedGarments",
     "MixedDataset",
+    "PackedBatch",
+    "PaddedBatch",
     "PublishedBodies",
+    "SeamGraph",
     "collate_list",
     "collate_packed",
+    "collate_padded",
+    "mesh_edges",
+    "seam_graph",
+    "to_pyg",
 ]

@@ -9,28 +9,10 @@ from torch import Tensor
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Item
+from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, WHOLE, PackedBatch, PaddedBatch, starts_of
 from gcd_dataset.shards.room import room_for
-from gcd_dataset.tensors import EdgeColumn, StitchColumn
 
-__all__ = ["collate_list", "collate_packed"]
-
-RAGGED = (
-    "panels", "edges", "stitches", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts",
-)  # fmt: skip
-"""Fields whose number of rows differs from garment to garment."""
-
-ALL = slice(None)
-POINTS_TO: Mapping[str, Sequence[tuple[slice | int, str]]] = {
-    "faces": [(ALL, "vertices")],
-    "uv_vertex": [(ALL, "vertices")],
-    "labels": [(0, "vertices")],
-    "seams": [(0, "vertices"), (1, "stitches")],
-    "corners": [(ALL, "uv")],
-    "panel_id": [(ALL, "panels")],
-    "edges": [(EdgeColumn.PANEL, "panels")],
-    "stitches": [(slice(StitchColumn.LEFT, StitchColumn.RIGHT + 1), "edges")],
-}
-"""Field to those of its columns that hold row numbers, each with the field whose rows they are."""
+__all__ = ["collate_list", "collate_packed", "collate_padded"]
 
 
 def collate_list(items: Sequence[Any]) -> list[Any]:
@@ -38,7 +20,7 @@ def collate_list(items: Sequence[Any]) -> list[Any]:
     return list(items)
 
 
-def collate_packed(items: Sequence[Item]) -> dict[str, Any]:
+def collate_packed(items: Sequence[Item]) -> PackedBatch:
     """One dict for the batch: ragged arrays one below the other, as graphs are batched in PyTorch Geometric.
 
     - A ragged field (``RAGGED``: meshes and patterns) is concatenated along its rows. ``<field>_ptr``, int64 [B+1],
@@ -61,20 +43,44 @@ def collate_packed(items: Sequence[Item]) -> dict[str, Any]:
     ([[0, 1, 2], [3, 4, 5]], [0, 3, 6])
     """
     _require_same_fields(items)
-    batch: dict[str, Any] = {"batch_size": len(items)}
+    batch = PackedBatch(batch_size=len(items))
     batch |= {f"{field}_ptr": _pointers([item[field] for item in items]) for field in RAGGED if field in items[0]}
     for field in items[0]:
         values = [item[field] for item in items]
+        batch[field] = _packed(values, batch, field) if field in RAGGED else _together(values)
+    return batch
+
+
+def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = None) -> PaddedBatch:
+    """One dict for the batch: ragged arrays side by side, filled up to the longest, for networks of one shape.
+
+    - A ragged field becomes [B, n, …], n the rows of the longest garment of the batch; ``<field>_mask``, bool [B, n],
+      is true on rows that are there. What fills up is 0, in arrays of integers -1: an index that points to nothing.
+    - Row numbers stay those of the garment: ``faces[k]`` are rows of ``verts[k]``.
+    - ``rows``: field to n, the same for all batches: ``functools.partial(collate_padded, rows={"panels": 40})``.
+    - All else is as ``collate_packed`` does it.
+
+    Raises ``ConfigError`` for an empty batch, items with different fields, and a garment with more rows than ``rows``.
+
+    >>> items = [{"panels": torch.ones(2, 14)}, {"panels": torch.ones(3, 14)}]
+    >>> batch = collate_padded(items)
+    >>> tuple(batch.panels.shape), batch["panels_mask"].tolist()
+    ((2, 3, 14), [[True, True, False], [True, True, True]])
+    """
+    _require_same_fields(items)
+    batch = PaddedBatch(batch_size=len(items))
+    for field in items[0]:
+        values = [item[field] for item in items]
         if field in RAGGED:
-            batch[field] = _packed(values, batch, field)
+            batch[field], batch[f"{field}_mask"] = _padded(values, field, (rows or {}).get(field))
         else:
-            batch[field] = _stacked(values) if _of_one_shape(values) else values
+            batch[field] = _together(values)
     return batch
 
 
 def _require_same_fields(items: Sequence[Item]) -> None:
     if not items:
-        raise ConfigError("a batch of no garments: give collate_packed one or more")
+        raise ConfigError("a batch of no garments: give it one or more")
     for item in items[1:]:
         if item.keys() != items[0].keys():
             odd = ", ".join(sorted(item.keys() ^ items[0].keys()))
@@ -86,51 +92,53 @@ def _pointers(values: Sequence[Tensor]) -> Tensor:
     return torch.tensor([0] + [len(value) for value in values]).cumsum(0)
 
 
-def _of_one_shape(values: Sequence[Any]) -> bool:
-    return all(isinstance(value, Tensor) and value.shape == values[0].shape for value in values)
-
-
-def _starts(pointers: Mapping[str, Any], field: str, target: str) -> Tensor:
-    """Row of ``target`` at which each garment begins, and the end of the last."""
-    if target != "vertices":
-        if f"{target}_ptr" not in pointers:
-            raise ConfigError(f"{field} holds rows of {target}: load the field {target} too")
-        return pointers[f"{target}_ptr"]
-    own = pointers[f"{field}_ptr"]
-    there = [starts for name in ("verts", "box") if (starts := pointers.get(f"{name}_ptr")) is not None and starts[-1]]
-    if not there and not own[-1]:
-        return torch.zeros_like(own)
-    if not there:
-        raise ConfigError(f"{field} holds rows of verts and box: load the field verts or box too")
-    if not all(torch.equal(starts, there[0]) for starts in there):
-        raise ConfigError("draped and undraped garments in one batch: load verts or box, not both")
-    return there[0]
-
-
-def _packed(values: Sequence[Tensor], batch: Mapping[str, Any], field: str) -> Tensor:
+def _packed(values: list[Tensor], batch: PackedBatch, field: str) -> Tensor:
     """The rows one below the other, and the row numbers in them raised by where each garment begins."""
-    starts = [(column, _starts(batch, field, target)) for column, target in POINTS_TO.get(field, ())]
-    rows = _room((int(batch[f"{field}_ptr"][-1]), *values[0].shape[1:]), values)
-    if starts and starts[0][0] == ALL:
-        ends = batch[f"{field}_ptr"].tolist()
-        for value, start, first, last in zip(values, starts[0][1].tolist()[:-1], ends[:-1], ends[1:], strict=True):
-            torch.add(value, start, out=rows[first:last])
+    starts = [(column, starts_of(batch, field, target)) for column, target in POINTS_TO.get(field, ())]
+    ends = batch[f"{field}_ptr"]
+    rows = _room((int(ends[-1]), *values[0].shape[1:]), values[0])
+    if starts and starts[0][0] == WHOLE:  # in one go: these are the largest
+        for value, start, part in zip(
+            values, starts[0][1].tolist(), torch.split(rows, ends.diff().tolist()), strict=False
+        ):
+            torch.add(value, start, out=part)
         return rows
-    torch.cat(list(values), out=rows)
+    torch.cat(values, out=rows)
     for column, start in starts:
-        raised = start[:-1].repeat_interleave(batch[f"{field}_ptr"].diff())
+        raised = start[:-1].repeat_interleave(ends.diff()).to(rows.dtype)
         part = rows[:, column]
-        part += raised.to(rows.dtype) if part.ndim == 1 else raised.to(rows.dtype)[:, None]
+        part += raised if part.ndim == 1 else raised[:, None]
     return rows
 
 
-def _stacked(values: Sequence[Tensor]) -> Tensor:
-    return torch.stack(list(values), out=_room((len(values), *values[0].shape), values))
+def _padded(values: list[Tensor], field: str, count: int | None) -> tuple[Tensor, Tensor]:
+    """The values side by side, and where rows are there."""
+    lengths = [len(value) for value in values]
+    longest = max(lengths) if count is None else count
+    if max(lengths) > longest:
+        raise ConfigError(
+            f"a garment with {max(lengths)} rows of {field}, and rows={longest}: give more, or leave it out"
+        )
+    rows = _room((len(values), longest, *values[0].shape[1:]), values[0])
+    nothing = 0 if values[0].is_floating_point() else -1
+    for value, place in zip(values, rows, strict=True):
+        place[: len(value)] = value
+        place[len(value) :] = nothing
+    mask = torch.arange(longest) < torch.tensor(lengths)[:, None]
+    return rows, mask.to(values[0].device)
 
 
-def _room(shape: Sequence[int], values: Sequence[Tensor]) -> Tensor:
-    """Where values of one type are put together."""
-    like = values[0]
-    if like.device.type != "cpu":
+def _together(values: list[Any]) -> Any:
+    """Tensors of one shape as one, anything else in a list."""
+    first = values[0]
+    if all(isinstance(value, Tensor) and value.shape == first.shape for value in values):
+        return torch.stack(values, out=_room((len(values), *first.shape), first))
+    return values
+
+
+def _room(shape: Sequence[int], like: Tensor) -> Tensor:
+    """Where values of a type are put together."""
+    size = math.prod(shape) * like.itemsize
+    if not size or like.device.type != "cpu":
         return torch.empty(shape, dtype=like.dtype, device=like.device)
-    return torch.from_numpy(room_for(math.prod(shape) * like.itemsize)).view(like.dtype).view(shape)
+    return torch.from_numpy(room_for(size)).view(like.dtype).view(shape)

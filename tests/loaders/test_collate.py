@@ -7,7 +7,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders import FakeGarments, collate_packed
+from gcd_dataset.loaders import FakeGarments, PackedBatch, PaddedBatch, collate_list, collate_packed, collate_padded
 from gcd_dataset.tensors import EdgeColumn
 
 B = 5
@@ -20,7 +20,7 @@ def items() -> list[dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def batch(items: list[dict[str, Any]]) -> dict[str, Any]:
+def batch(items: list[dict[str, Any]]) -> PackedBatch:
     return collate_packed(items)
 
 
@@ -118,3 +118,82 @@ def test_a_batch_can_be_pinned(batch: dict[str, Any]) -> None:
     assert all(loaded["verts"].is_pinned() == torch.cuda.is_available() for loaded in loader)
     moved = {name: value.to("cpu") for name, value in batch.items() if isinstance(value, torch.Tensor)}
     assert {"verts", "verts_ptr", "faces", "front"} <= moved.keys()
+
+
+def same(a: Any, b: Any) -> bool:
+    return torch.equal(a, b) and a.dtype == b.dtype if isinstance(a, torch.Tensor) else bool(a == b)
+
+
+def test_a_packed_batch_gives_its_garments_back(items: list[dict[str, Any]], batch: PackedBatch) -> None:
+    for k, item in enumerate(items):
+        garment = batch.garment(k)
+        assert garment.keys() == item.keys()
+        assert all(same(garment[field], item[field]) for field in item)
+    with pytest.raises(IndexError):
+        batch.garment(B)
+
+
+def test_entries_are_attributes(batch: PackedBatch) -> None:
+    assert batch.verts is batch["verts"]
+    assert batch.batch_size == B
+    with pytest.raises(AttributeError, match="the batch has no repeated: load the fields"):
+        _ = batch.repeated
+
+
+def test_batches_keep_their_kind_on_the_way(items: list[dict[str, Any]], batch: PackedBatch) -> None:
+    padded = collate_padded(items)
+    for one in (batch, padded):
+        moved = one.to("meta")
+        assert type(moved) is type(one)
+        assert moved["verts"].device.type == "meta"
+        assert moved["meta"] == one["meta"]
+        assert one["verts"].device.type == "cpu"
+    loader = DataLoader(FakeGarments(4, fields=["verts"]), 2, collate_fn=collate_padded, num_workers=1)
+    assert all(isinstance(loaded, PaddedBatch) for loaded in loader)
+
+
+def test_nested_tensors_share_the_rows(items: list[dict[str, Any]], batch: PackedBatch) -> None:
+    nested = batch.nested("verts")
+    assert nested.values().data_ptr() == batch.verts.data_ptr()
+    assert all(torch.equal(one, item["verts"]) for one, item in zip(nested.unbind(), items, strict=True))
+    assert torch.equal(batch.owners("verts").bincount(), batch.verts_ptr.diff())
+    with pytest.raises(ConfigError, match="body is not a field"):
+        batch.nested("body")
+
+
+def test_padded_garments_stand_side_by_side(items: list[dict[str, Any]]) -> None:
+    batch = collate_padded(items)
+    for field in ("verts", "faces", "panels", "edges", "stitches", "labels", "panel_id"):
+        longest = max(len(item[field]) for item in items)
+        assert batch[field].shape[:2] == batch[f"{field}_mask"].shape == (B, longest)
+        for k, item in enumerate(items):
+            assert same(batch[field][k][batch[f"{field}_mask"][k]], item[field])
+            assert (batch[field][k][~batch[f"{field}_mask"][k]] == (0 if item[field].is_floating_point() else -1)).all()
+    assert batch.body.shape == (B, 8)
+    assert batch["meta"] == [item["meta"] for item in items]
+
+
+def test_padded_batches_can_have_one_shape(items: list[dict[str, Any]]) -> None:
+    batch = collate_padded(items, rows={"panels": 40, "edges": 200})
+    assert batch.panels.shape == (B, 40, 14)
+    assert batch.panels_mask.sum(1).tolist() == [len(item["panels"]) for item in items]
+    with pytest.raises(ConfigError, match="a garment with 8 rows of edges, and rows=4"):
+        collate_padded(items, rows={"edges": 4})
+    with pytest.raises(ConfigError, match="a batch of no garments"):
+        collate_padded([])
+
+
+def test_a_list_is_a_list(items: list[dict[str, Any]]) -> None:
+    assert collate_list(items) == items
+    assert collate_list(tuple(items)) is not items
+
+
+def test_what_a_transform_adds_comes_along() -> None:
+    def add(item: dict[str, Any]) -> dict[str, Any]:
+        return {"name": "x", "weight": torch.tensor(2.0), "mask": item["verts"][:, 0] > 0, "verts": item["verts"]}
+
+    items = [FakeGarments(B, fields=["verts"], transform=add)[i] for i in range(B)]
+    for batch in (collate_packed(items), collate_padded(items)):
+        assert batch["name"] == B * ["x"]
+        assert batch["weight"].tolist() == B * [2.0]
+        assert [len(mask) for mask in batch["mask"]] == [len(item["verts"]) for item in items]
