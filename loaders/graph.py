@@ -71,7 +71,8 @@ def to_pyg(garment: Item | PackedBatch, graph: Kind = "mesh") -> Any:
     - ``mesh``: ``Data`` with ``pos`` (``verts``, or ``box`` of an undraped garment) [cm], ``face`` [3, f] and
       ``edge_index``. Lists of such go through PyTorch Geometric's own ``Batch`` as well.
     - ``pattern``: ``HeteroData`` with nodes ``panel`` and ``edge``, whose ``x``, f32, are the rows of the pattern's
-      arrays; relations (edge, ``sewn``, edge), (panel, ``sewn``, panel), (edge, ``next``, edge), (edge, ``of``, panel).
+      arrays, edges without the column ``PANEL``; relations (edge, ``sewn``, edge), (panel, ``sewn``, panel),
+      (edge, ``next``, edge), (edge, ``of``, panel).
 
     Raises ``ConfigError`` where ``torch_geometric`` is not installed, or a field that the graph is made of is missing.
     """
@@ -91,8 +92,10 @@ def to_pyg(garment: Item | PackedBatch, graph: Kind = "mesh") -> Any:
 
 def _hetero(garment: Item | PackedBatch, data: Any) -> Any:
     seams = seam_graph(garment)
+    # The first column of edges is the number of a panel: no feature, and another one in every batch.
+    features = {"panels": _rows(garment, "panels"), "edges": _rows(garment, "edges")[:, EdgeColumn.PANEL + 1 :]}
     for node, field in (("panel", "panels"), ("edge", "edges")):
-        data[node].x = _rows(garment, field).float()
+        data[node].x = features[field].float()
         for name, value in _membership(garment, field).items():
             setattr(data[node], name, value)
     data["edge", "sewn", "edge"].edge_index = seams.sewn_edges

@@ -89,7 +89,9 @@ def test_meshes_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> None
 def test_patterns_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> None:
     data = to_pyg(batch, "pattern")
     assert data["panel"].x.shape == (2 * B, 14)
-    assert data["edge"].x.dtype == torch.float32
+    alone = to_pyg(items[2], "pattern")["edge"].x
+    assert alone.dtype == torch.float32
+    assert torch.equal(data["edge"].x[-len(alone) :], alone)  # nothing of the batch is in a feature
     assert data["panel"].batch.tolist() == [0, 0, 1, 1, 2, 2]
     of = data["edge", "of", "panel"].edge_index
     assert torch.equal(data["panel"].batch[of[1]], data["edge"].batch[of[0]])
