@@ -28,6 +28,7 @@ class _Pool:
 
     def __init__(self) -> None:
         self._free: dict[int, list[np.ndarray]] = defaultdict(list)
+        self._kinds: dict[int, type[ctypes.Array]] = {}  # kept: to make a type anew takes longer than to read a garment
         self._lent: dict[int, tuple[weakref.ref, np.ndarray]] = {}
 
     def lend(self, size: int) -> ctypes.Array:
@@ -36,9 +37,10 @@ class _Pool:
             memory = self._free[size].pop()
         except IndexError:
             memory = np.empty(size, np.uint8)
+        kind = self._kinds.get(size) or self._kinds.setdefault(size, ctypes.c_uint8 * size)
         # An array of ctypes, since views of a NumPy array hold that itself, and nothing between them and it.
-        buffer = (ctypes.c_uint8 * size).from_buffer(memory.data)
-        place = memory.ctypes.data
+        buffer = kind.from_buffer(memory.data)
+        place = id(memory)
         self._lent[place] = weakref.ref(buffer, lambda _: self._take_back(place)), memory
         return buffer
 
