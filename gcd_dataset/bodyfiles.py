@@ -2,6 +2,7 @@
 
 import json
 import reprlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,14 @@ from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import ANGLES, MEASURES, BodyPart, Measurements
 
-__all__ = ["file_content", "measurements_text", "read_measurements", "read_parts", "write_measurements"]
+__all__ = [
+    "file_content",
+    "measurements_text",
+    "parsed_measurements",
+    "read_measurements",
+    "read_parts",
+    "write_measurements",
+]
 
 LARGEST_MEASURE = 1e4  # cm, or degrees: no giant has more
 LONGEST_NUMBER = 10**15  # from here on a whole number is not printed
@@ -38,7 +46,12 @@ SEGMENTS = {
 def read_measurements(path: Path | str) -> Measurements:
     """The measures in a YAML file with a ``body:`` map. Raises ``BodyError`` with the file, the key and a remedy."""
     path = Path(path)
-    values = _read_yaml(path).get("body")
+    return parsed_measurements(_read_yaml(path), str(path))
+
+
+def parsed_measurements(table: Mapping[str, Any], path: str) -> Measurements:
+    """The measures in the parsed content of the file at ``path``. Raises ``BodyError``."""
+    values = table.get("body")
     if not isinstance(values, dict):
         raise BodyError(f"{path}: no map named body: a measurement file begins with 'body:' and one 'key: cm' a line")
     for key in MEASURES:

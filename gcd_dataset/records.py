@@ -415,6 +415,8 @@ class Provenance(Record):
     recipe: Mapping[str, Any] = field(default_factory=dict)
     """The options it was made with."""
     body_name: str = ""
+    source: str = ""
+    """Where a garment that others have made was published; empty for our own."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from gcd_dataset.loaders.graph import SeamGraph, mesh_edges, seam_graph, to_pyg
 from gcd_dataset.loaders.loader import GarmentLoader
 from gcd_dataset.loaders.mixed import MixedDataset
 from gcd_dataset.loaders.order import ElasticSampler
+from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.loaders.shards import GarmentDataset
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "PackedBatch",
     "PaddedBatch",
     "PublishedBodies",
+    "PublishedGarmentCodeData",
     "SeamGraph",
     "collate_list",
     "collate_packed",

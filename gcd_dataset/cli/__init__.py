@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
-from gcd_dataset.cli.datasets import add_verbs
+from gcd_dataset.cli import datasets, exchange
 from gcd_dataset.errors import ConfigError, GcdError, SpecError
 from gcd_dataset.tomlfile import read_toml
 
@@ -290,7 +290,8 @@ def _parser() -> argparse.ArgumentParser:
     show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready to be cut")
 
-    add_verbs(lambda name, run, text: _verb(verbs, name, run, text))
+    datasets.add_verbs(lambda name, run, text: _verb(verbs, name, run, text))
+    exchange.add_verbs(verbs, _verb, _natural)
     return parser
 
 

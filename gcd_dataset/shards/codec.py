@@ -3,7 +3,8 @@
 ===================  ===================================================================================================
 ``meta.json``        schema, key, index, seed, attempts, rejects, versions, recipe and its hash; the words of
                      ``PatternTensor``: panel_names, panel_labels, edge_labels; labels that vertices have; pose of the
-                     body; outcome and figures of the drape; CRC-32 of every other member
+                     body; outcome and figures of the drape; for others' garments the source; CRC-32 of every
+                     other member
 ``spec.json``        the pattern as a GarmentCode specification
 ``design.json``      the design's parameters
 ``measures.json``    the tailor's measures: cm, inclinations in degrees, as in a GarmentCode measurement file
@@ -28,10 +29,11 @@
 An id is u16 up to 65 536 rows, else u32 (``panel_id``: u8 up to 256 panels); loaded fields hold ids as int32.
 """
 
+import contextlib
 import io
 import json
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -46,7 +48,7 @@ from gcd_dataset.shards.room import room_for
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 from gcd_dataset.tensors import PatternTensor, encode_pattern
 
-__all__ = ["NO_PICTURE", "decode_field", "decode_fields", "decode_sample", "encode_sample", "read_json"]
+__all__ = ["NO_PICTURE", "decode_field", "decode_fields", "decode_sample", "encode_part", "encode_sample", "read_json"]
 
 NO_PICTURE = (
     bytes.fromhex("ffd8ffe000104a46494600010100000100010000ffdb004300")
@@ -68,15 +70,36 @@ def encode_sample(sample: Sample) -> dict[str, bytes]:
 
     Raises ``ShardError`` with the sample's key for content that the format cannot hold.
     """
-    try:
+    with _storing(sample):
         tensor = encode_pattern(sample.pattern)
-        content = _json_members(sample) | _array_members(sample, tensor)
-        content |= {"front.jpg": sample.front or NO_PICTURE, "back.jpg": sample.back or NO_PICTURE}
+        content = _content(sample, tensor)
         meta = _meta(sample, tensor) | {"crc32": {member: zlib.crc32(content[member]) for member in MEMBERS[1:]}}
         content["meta.json"] = _json(meta)
+    return {member: content[member] for member in MEMBERS}
+
+
+def encode_part(sample: Sample) -> dict[str, bytes]:
+    """The members of a sample of which a part alone was read, for whoever reads no more; no CRC-32 in ``meta.json``.
+
+    Raises ``ShardError`` as ``encode_sample`` does.
+    """
+    with _storing(sample):
+        tensor = encode_pattern(sample.pattern)
+        return _content(sample, tensor) | {"meta.json": _json(_meta(sample, tensor))}
+
+
+@contextlib.contextmanager
+def _storing(sample: Sample) -> Iterator[None]:
+    try:
+        yield
     except (ShardError, ValueError, TypeError) as error:
         raise ShardError(f"sample {sample.key} cannot be stored: {error}") from error
-    return {member: content[member] for member in MEMBERS}
+
+
+def _content(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
+    """All members but ``meta.json``."""
+    pictures = {"front.jpg": sample.front or NO_PICTURE, "back.jpg": sample.back or NO_PICTURE}
+    return _json_members(sample) | _array_members(sample, tensor) | pictures
 
 
 def _json_members(sample: Sample) -> dict[str, bytes]:
@@ -161,6 +184,7 @@ def _meta(sample: Sample, tensor: PatternTensor) -> dict[str, Any]:
         "edge_labels": tensor.edge_labels,
         "vertex_labels": None if sample.box_mesh is None else list(sample.box_mesh.labels),
         "drape": None if sample.drape is None else _drape_figures(sample.drape),
+        **({"source": made.source} if made.source else {}),
     }
 
 
@@ -267,6 +291,7 @@ def _provenance(meta: Mapping[str, Any]) -> Provenance:
         versions=meta["versions"],
         recipe=meta["recipe"],
         body_name=meta["body"],
+        source=meta.get("source", ""),
     )
 
 

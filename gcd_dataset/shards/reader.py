@@ -83,6 +83,10 @@ class ShardReader:
             for row, entry in zip(rows, zip(wanted, content, strict=True), strict=True)
         ]
 
+    def number(self, position: int) -> int:
+        """The index that a sample was written under."""
+        return int(self.index.table.sample[self._row[position]])
+
     def check(self, position: int) -> None:
         """Raise ``ShardError`` if any byte of a sample is not what was written."""
         row = int(self._row[position])

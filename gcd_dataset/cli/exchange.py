@@ -1,0 +1,55 @@
+"""``gcd convert`` and ``gcd export``: data sets from and to the forms of others."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+__all__ = ["add_verbs"]
+
+INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
+
+Adder = Callable[[Any, str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
+
+
+def add_verbs(verbs: Any, add: Adder, natural: Callable[[str], int]) -> None:
+    """Give ``gcd`` these verbs."""
+    convert = add(verbs, "convert", _convert, "the published GarmentCodeData into shards")
+    convert.add_argument("published", type=Path, metavar="PUBLISHED", help="folder with garments_5000_0 and its like")
+    convert.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; made if it is not there")
+    convert.add_argument(
+        "--bodies", choices=("both", "default", "random"), default="both", help="who wears them (default: both)"
+    )
+    convert.add_argument("--workers", type=natural, default=0, help="processes (default: this one)")
+    convert.add_argument(
+        "--cache-dir", type=Path, metavar="DIR", help="where indices of archives are kept (default: beside them)"
+    )
+    convert.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def _convert(options: argparse.Namespace) -> int:
+    from tqdm import tqdm
+
+    from gcd_dataset.cli.convert import convert, plan_convert
+
+    faults = 0
+    for plan in plan_convert(options.published, options.out, bodies=options.bodies, cache_dir=options.cache_dir):
+        there, made, split = plan.count - len(plan.missing), 0, plan.source.split
+        garments = convert(plan, workers=options.workers)
+        try:
+            bar = tqdm(garments, total=plan.count, initial=there, unit="garment", desc=split, disable=options.quiet)
+            for garment in bar:
+                made += not garment.fault
+                if garment.fault:
+                    faults += 1
+                    bar.write(f"gcd convert: left out: {garment.fault}", file=sys.stderr)
+        except KeyboardInterrupt:
+            garments.close()
+            there_now = f"{there + made} of {plan.count} of {split}"
+            print(f"gcd convert: stopped at {there_now}: the same command goes on from there", file=sys.stderr)
+            return INTERRUPTED
+        print(f"{options.out}: {split}: {there + made} garments, {made} of them converted now")
+    if faults:
+        print(f"gcd convert: {faults} garments were left out; the same command tries them again", file=sys.stderr)
+    return 1 if faults else 0

@@ -1,0 +1,211 @@
+"""The garments in a ``data.tar.gz`` as downloaded, each read without unpacking those before it.
+
+The archive is read once from end to end; where its files lie, and where unpacking can begin, is kept in two files.
+"""
+
+import functools
+import io
+import os
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Protocol, Self
+
+import numpy as np
+from jaxtyping import Int
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.records import Record
+from gcd_dataset.release.gzips import WINDOW, SeekPoint, Unpacking, read_from
+from gcd_dataset.release.kept import keep, kept_path, stamp_of
+from gcd_dataset.release.layout import ENDINGS, REMEDY
+from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.tar import BLOCK, padded
+
+__all__ = ["Archive"]
+
+SCHEMA = 1
+GZIP_MAGIC = b"\x1f\x8b"
+DAMAGED = (zlib.error, EOFError, tarfile.HeaderError)
+
+
+@dataclass(frozen=True, eq=False)
+class Archive(Record):
+    """Where the garments of one archive lie; ``n`` garments, ``m`` kinds of file in the order of ``ENDINGS``."""
+
+    path: Path
+    names: tuple[str, ...]
+    """Of the garments, in the order of the archive; those whose folder is empty too."""
+    offset: Int[np.ndarray, "n m"]
+    """First byte of each file in the unpacked archive; -1 where there is none."""
+    size: Int[np.ndarray, "n m"]
+    points: Int[np.ndarray, "k 3"]
+    """Where unpacking can begin: bit in the file, byte of the content, 1 where that takes the window before."""
+    windows: Path
+    """The windows of all points, one after the other."""
+
+    @classmethod
+    def opened(cls, path: Path, cache_dir: Path | None) -> Self:
+        """The archive, from what is kept of it or else read through.
+
+        Raises ``ShardError`` for a damaged archive, ``OutputError`` where its index cannot be kept.
+        """
+        stamp = stamp_of(path)
+        index, windows = (kept_path(path, cache_dir, ending) for ending in (".npz", ".windows"))
+        there = cls._read(path, index, windows, stamp)
+        if there is None:
+            _scan(path, index, windows, stamp)
+            there = cls._read(path, index, windows, stamp)
+        if there is None:
+            raise ShardError(f"{index}: cannot be read back: give another cache_dir")
+        return there
+
+    def where(self, name: str) -> str:
+        """How messages call a garment."""
+        return f"{self.path}: data/{name}"
+
+    def read(self, name: str, kinds: Sequence[str]) -> dict[str, bytes]:
+        """Files of a garment, those that there are. Raises ``ShardError`` for a damaged archive."""
+        row, columns = self._row[name], [list(ENDINGS).index(kind) for kind in kinds]
+        there = [column for column in columns if self.offset[row, column] >= 0]
+        if not there:
+            return {}
+        first = int(self.offset[row, there].min())
+        end = int((self.offset[row, there] + self.size[row, there]).max())
+        block = memoryview(self._block(first, end - first))
+        places = zip(there, (self.offset[row, there] - first).tolist(), self.size[row, there].tolist(), strict=True)
+        return {list(ENDINGS)[column]: bytes(block[start : start + size]) for column, start, size in places}
+
+    def _block(self, first: int, size: int) -> bytes:
+        """Bytes of the unpacked archive."""
+        with reading(self.path), self.path.open("rb") as file:
+            try:
+                if not len(self.points):
+                    return os.pread(file.fileno(), size, first)
+                return read_from(file.fileno(), self._point(first), first, size)
+            except DAMAGED as error:
+                raise _damaged(self.path, error) from error
+
+    def _point(self, offset: int) -> SeekPoint:
+        row = int(np.searchsorted(self.points[:, 1], offset, side="right")) - 1
+        bit, start, windowed = self.points[row].tolist()
+        if not windowed:
+            return SeekPoint(bit, start, None)
+        with reading(self.windows), self.windows.open("rb") as file:
+            return SeekPoint(bit, start, os.pread(file.fileno(), WINDOW, row * WINDOW))
+
+    @functools.cached_property
+    def _row(self) -> dict[str, int]:
+        return {name: row for row, name in enumerate(self.names)}
+
+    @classmethod
+    def _read(cls, path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Self | None:
+        """What is kept of the archive; ``None`` where it is of another one, or broken."""
+        try:
+            with np.load(index, allow_pickle=False) as file:
+                kept = dict(file)
+            if kept["stamp"].tolist() != [SCHEMA, *stamp] or kept["kinds"].tolist() != list(ENDINGS):
+                return None
+            points = kept["points"]
+            if windows.stat().st_size != len(points) * WINDOW:
+                return None
+            return cls(path, tuple(kept["names"].tolist()), kept["offset"], kept["size"], points, windows)
+        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
+            return None
+
+
+# ------------------------------------------------------------------------------------------------------------- scanning
+
+
+class _Flow(Protocol):
+    """An archive's content from its beginning to its end."""
+
+    position: int
+
+    def read(self, size: int) -> bytes: ...
+
+    def skip(self, size: int) -> None: ...
+
+
+class _Plain:
+    """The content of a tar that is not packed."""
+
+    def __init__(self, file: int) -> None:
+        self._file, self._end, self.position = file, os.fstat(file).st_size, 0
+
+    def read(self, size: int) -> bytes:
+        data = os.pread(self._file, size, self.position)
+        self.position += len(data)
+        return data
+
+    def skip(self, size: int) -> None:
+        self.position = min(self.position + size, self._end)
+
+
+def _scan(path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> None:
+    """Read an archive through, and keep what there is to know about it."""
+    with reading(path), path.open("rb") as file:
+        packed = os.pread(file.fileno(), 2, 0) == GZIP_MAGIC
+        flow = Unpacking(file.fileno()) if packed else _Plain(file.fileno())
+        try:
+            garments = _garments(flow)
+        except DAMAGED as error:
+            raise _damaged(path, error) from error
+    if not garments:
+        raise ShardError(f"{path}: holds no garment of the published layout, as data/rand_…/rand_…_sim.ply: {REMEDY}")
+    points = flow.points if isinstance(flow, Unpacking) else []
+    places = np.array([[files.get(kind, (-1, 0)) for kind in ENDINGS] for files in garments.values()], np.int64)
+    numbers = [(point.bit, point.start, int(point.window is not None)) for point in points]
+    arrays: dict[str, Any] = {
+        "stamp": np.array([SCHEMA, *stamp], np.int64),
+        "kinds": np.array(list(ENDINGS)),
+        "names": np.array(list(garments)),
+        "offset": places[..., 0],
+        "size": places[..., 1],
+        "points": np.array(numbers, np.int64).reshape(-1, 3),
+    }
+    content = io.BytesIO()
+    np.savez(content, **arrays)
+    # The index last: it is what says that all is there.
+    keep(windows, b"".join(point.window or bytes(WINDOW) for point in points))
+    keep(index, content.getvalue())
+
+
+def _garments(flow: _Flow) -> dict[str, dict[str, tuple[int, int]]]:
+    """Name of each garment to the places of its files, by kind."""
+    kind_of = {ending: kind for kind, ending in ENDINGS.items()}
+    garments: dict[str, dict[str, tuple[int, int]]] = {}
+    for info, offset in _entries(flow):
+        parts = PurePosixPath(info.name).parts
+        if info.isdir() and parts and parts[-1] not in ("data", "."):
+            garments.setdefault(parts[-1], {})
+        elif info.isreg() and len(parts) > 1 and parts[-1].startswith(parts[-2]):
+            files = garments.setdefault(parts[-2], {})
+            if (kind := kind_of.get(parts[-1].removeprefix(parts[-2]))) is not None:
+                files[kind] = (offset, info.size)
+    return garments if any(garments.values()) else {}
+
+
+def _entries(flow: _Flow) -> Iterator[tuple[tarfile.TarInfo, int]]:
+    """The headers of an archive, each with the place of its content; all of the archive is read."""
+    # Not by ``tarfile`` as a whole: to that a damaged header is the end of the archive.
+    while header := flow.read(BLOCK):
+        if header == bytes(BLOCK):
+            flow.skip(1 << 62)
+            return
+        place = flow.position
+        try:
+            info = tarfile.TarInfo.frombuf(header, "utf-8", "surrogateescape")
+        except tarfile.HeaderError as error:
+            raise tarfile.HeaderError(f"no tar header at byte {place - BLOCK} of its content") from error
+        yield info, place
+        flow.skip(padded(info.size))
+        if flow.position < place + info.size:
+            raise EOFError(f"ends in {info.name}")
+
+
+def _damaged(path: Path, error: Exception) -> ShardError:
+    return ShardError(f"{path}: a damaged archive ({error}): {REMEDY}")

@@ -1,0 +1,68 @@
+"""The garments of one batch on one kind of body, wherever they lie: in a folder, or in the archive as downloaded."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.release.archive import Archive
+from gcd_dataset.release.layout import ENDINGS, REMEDY
+from gcd_dataset.shards.access import reading
+
+__all__ = ["Store", "open_store"]
+
+ARCHIVES = (".tar.gz", ".tgz", ".tar")
+NO_GARMENTS = frozenset({"renders", "patterns_vis"})  # folders that the authors' tools put beside those of garments
+
+
+class Store(Protocol):
+    """Where garments lie."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the garments."""
+
+    def where(self, name: str) -> str:
+        """How messages call the place of a garment."""
+
+    def read(self, name: str, kinds: Sequence[str]) -> dict[str, bytes]:
+        """Files of a garment by kind, those that there are. Raises ``ShardError``."""
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """Garments in folders of their own."""
+
+    path: Path
+    names: tuple[str, ...]
+
+    def where(self, name: str) -> str:
+        return str(self.path / name)
+
+    def read(self, name: str, kinds: Sequence[str]) -> dict[str, bytes]:
+        content = {}
+        for kind in kinds:
+            path = self.path / name / f"{name}{ENDINGS[kind]}"
+            with reading(path):
+                if path.exists():
+                    content[kind] = path.read_bytes()
+        return content
+
+
+def open_store(folder: Path, cache_dir: Path | None) -> Store:
+    """The garments in ``garments_5000_0/default_body`` or the like: those extracted, else those in its archive.
+
+    Raises ``ShardError`` for a folder without garments and for a damaged archive, ``OutputError`` where the index of an
+    archive cannot be kept.
+    """
+    with reading(folder):
+        data = folder / "data" if (folder / "data").is_dir() else folder
+        names = tuple(sorted(path.name for path in data.iterdir() if path.is_dir() and path.name not in NO_GARMENTS))
+        archives = sorted(path for path in folder.iterdir() if path.name.endswith(ARCHIVES))
+    if names:
+        return Extracted(data, names)
+    if len(archives) == 1:
+        return Archive.opened(archives[0], cache_dir)
+    found = f"{len(archives)} archives" if archives else "neither garments nor data.tar.gz"
+    raise ShardError(f"{folder}: {found}: {REMEDY}")

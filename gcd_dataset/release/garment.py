@@ -1,0 +1,300 @@
+"""A published garment as our records: files read, ply vertices welded back to the numbers of the labels."""
+
+import functools
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import yaml
+from jaxtyping import Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from gcd_dataset.bodyfiles import parsed_measurements
+from gcd_dataset.errors import BodyError, ShardError, SpecError, shown
+from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Panel, Pattern
+from gcd_dataset.release.layout import DEFAULT_BODY, ENDINGS, REMEDY
+from gcd_dataset.release.ply import Ply, first_mentions, read_ply
+from gcd_dataset.release.properties import Facts
+from gcd_dataset.spec import pattern_from_spec
+
+__all__ = ["PublishedGarment"]
+
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+SEAM = "stitch_"  # how a line of the segmentation file begins where panels are sewn together
+FLATNESS = 0.02  # cm: how far a vertex in the middle of a panel may be from where its texture coordinates put it
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedGarment:
+    """One garment, its files read when they are first asked for.
+
+    Every property raises ``ShardError`` with the file where that is missing or not as it should be.
+    """
+
+    name: str
+    place: str
+    """The archive or folder, for messages."""
+    read: Callable[[Sequence[str]], Mapping[str, bytes]]
+    """Kinds of file to their contents, those that there are."""
+    facts: Facts
+    default_body: bool
+    """Whether this is the design on the default body."""
+
+    def fetch(self, kinds: Iterable[str]) -> None:
+        """Read several files at once."""
+        if missing := [kind for kind in kinds if kind not in self._files]:
+            self._files.update(self.read(missing))
+
+    def broken(self, kind: str, what: str) -> ShardError:
+        """The error for a file that is not as it should be."""
+        return ShardError(f"{self._path(kind)}: {what}: {REMEDY}")
+
+    @functools.cached_property
+    def pattern(self) -> Pattern:
+        """Its sewing pattern; whether it can be sewn is left to ``validate``."""
+        try:
+            return pattern_from_spec(json.loads(self._file("spec")), self.name, source=self._path("spec"))
+        except (ValueError, RecursionError, SpecError) as error:
+            raise self.broken("spec", str(error).removeprefix(f"{self._path('spec')}: ")) from error
+
+    @functools.cached_property
+    def design(self) -> Mapping[str, Any]:
+        """The tree of its design parameters: values ``v`` beside range and type, those of parts not worn too."""
+        design = self._yaml("design").get("design")
+        if not isinstance(design, dict):
+            raise self.broken("design", "no map named design")
+        return design
+
+    @functools.cached_property
+    def measurements(self) -> Measurements:
+        """Of the wearer, as they stand in the file."""
+        try:
+            return parsed_measurements(self._yaml("measures"), self._path("measures"))
+        except BodyError as error:
+            raise self.broken("measures", str(error).removeprefix(f"{self._path('measures')}: ")) from error
+
+    @property
+    def body_name(self) -> str:
+        """Whose the measures are: ``mean_all``, or a person and pose, as ``00345_straight``."""
+        name = self._yaml("measures").get("body", {}).get("body_sample", DEFAULT_BODY if self.default_body else None)
+        if not isinstance(name, str):
+            raise self.broken("measures", "does not say who wears the garment, as body_sample: 00345_straight would")
+        return name
+
+    @functools.cached_property
+    def box_mesh(self) -> BoxMesh:
+        """The pattern as a mesh, before sewing; ``uv`` in the planes of the panels [cm]."""
+        box, pattern = self._box, self.pattern
+        first, vertex = self._welded
+        panel_of_row = self._panel_of_row
+        return BoxMesh(
+            vertices=box.places[first].astype(float),
+            faces=vertex[box.faces],
+            uv=self._in_panel_planes(panel_of_row),
+            corners=box.faces,
+            uv_vertex=vertex,
+            panel_id=panel_of_row[box.faces[:, 0]],
+            panel_names=tuple(panel.name for panel in pattern.panels),
+            panel_labels=tuple(panel.label for panel in pattern.panels),
+            seams=self._seams,
+            labels=self._labels,
+        )
+
+    @functools.cached_property
+    def vertices(self) -> Float[np.ndarray, "v 3"]:
+        """Positions at rest [cm]."""
+        return self._sim.places[self._welded[0]]
+
+    @property
+    def faces(self) -> Int[np.ndarray, "f 3"]:
+        """Triangles, rows of ``vertices``."""
+        return self._welded[1][self._sim.faces]
+
+    @property
+    def drape(self) -> Drape:
+        """The garment at rest; a count is -1 where the properties of its batch do not tell it."""
+        stretch = _stretch(self.box_mesh, self.vertices.astype(float))
+        median, p99 = np.percentile(stretch, [50, 99]).tolist() if len(stretch) else (np.nan, np.nan)
+        facts = self.facts
+        return Drape(
+            self.vertices, Outcome.SETTLED, facts.frames, facts.self_crossings, facts.body_crossings, median, p99
+        )
+
+    def picture(self, side: str) -> bytes:
+        """The PNG of ``front`` or ``back``."""
+        return self._file(side)
+
+    # ------------------------------------------------------------------------------------------------------- meshes
+
+    @functools.cached_property
+    def _sim(self) -> Ply:
+        return self._ply("sim")
+
+    @functools.cached_property
+    def _box(self) -> Ply:
+        """The mesh before sewing, row by row that of the drape."""
+        box = self._ply("box")
+        if not np.array_equal(box.faces, self._sim.faces) or len(box.places) != len(self._sim.places):
+            raise self.broken("box", f"not the mesh of {self.name}{ENDINGS['sim']}")
+        return box
+
+    @functools.cached_property
+    def _segments(self) -> tuple[str, ...]:
+        """Panel or seams of every vertex."""
+        text = self._file("segmentation").decode("utf-8", "replace")
+        return tuple(text.removesuffix("\n").split("\n"))
+
+    @functools.cached_property
+    def _welded(self) -> tuple[Int[np.ndarray, " v"], Int[np.ndarray, " c"]]:
+        """First row of each vertex, vertex of each row."""
+        count, sim = len(self._segments), self._sim.places
+        first, vertex = first_mentions(sim)
+        if len(first) != count:  # vertices that came to lie on each other to the last digit lay apart before
+            first, vertex = first_mentions(sim, self._box.places)
+        if len(first) != count:
+            raise self.broken("segmentation", f"labels {count} vertices, the mesh has {len(first)}")
+        return first, vertex
+
+    @functools.cached_property
+    def _seams(self) -> Int[np.ndarray, "s 2"]:
+        rows = [
+            (vertex, int(number) if (number := entry.removeprefix(SEAM)).isdecimal() else -1)
+            for vertex, segment in enumerate(self._segments)
+            if segment.startswith(SEAM)
+            for entry in segment.split(",")
+        ]
+        seams = np.array(rows, np.int64).reshape(-1, 2)
+        if len(seams) and not 0 <= seams[:, 1].min() <= seams[:, 1].max() < len(self.pattern.seams):
+            raise self.broken("segmentation", f"names a stitch that is none of the {len(self.pattern.seams)}")
+        return seams
+
+    @functools.cached_property
+    def _panel_of_row(self) -> Int[np.ndarray, " c"]:
+        """The panel that each row of the mesh lies in: rows that triangles join are of one panel."""
+        names = [panel.name for panel in self.pattern.panels]
+        free = {segment: -1 for segment in self._segments if segment.startswith(SEAM)}
+        number = free | {name: row for row, name in enumerate(names)}
+        if unknown := sorted(set(self._segments) - number.keys()):
+            raise self.broken("segmentation", f"names {shown(unknown[0])}, which is no panel of the pattern")
+        told = np.array([number[segment] for segment in self._segments])[self._welded[1]]
+        count, piece = _pieces(self._box.faces, len(told))
+        panel = np.full(count, -1)
+        panel[piece[told >= 0]] = told[told >= 0]
+        if (panel[piece[told >= 0]] != told[told >= 0]).any():
+            raise self.broken("segmentation", "names two panels in one piece of cloth")
+        # Pieces that are sewn all over name no panel; faces stand in the order of the panels.
+        left = [row for row in range(len(names)) if row not in panel]
+        unnamed = [p for p in dict.fromkeys(piece[self._box.faces[:, 0]].tolist()) if panel[p] < 0]
+        if len(left) != len(unnamed):
+            raise self.broken("box", f"{count} pieces of cloth for {len(names)} panels")
+        panel[unnamed] = left
+        return panel[piece]
+
+    @functools.cached_property
+    def _labels(self) -> Mapping[str, Int[np.ndarray, " n"]]:
+        known = {edge.label for panel in self.pattern.panels for edge in panel.edges}
+        labels = {}
+        for label, ids in self._yaml("vertex_labels").items():
+            if not isinstance(ids, list) or not all(type(i) is int and 0 <= i < len(self._segments) for i in ids):
+                raise self.broken("vertex_labels", f"{shown(str(label))} is no list of the mesh's vertices")
+            if label not in known:
+                raise self.broken("vertex_labels", f"{shown(str(label))} is on no edge of the pattern")
+            labels[label] = np.array(ids, np.int64)
+        return labels
+
+    def _in_panel_planes(self, panel_of_row: Int[np.ndarray, " c"]) -> Float[np.ndarray, "c 2"]:
+        """Every row in the plane of its panel [cm].
+
+        Rows off seams still hang where their panel was placed. Those on seams do not; their texture coordinates are
+        the panel's plane, moved, and stretched along x and y as the whole garment is.
+        """
+        box, texture = self._box, self._box.texture
+        on_seam = np.zeros(len(self._segments), bool)
+        on_seam[self._seams[:, 0]] = True
+        free = ~on_seam[self._welded[1]]
+        flat = np.zeros((len(texture), 2))
+        for row, panel in enumerate(self.pattern.panels):
+            own = free & (panel_of_row == row)
+            flat[own] = ((box.places[own] - panel.placement.translation) @ panel.placement.matrix)[:, :2]
+        scale = _common_scale(texture[free], flat[free], panel_of_row[free])
+        scaled = texture * scale
+        for row, panel in enumerate(self.pattern.panels):
+            own = panel_of_row == row
+            known = own & free
+            offset = (flat - scaled)[known].mean(axis=0) if known.any() else _offset(scaled[own], panel)
+            if np.abs((scaled + offset - flat)[known]).max(initial=0.0) > FLATNESS:
+                raise self.broken("box", f"texture coordinates of panel {panel.name} are not those of its plane")
+            flat[own & ~free] = scaled[own & ~free] + offset
+        return flat
+
+    # -------------------------------------------------------------------------------------------------------- files
+
+    @functools.cached_property
+    def _files(self) -> dict[str, bytes]:
+        return {}
+
+    def _file(self, kind: str) -> bytes:
+        self.fetch([kind])
+        try:
+            return self._files[kind]
+        except KeyError as error:
+            raise ShardError(f"{self._path(kind)}: missing: {REMEDY}") from error
+
+    def _ply(self, kind: str) -> Ply:
+        try:
+            return read_ply(self._file(kind))
+        except ShardError as error:
+            raise error if str(error).startswith(self.place) else self.broken(kind, str(error)) from error
+
+    def _yaml(self, kind: str) -> dict[str, Any]:
+        try:
+            table = yaml.load(self._file(kind), Loader=LOADER)
+        except (yaml.YAMLError, ValueError, RecursionError) as error:
+            raise self.broken(kind, f"not YAML ({' '.join(str(error).split())})") from error
+        return table if isinstance(table, dict) else {}
+
+    def _path(self, kind: str) -> str:
+        return f"{self.place}/{self.name}{ENDINGS[kind]}"
+
+
+def _pieces(faces: Int[np.ndarray, "f 3"], rows: int) -> tuple[int, Int[np.ndarray, " c"]]:
+    """How many pieces triangles form, and the piece of every row."""
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]]).T
+    return connected_components(coo_matrix((np.ones(ends.shape[1]), ends), shape=(rows, rows)), directed=False)
+
+
+def _common_scale(
+    texture: Float[np.ndarray, "n 2"], flat: Float[np.ndarray, "n 2"], panel: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, "2"]:
+    """Centimetres a texture coordinate, along x and y: the least squares over all panels, each moved by itself."""
+    count = np.maximum(np.bincount(panel), 1)
+
+    def centred(values: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        middle = np.stack([np.bincount(panel, values[:, axis]) / count for axis in (0, 1)], axis=1)
+        return values - middle[panel]
+
+    t, x = centred(texture), centred(flat)
+    return (t * x).sum(axis=0) / np.maximum((t * t).sum(axis=0), np.finfo(float).tiny)
+
+
+def _offset(scaled: Float[np.ndarray, "n 2"], panel: Panel) -> Float[np.ndarray, "2"]:
+    """What moves a mesh without rows of known place onto its panel: its corners are among the rows."""
+    corners = panel.vertices[[edge.start for edge in panel.edges]]
+    offset = 0.5 * (corners.min(axis=0) + corners.max(axis=0) - scaled.min(axis=0) - scaled.max(axis=0))
+    for _ in range(8):
+        apart = corners[:, None] - (scaled + offset)[None]
+        nearest = np.linalg.norm(apart, axis=2).argmin(axis=1)
+        offset = offset + apart[np.arange(len(corners)), nearest].mean(axis=0)
+    return offset
+
+
+def _stretch(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " e"]:
+    """Length of every edge of the mesh against its flat length."""
+    sides = np.sort(np.concatenate([mesh.corners[:, [0, 1]], mesh.corners[:, [1, 2]], mesh.corners[:, [2, 0]]]), axis=1)
+    a, b = np.divmod(np.unique(sides[:, 0] * len(mesh.uv) + sides[:, 1]), max(len(mesh.uv), 1))
+    flat = np.linalg.norm(mesh.uv[a] - mesh.uv[b], axis=1)
+    placed = vertices[mesh.uv_vertex]
+    return np.linalg.norm(placed[a] - placed[b], axis=1) / np.maximum(flat, np.finfo(float).tiny)

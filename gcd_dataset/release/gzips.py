@@ -1,0 +1,202 @@
+"""Gzip files read from anywhere.
+
+A gzip file can be unpacked from its beginning only, or from the start of a block of its compressed stream (RFC 1951)
+for whoever knows the 32 kB of content before it. ``Unpacking`` reads a file once from end to end and notes such starts
+on the way; ``read_from`` begins at one of them.
+
+Where blocks start is found by trial: a bit may be one where what follows reads as a header. That is so by chance too,
+so a start is taken only if unpacking from it gives, byte for byte, what unpacking from the beginning has given.
+"""
+
+import os
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Int, UInt8
+
+__all__ = ["WINDOW", "SeekPoint", "Unpacking", "read_from"]
+
+WINDOW = 1 << 15  # bytes of content that a block may refer back to
+EVERY = 1 << 24  # bytes of content between points: half of it is unpacked in vain for a garment, some 30 ms
+CHUNK = 1 << 18  # bytes of the file at a time; a block is seldom longer than 40 kB
+REGION = 1 << 14  # bytes searched for a start at a time
+GZIP, RAW = 31, -15  # window bits that tell zlib the format
+TRAILER = 8  # bytes after a stream: CRC-32 and length
+LONGEST_MATCH = 258
+CODE_LENGTHS = 19  # of a block's header
+FULL_CODE = 128  # Kraft sum of a complete code of up to 7 bits, in units of 2⁻⁷
+
+
+@dataclass(frozen=True)
+class SeekPoint:
+    """Where unpacking can begin."""
+
+    bit: int
+    """Place in the file, of a block's first bit; of a whole stream where ``window`` is ``None``."""
+    start: int
+    """Place in the content that this is."""
+    window: bytes | None
+    """The content before it."""
+
+
+class Unpacking:
+    """The content of a gzip file from beginning to end, as a stream; ``points`` grow while it is read."""
+
+    def __init__(self, file: int) -> None:
+        self.points: list[SeekPoint] = [SeekPoint(0, 0, None)]
+        self.position = 0
+        self._chunks = self._unpacked(file)
+        self._rest = b""
+
+    def read(self, size: int) -> bytes:
+        """The next ``size`` bytes, fewer at the end. Raises ``zlib.error``, and ``EOFError`` for a cut file."""
+        parts, missing = [], size
+        while missing:
+            if not self._rest:
+                self._rest = next(self._chunks, b"")
+                if not self._rest:
+                    break
+            parts.append(self._rest[:missing])
+            self._rest = self._rest[missing:]
+            missing -= len(parts[-1])
+        self.position += size - missing
+        return b"".join(parts)
+
+    def skip(self, size: int) -> None:
+        """Leave out ``size`` bytes. Raises as ``read`` does."""
+        while size and (passed := len(self.read(min(size, CHUNK)))):
+            size -= passed
+
+    def _unpacked(self, file: int) -> Iterator[bytes]:
+        stream, place, end = zlib.decompressobj(GZIP), 0, 0
+        before = b""
+        while chunk := os.pread(file, CHUNK, place):
+            content = stream.decompress(chunk)
+            whole = not stream.eof
+            rest = stream.unused_data
+            while stream.eof and rest.strip(b"\0"):  # another stream follows; zeros only fill up
+                if end + len(content) - self.points[-1].start >= EVERY:
+                    self.points.append(SeekPoint(8 * (place + len(chunk) - len(rest)), end + len(content), None))
+                stream = zlib.decompressobj(GZIP)
+                content += stream.decompress(rest)
+                rest = stream.unused_data
+            if whole and end - self.points[-1].start >= EVERY and len(before) == WINDOW:
+                found = _block_start(chunk, before + content)
+                if found is not None:
+                    bit, start = found
+                    window = (before + content)[start : start + WINDOW]
+                    self.points.append(SeekPoint(8 * place + bit, end + start, window))
+            before = (before + content)[-WINDOW:]
+            place, end = place + len(chunk), end + len(content)
+            yield from (content,) if content else ()
+        if not stream.eof:
+            raise EOFError(f"ends in the middle, at byte {place}")
+
+
+def read_from(file: int, point: SeekPoint, offset: int, size: int) -> bytes:
+    """``size`` bytes of the content from ``offset`` on, unpacked from a point before it.
+
+    Raises ``zlib.error`` for a damaged file, ``EOFError`` for one that ends before.
+    """
+    skipped, parts = offset - point.start, []
+    for content in _unpacked_from(file, point):
+        parts.append(content[skipped : skipped + size])
+        skipped, size = max(skipped - len(content), 0), size - len(parts[-1])
+        if not size:
+            return b"".join(parts)
+    raise EOFError("ends in the middle")
+
+
+def _unpacked_from(file: int, point: SeekPoint) -> Iterator[bytes]:
+    """The content from a point on."""
+    place, shift = divmod(point.bit, 8)
+    if point.window is None:
+        stream, shift = zlib.decompressobj(GZIP), 0
+    else:
+        stream = zlib.decompressobj(RAW, zdict=point.window)
+    while len(chunk := os.pread(file, CHUNK + 1, place)) > 1:
+        used = chunk[:-1] if len(chunk) > CHUNK else chunk
+        yield stream.decompress(_shifted(chunk, shift)[: len(used)])
+        place += len(used)
+        if stream.eof:
+            raw, rest = point.window is not None, len(stream.unused_data)
+            place += TRAILER * raw - rest
+            point, shift, stream = SeekPoint(0, 0, None), 0, zlib.decompressobj(GZIP)
+
+
+def _shifted(data: bytes, bits: int) -> bytes:
+    """The data without its first ``bits`` bits, filled up with zeros."""
+    if not bits:
+        return data
+    array = np.frombuffer(data, np.uint8)
+    following = np.append(array[1:], np.uint8(0))
+    return ((array >> bits) | (following << (8 - bits))).astype(np.uint8).tobytes()
+
+
+# ----------------------------------------------------------------------------------------------------- starts of blocks
+
+
+def _block_start(chunk: bytes, content: bytes) -> tuple[int, int] | None:
+    """The first block that begins in a chunk: its bit, and how far into what the chunk adds to the content.
+
+    ``content``: the window before, and all that the chunk unpacks to.
+    """
+    shifted = [_shifted(chunk, bits) for bits in range(8)]
+    for first in range(0, len(chunk) // 2, REGION):
+        for bit in _header_like(chunk, first):
+            packed = shifted[bit % 8][bit // 8 : len(chunk) - 1]
+            start = _matching_start(packed, content)
+            if start is not None:
+                return bit, start - WINDOW
+    return None
+
+
+def _matching_start(packed: bytes, content: bytes) -> int | None:
+    """Where in the content the unpacked bytes begin, if they are the content from there nearly to its end."""
+    try:
+        zeros, ones = (zlib.decompressobj(RAW, zdict=bytes([fill]) * WINDOW) for fill in (0, 255))
+        low, high = (np.frombuffer(stream.decompress(packed), np.uint8) for stream in (zeros, ones))
+    except zlib.error:
+        return None
+    if len(low) != len(high) or len(low) < WINDOW // 8:
+        return None
+    known = np.flatnonzero(low == high)  # what does not depend on the content before
+    # The last bits of the chunk are left out: a few codes, of a byte or a match each.
+    latest = len(content) - len(low)
+    starts = np.arange(max(WINDOW, latest - 16 * LONGEST_MATCH), latest + 1)
+    probes = known[:: max(len(known) // 64, 1)]
+    whole = np.frombuffer(content, np.uint8)
+    for start in starts[(whole[starts[:, None] + probes] == low[probes]).all(axis=1)].tolist():
+        stream = zlib.decompressobj(RAW, zdict=content[start - WINDOW : start])
+        if stream.decompress(packed) == content[start : start + len(low)]:
+            return start
+    return None
+
+
+def _header_like(chunk: bytes, first: int) -> list[int]:
+    """Bits of a region that may begin a block with codes of its own (RFC 1951, section 3.2.7) other than the last."""
+    longest = -(-(17 + 3 * CODE_LENGTHS) // 8)
+    region = np.frombuffer(chunk[first : first + REGION + longest + 1], np.uint8)
+    bits = np.unpackbits(region, bitorder="little")
+    places = np.arange(min(8 * REGION, len(bits) - 8 * longest))
+    places = places[(bits[places] == 0) & (bits[places + 1] == 0) & (bits[places + 2] == 1)]
+    few = (_number(bits, places + 3, 5) <= 29) & (_number(bits, places + 8, 5) <= 29)
+    places = places[few]
+    return (8 * first + places[_has_full_code(bits, places)]).tolist()
+
+
+def _has_full_code(bits: UInt8[np.ndarray, " n"], places: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    """Whether the code for code lengths in a header uses all of its words, as zlib demands."""
+    count = _number(bits, places + 13, 4) + 4
+    total = np.zeros(len(places), np.int64)
+    for i in range(CODE_LENGTHS):
+        length = _number(bits, places + 17 + 3 * i, 3)
+        total += np.where((i < count) & (length > 0), FULL_CODE >> length, 0)
+    return total == FULL_CODE
+
+
+def _number(bits: UInt8[np.ndarray, " n"], places: Int[np.ndarray, " k"], width: int) -> Int[np.ndarray, " k"]:
+    """Numbers of ``width`` bits, the lowest first."""
+    return sum((bits[places + i].astype(np.int64) << i for i in range(width)), np.zeros(len(places), np.int64))

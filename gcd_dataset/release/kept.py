@@ -1,0 +1,34 @@
+"""What took long to find out about a published file, kept beside it, or in a folder of the user's choice."""
+
+import hashlib
+from pathlib import Path
+
+from gcd_dataset.errors import OutputError
+from gcd_dataset.files import make_folder, write_whole
+from gcd_dataset.shards.access import reading
+
+__all__ = ["keep", "kept_path", "stamp_of"]
+
+
+def kept_path(source: Path, cache_dir: Path | None, ending: str) -> Path:
+    """Where to keep what is known of ``source``: hidden beside it, or in ``cache_dir`` under a name of its own."""
+    if cache_dir is None:
+        return source.with_name(f".{source.name}.gcd{ending}")
+    place = hashlib.sha256(str(source.resolve()).encode()).hexdigest()[:16]
+    return cache_dir / f"{source.parent.parent.name}-{source.parent.name}-{source.name}-{place}{ending}"
+
+
+def keep(path: Path, content: bytes) -> None:
+    """Keep ``content``, whole or not at all. Raises ``OutputError`` with the way out where that is refused."""
+    try:
+        make_folder(path.parent)
+        write_whole(path, content)
+    except OutputError as error:
+        raise OutputError(f"{error}, or give cache_dir= with a folder where the index may be kept") from error
+
+
+def stamp_of(source: Path) -> tuple[int, int]:
+    """Size and time of change: another stamp, another file. Raises ``ShardError``."""
+    with reading(source):
+        status = source.stat()
+    return status.st_size, status.st_mtime_ns

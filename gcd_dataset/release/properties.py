@@ -1,0 +1,83 @@
+"""``dataset_properties_default_body.yaml``: what the authors' tools noted about all garments of a batch.
+
+It tells which garments failed: those are left out, whether or not their folders are there. A file of 5,000 garments
+takes seconds to parse, so what counts of it is kept.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.release.kept import keep, kept_path, stamp_of
+from gcd_dataset.release.layout import REMEDY
+from gcd_dataset.shards.access import reading
+
+__all__ = ["Facts", "Properties", "read_properties"]
+
+SCHEMA = 1
+COUNTS = {"frames": "fin_frame", "self_crossings": "self_collisions", "body_crossings": "body_collisions"}
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is noted of one garment; -1 where nobody counted."""
+
+    frames: int = -1
+    self_crossings: int = -1
+    body_crossings: int = -1
+
+
+@dataclass(frozen=True)
+class Properties:
+    """What counts of the file."""
+
+    fails: Mapping[str, str] = field(default_factory=dict)
+    """Name of each garment that failed, to the class of its failure."""
+    facts: Mapping[str, Facts] = field(default_factory=dict)
+    """Of each garment that was simulated."""
+
+
+def read_properties(path: Path, cache_dir: Path | None) -> Properties:
+    """The properties of a batch. Raises ``ShardError`` for a broken file, ``OutputError`` where they cannot be kept."""
+    stamp, kept = [SCHEMA, *stamp_of(path)], kept_path(path, cache_dir, ".json")
+    try:
+        entry = json.loads(kept.read_bytes())
+        if entry["stamp"] == stamp:
+            return Properties(entry["fails"], {n: Facts(**f) for n, f in entry["facts"].items()})
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # not there yet, of another file, or broken: it is made anew
+    properties = _parsed(path)
+    keep(kept, json.dumps({"stamp": stamp} | asdict(properties), separators=(",", ":")).encode())
+    return properties
+
+
+def _parsed(path: Path) -> Properties:
+    with reading(path):
+        text = path.read_bytes()
+    try:
+        table = yaml.load(text, Loader=_Loader)
+        stats = table["sim"]["stats"]
+        fails = {str(name): kind for kind, names in stats["fails"].items() for name in names or ()}
+        counts = {key: stats.get(name) or {} for key, name in COUNTS.items()}
+        names = dict.fromkeys(name for values in counts.values() for name in values)
+        facts = {n: Facts(**{key: int(values.get(n, -1)) for key, values in counts.items()}) for n in names}
+        return Properties(fails, facts)
+    except (yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        found = " ".join(str(error).split()) or type(error).__name__
+        raise ShardError(f"{path}: not the properties of a batch ({found}): {REMEDY}") from error
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Reads plain values, and passes by what Python objects were written into the file."""
+
+
+def _passed_by(loader: Any, suffix: str, node: yaml.Node) -> None:
+    return None
+
+
+_Loader.add_multi_constructor("tag:yaml.org,2002:python/", _passed_by)
