@@ -71,7 +71,12 @@ def write_measurements(measurements: Measurements, path: Path | str) -> None:
 
 def measurements_text(measurements: Measurements) -> str:
     """What ``write_measurements`` writes."""
-    return str(yaml.safe_dump({"body": measurements.to_file_values() | _derived(measurements)}))
+    return str(yaml.safe_dump({"body": measurements_tree(measurements)}))
+
+
+def measurements_tree(measurements: Measurements) -> dict[str, float]:
+    """The measures and what GarmentCode derives from them: cm, inclinations in degrees."""
+    return measurements.to_file_values() | _derived(measurements)
 
 
 def read_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray, " v"]:

@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from gcd_dataset.errors import OutputError, shown
 
-__all__ = ["make_folder", "open_whole", "write_whole"]
+__all__ = ["drafted", "make_folder", "open_whole", "write_whole"]
 
 REMEDIES = {
     "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
@@ -39,14 +39,23 @@ def open_whole(path: Path | str) -> Iterator[BinaryIO]:
 
     Raises ``OutputError`` with the file, the system's reason and a remedy.
     """
+    with drafted(path) as draft, draft.open("wb") as file:
+        yield file
+
+
+@contextlib.contextmanager
+def drafted(path: Path | str) -> Iterator[Path]:
+    """A name to write under; the file takes the name ``path`` when the block ends well, else it vanishes.
+
+    Raises ``OutputError`` as ``open_whole`` does.
+    """
     path = Path(path)
     if not path.name or "\0" in str(path):
         raise OutputError(f"{shown(str(path))}: names no file: give a file name")
     draft = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with draft.open("wb") as file:
-            yield file
-            file.flush()
+        yield draft
+        with draft.open("rb+") as file:
             os.fsync(file.fileno())
         draft.replace(path)
     except OSError as error:
@@ -70,4 +79,4 @@ def make_folder(path: Path | str) -> Path:
 
 def _cannot_write(path: Path, error: OSError) -> OutputError:
     remedy = REMEDY_OF.get(error.errno or 0, "choose another folder")
-    return OutputError(f"{path}: cannot be written ({error.strerror}): {remedy}")
+    return OutputError(f"{path}: cannot be written ({error.strerror or error}): {remedy}")

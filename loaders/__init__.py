@@ -10,6 +10,7 @@ from gcd_dataset.loaders.graph import SeamGraph, mesh_edges, seam_graph, to_pyg
 from gcd_dataset.loaders.loader import GarmentLoader
 from gcd_dataset.loaders.mixed import MixedDataset
 from gcd_dataset.loaders.order import ElasticSampler
+from gcd_dataset.loaders.hdf5 import Hdf5Garments
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.loaders.shards import GarmentDataset
 
@@ -22,6 +23,7 @@ __all__ = [
     "GarmentLoader",
     "Garments",
     "GeneratedGarments",
+    "Hdf5Garments",
     "MixedDataset",
     "PackedBatch",
     "PaddedBatch",

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from gcd_dataset.errors import ConfigError
+
 __all__ = ["add_verbs"]
 
 INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
@@ -26,6 +28,18 @@ def add_verbs(verbs: Any, add: Adder, natural: Callable[[str], int]) -> None:
         "--cache-dir", type=Path, metavar="DIR", help="where indices of archives are kept (default: beside them)"
     )
     convert.add_argument("--quiet", action="store_true", help="no progress bar")
+
+    export = add(verbs, "export", _export, "a data set in the forms of other programs")
+    export.add_argument("dataset", type=Path, metavar="DATASET", help="folder of shards")
+    export.add_argument("--hdf5", type=Path, metavar="FILE", help="one split as one HDF5 file")
+    export.add_argument(
+        "--layout",
+        nargs=2,
+        metavar=("published", "OUT"),
+        help="all splits in the folders of GarmentCodeData; OUT is made if it is not there",
+    )
+    export.add_argument("--split", help="split for --hdf5 (default: train)")
+    export.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
 def _convert(options: argparse.Namespace) -> int:
@@ -53,3 +67,39 @@ def _convert(options: argparse.Namespace) -> int:
     if faults:
         print(f"gcd convert: {faults} garments were left out; the same command tries them again", file=sys.stderr)
     return 1 if faults else 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    if (options.hdf5 is None) == (options.layout is None):
+        raise ConfigError("give --hdf5 FILE or --layout published OUT, one of them")
+    if options.layout is not None and options.layout[0] != "published":
+        raise ConfigError(f"--layout {options.layout[0]}: there is published")
+    if options.layout is not None and options.split is not None:
+        raise ConfigError("--split is for --hdf5: --layout takes all splits, whose names go into its split file")
+    return _export_hdf5(options) if options.layout is None else _export_layout(options)
+
+
+def _export_hdf5(options: argparse.Namespace) -> int:
+    from tqdm import tqdm
+
+    from gcd_dataset.shards import ShardReader
+    from gcd_dataset.shards.hdf5 import write_hdf5
+
+    reader = ShardReader(options.dataset, options.split or "train")
+    for _ in tqdm(write_hdf5(reader, options.hdf5), total=len(reader), unit="garment", disable=options.quiet):
+        pass
+    print(f"{options.hdf5}: {len(reader)} garments of {reader.split}")
+    return 0
+
+
+def _export_layout(options: argparse.Namespace) -> int:
+    from tqdm import tqdm
+
+    from gcd_dataset.cli.export import export_published, exported_splits
+
+    readers, out = exported_splits(options.dataset), Path(options.layout[1])
+    count = sum(map(len, readers.values()))
+    for _ in tqdm(export_published(readers, out), total=count, unit="garment", disable=options.quiet):
+        pass
+    print(f"{out}: {count} garments of {', '.join(readers)} in the published layout")
+    return 0

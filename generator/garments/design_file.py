@@ -12,7 +12,7 @@ from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.parameter import Space, plain
 from gcd_dataset.generator.garments.space import DesignSpace, from_dict, to_dict
 
-__all__ = ["read_design", "write_design"]
+__all__ = ["design_tree", "read_design", "write_design"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -36,8 +36,12 @@ def read_design(path: Path | str) -> OutfitDesign:
 
 def write_design(design: OutfitDesign, path: Path | str) -> None:
     """The design as a ``design_params.yaml``, every number to its last digit. Raises ``OutputError``."""
-    tree = {"design": _leaves(DesignSpace.declared(OutfitDesign), to_dict(design))}
-    write_whole(path, yaml.dump(tree, Dumper=DUMPER, sort_keys=False).encode())
+    write_whole(path, yaml.dump({"design": design_tree(design)}, Dumper=DUMPER, sort_keys=False).encode())
+
+
+def design_tree(design: OutfitDesign) -> dict[str, Any]:
+    """The tree of parameters: each a value ``v`` beside range, type and the share of designs that keep its default."""
+    return _leaves(DesignSpace.declared(OutfitDesign), to_dict(design))
 
 
 def _parsed(path: Path) -> Any:

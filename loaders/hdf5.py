@@ -1,0 +1,51 @@
+"""Garments from one HDF5 file."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gcd_dataset.loaders.base import Garments, Transform
+from gcd_dataset.shards.codec import read_json
+from gcd_dataset.shards.layout import Bytes
+
+__all__ = ["Hdf5Garments"]
+
+
+class Hdf5Garments(Garments):
+    """Garments in a file that ``gcd export --hdf5`` has made, with the items of the shards that it was made from.
+
+    >>> ds = Hdf5Garments("train.h5", fields=("verts", "faces"))  # doctest: +SKIP
+    >>> ds[0]["verts"].shape  # doctest: +SKIP
+    torch.Size([14425, 3])
+
+    Each process of a ``DataLoader``, forked or spawned, opens the file for itself. Shards are read several times as
+    fast: train from those. Raises ``ShardError`` for a file that is missing, damaged, foreign or newer.
+    """
+
+    def __init__(
+        self, source: str | Path, fields: Iterable[str] | None = None, *, transform: Transform | None = None
+    ) -> None:
+        from gcd_dataset.shards.hdf5 import Hdf5Reader  # brings h5py, which nobody else needs
+
+        super().__init__(fields, transform)
+        self._reader = Hdf5Reader(source)
+
+    @property
+    def split(self) -> str:
+        """The split that the file holds."""
+        return self._reader.split
+
+    def __len__(self) -> int:
+        return len(self._reader)
+
+    def recipe(self, index: int) -> dict[str, Any]:
+        """Seed, index, options and versions that garment ``index`` was made with. Raises ``IndexError``."""
+        meta = read_json(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
+        return {name: meta[name] for name in ("seed", "index", "recipe", "versions")}
+
+    def verify(self, index: int) -> None:
+        """Raise ``ShardError`` with file and member if a byte of garment ``index`` is not as it was written."""
+        self._reader.check(self._position(index))
+
+    def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
+        return self._reader.read(position, members)
