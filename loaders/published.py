@@ -94,10 +94,13 @@ class PublishedGarmentCodeData(Garments):
         """Of all garments: batch, body folder and name."""
         return tuple(map(str, self._garments.entries))
 
-    @property
-    def indices(self) -> tuple[int, ...]:
-        """The number of each garment in shards: the same whatever else is on disk."""
-        return tuple(entry.index for entry in self._garments.entries)
+    def name(self, index: int) -> str:
+        """Of garment ``index``: batch, body folder and name. Raises ``IndexError``."""
+        return str(self._garments.entries[self._position(index)])
+
+    def number(self, index: int) -> int:
+        """The number of garment ``index`` in shards: the same whatever else is on disk. Raises ``IndexError``."""
+        return self._garments.entries[self._position(index)].index
 
     @property
     def origin(self) -> dict[str, Any]:

@@ -59,6 +59,7 @@ def plan_convert(
     """
     cache = None if cache_dir is None else Path(cache_dir)
     sources = [Source(Path(root), split, bodies, cache) for split in SPLIT_NAMES]
+    _dataset.cache_clear()  # more may have been downloaded since
     there = [source for source in sources if len(_listed(source))]
     if not there:
         _listed(sources[0]).require_any()
@@ -95,9 +96,9 @@ def _listed(source: Source) -> PublishedGarments:
 def _plan(source: Source, out: Path) -> ConvertPlan:
     with _writer(source, out) as writer:
         done = writer.done
-    indices = _dataset(source).indices
-    missing = tuple(position for position, index in enumerate(indices) if index not in done)
-    return ConvertPlan(source, out, len(indices), missing)
+    published = _dataset(source)
+    missing = tuple(position for position in range(len(published)) if published.number(position) not in done)
+    return ConvertPlan(source, out, len(published), missing)
 
 
 def _writer(source: Source, out: Path) -> ShardWriter:
@@ -107,9 +108,7 @@ def _writer(source: Source, out: Path) -> ShardWriter:
 @functools.lru_cache(maxsize=3)
 def _dataset(source: Source) -> PublishedGarmentCodeData:
     """The data set, opened once a process."""
-    return PublishedGarmentCodeData(
-        source.root, source.split, bodies=source.bodies, cache_dir=source.cache_dir, fields=("meta",)
-    )
+    return PublishedGarmentCodeData(source.root, source.split, bodies=source.bodies, cache_dir=source.cache_dir)
 
 
 def _converted(plan: ConvertPlan, workers: int) -> Iterator[Converted]:
@@ -124,8 +123,8 @@ def _convert(source: Source, positions: Sequence[int]) -> list[Converted]:
 
 
 def _convert_one(published: PublishedGarmentCodeData, position: int) -> Converted:
-    index = published.indices[position]
+    index = published.number(position)
     try:
         return Converted(index, encode_sample(published.sample(position)))
     except (ShardError, PatternError) as error:
-        return Converted(index, {}, f"{published.names[position]}: {error}")
+        return Converted(index, {}, f"{published.name(position)}: {error}")

@@ -43,7 +43,7 @@ class Archive(Record):
     """First byte of each file in the unpacked archive; -1 where there is none."""
     size: Int[np.ndarray, "n m"]
     points: Int[np.ndarray, "k 3"]
-    """Where unpacking can begin: bit in the file, byte of the content, 1 where that takes the window before."""
+    """Where unpacking can begin: byte of the file, byte of the content, 1 where that takes the window before."""
     windows: Path
     """The windows of all points, one after the other."""
 
@@ -91,11 +91,11 @@ class Archive(Record):
 
     def _point(self, offset: int) -> SeekPoint:
         row = int(np.searchsorted(self.points[:, 1], offset, side="right")) - 1
-        bit, start, windowed = self.points[row].tolist()
+        place, start, windowed = self.points[row].tolist()
         if not windowed:
-            return SeekPoint(bit, start, None)
+            return SeekPoint(place, start, None)
         with reading(self.windows), self.windows.open("rb") as file:
-            return SeekPoint(bit, start, os.pread(file.fileno(), WINDOW, row * WINDOW))
+            return SeekPoint(place, start, os.pread(file.fileno(), WINDOW, row * WINDOW))
 
     @functools.cached_property
     def _row(self) -> dict[str, int]:
@@ -158,7 +158,7 @@ def _scan(path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Non
         raise ShardError(f"{path}: holds no garment of the published layout, as data/rand_…/rand_…_sim.ply: {REMEDY}")
     points = flow.points if isinstance(flow, Unpacking) else []
     places = np.array([[files.get(kind, (-1, 0)) for kind in ENDINGS] for files in garments.values()], np.int64)
-    numbers = [(point.bit, point.start, int(point.window is not None)) for point in points]
+    numbers = [(point.place, point.start, int(point.window is not None)) for point in points]
     arrays: dict[str, Any] = {
         "stamp": np.array([SCHEMA, *stamp], np.int64),
         "kinds": np.array(list(ENDINGS)),

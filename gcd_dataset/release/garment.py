@@ -169,7 +169,7 @@ class PublishedGarment:
         seams = np.array(rows, np.int64).reshape(-1, 2)
         if len(seams) and not 0 <= seams[:, 1].min() <= seams[:, 1].max() < len(self.pattern.seams):
             raise self.broken("segmentation", f"names a stitch that is none of the {len(self.pattern.seams)}")
-        return seams
+        return seams[np.argsort(seams[:, 1], kind="stable")]
 
     @functools.cached_property
     def _panel_of_row(self) -> Int[np.ndarray, " c"]:

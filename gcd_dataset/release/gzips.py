@@ -4,8 +4,9 @@ A gzip file can be unpacked from its beginning only, or from the start of a bloc
 for whoever knows the 32 kB of content before it. ``Unpacking`` reads a file once from end to end and notes such starts
 on the way; ``read_from`` begins at one of them.
 
-Where blocks start is found by trial: a bit may be one where what follows reads as a header. That is so by chance too,
-so a start is taken only if unpacking from it gives, byte for byte, what unpacking from the beginning has given.
+Where blocks start is found by trial: a byte may be one where what follows reads as a header. That is so by chance too,
+so a start is taken only if unpacking from it gives, byte for byte, what unpacking from the beginning has given. Only
+blocks that start with a byte will do, one in eight: those behind them may be stored ones, which count in whole bytes.
 """
 
 import os
@@ -21,11 +22,12 @@ __all__ = ["WINDOW", "SeekPoint", "Unpacking", "read_from"]
 WINDOW = 1 << 15  # bytes of content that a block may refer back to
 EVERY = 1 << 24  # bytes of content between points: half of it is unpacked in vain for a garment, some 30 ms
 CHUNK = 1 << 18  # bytes of the file at a time; a block is seldom longer than 40 kB
-REGION = 1 << 14  # bytes searched for a start at a time
 GZIP, RAW = 31, -15  # window bits that tell zlib the format
 TRAILER = 8  # bytes after a stream: CRC-32 and length
 LONGEST_MATCH = 258
 CODE_LENGTHS = 19  # of a block's header
+LONGEST_HEADER = 17 + 3 * CODE_LENGTHS  # bits, up to the codes themselves
+MOST_CODES = 29  # beyond 257 and beyond 1
 FULL_CODE = 128  # Kraft sum of a complete code of up to 7 bits, in units of 2⁻⁷
 
 
@@ -33,8 +35,8 @@ FULL_CODE = 128  # Kraft sum of a complete code of up to 7 bits, in units of 2�
 class SeekPoint:
     """Where unpacking can begin."""
 
-    bit: int
-    """Place in the file, of a block's first bit; of a whole stream where ``window`` is ``None``."""
+    place: int
+    """In the file: of a block, or of a whole stream where ``window`` is ``None``."""
     start: int
     """Place in the content that this is."""
     window: bytes | None
@@ -78,16 +80,16 @@ class Unpacking:
             rest = stream.unused_data
             while stream.eof and rest.strip(b"\0"):  # another stream follows; zeros only fill up
                 if end + len(content) - self.points[-1].start >= EVERY:
-                    self.points.append(SeekPoint(8 * (place + len(chunk) - len(rest)), end + len(content), None))
+                    self.points.append(SeekPoint(place + len(chunk) - len(rest), end + len(content), None))
                 stream = zlib.decompressobj(GZIP)
                 content += stream.decompress(rest)
                 rest = stream.unused_data
             if whole and end - self.points[-1].start >= EVERY and len(before) == WINDOW:
                 found = _block_start(chunk, before + content)
                 if found is not None:
-                    bit, start = found
+                    first, start = found
                     window = (before + content)[start : start + WINDOW]
-                    self.points.append(SeekPoint(8 * place + bit, end + start, window))
+                    self.points.append(SeekPoint(place + first, end + start, window))
             before = (before + content)[-WINDOW:]
             place, end = place + len(chunk), end + len(content)
             yield from (content,) if content else ()
@@ -111,45 +113,30 @@ def read_from(file: int, point: SeekPoint, offset: int, size: int) -> bytes:
 
 def _unpacked_from(file: int, point: SeekPoint) -> Iterator[bytes]:
     """The content from a point on."""
-    place, shift = divmod(point.bit, 8)
-    if point.window is None:
-        stream, shift = zlib.decompressobj(GZIP), 0
-    else:
-        stream = zlib.decompressobj(RAW, zdict=point.window)
-    while len(chunk := os.pread(file, CHUNK + 1, place)) > 1:
-        used = chunk[:-1] if len(chunk) > CHUNK else chunk
-        yield stream.decompress(_shifted(chunk, shift)[: len(used)])
-        place += len(used)
+    place = point.place
+    raw = point.window is not None
+    stream = zlib.decompressobj(GZIP) if point.window is None else zlib.decompressobj(RAW, zdict=point.window)
+    while chunk := os.pread(file, CHUNK, place):
+        yield stream.decompress(chunk)
+        place += len(chunk)
         if stream.eof:
-            raw, rest = point.window is not None, len(stream.unused_data)
-            place += TRAILER * raw - rest
-            point, shift, stream = SeekPoint(0, 0, None), 0, zlib.decompressobj(GZIP)
-
-
-def _shifted(data: bytes, bits: int) -> bytes:
-    """The data without its first ``bits`` bits, filled up with zeros."""
-    if not bits:
-        return data
-    array = np.frombuffer(data, np.uint8)
-    following = np.append(array[1:], np.uint8(0))
-    return ((array >> bits) | (following << (8 - bits))).astype(np.uint8).tobytes()
+            place += TRAILER * raw - len(stream.unused_data)
+            raw, stream = False, zlib.decompressobj(GZIP)
 
 
 # ----------------------------------------------------------------------------------------------------- starts of blocks
 
 
 def _block_start(chunk: bytes, content: bytes) -> tuple[int, int] | None:
-    """The first block that begins in a chunk: its bit, and how far into what the chunk adds to the content.
+    """The first block that begins with a byte of a chunk: that byte, and how far into what the chunk adds.
 
     ``content``: the window before, and all that the chunk unpacks to.
     """
-    shifted = [_shifted(chunk, bits) for bits in range(8)]
-    for first in range(0, len(chunk) // 2, REGION):
-        for bit in _header_like(chunk, first):
-            packed = shifted[bit % 8][bit // 8 : len(chunk) - 1]
-            start = _matching_start(packed, content)
-            if start is not None:
-                return bit, start - WINDOW
+    for first in _header_like(chunk):
+        # The last byte may hold the beginning of a code.
+        start = _matching_start(chunk[first:-1], content)
+        if start is not None:
+            return first, start - WINDOW
     return None
 
 
@@ -163,7 +150,7 @@ def _matching_start(packed: bytes, content: bytes) -> int | None:
     if len(low) != len(high) or len(low) < WINDOW // 8:
         return None
     known = np.flatnonzero(low == high)  # what does not depend on the content before
-    # The last bits of the chunk are left out: a few codes, of a byte or a match each.
+    # The last byte of the chunk is left out: a few codes, of a byte or a match each.
     latest = len(content) - len(low)
     starts = np.arange(max(WINDOW, latest - 16 * LONGEST_MATCH), latest + 1)
     probes = known[:: max(len(known) // 64, 1)]
@@ -175,16 +162,13 @@ def _matching_start(packed: bytes, content: bytes) -> int | None:
     return None
 
 
-def _header_like(chunk: bytes, first: int) -> list[int]:
-    """Bits of a region that may begin a block with codes of its own (RFC 1951, section 3.2.7) other than the last."""
-    longest = -(-(17 + 3 * CODE_LENGTHS) // 8)
-    region = np.frombuffer(chunk[first : first + REGION + longest + 1], np.uint8)
-    bits = np.unpackbits(region, bitorder="little")
-    places = np.arange(min(8 * REGION, len(bits) - 8 * longest))
+def _header_like(chunk: bytes) -> list[int]:
+    """Bytes that may begin a block with codes of its own (RFC 1951, section 3.2.7) other than the last."""
+    bits = np.unpackbits(np.frombuffer(chunk, np.uint8), bitorder="little")
+    places = np.arange(0, max(len(bits) - LONGEST_HEADER, 0), 8)
     places = places[(bits[places] == 0) & (bits[places + 1] == 0) & (bits[places + 2] == 1)]
-    few = (_number(bits, places + 3, 5) <= 29) & (_number(bits, places + 8, 5) <= 29)
-    places = places[few]
-    return (8 * first + places[_has_full_code(bits, places)]).tolist()
+    places = places[(_number(bits, places + 3, 5) <= MOST_CODES) & (_number(bits, places + 8, 5) <= MOST_CODES)]
+    return (places[_has_full_code(bits, places)] // 8).tolist()
 
 
 def _has_full_code(bits: UInt8[np.ndarray, " n"], places: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:

@@ -18,7 +18,7 @@ import json
 import os
 import threading
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ PICTURES = tuple(field for field, member in FIELDS.items() if member.endswith(".
 RAGGED = ARRAYS + PICTURES
 
 
-def write_hdf5(reader: ShardReader, path: Path | str) -> Iterator[int]:
+def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, None]:
     """All samples of a split into a file, yielding the number of each as it is stored.
 
     Once the iterator has ended the file has its name and is whole; before, there is nothing of it. Every sample is read

@@ -1,0 +1,345 @@
+"""The published layout through the door that users take: items as from shards, whatever the layout does to them."""
+
+import json
+import pickle
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.loaders import GarmentDataset, PublishedGarmentCodeData, collate_list
+from gcd_dataset.release.garment import PublishedGarment
+from gcd_dataset.release.layout import ENDINGS, properties_name
+from gcd_dataset.release.properties import Facts
+from gcd_dataset.release.write import garment_files
+from tests.release.published import (
+    BATCH,
+    BODIES,
+    TEST,
+    TRAIN,
+    fail,
+    file_of,
+    garment,
+    pack,
+    publish,
+    remove,
+    split_lists,
+    touch_vertex,
+)
+
+EXACT = ("faces", "panel_id", "labels", "seams", "uv_vertex", "corners", "verts", "box", "stitches")
+NEAR = {"uv": 1e-4, "panels": 1e-9, "edges": 1e-9}  # cm
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return publish(tmp_path_factory.mktemp("folders"))
+
+
+@pytest.fixture
+def own(folders: Path, tmp_path: Path) -> Path:
+    """A copy to be spoiled."""
+    return Path(shutil.copytree(folders, tmp_path / "own"))
+
+
+@pytest.fixture(scope="module")
+def packed(folders: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return pack(Path(shutil.copytree(folders, tmp_path_factory.mktemp("packed") / "root")))
+
+
+def assert_same(item: Mapping[str, Any], other: Mapping[str, Any]) -> None:
+    assert item.keys() == other.keys()
+    for field, value in item.items():
+        if isinstance(value, torch.Tensor):
+            assert value.dtype == other[field].dtype
+            assert torch.equal(value, other[field]), field
+        else:
+            assert value == other[field], field
+
+
+def numbers(published: PublishedGarmentCodeData) -> list[int]:
+    return [published.number(index) for index in range(len(published))]
+
+
+# ------------------------------------------------------------------------------------------------------------ garments
+
+
+def test_items_are_those_of_the_shards_that_were_exported(folders: Path) -> None:
+    ours = GarmentDataset(folders.parent / "shards")
+    published = PublishedGarmentCodeData(folders)
+    assert len(ours) == len(published) == 4
+    for before, after in zip(ours, published, strict=True):
+        assert before.keys() == after.keys()
+        for field in EXACT:
+            assert before[field].dtype == after[field].dtype
+            # The corners of the mesh are numbered anew; what they join is not.
+            same = before["uv_vertex"][before["corners"]] if field == "corners" else before[field]
+            there = after["uv_vertex"][after["corners"]] if field == "corners" else after[field]
+            if field != "uv_vertex":
+                assert torch.equal(same, there), field
+        flat, there = (item["uv"][item["corners"]] for item in (before, after))
+        assert torch.allclose(flat, there, atol=NEAR["uv"])
+        for field in ("panels", "edges"):
+            assert torch.allclose(before[field], after[field], atol=NEAR[field])
+        assert before["measures"] == pytest.approx(after["measures"], rel=1e-12)
+        assert before["design"] == after["design"]
+        for name in ("body", "pattern", "source", "panel_names", "vertex_labels"):
+            assert before["meta"][name] == after["meta"][name]
+
+
+def test_archives_give_what_folders_give(folders: Path, packed: Path) -> None:
+    for split in ("train", "test"):
+        extracted, archived = PublishedGarmentCodeData(folders, split), PublishedGarmentCodeData(packed, split)
+        assert extracted.names == archived.names
+        for item, other in zip(extracted, archived, strict=True):
+            assert_same(item, other)
+
+
+def test_the_two_garments_of_a_design_follow_each_other(folders: Path) -> None:
+    both = PublishedGarmentCodeData(folders)
+    assert both.names == tuple(f"{BATCH}/{body}/{name}" for name in TRAIN for body in BODIES)
+    assert numbers(both) == [0, 1, 2, 3]
+    on_random = PublishedGarmentCodeData(folders, "training", bodies="random")
+    assert (on_random.names, numbers(on_random)) == (both.names[1::2], [1, 3])
+    assert both.name(-1) == both.names[3]
+    assert_same(on_random[0], both[1])
+    assert both[1]["meta"]["body"] == "00000_straight"
+    assert both[0]["meta"]["body"] == "mean_all"
+    assert PublishedGarmentCodeData(folders, "all").names == tuple(
+        f"{BATCH}/{body}/{name}" for name in (*TRAIN, *TEST) for body in BODIES
+    )
+    assert len(PublishedGarmentCodeData(folders.parent, "test")) == 2  # the folder above
+
+
+def test_failed_garments_are_left_out(own: Path) -> None:
+    fail(own, TRAIN[0], BODIES[1])
+    published = PublishedGarmentCodeData(own)
+    assert published.names == (
+        f"{BATCH}/{BODIES[0]}/{TRAIN[0]}", f"{BATCH}/{BODIES[0]}/{TRAIN[1]}", f"{BATCH}/{BODIES[1]}/{TRAIN[1]}"
+    )  # fmt: skip
+    assert numbers(published) == [0, 2, 3]
+
+
+def test_without_properties_nothing_is_known_to_have_failed(own: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (own / BATCH / BODIES[1] / properties_name(BODIES[1])).unlink()
+    published = PublishedGarmentCodeData(own, bodies="random", fields=("meta",))
+    assert "failed garments are not known" in caplog.text
+    assert published[0]["meta"]["drape"]["frames"] == -1
+
+
+def test_version_1_has_no_folder_data(own: Path, folders: Path) -> None:
+    for data in own.glob("*/*/data"):
+        for folder in data.iterdir():
+            folder.rename(data.parent / folder.name)
+        data.rmdir()
+    (own / BATCH / BODIES[0] / "renders").mkdir()
+    assert_same(PublishedGarmentCodeData(own)[0], PublishedGarmentCodeData(folders)[0])
+
+
+def test_only_what_the_fields_ask_for_is_read(own: Path, folders: Path) -> None:
+    kept = {"verts": ("sim", "segmentation"), "panels": ("spec",), "measures": ("measures",), "front": ("front",)}
+    for field, kinds in kept.items():
+        for kind in ENDINGS:
+            path = file_of(own, TRAIN[0], kind)
+            path.unlink(missing_ok=True)
+            if kind in kinds:
+                path.write_bytes(file_of(folders, TRAIN[0], kind).read_bytes())
+        item = PublishedGarmentCodeData(own, fields=field)[0]
+        assert_same(item, PublishedGarmentCodeData(folders, fields=field)[0])
+
+
+def test_workers_read_archives(packed: Path) -> None:
+    published = PublishedGarmentCodeData(packed, fields=("verts", "spec"))
+    loader = DataLoader(published, 1, num_workers=2, collate_fn=collate_list, multiprocessing_context="fork")
+    sent = pickle.loads(pickle.dumps(published))  # as to a spawned one
+    for item, (other,), third in zip(published, loader, sent, strict=True):
+        assert_same(item, other)
+        assert_same(item, third)
+
+
+def test_vertices_that_touch_in_the_drape_are_told_apart(folders: Path) -> None:
+    """Two vertices at the very same place weld to one, unless they lay apart before."""
+    sample = touch_vertex(garment(TRAIN[0], 0, BODIES[0]))
+    files = {kind: file_of(folders, TRAIN[0], kind).read_bytes() for kind in ENDINGS}
+    assert sample.drape is not None
+    rows = np.frombuffer(files["sim"].partition(b"end_header\n")[2], np.uint8)
+    place = np.asarray(sample.drape.vertices[-1], "<f4").tobytes()
+    before = np.asarray(garment(TRAIN[0], 0, BODIES[0]).drape.vertices[-1], "<f4").tobytes()  # type: ignore[union-attr]
+    assert rows.tobytes().count(before) == 1
+    files["sim"] = files["sim"].replace(before, place)
+    opened = PublishedGarment(TRAIN[0], "there", lambda kinds: {k: files[k] for k in kinds}, Facts(), True)
+    assert np.array_equal(opened.vertices, np.asarray(sample.drape.vertices, np.float32))
+    assert np.array_equal(opened.faces, sample.box_mesh.faces)  # type: ignore[union-attr]
+
+
+def test_verify_finds_files_that_do_not_fit_each_other(own: Path) -> None:
+    published = PublishedGarmentCodeData(own, fields=())
+    published.verify(0)
+    file_of(own, TRAIN[0], "box").write_bytes(file_of(own, TRAIN[1], "box").read_bytes())
+    with pytest.raises(ShardError, match=r"_boxmesh\.ply: not the mesh of"):
+        published.verify(0)
+    assert published.recipe(1)["index"] == 1
+
+
+# -------------------------------------------------------------------------------------------------------------- faults
+
+
+def swapped(old: bytes, new: bytes) -> Callable[[bytes], bytes]:
+    def swap(content: bytes) -> bytes:
+        assert old in content
+        return content.replace(old, new)
+
+    return swap
+
+
+FAULTS: tuple[tuple[str, Callable[[bytes], bytes], str], ...] = (
+    ("spec", lambda content: content[:-9], "_specification.json: Expecting"),
+    ("spec", swapped(b'"edges"', b'"seams"'), "panel front: edges must be a list"),
+    ("sim", lambda content: content[:-1], "_sim.ply: .* bytes for .* vertices"),
+    ("sim", swapped(b"double s", b"float s"), "_sim.ply: not a binary PLY"),
+    ("segmentation", lambda content: content + b"front\n", "_sim_segmentation.txt: labels"),
+    ("segmentation", swapped(b"front", b"sleeve"), "names sleeve, which is no panel"),
+    ("segmentation", swapped(b"stitch_1", b"stitch_7"), "names a stitch that is none of the 2"),
+    ("vertex_labels", swapped(b"lower_interface", b"hem"), "_vertex_labels.yaml: hem is on no edge"),
+    ("vertex_labels", swapped(b"- ", b"- -"), "lower_interface is no list of the mesh's vertices"),
+    ("design", lambda content: b"[", "_design_params.yaml: not YAML"),
+    ("measures", swapped(b"height", b"length"), "_body_measurements.yaml: body lacks height"),
+    ("front", lambda content: content[:40], "_render_front.png: not a picture"),
+)
+
+
+@pytest.mark.parametrize(("kind", "spoil", "message"), FAULTS, ids=[f"{kind}: {text}" for kind, _, text in FAULTS])
+def test_a_broken_file_is_named_with_the_way_out(
+    own: Path, kind: str, spoil: Callable[[bytes], bytes], message: str
+) -> None:
+    path = file_of(own, TRAIN[0], kind)
+    path.write_bytes(spoil(path.read_bytes()))
+    with pytest.raises(ShardError, match=message) as caught:
+        PublishedGarmentCodeData(own)[0]
+    assert str(path) in str(caught.value)
+    assert str(caught.value).endswith(": extract or download it again")
+
+
+@pytest.mark.parametrize("kind", sorted(set(ENDINGS) - {"svg", "drawing", "rest_lengths", "texture"}))
+def test_a_missing_file_is_named(own: Path, kind: str) -> None:
+    path = file_of(own, TRAIN[0], kind)
+    path.unlink()
+    with pytest.raises(ShardError, match=f"^{path}: missing: extract or download it again$"):
+        PublishedGarmentCodeData(own)[0]
+
+
+def test_a_garment_in_the_split_that_is_nowhere_is_told(own: Path, caplog: pytest.LogCaptureFixture) -> None:
+    remove(file_of(own, TRAIN[0], "spec").parent)
+    assert numbers(PublishedGarmentCodeData(own)) == [1, 2, 3]
+    assert "1 garments of the split are neither there nor noted as failed" in caplog.text
+
+
+def test_batches_that_are_not_there_are_passed_over(own: Path) -> None:
+    lists = split_lists(own)
+    lists["training"].insert(0, "garments_5000_1/default_body/rand_BBBBBBBBBB")
+    lists["validation"] = ["garments_5000_1/default_body/rand_BBBBBBBBBC"]
+    (path,) = own.glob("*split*.json")
+    path.write_text(json.dumps(lists))
+    assert numbers(PublishedGarmentCodeData(own)) == [2, 3, 4, 5]
+    with pytest.raises(ShardError, match="no garment of split validation"):
+        PublishedGarmentCodeData(own, "validation")
+
+
+def test_wrong_arguments_are_told_with_what_there_is(folders: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="split='val': there is train, validation, test, and all"):
+        PublishedGarmentCodeData(folders, "val")
+    with pytest.raises(ConfigError, match="bodies='neutral': there is default, random, and both"):
+        PublishedGarmentCodeData(folders, bodies="neutral")
+    with pytest.raises(ConfigError, match="no field vertices"):
+        PublishedGarmentCodeData(folders, fields=("vertices",))
+    with pytest.raises(ShardError, match="no folder such as garments_5000_0/default_body"):
+        PublishedGarmentCodeData(tmp_path)
+    with pytest.raises(ShardError, match="a file: give the folder"):
+        PublishedGarmentCodeData(next(folders.glob("*.json")))
+
+
+def test_a_folder_without_the_split_file_is_read_whole(own: Path) -> None:
+    next(own.glob("*split*.json")).unlink()
+    with pytest.raises(ShardError, match=r"no official split .*: download it into this folder, or give split='all'"):
+        PublishedGarmentCodeData(own)
+    assert len(PublishedGarmentCodeData(own, "all")) == 6
+
+
+def test_a_broken_split_file_is_named(own: Path) -> None:
+    next(own.glob("*split*.json")).write_text('{"training": ["rand_AAAAAAAAA0"]}')
+    with pytest.raises(ShardError, match="without a list named training"):
+        PublishedGarmentCodeData(own)
+
+
+def test_broken_properties_are_named(own: Path) -> None:
+    path = own / BATCH / BODIES[0] / properties_name(BODIES[0])
+    path.write_text("sim: [")
+    with pytest.raises(ShardError, match=f"^{path}: not the properties of a batch"):
+        PublishedGarmentCodeData(own)
+
+
+# ----------------------------------------------------------------------------------------- the reference's own files
+
+
+def test_garments_of_the_reference_system_are_read_as_expected(examples: Path, tmp_path: Path) -> None:
+    expected = json.loads((examples / "published" / "expected.json").read_text())["samples"]
+    for root in ("GarmentCodeData_v2", "GarmentCodeData_v2_unpacked"):
+        published = PublishedGarmentCodeData(examples / "published" / root, "all", cache_dir=tmp_path)
+        assert len(published) == 4
+        for place, item in zip(published.names, published, strict=True):
+            _, body, name = place.split("/")
+            check_garment(item, expected[name][body])
+
+
+def check_garment(item: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
+    meta = item["meta"]
+    assert len(item["verts"]) == len(item["box"]) == facts["canonical_vertices"]
+    assert len(item["uv"]) == facts["ply_vertices"]
+    assert len(item["faces"]) == facts["faces"]
+    assert sorted(meta["panel_names"]) == sorted(facts["panels"])
+    assert len(item["stitches"]) == facts["n_stitches"]
+    assert len(item["seams"][:, 0].unique()) == facts["seam_vertices"]
+    assert len(item["seams"]) == facts["seam_vertices"] + facts["multi_seam_vertices"]
+    for label, known in facts["labels"].items():
+        ids = item["labels"][item["labels"][:, 1] == meta["edge_labels"].index(label), 0]
+        assert len(ids) == known["count"]
+        assert [int(ids.min()), int(ids.max())] == known["id_range"]
+    for field, box in (("verts", facts["sim_bbox_cm"]), ("box", facts["boxmesh_bbox_cm"])):
+        corners = torch.stack([item[field].min(0).values, item[field].max(0).values])
+        assert torch.allclose(corners, torch.tensor(box), atol=1e-3)
+    assert meta["body"] == (facts["body_sample"] or "mean_all")
+    assert item["front"].shape == (3, 800, 800)
+
+
+def test_the_reference_systems_files_are_written_again(examples: Path, tmp_path: Path) -> None:
+    """What we write of a garment that the reference system wrote says the same as its files."""
+    from gcd_dataset.cli.export import _drawn
+
+    root = examples / "published" / "GarmentCodeData_v2_unpacked"
+    published = PublishedGarmentCodeData(root, "all", cache_dir=tmp_path)
+    for position, place in enumerate(published.names):
+        batch, body, name = place.split("/")
+        sample = published.sample(position)
+        wearer = None if body == BODIES[0] else sample.provenance.body_name
+        ours = garment_files(sample, name, sample.design, _drawn(sample), body_sample=wearer)
+        theirs = {path.name: path.read_bytes() for path in (root / batch / body / "data" / name).iterdir()}
+        assert ours.keys() == theirs.keys()
+        for kind in ("segmentation", "vertex_labels", "design"):
+            assert ours[name + ENDINGS[kind]] == theirs[name + ENDINGS[kind]]
+        length = {
+            key: _pickled_lengths(files[name + ENDINGS["rest_lengths"]])
+            for key, files in (("ours", ours), ("theirs", theirs))
+        }
+        assert length["ours"].keys() == length["theirs"].keys()
+        assert length["ours"] == pytest.approx(length["theirs"], abs=1e-4)
+
+
+def _pickled_lengths(content: bytes) -> dict[tuple[int, int], float]:
+    """What such a pickle holds; of the reference system's files, made for these tests, and of ours alone."""
+    return {(int(a), int(b)): float(length) for (a, b), length in pickle.loads(content).items()}

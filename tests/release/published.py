@@ -1,0 +1,102 @@
+"""A small data set in the published layout, made from fake garments by our own writer."""
+
+import json
+import tarfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from gcd_dataset.cli.export import export_published, exported_splits
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.records import MEASURES, Measurements, Sample
+from gcd_dataset.release.layout import ENDINGS, properties_name
+from gcd_dataset.shards import ShardWriter
+
+RELEASE = "GarmentCodeData_v2"
+BODIES = ("default_body", "random_body")
+BATCH = "garments_5000_0"
+TRAIN, TEST = ("rand_AAAAAAAAA0", "rand_AAAAAAAAA1"), ("rand_AAAAAAAAA2",)
+DESIGNS: Mapping[str, tuple[str, ...]] = {"train": TRAIN, "test": TEST}
+SIZE = Measurements(**{name: 1.0 if name.endswith("incl") else 50.0 + i for i, name in enumerate(MEASURES)})
+
+
+def garment(name: str, number: int, body: str) -> Sample:
+    """A fake garment as one of a release."""
+    made = fake_sample(7, 2 * number + BODIES.index(body))
+    wearer = "mean_all" if body == BODIES[0] else f"{number:05d}_straight"
+    source = f"{RELEASE}/{BATCH}/{body}/{name}"
+    return replace(
+        made,
+        provenance=replace(made.provenance, body_name=wearer, source=source),
+        pattern=replace(made.pattern, name=name),
+        measurements=SIZE,
+        design={"skirt": {"width": {"v": 1.5, "range": [1, 2], "type": "float"}}},
+        shape=None,
+    )
+
+
+def fill(folder: Path) -> Path:
+    """Shards of all designs, on both bodies."""
+    for split, names in DESIGNS.items():
+        with ShardWriter(folder, split=split, seed=7, recipe={"fake": True}) as writer:
+            for number, name in enumerate(names):
+                for body in BODIES:
+                    writer.write(garment(name, number, body))
+    return folder
+
+
+def publish(folder: Path) -> Path:
+    """The same designs in the published layout, in folders."""
+    out = folder / RELEASE
+    for _ in export_published(exported_splits(fill(folder / "shards")), out):
+        pass
+    return out
+
+
+def pack(root: Path, *, packed: bool = True) -> Path:
+    """Put the garments of each batch into an archive, as they are downloaded."""
+    for data in root.glob("*/*/data"):
+        archive = data.parent / ("data.tar.gz" if packed else "data.tar")
+        with tarfile.open(archive, "w:gz" if packed else "w") as tar:
+            tar.add(data, "data")
+        remove(data)
+    return root
+
+
+def remove(folder: Path) -> None:
+    """Delete a folder and what is in it."""
+    for path in folder.iterdir():
+        remove(path) if path.is_dir() else path.unlink()
+    folder.rmdir()
+
+
+def file_of(root: Path, name: str, kind: str, body: str = BODIES[0]) -> Path:
+    """One file of a garment."""
+    return root / BATCH / body / "data" / name / f"{name}{ENDINGS[kind]}"
+
+
+def fail(root: Path, name: str, body: str) -> None:
+    """Note in the properties that a garment failed."""
+    path = root / BATCH / body / properties_name(body)
+    tree = yaml.safe_load(path.read_text())
+    tree["sim"]["stats"]["fails"]["static_equilibrium"].append(name)
+    # As the authors' tools write a figure that NumPy made.
+    path.write_text(yaml.safe_dump(tree) + "odd: !!python/object/apply:numpy.core.multiarray.scalar [a, b]\n")
+
+
+def split_lists(root: Path) -> dict[str, list[str]]:
+    """The content of the split file."""
+    (path,) = root.glob("*split*.json")
+    lists: dict[str, list[str]] = json.loads(path.read_text())
+    return lists
+
+
+def touch_vertex(sample: Sample) -> Sample:
+    """The garment with one vertex of its drape where another one is."""
+    assert sample.drape is not None
+    vertices = np.array(sample.drape.vertices)
+    vertices[-1] = vertices[-2]
+    return replace(sample, drape=replace(sample.drape, vertices=vertices))

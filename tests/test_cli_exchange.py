@@ -1,0 +1,224 @@
+"""Data sets from and to the forms of others, as a user of ``gcd`` meets them."""
+
+import itertools
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from gcd_dataset.cli import main
+from gcd_dataset.cli.convert import convert, plan_convert
+from gcd_dataset.cli.statistics import garment_type
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.pipeline import make
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
+from gcd_dataset.records import Drape, Outcome, Sample
+from gcd_dataset.release.layout import ENDINGS
+from gcd_dataset.shards import ShardWriter
+from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
+from tests.shards.folders import contents, fill
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return publish(tmp_path_factory.mktemp("published"))
+
+
+def run(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+# ------------------------------------------------------------------------------------------------------------- convert
+
+
+def test_converted_shards_hold_what_was_published(
+    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("convert", published, tmp_path / "out", "--quiet") == 0
+    assert "train: 4 garments, 4 of them converted now" in capsys.readouterr().out
+    for split in ("train", "test"):
+        before, after = PublishedGarmentCodeData(published, split), GarmentDataset(tmp_path / "out", split)
+        assert len(before) == len(after)
+        for item, stored in zip(before, after, strict=True):
+            assert stored["meta"].pop("crc32")
+            for field, value in item.items():
+                same = torch.equal(value, stored[field]) if isinstance(value, torch.Tensor) else value == stored[field]
+                assert same, field
+        after.verify(0)
+        assert after.recipe(0) == before.recipe(0)
+
+
+def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, tmp_path: Path) -> None:
+    assert run("convert", published, tmp_path / "whole", "--quiet") == 0
+    plan = plan_convert(published, tmp_path / "pieces")[0]
+    stopped = convert(plan)
+    list(itertools.islice(stopped, 3))
+    stopped.close()
+    (again,) = (p for p in plan_convert(published, tmp_path / "pieces") if p.source.split == "train")
+    assert (again.count, again.missing) == (4, (3,))
+    assert run("convert", published, tmp_path / "pieces", "--quiet") == 0
+    assert contents(tmp_path / "pieces") == contents(tmp_path / "whole")
+
+
+def test_what_is_downloaded_later_is_added_under_its_own_numbers(published: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(published, tmp_path / "root"))
+    assert run("convert", root, tmp_path / "both", "--quiet") == 0
+    assert run("convert", root, tmp_path / "out", "--quiet", "--bodies", "random") == 0
+    assert [item["meta"]["index"] for item in GarmentDataset(tmp_path / "out", fields="meta")] == [1, 3]
+    assert run("convert", root, tmp_path / "out", "--quiet") == 0
+    assert contents(tmp_path / "out") == contents(tmp_path / "both")
+
+
+def test_a_broken_garment_is_left_out_and_told(
+    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = pack(Path(shutil.copytree(published, tmp_path / "whole")))
+    broken = Path(shutil.copytree(published, tmp_path / "broken"))
+    path = file_of(broken, TRAIN[1], "box")
+    path.unlink()
+    assert run("convert", broken, tmp_path / "out", "--quiet") == 1
+    error = capsys.readouterr().err
+    assert f"left out: {BATCH}/{BODIES[0]}/{TRAIN[1]}: {path}: missing" in error
+    assert "1 garments were left out; the same command tries them again" in error
+    assert run("convert", root, tmp_path / "out", "--quiet") == 0  # downloaded again, as it is packed
+    assert len(GarmentDataset(tmp_path / "out")) == 4
+
+
+def test_a_folder_of_another_data_set_is_not_added_to(
+    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fill(tmp_path, range(2))
+    assert run("convert", published, tmp_path, "--quiet") == 2
+    assert "use the same or another folder" in capsys.readouterr().err
+    assert run("convert", tmp_path, tmp_path / "out", "--quiet") == 1
+    assert "no folder such as garments_5000_0" in capsys.readouterr().err
+
+
+# -------------------------------------------------------------------------------------------------------------- export
+
+
+def test_shards_to_the_published_layout_and_back(published: Path, tmp_path: Path) -> None:
+    assert run("convert", published, tmp_path / "shards", "--quiet") == 0
+    assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "again", "--quiet") == 0
+    # Coded anew, or from coordinates that were stored as f32.
+    near = ("render_front.png", "render_back.png", "_sim.ply", "_boxmesh.ply", "_orig_lens.pickle")
+    for path in published.rglob("[!.]*"):
+        if path.is_file() and not path.name.endswith(near):
+            assert path.read_bytes() == (tmp_path / "again" / path.relative_to(published)).read_bytes(), path
+    before, after = (PublishedGarmentCodeData(root) for root in (published, tmp_path / "again"))
+    for item, other in zip(before, after, strict=True):
+        for field in ("verts", "box", "faces", "labels", "seams", "panels", "edges", "stitches"):
+            assert torch.equal(item[field], other[field]), field
+        assert torch.allclose(item["uv"], other["uv"], atol=1e-4)
+
+
+def generated(index: int, outcome: Outcome) -> Sample:
+    """A generated garment, put where it was placed before sewing as if it had come to rest there."""
+    made = make(3, index, MakeConfig(bodies="both", stage="mesh", resolution=4.0, points=16))
+    assert made.box_mesh is not None
+    moved = made.box_mesh.vertices + 1e-3 * (1 + made.box_mesh.vertices[:, :1])
+    return replace(made, drape=Drape(moved, outcome, 100, 1, 2, 1.0, 1.1))
+
+
+def test_generated_garments_are_published_under_names_of_their_own(tmp_path: Path) -> None:
+    config = MakeConfig(bodies="both", stage="mesh", resolution=4.0, points=16)
+    outcomes = (Outcome.SETTLED, Outcome.SETTLED, Outcome.THROUGH_BODY, Outcome.SETTLED)
+    samples = [generated(index, outcome) for index, outcome in enumerate(outcomes)]
+    with ShardWriter(tmp_path / "shards", seed=3, recipe=recipe_of(config)) as writer:
+        for sample in samples:
+            writer.write(sample)
+    assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "out", "--quiet") == 0
+    published = PublishedGarmentCodeData(tmp_path / "out")
+    assert [published.number(index) for index in range(3)] == [0, 1, 3]  # the third did not come out well
+    places = [name.split("/") for name in published.names]
+    assert places[0][2] == places[1][2] != places[2][2]  # one design on two bodies
+    assert [place[1] for place in places] == [BODIES[0], BODIES[1], BODIES[1]]
+    for item, sample in zip(published, (samples[0], samples[1], samples[3]), strict=True):
+        assert sample.box_mesh is not None
+        assert torch.equal(item["faces"], torch.tensor(sample.box_mesh.faces))
+        assert sorted(item["seams"].tolist()) == sorted(sample.box_mesh.seams.tolist())
+        assert item["measures"] == pytest.approx(sample.measurements.to_file_values(), rel=1e-9)
+        assert item["meta"]["panel_names"] == list(sample.box_mesh.panel_names)
+        flat = item["uv"][item["corners"]]
+        assert torch.allclose(flat, torch.tensor(sample.box_mesh.uv[sample.box_mesh.corners]).float(), atol=1e-3)
+        design = item["design"]["meta"]["upper"]
+        assert design["v"] == sample.design["meta"]["upper"]
+        assert "range" in design
+
+
+def test_a_folder_that_is_not_empty_is_not_mixed_up(
+    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fill(tmp_path / "shards", range(1))
+    assert run("export", tmp_path / "shards", "--layout", "published", published) == 2
+    assert "not empty: choose another folder" in capsys.readouterr().err
+
+
+def test_a_garment_that_is_not_draped_cannot_be_published(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = MakeConfig(bodies="neutral", stage="pattern")
+    with ShardWriter(tmp_path / "shards", seed=3, recipe=recipe_of(config)) as writer:
+        writer.write(make(3, 0, config))
+    assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "out", "--quiet") == 1
+    assert "is not draped" in capsys.readouterr().err
+
+
+def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fill(tmp_path / "shards", range(3))
+    assert run("export", tmp_path / "shards", "--hdf5", tmp_path / "all.h5", "--quiet") == 0
+    assert "3 garments of train" in capsys.readouterr().out
+    assert len(Hdf5Garments(tmp_path / "all.h5")) == 3
+    assert run("export", tmp_path / "shards", "--hdf5", tmp_path / "all.h5", "--split", "test", "--quiet") == 1
+    assert "no samples of split test: there is train" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["--hdf5", "a.h5", "--layout", "published", "out"],
+        ["--layout", "paper", "out"],
+        ["--layout", "published", "out", "--split", "test"],
+    ],
+)
+def test_export_is_told_one_form(tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("export", tmp_path, *words) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_every_kind_of_file_is_written(published: Path) -> None:
+    names = {path.name for path in file_of(published, TRAIN[0], "spec").parent.iterdir()}
+    assert names == {TRAIN[0] + ending for ending in ENDINGS.values()}
+    lists = json.loads(next(published.glob("*split*.json")).read_text())
+    assert lists["training"] == [f"{BATCH}/default_body/{name}" for name in TRAIN]
+
+
+@pytest.mark.parametrize(
+    ("design", "main", "styles"),
+    [
+        ({"meta": {"upper": None, "bottom": "Pants"}, "pants": {"length": 0.9}}, "pants", ["maxi"]),
+        ({"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": {"length": {"v": 0.4}}}, "skirt", ["knee_len"]),
+        ({"meta": {"upper": "FittedShirt"}, "sleeve": {"sleeveless": True}}, "upper_garment", ["sleeveless"]),
+        (
+            {"meta": {"upper": "FittedShirt", "bottom": "Pants"}, "sleeve": {"length": 0.3}, "pants": {"length": 0.2}},
+            "jumpsuit",
+            ["with_sleeves", "short_sleeve", "mini"],
+        ),
+        (
+            {"meta": {"upper": "Shirt", "bottom": "Skirt2"}, "shirt": {"length": 1.2}, "skirt": {"length": 0.6},
+             "left": {"enable_asym": True, "sleeve": {"length": 0.8}}, "sleeve": {"sleeveless": True}},
+            "dress",
+            ["asymmetric_top", "with_sleeves", "long_sleeve", "midi"],
+        ),
+    ],
+)  # fmt: skip
+def test_types_follow_the_rules_of_the_authors_sampler(design: dict[str, object], main: str, styles: list[str]) -> None:
+    assert garment_type(design) == {"main": main, "styles": styles}
+
+
+def test_nothing_published_is_nothing_to_convert(published: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="bodies='neutral'"):
+        plan_convert(published, tmp_path, bodies="neutral")
