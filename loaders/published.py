@@ -53,9 +53,11 @@ class PublishedGarmentCodeData(Garments):
 
     ``root``: the folder with ``garments_5000_0`` and its like, or the one that holds it; batches that are not there are
     left out. ``split``: ``train``, ``validation`` or ``test`` of the official split, or ``all`` of what is on disk.
-    ``bodies``: ``default``, ``random``, or ``both``, where a design's two garments follow each other. ``cache_dir``:
-    where the indices of archives are kept, by default beside them; an archive of 5 GB is read through once, a minute,
-    and afterwards a garment costs some 50 ms to reach. To train for long, extract the archives or ``gcd convert`` them.
+    ``bodies``: ``default``, ``random``, or ``both``, where a design's two garments follow each other. ``fields``: what
+    to read; nothing else is touched. ``cache_dir``: where the indices of archives are kept, by default beside them.
+
+    An archive of 5 GB is read through once, in a minute or two; from then on a garment in it takes some 50 ms to reach.
+    To train for long, extract the archives or ``gcd convert`` them.
 
     Items are those of ``GarmentDataset``, except:
 

@@ -5,6 +5,7 @@ The archive is read once from end to end; where its files lie, and where unpacki
 
 import functools
 import io
+import logging
 import os
 import tarfile
 import zipfile
@@ -26,6 +27,8 @@ from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.tar import BLOCK, padded
 
 __all__ = ["Archive"]
+
+logger = logging.getLogger("gcd_dataset")
 
 SCHEMA = 1
 GZIP_MAGIC = b"\x1f\x8b"
@@ -57,6 +60,7 @@ class Archive(Record):
         index, windows = (kept_path(path, cache_dir, ending) for ending in (".npz", ".windows"))
         there = cls._read(path, index, windows, stamp)
         if there is None:
+            logger.info("%s: read through once, to know where its garments lie", path)
             _scan(path, index, windows, stamp)
             there = cls._read(path, index, windows, stamp)
         if there is None:

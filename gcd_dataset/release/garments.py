@@ -97,7 +97,7 @@ class PublishedGarments:
                 f"{', '.join('/'.join(place) for place in self._stores) or 'none'}: download the batches that it lists"
             )
 
-    @property
+    @functools.cached_property
     def release(self) -> str:
         """What the release calls itself in the name of its split file: ``GarmentCodeData_v2``, …"""
         found = _split_files(self.root)
@@ -134,10 +134,8 @@ class PublishedGarments:
         missing: list[Entry] = []
         for number, batch, name in listed:
             for folder in folders:
-                entry, place = (
-                    Entry(2 * number + (folder == BODY_FOLDERS["random"]), batch, folder, name),
-                    (batch, folder),
-                )
+                place = (batch, folder)
+                entry = Entry(2 * number + (folder == BODY_FOLDERS["random"]), batch, folder, name)
                 if place not in names:
                     absent += 1
                 elif name in self._properties[place].fails:
@@ -161,8 +159,9 @@ class PublishedGarments:
 def _root(path: Path) -> Path:
     """The folder of the batches. Raises ``ShardError`` where there is none."""
     with reading(path):
-        if path.is_file():
-            raise ShardError(f"{path}: a file: give the folder that holds garments_5000_0 and its like")
+        if not path.is_dir():
+            there = "a file" if path.exists() else "no such folder"
+            raise ShardError(f"{path}: {there}: give the folder that holds garments_5000_0 and its like")
         for folder in (path, *sorted(inner for inner in path.iterdir() if inner.is_dir())):
             if any(_is_batch(inner) for inner in folder.iterdir()):
                 return folder

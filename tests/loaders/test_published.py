@@ -260,8 +260,9 @@ def test_wrong_arguments_are_told_with_what_there_is(folders: Path, tmp_path: Pa
         PublishedGarmentCodeData(folders, fields=("vertices",))
     with pytest.raises(ShardError, match="no folder such as garments_5000_0/default_body"):
         PublishedGarmentCodeData(tmp_path)
-    with pytest.raises(ShardError, match="a file: give the folder"):
-        PublishedGarmentCodeData(next(folders.glob("*.json")))
+    for path, found in ((next(folders.glob("*.json")), "a file"), (tmp_path / "nothing", "no such folder")):
+        with pytest.raises(ShardError, match=f"{found}: give the folder that holds garments_5000_0"):
+            PublishedGarmentCodeData(path)
 
 
 def test_a_folder_without_the_split_file_is_read_whole(own: Path) -> None:
