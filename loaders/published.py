@@ -16,6 +16,7 @@ from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.loaders.base import Garments, Transform
 from gcd_dataset.records import Drape, Measurements, Outcome, Pattern, Provenance, Sample
+from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garment import PublishedGarment
 from gcd_dataset.release.garments import PublishedGarments
 from gcd_dataset.seeding import Stage, rng
@@ -52,9 +53,10 @@ class PublishedGarmentCodeData(Garments):
     (torch.Size([3549, 3]), 'garments_5000_0/default_body/rand_K3V9QX7T1B')
 
     ``root``: the folder with ``garments_5000_0`` and its like, or the one that holds it; batches that are not there are
-    left out. ``split``: ``train``, ``validation`` or ``test`` of the official split, or ``all`` of what is on disk.
-    ``bodies``: ``default``, ``random``, or ``both``, where a design's two garments follow each other. ``fields``: what
-    to read; nothing else is touched. ``cache_dir``: where the indices of archives are kept, by default beside them.
+    left out. Or ``PublishedBatches``, opened once for several splits, with ``bodies`` and ``cache_dir`` of their own.
+    ``split``: ``train``, ``validation`` or ``test`` of the official split, or ``all`` of what is on disk. ``bodies``:
+    ``default``, ``random``, or ``both``, where a design's two garments follow each other. ``fields``: what to read;
+    nothing else is touched. ``cache_dir``: where the indices of archives are kept, by default beside them.
 
     An archive of 5 GB is read through once, in a minute or two; from then on a garment in it takes some 50 ms to reach.
     To train for long, extract the archives or ``gcd convert`` them.
@@ -79,7 +81,7 @@ class PublishedGarmentCodeData(Garments):
 
     def __init__(
         self,
-        root: str | Path,
+        root: str | Path | PublishedBatches,
         split: str = "train",
         *,
         bodies: str = "both",
@@ -88,7 +90,9 @@ class PublishedGarmentCodeData(Garments):
         transform: Transform | None = None,
     ) -> None:
         super().__init__(fields, transform)
-        self._garments = PublishedGarments(root, split, bodies=bodies, cache_dir=cache_dir)
+        if not isinstance(root, PublishedBatches):
+            root = PublishedBatches(root, bodies=bodies, cache_dir=cache_dir)
+        self._garments = PublishedGarments(root, split)
         self._garments.require_any()
 
     @property
@@ -107,7 +111,7 @@ class PublishedGarmentCodeData(Garments):
     @property
     def origin(self) -> dict[str, Any]:
         """Which release and which split numbers the garments: the recipe of their shards."""
-        return {"published": self._garments.release, "split_sha256": self._garments.split_sha256}
+        return {"published": self._garments.batches.release, "split_sha256": self._garments.split_sha256}
 
     def __len__(self) -> int:
         return len(self._garments)
@@ -156,7 +160,7 @@ class PublishedGarmentCodeData(Garments):
             index=entry.index,
             versions={"gcd_dataset": __version__},
             recipe=self.origin,
-            source=f"{self._garments.release}/{entry}",
+            source=f"{self._garments.batches.release}/{entry}",
         )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from gcd_dataset.cli.workers import side_by_side
 from gcd_dataset.errors import PatternError, ShardError
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
+from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garments import PublishedGarments
 from gcd_dataset.release.layout import SPLIT_NAMES
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
@@ -59,7 +60,8 @@ def plan_convert(
     """
     cache = None if cache_dir is None else Path(cache_dir)
     sources = [Source(Path(root), split, bodies, cache) for split in SPLIT_NAMES]
-    _dataset.cache_clear()  # more may have been downloaded since
+    _batches.cache_clear()  # more may have been downloaded since
+    _dataset.cache_clear()
     there = [source for source in sources if len(_listed(source))]
     if not there:
         _listed(sources[0]).require_any()
@@ -90,7 +92,7 @@ def convert(plan: ConvertPlan, *, workers: int = 0) -> Generator[Converted, None
 
 
 def _listed(source: Source) -> PublishedGarments:
-    return PublishedGarments(source.root, source.split, bodies=source.bodies, cache_dir=source.cache_dir)
+    return PublishedGarments(_batches(source.root, source.bodies, source.cache_dir), source.split)
 
 
 def _plan(source: Source, out: Path) -> ConvertPlan:
@@ -105,10 +107,16 @@ def _writer(source: Source, out: Path) -> ShardWriter:
     return ShardWriter(out, split=source.split, seed=SEED, recipe=_dataset(source).origin)
 
 
-@functools.lru_cache(maxsize=3)
+@functools.lru_cache(maxsize=1)
+def _batches(root: Path, bodies: str, cache_dir: Path | None) -> PublishedBatches:
+    """The batches, opened once a process."""
+    return PublishedBatches(root, bodies=bodies, cache_dir=cache_dir)
+
+
+@functools.lru_cache(maxsize=len(SPLIT_NAMES))
 def _dataset(source: Source) -> PublishedGarmentCodeData:
-    """The data set, opened once a process."""
-    return PublishedGarmentCodeData(source.root, source.split, bodies=source.bodies, cache_dir=source.cache_dir)
+    """A split, listed once a process."""
+    return PublishedGarmentCodeData(_batches(source.root, source.bodies, source.cache_dir), source.split)
 
 
 def _converted(plan: ConvertPlan, workers: int) -> Iterator[Converted]:

@@ -14,6 +14,7 @@ from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import GarmentDataset, PublishedGarmentCodeData, collate_list
+from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garment import PublishedGarment
 from gcd_dataset.release.layout import ENDINGS, properties_name
 from gcd_dataset.release.properties import Facts
@@ -115,6 +116,17 @@ def test_the_two_garments_of_a_design_follow_each_other(folders: Path) -> None:
         f"{BATCH}/{body}/{name}" for name in (*TRAIN, *TEST) for body in BODIES
     )
     assert len(PublishedGarmentCodeData(folders.parent, "test")) == 2  # the folder above
+
+
+def test_batches_are_opened_once_for_all_splits(folders: Path) -> None:
+    batches = PublishedBatches(folders, bodies="default")
+    for split in ("train", "test"):
+        opened, again = (
+            PublishedGarmentCodeData(batches, split),
+            PublishedGarmentCodeData(folders, split, bodies="default"),
+        )
+        assert opened.names == again.names
+        assert_same(opened[0], again[0])
 
 
 def test_failed_garments_are_left_out(own: Path) -> None:
