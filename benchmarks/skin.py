@@ -33,7 +33,8 @@ def skin_crossings(body: Body) -> int:
     cloth.faces = wp.array(faces, dtype=wp.vec3i, device=device)
     roots, count = _zeros(1, device), _zeros(1, device)
     wp.launch(find_roots, dim=1, inputs=[bvh.id], outputs=[roots], device=device)
-    inputs = [cloth, bvh.id, roots, vectors(body.vertices)]
+    asked = wp.ones(1, dtype=int, device=device)
+    inputs = [cloth, bvh.id, roots, asked, vectors(body.vertices)]
     wp.launch(count_self_crossings, dim=len(edges), inputs=inputs, outputs=[count], device=device)
     return int(count.numpy()[0])
 

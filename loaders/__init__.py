@@ -7,10 +7,10 @@ from gcd_dataset.loaders.collate import collate_list, collate_packed, collate_pa
 from gcd_dataset.loaders.fake import FakeGarments
 from gcd_dataset.loaders.generated import GeneratedGarments
 from gcd_dataset.loaders.graph import SeamGraph, mesh_edges, seam_graph, to_pyg
+from gcd_dataset.loaders.hdf5 import Hdf5Garments
 from gcd_dataset.loaders.loader import GarmentLoader
 from gcd_dataset.loaders.mixed import MixedDataset
 from gcd_dataset.loaders.order import ElasticSampler
-from gcd_dataset.loaders.hdf5 import Hdf5Garments
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.loaders.shards import GarmentDataset
 

@@ -191,7 +191,7 @@ def _columns(reader: ShardReader) -> dict[str, _Column]:
             rows[field][position + 1], size[field][position] = len(array), array.dtype.itemsize
             found = (array.dtype.kind, array.shape[1:])
             if form.setdefault(field, found) != found:
-                place = f"{reader.folder}: sample {position}, member {FIELDS[field]}"
+                place = f"{reader.store.place()}: sample {position}, member {FIELDS[field]}"
                 raise ShardError(f"{place}: rows of {found}, and of {form[field]} before it: {REMEDY}")
     return {field: _Column(np.cumsum(rows[field]), size[field], *form[field]) for field in RAGGED}
 

@@ -1,5 +1,6 @@
 """Several data sets in one order: shares, seeds, and where a run goes on."""
 
+from collections.abc import Sequence
 from itertools import accumulate, islice
 from pathlib import Path
 from typing import Any
@@ -136,8 +137,8 @@ def test_a_plain_loader_asks_for_batches_at_once() -> None:
     asked: list[list[int]] = []
 
     class AtOnce(FakeGarments):
-        def __getitems__(self, indices: list[int]) -> list[Any]:
-            asked.append(indices)
+        def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+            asked.append(list(indices))
             return [self[index] for index in indices]
 
     ds = MixedDataset([AtOnce(8, fields=["meta"]), fake(8, seed=1)], [1, 1])
