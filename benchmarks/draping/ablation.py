@@ -1,0 +1,77 @@
+"""The drape with its features switched off in turn, each on the same garments."""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.cases.figures import Figure, Measured
+from benchmarks.draping.garments import Worn
+from benchmarks.draping.quality import quality
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
+from gcd_dataset.records import Drape
+
+__all__ = ["Variant", "measure_ablation", "variants"]
+
+PULLS = ("pull_to_parts", "pull_from_body")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A way to drape."""
+
+    name: str
+    switched: Mapping[str, bool]
+    """Options of ``DrapeConfig`` that differ from the default."""
+    layers_rub: bool = True
+    by_body: bool = False
+    """Whether the table shows the neutral body and random ones apart, too."""
+
+    def config(self) -> DrapeConfig:
+        return replace(DrapeConfig(), **self.switched)
+
+    def job(self, job: DrapeJob) -> DrapeJob:
+        return job if self.layers_rub else replace(job, fabric=replace(job.fabric, layer_friction=0.0))
+
+
+def variants() -> list[Variant]:
+    """The full system, both pulls off as in Korosteleva et al. (ECCV 2024), then each feature switched in turn."""
+    switches = {entry.name: entry.default for entry in fields(DrapeConfig) if isinstance(entry.default, bool)}
+    return [
+        Variant("full", {}, by_body=True),
+        Variant("without both pulls", dict.fromkeys(PULLS, False), by_body=True),
+        *(Variant(f"{'without' if on else 'with'} {name}", {name: not on}) for name, on in switches.items()),
+        Variant("without layer_friction", {}, layers_rub=False),
+    ]
+
+
+def measure_ablation(worn: Sequence[Worn], *, device: str, batch: int) -> Measured:
+    """The garments draped in every variant: one row each; the figures are those of the full system."""
+    rows: list[dict[str, Any]] = []
+    figures: list[Figure] = []
+    for variant in variants():
+        start = time.perf_counter()
+        drapes = drape_batch([variant.job(one.job) for one in worn], variant.config(), device=device, at_once=batch)
+        each = (time.perf_counter() - start) / len(worn)
+        figures = figures or [Figure("garments", len(worn), ""), Figure("s_per_garment", each, "s"), *quality(drapes)]
+        rows += _rows(variant, worn, drapes, each)
+    return Measured(figures, rows)
+
+
+def _rows(variant: Variant, worn: Sequence[Worn], drapes: Sequence[Drape], each: float) -> Iterator[dict[str, Any]]:
+    """A variant's line of the table, and its lines for either kind of body."""
+    neutral = np.array([one.neutral for one in worn])
+    groups = {"all": np.ones(len(worn), bool)}
+    if variant.by_body:
+        groups |= {"neutral": neutral, "random": ~neutral}
+    for bodies, chosen in groups.items():
+        some = [drape for drape, taken in zip(drapes, chosen, strict=True) if taken]
+        yield {
+            "variant": variant.name,
+            "bodies": bodies,
+            **{figure.metric: round(figure.value, 3) for figure in quality(some)},
+            "frames_p50": float(np.median([drape.frames for drape in some])),
+            "s_per_garment": each if bodies == "all" else "",
+        }

@@ -1,0 +1,64 @@
+"""Memory while garments are draped: on the GPU for each of them, and of the process as it goes on and on."""
+
+import os
+from collections.abc import Sequence
+from itertools import cycle, islice
+from pathlib import Path
+
+import warp as wp
+
+from benchmarks.cases.figures import Figure, Measured
+from benchmarks.draping.garments import Worn
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.drape import drape_batch, resolve_device
+
+__all__ = ["gpu_peak_mb", "gpu_used_mb", "measure_memory", "rss_mb"]
+
+EVERY = 50  # drapes between two records; the first so many are the warm-up
+MB = 1e6  # bytes
+
+
+def measure_memory(worn: Sequence[Worn], drapes: int, *, device: str, batch: int) -> Measured:
+    """So many drapes in this process, the garments taken in turn: its resident memory and that used on the GPU.
+
+    Raises ``ConfigError`` for fewer drapes than two records take.
+    """
+    if drapes < 2 * EVERY:
+        raise ConfigError(f"memory over {drapes} drapes: give {2 * EVERY} or more, {EVERY} are the warm-up")
+    device = resolve_device(device)
+    jobs = cycle([one.job for one in worn])
+    rows: list[dict[str, float]] = []
+    for first in range(0, drapes // EVERY * EVERY, EVERY):
+        for start in range(0, EVERY, batch):
+            drape_batch(list(islice(jobs, min(batch, EVERY - start))), device=device, at_once=batch)
+        rows.append({"drapes": first + EVERY, "rss_mb": rss_mb(), "gpu_mb": gpu_used_mb(device)})
+    warm, last = rows[0], rows[-1]
+    return Measured(
+        [
+            Figure("drapes", last["drapes"], ""),
+            Figure("rss_mb", last["rss_mb"], "MB"),
+            Figure("rss_growth_mb", last["rss_mb"] - warm["rss_mb"], "MB"),
+            Figure("gpu_growth_mb", last["gpu_mb"] - warm["gpu_mb"], "MB"),
+        ],
+        rows,
+    )
+
+
+def rss_mb() -> float:
+    """Resident memory of this process [MB]."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / MB
+
+
+def gpu_used_mb(device: str) -> float:
+    """What Warp has taken of a GPU and not given back [MB]; 0 on a CPU."""
+    return wp.get_mempool_used_mem_current(device) / MB if _pooled(device) else 0.0
+
+
+def gpu_peak_mb(device: str) -> float:
+    """The most that Warp has held of a GPU since the process began [MB]; 0 on a CPU."""
+    return wp.get_mempool_used_mem_high(device) / MB if _pooled(device) else 0.0
+
+
+def _pooled(device: str) -> bool:
+    return bool(wp.get_device(device).is_cuda and wp.is_mempool_enabled(device))

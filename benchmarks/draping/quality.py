@@ -1,0 +1,39 @@
+"""How well garments hang: shares that pass, crossings, frames."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmarks.cases.figures import Figure
+from gcd_dataset.records import Drape, Outcome
+
+__all__ = ["pass_paper", "quality"]
+
+SHARES = (50, 80, 95)
+
+
+def quality(drapes: Sequence[Drape]) -> list[Figure]:
+    """Shares that pass and percentiles of the crossing edges.
+
+    ``passed`` asks for all that ``Outcome.SETTLED`` says, ``passed_paper`` for the checks of Korosteleva et al. (ECCV
+    2024) alone.
+    """
+    crossings = {"self": [d.self_crossings for d in drapes], "body": [d.body_crossings for d in drapes]}
+    return [
+        Figure("passed", float(np.mean([d.outcome is Outcome.SETTLED for d in drapes])), "share"),
+        Figure("passed_paper", float(np.mean([pass_paper(d) for d in drapes])), "share"),
+        *(
+            Figure(f"{kind}_p{share}", float(np.percentile(counts, share)), "edges")
+            for kind, counts in crossings.items()
+            for share in SHARES
+        ),
+    ]
+
+
+def pass_paper(drape: Drape) -> bool:
+    """Whether it rests with few enough crossings, however far it is stretched.
+
+    Stretch is what an ``Outcome`` asks for last: what is only overstretched has passed the rest. What slid off does not
+    count as at rest, since its drape is given up on the way down.
+    """
+    return drape.outcome in (Outcome.SETTLED, Outcome.OVERSTRETCHED)
