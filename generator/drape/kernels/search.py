@@ -17,7 +17,8 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, 
 
 wp.set_module_options({"enable_backward": False})
 
-ROUND = wp.constant(8)  # threads that share a pair of vertices: about as many as a vertex has edges
+ROUND = wp.constant(8)  # about as many as a vertex has edges
+SHARERS = wp.constant(16)  # threads that share a pair of vertices
 OWN_CELL = wp.constant(13)  # of 27
 SHORT_EDGE = 1.5  # cm: of longer edges the middle keeps off the body too
 
@@ -277,21 +278,25 @@ def find_pairs(
     contacts: Contacts,
 ):
     """List the points and triangles, and the edges, near each other round every near pair of vertices."""
-    total = ROUND * contacts.near_work[contacts.near_work.shape[0] - 1]
+    total = SHARERS * contacts.near_work[contacts.near_work.shape[0] - 1]
     for task in range(wp.tid(), total, threads):
-        item = task // ROUND
+        item = task // SHARERS
         turn = task % ROUND
+        half = (task % SHARERS) // ROUND
         w = world_of(item, contacts.near_work)
         world = worlds[w]
         pair = contacts.near[contacts.room * world.first + item - contacts.near_work[w]]
         i = pair[0]
         j = pair[1]
-        for at in range(cloth.first_face[j] + turn, cloth.first_face[j + 1], ROUND):
-            watch_point(i, j, cloth.vertex_faces[at], w, world, cloth, tangled, x, listed, contacts)
-        for at in range(cloth.first_face[i] + turn, cloth.first_face[i + 1], ROUND):
-            watch_point(j, i, cloth.vertex_faces[at], w, world, cloth, tangled, x, listed, contacts)
+        p = i
+        q = j
+        if half == 1:
+            p = j
+            q = i
+        for at in range(cloth.first_face[q] + turn, cloth.first_face[q + 1], ROUND):
+            watch_point(p, q, cloth.vertex_faces[at], w, world, cloth, tangled, x, listed, contacts)
         for at in range(cloth.first_edge[i] + turn, cloth.first_edge[i + 1], ROUND):
-            for to in range(cloth.first_edge[j], cloth.first_edge[j + 1]):
+            for to in range(cloth.first_edge[j] + half, cloth.first_edge[j + 1], 2):
                 watch_edges(
                     i, j, cloth.vertex_edges[at], cloth.vertex_edges[to], w, world, cloth, tangled, x, listed, contacts
                 )
