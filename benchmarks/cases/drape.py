@@ -5,12 +5,15 @@
     python -m benchmarks.run drape --count 500 --batch 128 --sheet drapes.jpg --failures failed/
     python -m benchmarks.run drape --count 100 --batch 128 --ablation
     python -m benchmarks.run drape --count 250 --memory 1000
+    python -m benchmarks.run drape dress_pencil_specification.json --body mean_all.obj --peer newton --batches 1 16 64
 
 Kernels are loaded before the clock starts; everything from box mesh to drape is counted, but for the coarse meshes of
 sampled garments, which are made with their box meshes and have a figure of their own. With ``--batch 1`` a garment's
 seconds are its own, with more its share. ``--count`` takes so many designs of a seed, each on the neutral body and on
 a random one; the table then holds the garments that did not settle. ``--ablation`` drapes them once with each feature
-switched, ``--memory`` one after the other in this process, with what the process and the GPU hold after every 50.
+switched, ``--memory`` one after the other in this process, with what the process and the GPU hold after every 50;
+``--peer newton`` drapes the same meshes with Newton's ``SolverStyle3D`` too, set up as told in
+``benchmarks.peers.newton``.
 """
 
 import argparse
@@ -28,6 +31,8 @@ from benchmarks.draping.failures import write_failures
 from benchmarks.draping.garments import Worn, sampled
 from benchmarks.draping.memory import gpu_peak_mb, measure_memory
 from benchmarks.draping.quality import quality
+from benchmarks.peers.compare import compare
+from benchmarks.peers.newton import require_newton
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import named_body
@@ -55,6 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--ablation", action="store_true", help="each feature switched off in turn")
     what.add_argument("--memory", type=int, default=0, metavar="N", help="N drapes of the sampled garments, in turn")
+    what.add_argument("--peer", choices=["newton"], help="drape the same meshes with that, too")
+    parser.add_argument("--batches", nargs="+", type=int, default=[1, 16, 64], help="garments at a time beside --peer")
     parser.add_argument("--body", default="neutral", help="as of gcd drape")
     parser.add_argument("--body-apart", help="the same body with its legs apart, for trousers (default: --body)")
     parser.add_argument("--measurements", type=Path)
@@ -70,6 +77,8 @@ def run(options: argparse.Namespace) -> Measured:
     """Drape, and gather the figures of DESIGN section 8."""
     if bool(options.spec) == bool(options.count):
         raise ConfigError("give either specification files or --count N")
+    if options.peer:
+        require_newton()
     if options.count:
         return _run_sampled(options)
     if options.ablation or options.memory:
@@ -81,6 +90,10 @@ def run(options: argparse.Namespace) -> Measured:
 
     once = read_patterns(options.spec)
     _warm_up(once[0], body_for(once[0]), options.device)
+    if options.peer:
+        meshes = [build_box_mesh(pattern, spacing=options.resolution) for pattern in once]
+        jobs = [DrapeJob(mesh, *body_for(pattern)) for pattern, mesh in zip(once, meshes, strict=True)]
+        return compare(jobs, options.batches, device=resolve_device(options.device))
     patterns = [pattern for pattern in once for _ in range(options.repeat)]
     fitted = fit(patterns, body_for, resolution=options.resolution, device=options.device, batch=options.batch)
     fittings = []
@@ -119,6 +132,8 @@ def _run_sampled(options: argparse.Namespace) -> Measured:
         return measure_ablation(worn, device=device, batch=options.batch)
     if options.memory:
         return measure_memory(worn, options.memory, device=device, batch=options.batch)
+    if options.peer:
+        return compare([one.job for one in worn], options.batches, device=device)
     start = time.perf_counter()
     drapes = drape_batch([one.job for one in worn], device=device, at_once=options.batch)
     seconds = time.perf_counter() - start

@@ -1,0 +1,103 @@
+"""Our drape and Newton's on the same garments, batch by batch, in one run, crossings counted alike."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import cycle, islice
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from benchmarks.cases.figures import Figure, Measured
+from benchmarks.draping.quality import quality
+from benchmarks.peers.newton import PeerDrapes, drape_with_newton
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.outcome import slid_off
+from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.mesh import coarse_start
+from gcd_dataset.records import Drape, Outcome
+
+__all__ = ["compare"]
+
+
+def compare(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device: str) -> Measured:
+    """The garments in batches of each size, taken in turn until a batch is full: a row for either solver.
+
+    ``setup_s`` of Newton's is what it takes from the meshes to the first frame, of ours the making of coarse meshes;
+    our model is built in ``solve_s``. All seconds are a garment's share.
+    """
+    drape_batch(jobs[:1], DrapeConfig(max_frames=1), device=device)
+    drape_with_newton(jobs[:1], device=device, max_frames=1)
+    rows, figures = [], []
+    for batch in batches:
+        some = list(islice(cycle(jobs), batch))
+        for row in (_ours(some, device), _theirs(some, device)):
+            rows.append({"solver": row["solver"], "batch": batch, **row})
+            figures += [
+                Figure(f"{row['solver']}_{part}_batch_{batch}", row[part], "s") for part in ("setup_s", "solve_s")
+            ]
+    return Measured(figures, rows)
+
+
+def _ours(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:
+    start = time.perf_counter()
+    ready = [replace(job, coarse=coarse_start(job.box_mesh)) for job in jobs]
+    meshed = time.perf_counter()
+    drapes = drape_batch(ready, device=device, at_once=1 if device == "cpu" else len(jobs))
+    return _row("ours", drapes, meshed - start, time.perf_counter() - meshed)
+
+
+def _theirs(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:
+    made = drape_with_newton(jobs, device=device)
+    return _row("newton", _judged(jobs, made, device), made.setup_seconds, made.solve_seconds)
+
+
+def _row(solver: str, drapes: Sequence[Drape], setup: float, solve: float) -> dict[str, Any]:
+    """The line of the table for a batch, its seconds shared by the garments."""
+    return {
+        "solver": solver,
+        "setup_s": setup / len(drapes),
+        "solve_s": solve / len(drapes),
+        **{figure.metric: round(figure.value, 3) for figure in quality(drapes)},
+        "stretch_p99": round(float(np.median([drape.stretch_p99 for drape in drapes])), 3),
+        "frames_p50": float(np.median([drape.frames for drape in drapes])),
+        "outcomes": " ".join(sorted({drape.outcome.name for drape in drapes})),
+    }
+
+
+def _judged(jobs: Sequence[DrapeJob], made: PeerDrapes, device: str) -> list[Drape]:
+    """Newton's garments as ours are judged, by our counters."""
+    config = DrapeConfig()
+    solver = Solver(build_model(jobs, config, device), config)
+    solver.state.x.assign(wp.array(np.concatenate(made.vertices), dtype=wp.vec3, device=device))
+    own, body, stretches = solver.self_crossings(), solver.body_crossings(), solver.stretches()
+    parts = np.split(stretches, solver.model.topology.edge_offset[1:-1])
+    drapes = []
+    for k, (job, vertices) in enumerate(zip(jobs, made.vertices, strict=True)):
+        median, p99 = np.percentile(parts[k], [50, 99])
+        drape = Drape(
+            vertices=vertices,
+            outcome=Outcome.SETTLED,
+            frames=int(made.frames[k]),
+            self_crossings=int(own[k]),
+            body_crossings=int(body[k]),
+            stretch_median=float(median),
+            stretch_p99=float(p99),
+        )
+        drapes.append(replace(drape, outcome=_outcome(job, drape, config, rested=bool(made.rested[k]))))
+    return drapes
+
+
+def _outcome(job: DrapeJob, drape: Drape, config: DrapeConfig, *, rested: bool) -> Outcome:
+    """The first that applies, in the order of ``Outcome`` for ours."""
+    failures = {
+        Outcome.DIVERGED: not np.isfinite(drape.vertices).all(),
+        Outcome.SLID_OFF: slid_off(job, drape.vertices),
+        Outcome.NOT_SETTLED: not rested,
+        Outcome.THROUGH_BODY: drape.body_crossings > config.max_body_crossings,
+        Outcome.THROUGH_ITSELF: drape.self_crossings > config.max_self_crossings,
+        Outcome.OVERSTRETCHED: drape.stretch_p99 > config.max_stretch,
+    }
+    return next((outcome for outcome, applies in failures.items() if applies), Outcome.SETTLED)

@@ -1,0 +1,87 @@
+"""What the benchmark of the drape counts, switches and shows."""
+
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.draping.ablation import variants
+from benchmarks.draping.failures import write_failures
+from benchmarks.draping.garments import Worn
+from benchmarks.draping.memory import measure_memory
+from benchmarks.draping.quality import pass_paper, quality
+from benchmarks.peers.newton import require_newton, unmirrored
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
+from gcd_dataset.records import Drape, Outcome
+from tests.helpers import SIZE, far_ball, patch
+
+
+def drape(outcome: Outcome, *, crossings: int = 0) -> Drape:
+    return Drape(np.zeros((3, 3), np.float32), outcome, 10, crossings, 0, 1.0, 1.0)
+
+
+def worn(index: int) -> Worn:
+    return Worn(index, "neutral", "Shirt", "", "", DrapeJob(patch(4, 4), far_ball(), SIZE))
+
+
+def test_every_switch_is_turned_alone_once() -> None:
+    switches = {entry.name for entry in fields(DrapeConfig) if isinstance(entry.default, bool)}
+    alone = [name for variant in variants() if len(variant.switched) == 1 for name in variant.switched]
+    assert sorted(alone) == sorted(switches)
+    for variant in variants():
+        changed = {name for name in switches if getattr(variant.config(), name) != getattr(DrapeConfig(), name)}
+        assert changed == set(variant.switched)
+
+
+def test_friction_of_layers_is_the_fabrics() -> None:
+    [slippery] = [variant for variant in variants() if not variant.layers_rub]
+    job = slippery.job(worn(0).job)
+    assert job.fabric == replace(worn(0).job.fabric, layer_friction=0.0)
+
+
+def test_the_papers_checks_know_no_stretch() -> None:
+    assert pass_paper(drape(Outcome.OVERSTRETCHED))
+    assert [outcome for outcome in Outcome if pass_paper(drape(outcome))] == [Outcome.SETTLED, Outcome.OVERSTRETCHED]
+
+
+def test_shares_and_percentiles() -> None:
+    drapes = [drape(Outcome.SETTLED), drape(Outcome.OVERSTRETCHED), drape(Outcome.THROUGH_ITSELF, crossings=400)]
+    figures = {figure.metric: figure.value for figure in quality(drapes)}
+    assert figures["passed"] == pytest.approx(1 / 3)
+    assert figures["passed_paper"] == pytest.approx(2 / 3)
+    assert [figures["self_p50"], figures["self_p80"], figures["body_p95"]] == pytest.approx([0.0, 240.0, 0.0])
+
+
+def test_memory_wants_more_than_a_warm_up() -> None:
+    with pytest.raises(ConfigError, match="99 drapes: give 100 or more"):
+        measure_memory([worn(0)], 99, device="cpu", batch=1)
+
+
+def test_each_failure_has_its_picture(tmp_path: Path) -> None:
+    """Also one whose positions are no numbers; what settled has none."""
+    garments = [worn(0), worn(1), worn(2)]
+    [falling] = drape_batch([garments[0].job], DrapeConfig(max_frames=1), device="cpu")
+    assert falling.outcome is Outcome.NOT_SETTLED
+    lost = replace(falling, vertices=np.full_like(falling.vertices, np.nan), outcome=Outcome.DIVERGED)
+    write_failures(tmp_path, garments, [falling, replace(falling, outcome=Outcome.SETTLED), lost], device="cpu")
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["0_NOT_SETTLED.jpg", "2_DIVERGED.jpg", "kinds.jpg"]
+
+
+def test_newton_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "newton", None)
+    with pytest.raises(ConfigError, match=r"pip install 'gcd-dataset\[bench\]'"):
+        require_newton()
+
+
+def test_panels_seen_from_inside_keep_area_and_sides() -> None:
+    mesh = patch(3, 2)
+    mirrored = replace(mesh, uv=mesh.uv * [-1.0, 1.0])
+    corners = unmirrored(mirrored)
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    np.testing.assert_allclose(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0], 1.0)
+    np.testing.assert_allclose(np.abs(corners), np.abs(mirrored.uv[mirrored.corners]))
+    np.testing.assert_array_equal(unmirrored(mesh), mesh.uv[mesh.corners])
