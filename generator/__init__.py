@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.body import build_body, draw_shape, fit_shape, measure, named_body
-    from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_batch, fabric_named
+    from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch, fabric_named
     from gcd_dataset.generator.garments import OutfitDesign, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
-    from gcd_dataset.generator.mesh import build_box_mesh
+    from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
     from gcd_dataset.generator.people import make_person
     from gcd_dataset.generator.pipeline import build_pattern, fit, make, make_many
     from gcd_dataset.generator.recipe import MakeConfig
@@ -26,6 +26,8 @@ __all__ = [
     "build_body",
     "build_box_mesh",
     "build_pattern",
+    "coarse_start",
+    "drape_all",
     "drape_batch",
     "draw_shape",
     "fabric_named",
@@ -42,10 +44,10 @@ __all__ = [
 
 _HOMES = {
     "body": ("build_body", "draw_shape", "fit_shape", "measure", "named_body"),
-    "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_batch", "fabric_named"),
+    "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_all", "drape_batch", "fabric_named"),
     "garments": ("OutfitDesign", "sample_design"),
     "garments.overlay": ("Overlay", "read_overlay"),
-    "mesh": ("build_box_mesh",),
+    "mesh": ("build_box_mesh", "coarse_start"),
     "people": ("make_person",),
     "pipeline": ("build_pattern", "fit", "make", "make_many"),
     "recipe": ("MakeConfig",),

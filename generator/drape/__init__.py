@@ -2,7 +2,7 @@
 
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import load_kernels, resolve_device
-from gcd_dataset.generator.drape.drape import drape_batch
+from gcd_dataset.generator.drape.drape import drape_all, drape_batch
 from gcd_dataset.generator.drape.fabric import Bending, Fabric, Tensile
 from gcd_dataset.generator.drape.fabrics import DEFAULT_FABRIC, FABRICS, fabric_named
 
@@ -14,6 +14,7 @@ __all__ = [
     "DrapeJob",
     "Fabric",
     "Tensile",
+    "drape_all",
     "drape_batch",
     "fabric_named",
     "load_kernels",

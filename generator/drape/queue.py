@@ -36,7 +36,7 @@ def drape_in_turn(
     jobs: Iterable[DrapeJob], config: DrapeConfig, *, device: str, at_once: int
 ) -> Iterator[tuple[int, Drape]]:
     """The number and the drape of each job, in the order in which they come to rest; ``at_once`` share the device."""
-    waiting = (_Turn.first(number, job, config, device) for number, job in enumerate(jobs))
+    waiting = (_Turn.first(number, job, config) for number, job in enumerate(jobs))
     turns = list(islice(waiting, at_once))
     any_wait, before = len(turns) == at_once, None
     while turns:
@@ -72,10 +72,8 @@ class _Turn:
         return Wear.of(self.job)
 
     @classmethod
-    def first(cls, number: int, job: DrapeJob, config: DrapeConfig, device: str) -> Self:
-        coarse = job.coarse if config.coarse_start else None
-        if config.coarse_start and coarse is None and device == "cpu":
-            coarse = coarse_start(job.box_mesh)
+    def first(cls, number: int, job: DrapeJob, config: DrapeConfig) -> Self:
+        coarse = (job.coarse or coarse_start(job.box_mesh)) if config.coarse_start else None
         if config.curved_start and coarse:
             coarse = replace(coarse, mesh=arranged(coarse.mesh, job.body))
         elif config.curved_start:
