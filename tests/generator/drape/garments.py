@@ -1,0 +1,173 @@
+"""Garments on the neutral body, and how they lie round its arms and legs.
+
+A limb is taken as the straight line that its skin lies nearest to. A rim is a ring of cloth edges with a face on one
+side: the end of a sleeve, an armhole, a hem.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.drape import DrapeJob, drape_batch
+from gcd_dataset.generator.garments import OutfitDesign, outfit
+from gcd_dataset.generator.garments.design import Bottom
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Measurements
+
+SIDES = {"left": 1.0, "right": -1.0}
+LIMBS = {
+    "left arm": BodyPart.LEFT_ARM,
+    "right arm": BodyPart.RIGHT_ARM,
+    "left leg": BodyPart.LEFT_LEG,
+    "right leg": BodyPart.RIGHT_LEG,
+}
+GIRTHS = ("bust", "back_width", "waist", "waist_back_width", "hips", "hip_back_width", "leg_circ")
+
+
+@dataclass(frozen=True)
+class Worn:
+    """A garment at rest."""
+
+    mesh: BoxMesh
+    drape: Drape
+    body: Body
+
+    def vertices_of(self, *panels: str) -> Int[np.ndarray, " n"]:
+        """The vertices of all panels whose names begin like one of ``panels``."""
+        rows = [row for row, name in enumerate(self.mesh.panel_names) if name.startswith(panels)]
+        return np.unique(self.mesh.faces[np.isin(self.mesh.panel_id, rows)])
+
+    def openings(self, limb: str) -> list[Int[np.ndarray, " n"]]:
+        """The rims round a limb of ``LIMBS`` or beyond its tip, where it comes out."""
+        axis = Axis.of(self.body, limb)
+        at = self.drape.vertices
+        return [rim for rim in rims(self.mesh.faces) if axis.winding(at[rim]) and axis.share(at[rim]).mean() > 0.0]
+
+    def from_skin(self, vertices: Int[np.ndarray, " n"], limb: str) -> float:
+        """How far the vertex lies off that is furthest from the limb's skin [cm]."""
+        return float(cKDTree(skin(self.body, limb)).query(self.drape.vertices[vertices])[0].max())
+
+    def under_soles(self, *, inset: float) -> Int[np.ndarray, " n"]:
+        """The vertices below the floor that a foot stands on, more than ``inset`` [cm] within its outline."""
+        below = np.flatnonzero(self.drape.vertices[:, 1] < 0.0)
+        points = shapely.points(self.drape.vertices[below][:, [0, 2]])
+        feet = self.body.vertices[self.body.parts == BodyPart.FEET.value][:, [0, 2]]
+        soles = [shapely.MultiPoint(feet[side * feet[:, 0] > 0.0]).convex_hull for side in SIDES.values()]
+        return below[shapely.contains(shapely.union_all(soles).buffer(-inset), points)]
+
+    def most_stretched(self, rim: Int[np.ndarray, " n"]) -> float:
+        """Length over flat length of the edge of a rim that is stretched most."""
+        mesh = self.mesh
+        sides = np.concatenate([mesh.corners[:, [0, 1]], mesh.corners[:, [1, 2]], mesh.corners[:, [2, 0]]])
+        flat = np.linalg.norm(mesh.uv[sides[:, 1]] - mesh.uv[sides[:, 0]], axis=1)
+        known = dict(zip(map(tuple, mesh.uv_vertex[sides].tolist()), flat.tolist(), strict=True))
+        here, ends = self.drape.vertices[rim], zip(rim.tolist(), np.roll(rim, -1).tolist(), strict=True)
+        lengths = np.linalg.norm(np.roll(here, -1, axis=0) - here, axis=1)
+        return float((lengths / [known[end] for end in ends]).max())
+
+
+@cache
+def neutral(*, legs_apart: bool = False) -> tuple[Body, Measurements]:
+    """The neutral body and its measures, which are taken with legs together."""
+    shape = neutral_shape()
+    return build_body(replace(shape, legs_apart=legs_apart)), measure(build_body(shape))
+
+
+def skin(body: Body, limb: str) -> Float[np.ndarray, "n 3"]:
+    """The skin of a limb of ``LIMBS`` with its hand or foot [cm]."""
+    side = SIDES[limb.split()[0]]
+    tip = BodyPart.HANDS if limb.endswith("arm") else BodyPart.FEET
+    own = (body.parts == LIMBS[limb].value) | ((body.parts == tip.value) & (side * body.vertices[:, 0] > 0.0))
+    return body.vertices[own]
+
+
+def stouter(size: Measurements, factor: float) -> Measurements:
+    """A wearer as tall, with a trunk so many times as wide."""
+    return replace(size, **{girth: factor * getattr(size, girth) for girth in GIRTHS})
+
+
+def wear(design: OutfitDesign, *, cut_for: Measurements | None = None, spacing: float = 3.0) -> Worn:
+    """A design on the neutral body, cut for it or for another wearer whose waist is brought to its height."""
+    legs_apart = design.meta.bottom is Bottom.PANTS
+    body, size = neutral(legs_apart=legs_apart)
+    other = cut_for or size
+    mesh = build_box_mesh(outfit(other, design), spacing=spacing)
+    mesh = replace(mesh, vertices=mesh.vertices - [0.0, other.waist_level - size.waist_level, 0.0])
+    [drape] = drape_batch([DrapeJob(mesh, body, size)], device="cpu", at_once=1)
+    return Worn(mesh, drape, body)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """The straight line in a limb, from the trunk outward [cm]."""
+
+    start: Float[np.ndarray, "3"]
+    end: Float[np.ndarray, "3"]
+
+    @classmethod
+    def of(cls, body: Body, limb: str) -> "Axis":
+        """The line in a limb of ``LIMBS`` with its hand or foot."""
+        points, upper = skin(body, limb), body.vertices[body.parts == LIMBS[limb].value]
+        middle = upper.mean(axis=0)
+        along = np.linalg.svd(upper - middle, full_matrices=False)[2][0]
+        along = along * -np.sign(along[1])  # limbs hang
+        reach = (points - middle) @ along
+        return cls(middle + reach.min() * along, middle + reach.max() * along)
+
+    @property
+    def length(self) -> float:
+        return float(np.linalg.norm(self.end - self.start))
+
+    def share(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """How far out along the limb, 0 at its start and 1 at its tip."""
+        return (points - self.start) @ self._along / self.length
+
+    def winding(self, ring: Float[np.ndarray, "n 3"]) -> int:
+        """How often a ring goes round the line, either way."""
+        across = np.linalg.svd(self._along[None])[2][1:]
+        x, y = across @ (ring - self.start).T
+        turns = np.angle(np.roll(x + 1j * y, -1) / (x + 1j * y)).sum() / (2 * np.pi)
+        return abs(round(float(turns)))
+
+    def pierces(self, triangles: Float[np.ndarray, "f 3 3"]) -> int:
+        """How many triangles the line crosses between the limb's start and its tip."""
+        a, b, c = triangles.transpose(1, 0, 2)
+        normal, way = np.cross(b - a, c - a), self.end - self.start
+        steep = normal @ way
+        steep[steep == 0.0] = np.inf  # no triangle's plane is crossed along it
+        t = ((a - self.start) * normal).sum(axis=1) / steep
+        hit = self.start + t[:, None] * way
+        inside = [(np.cross(v - u, hit - u) * normal).sum(axis=1) >= 0.0 for u, v in ((a, b), (b, c), (c, a))]
+        return int((np.all(inside, axis=0) & (t > 0.0) & (t <= 1.0)).sum())
+
+    @property
+    def _along(self) -> Float[np.ndarray, "3"]:
+        return (self.end - self.start) / self.length
+
+
+def rims(faces: Int[np.ndarray, "f 3"]) -> list[Int[np.ndarray, " n"]]:
+    """The rings of edges with one face, each in order."""
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    whole = {tuple(side) for side in sides.tolist()}
+    following: dict[int, list[int]] = {}
+    for a, b in sorted(whole):
+        if (b, a) not in whole:
+            following.setdefault(a, []).append(b)
+    return list(_rings(following))
+
+
+def _rings(following: dict[int, list[int]]) -> Iterable[Int[np.ndarray, " n"]]:
+    """Rings may touch in a vertex."""
+    while following:
+        ring = [next(iter(following))]
+        while (at := ring[-1]) in following:
+            ring.append(following[at].pop())
+            if not following[at]:
+                del following[at]
+        yield np.array(ring[:-1])

@@ -1,0 +1,154 @@
+"""What Korosteleva et al. (ECCV 2024) name as failures of their drapes, each with a garment that asks for it.
+
+Cuffs beside the wrist, arms under the shirt, skirts and trousers caught on the feet, and what slides off.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gcd_dataset.generator.drape import DrapeConfig
+from gcd_dataset.generator.garments import OutfitDesign
+from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
+from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign
+from gcd_dataset.generator.garments.design import Bottom, MetaDesign, Upper
+from gcd_dataset.generator.garments.gathered_skirt import GatheredSkirtDesign
+from gcd_dataset.generator.garments.pants import PantsDesign
+from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign
+from gcd_dataset.generator.garments.shirt import ShirtDesign
+from gcd_dataset.generator.garments.sleeve import SleeveDesign
+from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
+from gcd_dataset.records import Outcome
+from tests.generator.drape.garments import LIMBS, SIDES, Axis, Worn, neutral, rims, stouter, wear
+from tests.helpers import tube
+
+ARMS = ("left arm", "right arm")
+FOREARM_FROM = 0.45  # of the way from shoulder to finger tips
+INSTEP = 5.0  # cm
+UNDER_TOES = 2.0  # cm by which cloth that hangs over the toes may swing back below them, where there is no floor
+TOES = 10  # edges of cloth of 3 cm that may cross toes, which are thinner
+
+SHIRT = MetaDesign(upper=Upper.SHIRT)
+WIDE = ShirtDesign(width=1.3, length=1.5, flare=1.3)
+FULL_SKIRT = OutfitDesign(
+    meta=MetaDesign(upper=None, wb=Waistband.STRAIGHT, bottom=Bottom.GATHERED),
+    waistband=WaistbandDesign(width=0.4),
+    skirt=GatheredSkirtDesign(length=0.87, ruffle=1.7, flare=20),
+)
+WIDE_TROUSERS = OutfitDesign(
+    meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.9, width=1.5, flare=1.2)
+)
+BOTTOMS = {
+    "skirt": OutfitDesign(
+        meta=MetaDesign(upper=None, bottom=Bottom.PENCIL), pencil_skirt=PencilSkirtDesign(length=0.4)
+    ),
+    "circle": OutfitDesign(
+        meta=MetaDesign(upper=None, bottom=Bottom.CIRCLE), flare_skirt=FlareSkirtDesign(length=0.2, suns=0.5)
+    ),
+    "trousers": OutfitDesign(meta=MetaDesign(upper=None, bottom=Bottom.PANTS), pants=PantsDesign(length=0.5)),
+}
+
+
+def test_a_ring_of_cloth_goes_round_what_is_in_it() -> None:
+    """Once round the axis of a tube, not round a line beside it, which goes through its wall if it is oblique."""
+    cloth = tube(12, 6, radius=4.0, spacing=2.0)
+    upper, lower = rims(cloth.faces)
+    assert len(upper) == len(lower) == 12
+    inside, beside = (Axis(np.array([x, 20.0, 0.0]), np.array([x, -5.0, 0.0])) for x in (1.0, 6.0))
+    oblique = Axis(np.array([0.0, 6.0, 0.0]), np.array([20.0, 5.0, 0.3]))
+    for rim in (upper, lower):
+        assert (inside.winding(cloth.vertices[rim]), beside.winding(cloth.vertices[rim])) == (1, 0)
+    triangles = cloth.vertices[cloth.faces]
+    assert [axis.pierces(triangles) for axis in (inside, beside, oblique)] == [0, 0, 1]
+
+
+def test_arms_lie_in_their_axes() -> None:
+    body, _ = neutral()
+    for arm in ARMS:
+        axis = Axis.of(body, arm)
+        skin = body.vertices[body.parts == LIMBS[arm].value]
+        assert 0.0 < axis.share(skin).min() + 1e-6 < axis.share(skin).max() < 0.9  # the hand is the rest
+        assert np.sign(axis.end[0]) == SIDES[arm.split()[0]]
+
+
+@pytest.mark.parametrize(("kind", "clear"), [(Cuff.BAND, 2.5), (Cuff.BAND_SKIRT, 6.0)])
+def test_hands_come_out_of_cuffs(kind: Cuff, clear: float) -> None:
+    """Every cuff lies round its own forearm, no further off the skin than a band or a small skirt may stand."""
+    cuff = SleeveCuffDesign(type=kind, cuff_len=0.2, top_ruffle=2.0)
+    worn = wear(OutfitDesign(meta=SHIRT, sleeve=SleeveDesign(sleeveless=False, length=0.95, cuff=cuff)))
+    assert worn.drape.outcome is Outcome.SETTLED
+    for arm in ARMS:
+        own = worn.vertices_of(f"sl_{arm.split()[0]}_cuff")
+        assert worn.from_skin(own, arm) < clear
+        share = Axis.of(worn.body, arm).share(worn.drape.vertices[own])
+        assert FOREARM_FROM < share.min() < share.max() < 0.9
+        assert_comes_out(worn, arm, own)
+
+
+@pytest.mark.parametrize(
+    "sleeve", [SleeveDesign(connecting_width=1.5), SleeveDesign(sleeveless=False, length=0.2, connecting_width=1.5)]
+)
+def test_arms_are_not_under_a_loose_shirt(sleeve: SleeveDesign) -> None:
+    """Each arm goes through its own sleeve or armhole, and neither through the hem nor through the cloth."""
+    worn = wear(OutfitDesign(meta=SHIRT, shirt=WIDE, sleeve=sleeve))
+    assert worn.drape.outcome is Outcome.SETTLED
+    for arm in ARMS:
+        side = arm.split()[0]
+        hole = worn.mesh.labels[f"{side}_armhole"] if sleeve.sleeveless else worn.vertices_of(f"{side}_sleeve")
+        assert_comes_out(worn, arm, np.asarray(hole))
+
+
+def assert_comes_out(worn: Worn, arm: str, hole: np.ndarray) -> None:
+    """The arm comes out of one rim alone, that of ``hole``, and goes through no cloth."""
+    [rim] = worn.openings(arm)
+    assert np.isin(rim, hole).mean() > 0.9  # labels leave out where seams end
+    axis = Axis.of(worn.body, arm)
+    assert axis.pierces(worn.drape.vertices[worn.mesh.faces]) == 0
+
+
+def test_an_arm_under_the_shirt_would_be_seen() -> None:
+    """A shirt that was drawn down until its armholes lie under the arms has the arms in its sides."""
+    worn = wear(OutfitDesign(meta=SHIRT, shirt=WIDE, sleeve=SleeveDesign(connecting_width=1.5)))
+    lower = worn.drape.vertices - np.array([0.0, 30.0, 0.0])
+    for arm in ARMS:
+        axis = Axis.of(worn.body, arm)
+        assert axis.winding(lower[worn.openings(arm)[0]]) == 0 or axis.pierces(lower[worn.mesh.faces]) > 0
+
+
+def test_a_skirt_to_the_floor_is_not_caught_on_the_feet() -> None:
+    """Both feet are in its hem, which hangs round or below them without strain, and not under the soles."""
+    worn = wear(FULL_SKIRT)
+    assert worn.drape.outcome is Outcome.SETTLED
+    [left], [right] = (worn.openings(leg) for leg in ("left leg", "right leg"))
+    assert np.array_equal(left, right)
+    assert_hem_is_free(worn, left)
+
+
+def test_trousers_longer_than_the_legs_are_not_caught_on_the_feet() -> None:
+    """Each foot is in its own hem: the trousers are cut for a wearer who is 12 cm taller."""
+    _, size = neutral()
+    worn = wear(WIDE_TROUSERS, cut_for=replace(size, height=size.height + 12.0))
+    assert worn.drape.outcome is Outcome.SETTLED
+    for side, sign in SIDES.items():
+        [hem] = worn.openings(f"{side} leg")
+        assert (sign * worn.drape.vertices[hem, 0]).min() > 0.0
+        assert_hem_is_free(worn, hem)
+
+
+def assert_hem_is_free(worn: Worn, hem: np.ndarray) -> None:
+    assert worn.drape.vertices[hem, 1].max() < INSTEP
+    assert len(worn.under_soles(inset=UNDER_TOES)) == 0
+    assert worn.most_stretched(hem) < 1.1
+    assert worn.drape.body_crossings <= TOES
+
+
+@pytest.mark.parametrize("kind", BOTTOMS)
+def test_what_is_cut_too_wide_slides_off_and_is_found_early(kind: str) -> None:
+    """What fits stays up; cut for a trunk half as wide again it slides off, within a quarter of the frames."""
+    _, size = neutral()
+    fits, slides = wear(BOTTOMS[kind]), wear(BOTTOMS[kind], cut_for=stouter(size, 1.5))
+    assert fits.drape.outcome is Outcome.SETTLED
+    assert slides.drape.outcome is Outcome.SLID_OFF
+    assert slides.drape.frames < DrapeConfig().max_frames / 4
+    assert "narrow the waist" in slides.drape.outcome.value
