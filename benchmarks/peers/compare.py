@@ -25,11 +25,11 @@ __all__ = ["compare"]
 def compare(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device: str) -> Measured:
     """The garments in batches of each size, taken in turn until a batch is full: a row for either solver.
 
-    ``setup_s`` of Newton's is what it takes from the meshes to the first frame, of ours the making of coarse meshes;
-    our model is built in ``solve_s``. All seconds are a garment's share.
+    ``setup_s`` of Newton's is what it takes from the meshes through the first frame, of ours the making of coarse
+    meshes; our model is built in ``solve_s``. All seconds are a garment's share.
     """
     drape_batch(jobs[:1], DrapeConfig(max_frames=1), device=device)
-    drape_with_newton(jobs[:1], device=device, max_frames=1)
+    drape_with_newton(jobs[:1], device=device, max_frames=2)
     rows, figures = [], []
     for batch in batches:
         some = list(islice(cycle(jobs), batch))
