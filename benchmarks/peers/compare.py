@@ -25,8 +25,9 @@ __all__ = ["compare"]
 def compare(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device: str) -> Measured:
     """The garments in batches of each size, taken in turn until a batch is full: a row for every way.
 
-    ``ours`` bring their coarse meshes, made in ``setup_s``; ``ours_direct`` do without a coarse start. Of ``newton`` that is what it takes from the meshes through the first frame; our model is built in
-    ``solve_s``. All seconds are a garment's share.
+    ``ours`` bring their coarse meshes, made in ``setup_s``; ``ours_direct`` do without a coarse start. Of ``newton``
+    set-up is what it takes from the meshes through the first frame; our model is built in ``solve_s``. All seconds are
+    a garment's share.
     """
     jobs = [replace(job, coarse=None) for job in jobs]
     drape_batch(jobs[:1], DrapeConfig(max_frames=1), device=device)
