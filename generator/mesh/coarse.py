@@ -244,7 +244,9 @@ def _renumbered(
 
 def _own_rows(mesh: BoxMesh, panel: _Panel) -> Int[np.ndarray, " n"]:
     """The rows of ``uv`` of a panel."""
-    return np.unique(mesh.corners[mesh.panel_id == panel.number])
+    own = np.zeros(len(mesh.uv), bool)
+    own[mesh.corners[mesh.panel_id == panel.number]] = True
+    return np.flatnonzero(own)
 
 
 def _place(mesh: BoxMesh, rows: Int[np.ndarray, " n"], points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
@@ -271,15 +273,17 @@ def _locate(
     ab, ac = ab / _cross(ab, ac)[:, None], ac / _cross(ab, ac)[:, None]
     best, least = np.zeros(len(wanted), int), np.full(len(wanted), -np.inf)
     shares = np.zeros((len(wanted), 3))
+    left = np.arange(len(wanted))
     for column in round_corner.T:
-        face = column[nearest]
-        to = wanted - a[face]
+        face = column[nearest[left]]
+        to = wanted[left] - a[face]
         second, third = _cross(to, ac[face]), _cross(ab[face], to)
-        first = 1 - second - third
-        smallest = np.minimum(np.minimum(first, second), third)
-        better = smallest > least
-        least[better], best[better] = smallest[better], face[better]
-        shares[better] = np.stack([first[better], second[better], third[better]], axis=1)
+        found = np.stack([1 - second - third, second, third], axis=1)
+        smallest = found.min(axis=1)
+        better = smallest > least[left]
+        at = left[better]
+        least[at], best[at], shares[at] = smallest[better], face[better], found[better]
+        left = left[smallest < 0]
     shares = shares.clip(0.0)
     return best, shares / shares.sum(axis=1, keepdims=True)
 
