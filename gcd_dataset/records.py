@@ -388,7 +388,7 @@ class Drape(Record):
     """Positions [cm], in the order of the box mesh."""
     outcome: Outcome
     frames: int
-    """Frames simulated until it hung still, or the limit."""
+    """Frames simulated until it hung still, or the limit; those of a coarse start among them."""
     self_crossings: int
     """Cloth edges that cross a cloth triangle."""
     body_crossings: int

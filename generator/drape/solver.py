@@ -1,7 +1,6 @@
 """The time steps of a batch: recorded as graphs, on the CPU as on a GPU, and played until all is at rest."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
@@ -12,134 +11,16 @@ from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.device import load_kernels, one_at_a_time
 from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, finish, search, step, stillness
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Contacts
+from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import ClothModel
+from gcd_dataset.generator.drape.state import new_state
 
-__all__ = ["ClothState", "Solver", "new_state"]
+__all__ = ["Solver"]
 
 KERNELS: tuple[ModuleType, ...] = (boxes, contacts, crossing, finish, search, step, stillness)
 REBUILD_EVERY = 10  # frames after which the tree of boxes is built anew
 FINISHING_ROUNDS = 4
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; longer lists are walked in strides
-
-
-@dataclass(frozen=True)
-class ClothState:
-    """What changes during a drape, on the model's device."""
-
-    x: wp.array
-    """(v) positions [cm]."""
-    v: wp.array
-    """(v) velocities [cm/s]."""
-    ahead: wp.array
-    """(v) where forces are taken [cm]."""
-    ahead_next: wp.array
-    x_seen: wp.array
-    """(v) positions one frame ago [cm]."""
-    x_searched: wp.array
-    """(v) positions at the last search for contacts [cm]."""
-    skin: wp.array
-    """(v) distance from the skin then [cm]."""
-    push: wp.array
-    """(v, 4) displacements asked for by contacts, as whole numbers."""
-    crowd: wp.array
-    """(v) weights of the contacts that were expected for this step."""
-    beside: wp.array
-    """(v) whether another vertex was near at the last search."""
-    listed: wp.array
-    """(v) whether the vertex is in any list of contacts."""
-    tangled: wp.array
-    """(v) whether an edge or a face of the vertex crossed the cloth."""
-    time: wp.array
-    """(w) simulated time [s]."""
-    held: wp.array
-    """(w) whether waist and collar are held."""
-    loose_after: wp.array
-    """(w) when it may first be found at rest, once it is let go [s]."""
-    status: wp.array
-    """(w) ``RUNNING``, ``DONE`` or ``DIVERGED``."""
-    frames: wp.array
-    """(w) frames it has run."""
-    moving: wp.array
-    """(w) vertices that moved in this frame, those that moved fast, and the sum of the keepers' heights."""
-    hasty: wp.array
-    kept_height: wp.array
-    moved_far: wp.array
-    """(w) whether a vertex has moved so far that contacts must be searched anew."""
-    fewest: wp.array
-    """(w) the fewest crossings so far since it was let go, and the frame they were found in."""
-    fewest_at: wp.array
-    parting: wp.array
-    """(w) whether what crosses is pushed apart."""
-    searching: wp.array
-    crossing_due: wp.array
-    untangling: wp.array
-    any_search: wp.array
-    any_crossing: wp.array
-    any_running: wp.array
-    newest: wp.array
-    """The grid in which near vertices are found: the last vertex put into each bucket, and the one before each."""
-    older: wp.array
-    lower: wp.array
-    """(f) boxes round the faces [cm]."""
-    upper: wp.array
-    contacts: Contacts
-
-
-def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
-    """The start: every garment where its panels hang, at rest."""
-    n, worlds, faces = model.n_vertices, model.n_worlds, len(model.face_world)
-    room = config.contact_capacity
-
-    def zeros(size: int, dtype: type) -> wp.array:
-        return wp.zeros(size, dtype=dtype, device=model.device)
-
-    lists = Contacts()
-    lists.room = room
-    lists.near, lists.long_edges, lists.crossings = (zeros(room * n, wp.vec2i) for _ in range(3))
-    lists.points, lists.sides = zeros(room * n, wp.vec4i), zeros(room * n, float)
-    lists.edges, lists.normals = zeros(room * n, wp.vec4i), zeros(room * n, wp.vec3)
-    lists.near_count, lists.point_count, lists.edge_count = (zeros(worlds, int) for _ in range(3))
-    lists.work, lists.near_work = zeros(worlds + 1, int), zeros(worlds + 1, int)
-    lists.long_count, lists.crossing_count, lists.overfull = (zeros(worlds, int) for _ in range(3))
-    start = model.topology.start
-    return ClothState(
-        x=wp.clone(start),
-        v=zeros(n, wp.vec3),
-        ahead=wp.clone(start),
-        ahead_next=wp.clone(start),
-        x_seen=wp.clone(start),
-        x_searched=wp.clone(start),
-        skin=zeros(n, float),
-        push=wp.zeros((n, 4), dtype=int, device=model.device),
-        crowd=wp.ones(n, dtype=float, device=model.device),
-        beside=wp.ones(n, dtype=int, device=model.device),
-        listed=zeros(n, int),
-        tangled=zeros(n, int),
-        time=zeros(worlds, float),
-        held=wp.ones(worlds, dtype=int, device=model.device),
-        loose_after=zeros(worlds, float),
-        status=zeros(worlds, int),
-        frames=zeros(worlds, int),
-        moving=zeros(worlds, int),
-        hasty=zeros(worlds, int),
-        kept_height=zeros(worlds, int),
-        moved_far=wp.ones(worlds, dtype=int, device=model.device),
-        fewest=zeros(worlds, int),
-        fewest_at=zeros(worlds, int),
-        parting=wp.ones(worlds, dtype=int, device=model.device),
-        searching=zeros(worlds, int),
-        crossing_due=zeros(worlds, int),
-        untangling=wp.ones(worlds, dtype=int, device=model.device),
-        any_search=zeros(1, int),
-        any_crossing=wp.ones(1, dtype=int, device=model.device),
-        any_running=wp.ones(1, dtype=int, device=model.device),
-        newest=zeros(1 << (2 * n - 1).bit_length(), int),
-        older=zeros(n, int),
-        lower=zeros(faces, wp.vec3),
-        upper=zeros(faces, wp.vec3),
-        contacts=lists,
-    )
 
 
 class Solver:
