@@ -1,5 +1,6 @@
 """Garments that workers have draped by a process of its own: the same as if they had draped them themselves."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -192,3 +193,14 @@ def test_the_draper_ends_with_the_process_that_owns_it() -> None:
         time.sleep(0.05)
     assert drapers(place) == []
     assert not place.folder.exists()
+
+
+def warp_has_begun(item: dict[str, Any]) -> bool:
+    """Whether Warp has been started in this process: with a GPU that would be a context of CUDA."""
+    return importlib.import_module("warp._src.context").runtime is not None
+
+
+def test_no_worker_starts_warp() -> None:
+    ds = Apart(1, place_for("cpu"), transform=warp_has_begun)
+    [[begun]] = DataLoader(ds, num_workers=1, multiprocessing_context="spawn", collate_fn=collate_list)
+    assert not begun
