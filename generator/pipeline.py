@@ -19,7 +19,18 @@ from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of, ver
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Drape, Measurements, Outcome, Pattern, Provenance, Sample
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["build_pattern", "fit", "make", "make_many", "sample_key"]
+__all__ = [
+    "Dressed",
+    "DressedDesign",
+    "build_pattern",
+    "finish",
+    "fit",
+    "make",
+    "make_many",
+    "prepare",
+    "sample_key",
+    "turned_down",
+]
 
 BATCH = {"cpu": 1, "cuda": 64}  # garments draped at a time
 DEFAULT = MakeConfig()
@@ -42,21 +53,19 @@ def make_many(
     asked = Counter(order)
     waiting = deque(dict.fromkeys(index // config.wearers for index in order))
     at_once = max((batch or BATCH[device_kind(config)]) // config.wearers, 1) if config.stage == "drape" else 1
-    again = deque[_Design]()
+    again = deque[DressedDesign]()
     done: dict[int, Sample] = {}
     while order:
         load = [prepare(seed, failed.number, config, failed.rejects) for failed in again]
         again.clear()
         load += [prepare(seed, waiting.popleft(), config) for _ in range(min(at_once - len(load), len(waiting)))]
         for design, drapes in zip(load, _drape(load, config), strict=True):
-            failed = next((drape.outcome for drape in drapes if drape and drape.outcome is not Outcome.SETTLED), None)
-            last = len(design.rejects) + 1 >= config.max_attempts
-            if failed and config.on_fail == "retry" and not last:
-                again.append(design.turned_down(f"drape: {failed.name.lower()}"))
+            if failed := turned_down(design, drapes, config):
+                again.append(failed)
                 continue
             for dressed, drape in zip(design.dressed, drapes, strict=True):
                 if dressed.index in asked:
-                    done[dressed.index] = _finish(design, dressed, config, drape)
+                    done[dressed.index] = finish(design, dressed, config, drape)
         while order and order[0] in done:
             index = order.popleft()
             asked[index] -= 1
@@ -98,7 +107,7 @@ def sample_key(index: int) -> str:
 
 
 @dataclass(frozen=True)
-class _Dressed:
+class Dressed:
     """One wearer of a design, ready to be draped."""
 
     index: int
@@ -112,20 +121,17 @@ class _Dressed:
 
 
 @dataclass(frozen=True)
-class _Design:
+class DressedDesign:
     """A design that can be worn, how it was come by, and those who wear it."""
 
     seed: int
     number: int
     rejects: tuple[str, ...]
     design: OutfitDesign
-    dressed: tuple[_Dressed, ...]
-
-    def turned_down(self, reason: str) -> "_Design":
-        return replace(self, rejects=self.rejects + (reason,))
+    dressed: tuple[Dressed, ...]
 
 
-def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[str, ...] = ()) -> _Design:
+def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[str, ...] = ()) -> DressedDesign:
     """Design ``number`` with its bodies, patterns and meshes: the first that can be worn after those turned down."""
     wearers = _wearers(seed, number, config)
     # One stream for the kind, whatever the attempt: a kind that is often turned down would become rare otherwise.
@@ -136,7 +142,7 @@ def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[str, ...]
         design = sample_design(chance, sizes, kind=kind, overlay=config.design)
         dressed = _dress_all(wearers, design, config)
         if not isinstance(dressed, Reject):
-            return _Design(seed, number, rejects, design, dressed)
+            return DressedDesign(seed, number, rejects, design, dressed)
         rejects += (str(dressed),)
     raise PatternError(
         f"sample {number * config.wearers} of seed {seed}: {len(rejects)} designs were turned down, the last for: "
@@ -168,7 +174,7 @@ def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
     return tuple(wearers)
 
 
-def _dress_all(wearers: Iterable[_Wearer], design: OutfitDesign, config: MakeConfig) -> tuple[_Dressed, ...] | Reject:
+def _dress_all(wearers: Iterable[_Wearer], design: OutfitDesign, config: MakeConfig) -> tuple[Dressed, ...] | Reject:
     """All wearers in the design, or why one of them cannot wear it."""
     dressed = []
     for wearer in wearers:
@@ -179,7 +185,7 @@ def _dress_all(wearers: Iterable[_Wearer], design: OutfitDesign, config: MakeCon
     return tuple(dressed)
 
 
-def _dress(wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> _Dressed | Reject:
+def _dress(wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> Dressed | Reject:
     pattern = try_on(wearer.size, design, name=sample_key(wearer.index))
     if isinstance(pattern, Reject):
         return pattern
@@ -192,10 +198,10 @@ def _dress(wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> _Dresse
     except MeshError as error:
         return Reject("cannot_be_meshed", str(error))
     coarse = coarse_start(mesh) if mesh is not None and config.stage == "drape" else None
-    return _Dressed(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse)
+    return Dressed(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse)
 
 
-def _drape(load: Sequence[_Design], config: MakeConfig) -> Iterator[tuple[Drape | None, ...]]:
+def _drape(load: Sequence[DressedDesign], config: MakeConfig) -> Iterator[tuple[Drape | None, ...]]:
     """The drapes of each design's wearers, all draped together; none at an earlier stage."""
     if config.stage != "drape":
         return iter([(None,) * len(design.dressed) for design in load])
@@ -212,8 +218,23 @@ def _drape(load: Sequence[_Design], config: MakeConfig) -> Iterator[tuple[Drape 
     return (tuple(islice(drapes, len(design.dressed))) for design in load)
 
 
-def _finish(design: _Design, dressed: _Dressed, config: MakeConfig, drape: Drape | None) -> Sample:
-    """The sample of a dressed body: points and pictures are taken, and all is put together."""
+def turned_down(design: DressedDesign, drapes: Sequence[Drape | None], config: MakeConfig) -> DressedDesign | None:
+    """The design with the reason why the next is tried instead, if one of its drapes asks for that."""
+    failed = next((drape.outcome for drape in drapes if drape and drape.outcome is not Outcome.SETTLED), None)
+    last = len(design.rejects) + 1 >= config.max_attempts
+    if failed is None or config.on_fail == "keep" or last:
+        return None
+    return replace(design, rejects=design.rejects + (f"drape: {failed.name.lower()}",))
+
+
+def finish(
+    design: DressedDesign,
+    dressed: Dressed,
+    config: MakeConfig,
+    drape: Drape | None,
+    pictures: tuple[bytes, bytes] | None = None,
+) -> Sample:
+    """The sample of a dressed body: points are taken, and ``pictures`` too where none are given."""
     mesh, points = dressed.box_mesh, None
     if mesh is not None:
         surface = drape.vertices if drape is not None else mesh.vertices
@@ -239,7 +260,8 @@ def _finish(design: _Design, dressed: _Dressed, config: MakeConfig, drape: Drape
     )
     if drape is None or not config.picture:
         return sample
-    from gcd_dataset.generator.render import render_sample
+    if pictures is None:
+        from gcd_dataset.generator.render import render_sample
 
-    front, back = render_sample(sample, dressed.body, size=config.picture, device=config.device)
-    return replace(sample, front=front, back=back)
+        pictures = render_sample(sample, dressed.body, size=config.picture, device=config.device)
+    return replace(sample, front=pictures[0], back=pictures[1])

@@ -1,5 +1,6 @@
 """What samples are made by: the options, and all else that decides their bytes."""
 
+import re
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
@@ -83,10 +84,20 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
 
 
 def device_kind(config: MakeConfig) -> str:
-    """``cpu`` or ``cuda``. Raises ``ConfigError`` for a device that is not there."""
+    """``cpu`` or ``cuda``. Raises ``ConfigError`` for a device that cannot be; whether it is there, its user sees."""
+    if config.device != "auto":
+        # By its name alone: to ask starts CUDA, which a process does not survive that was forked from one that uses it.
+        return device_named(config.device)
     from gcd_dataset.generator.drape import resolve_device
 
-    return "cuda" if resolve_device(config.device).startswith("cuda") else "cpu"
+    return device_named(resolve_device("auto"))
+
+
+def device_named(name: str) -> str:
+    """``cpu`` or ``cuda``, by a device's name. Raises ``ConfigError``."""
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", name):
+        raise ConfigError(f"device {name}: give auto, cpu, or a GPU as cuda:0")
+    return name.partition(":")[0]
 
 
 @cache

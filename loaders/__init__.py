@@ -5,6 +5,7 @@ from gcd_dataset.loaders.batches import PackedBatch, PaddedBatch
 from gcd_dataset.loaders.bodies import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.loaders.collate import collate_list, collate_packed, collate_padded
 from gcd_dataset.loaders.fake import FakeGarments
+from gcd_dataset.loaders.fresh import FreshGarments
 from gcd_dataset.loaders.generated import GeneratedGarments
 from gcd_dataset.loaders.graph import SeamGraph, mesh_edges, seam_graph, to_pyg
 from gcd_dataset.loaders.hdf5 import Hdf5Garments
@@ -13,12 +14,17 @@ from gcd_dataset.loaders.mixed import MixedDataset
 from gcd_dataset.loaders.order import ElasticSampler
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.loaders.shards import GarmentDataset
+from gcd_dataset.loaders.transforms import Augment, Augmented, Chain, PartialView, PointNoise, Yaw
 
 __all__ = [
+    "Augment",
+    "Augmented",
     "Bodies",
     "BodyDataset",
+    "Chain",
     "ElasticSampler",
     "FakeGarments",
+    "FreshGarments",
     "GarmentDataset",
     "GarmentLoader",
     "Garments",
@@ -27,9 +33,12 @@ __all__ = [
     "MixedDataset",
     "PackedBatch",
     "PaddedBatch",
+    "PartialView",
+    "PointNoise",
     "PublishedBodies",
     "PublishedGarmentCodeData",
     "SeamGraph",
+    "Yaw",
     "collate_list",
     "collate_packed",
     "collate_padded",

@@ -75,6 +75,10 @@ class Garments(Dataset[Item], ABC):
         """Several garments, as a ``DataLoader`` asks for a batch of them."""
         return [self[index] for index in indices]
 
+    def stream(self, indices: Iterable[int]) -> Iterator[Any]:
+        """Garments one after the other; numbers are taken as they are needed, and may be endless."""
+        return (self[index] for index in indices)
+
     def select(self, indices: Iterable[int]) -> "Garments":
         """These garments in this order, as a data set. Raises ``IndexError``."""
         return SelectedGarments(self, [self._position(index) for index in indices])
@@ -117,6 +121,10 @@ class SelectedGarments(Garments):
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments, at once where the whole can do that."""
         return items_of(self.whole, [int(self.positions[self._position(index)]) for index in indices])
+
+    def stream(self, indices: Iterable[int]) -> Iterator[Any]:
+        """Garments one after the other, as the whole gives them."""
+        return self.whole.stream(int(self.positions[self._position(index)]) for index in indices)
 
     def identity(self) -> dict[str, Any]:
         """That of the whole, and which of it."""

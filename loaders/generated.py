@@ -3,27 +3,32 @@
 import logging
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
+from torch.utils.data import get_worker_info
 
 from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.files import make_folder
+from gcd_dataset.generator.drapers import make_ahead, place_for
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.pipeline import make_many
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.loaders.base import Garments, Transform, natural
-from gcd_dataset.shards.access import reading
+from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.shards.layout import Bytes, key_of, recipe_hash
-from gcd_dataset.shards.single import read_single, write_single
+from gcd_dataset.shards.kept import KeptSamples
+from gcd_dataset.shards.layout import FIELDS, Bytes, key_of, recipe_hash
 
-__all__ = ["GeneratedGarments"]
+__all__ = ["GeneratedGarments", "Stage"]
+
+Stage = Literal["pattern", "mesh", "drape"]
 
 logger = logging.getLogger("gcd_dataset")
+
+AHEAD = 16  # garments of a stream that are made at a time, in each process
 
 
 class GeneratedGarments(Garments):
@@ -33,11 +38,17 @@ class GeneratedGarments(Garments):
     >>> ds[7]["box"].shape  # doctest: +SKIP
     torch.Size([9731, 3])
 
-    ``bodies``, ``resolution`` [cm], ``fabric``, ``device``, ``on_fail`` and ``design`` are those of ``MakeConfig``; an
-    overlay for ``design`` comes from ``read_overlay``. ``drape``: ``warp``, or ``None`` to stop at the box mesh.
-    ``cache_dir``: keeps every garment made there, and reads it from there the next time; each seed, recipe and version
-    of this package has a folder of its own in it, and a damaged garment is made again. On a GPU a batch that a
-    ``DataLoader`` asks for is draped together, on a CPU one garment after the other.
+    ``bodies``, ``resolution`` [cm], ``fabric``, ``on_fail``, ``picture`` and ``design`` are those of ``MakeConfig``; an
+    overlay for ``design`` comes from ``read_overlay``. ``drape``: ``warp``, or ``None`` to stop at the box mesh;
+    ``stage="pattern"`` stops before that.
+
+    ``device``: where cloth is draped; ``auto`` is the first GPU that torch sees, or the CPU. On a GPU, workers of a
+    ``DataLoader``, forked or spawned, make body, design, pattern and mesh, and one process drapes for all of them;
+    without workers a batch is draped together in this process. On a CPU each worker drapes its own.
+
+    ``cache_dir``: keeps every garment made there, and reads it from there the next time. Each seed, recipe and version
+    of this package has a folder of its own in it, ``cache``, which is a data set for ``GarmentDataset``, ``gcd verify``
+    or ``gcd publish``. Any number of workers and processes may share it; a damaged garment is made again.
 
     Raises ``ConfigError`` for options that do not fit together; a GPU that is not there is told with the first garment.
     """
@@ -49,9 +60,11 @@ class GeneratedGarments(Garments):
         *,
         bodies: Literal["neutral", "random", "female", "male", "both"] = "random",
         drape: Literal["warp"] | None = "warp",
+        stage: Stage | None = None,
         device: str = "auto",
         resolution: float = 1.0,
         fabric: str = "default",
+        picture: int = 512,
         cache_dir: str | Path | None = None,
         on_fail: Literal["retry", "keep"] = "retry",
         transform: Transform | None = None,
@@ -60,25 +73,24 @@ class GeneratedGarments(Garments):
     ) -> None:
         super().__init__(fields, transform)
         self._n, self._seed = natural("n", n), natural("seed", seed)
-        # Its form alone: to ask for the device would start CUDA here, which workers forked later do not survive.
-        if not (isinstance(device, str) and re.fullmatch(r"auto|cpu|cuda(:\d+)?", device)):
-            raise ConfigError(f"device={device!r}: give auto, cpu, or a GPU as cuda:0")
-        if drape not in ("warp", None):
-            raise ConfigError(f"drape={drape!r}: there is 'warp', and None to stop at the box mesh")
-        stage: Literal["mesh", "drape"] = "mesh" if drape is None else "drape"
         self.config = MakeConfig(
             bodies=bodies,
-            stage=stage,
+            stage=_last_stage(drape, stage),
             resolution=resolution,
-            device=device,
+            device=_named(device),
             on_fail=on_fail,
+            picture=picture,
             design=design or NO_OVERLAY,
             fabric=fabric,
         )
-        self._cache_dir = None if cache_dir is None else Path(cache_dir)
-        # Asked here and not in a worker: a forked one may be told that there is no GPU, and would go on without.
-        self._on_gpu = drape is not None and (
-            device.startswith("cuda") or (device == "auto" and torch.cuda.device_count() > 0)
+        self._recipe = recipe_of(self.config)
+        self._on_gpu = self.config.stage == "drape" and self.config.device != "cpu"
+        # Named here, so that all workers meet in one place and it ends with this process, not with one of them.
+        self._place = place_for(self.config.device) if self._on_gpu else None
+        self.cache = None if cache_dir is None else Path(cache_dir) / self._cache_name
+        """The folder of this seed, recipe and version in ``cache_dir``."""
+        self._kept = (
+            None if self.cache is None else KeptSamples(self.cache, self._n, seed=self._seed, recipe=self._recipe)
         )
         self._process = os.getpid()
 
@@ -88,80 +100,115 @@ class GeneratedGarments(Garments):
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` is made with. Raises ``IndexError``."""
         position = self._position(index)
-        return {
-            "seed": self._seed,
-            "index": position,
-            "recipe": recipe_of(self.config),
-            "versions": versions(),
-        }
+        return {"seed": self._seed, "index": position, "recipe": dict(self._recipe), "versions": versions()}
 
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` unless garment ``index``, made anew, is the one in the cache, or the one made before."""
         position = self._position(index)
-        before, now = self._read(position) or self._kept([position])[0], self._made([position])[0]
+        before = None if self._kept is None else self._kept.read(position)
+        before, now = before or self._made([position])[0], self._made([position])[0]
         for member, data in now.items():
             if data != before[member]:
                 raise ShardError(f"{key_of(position)}, member {member}: comes out different when it is made again")
 
+    def pack(self) -> None:
+        """Write garments of the cache that wait for others of their shard into shards all the same.
+
+        With every garment made this has been done; before, ``cache`` is a data set of whole shards alone.
+        """
+        if self._kept is None:
+            raise ConfigError("nothing is kept: give cache_dir")
+        self._kept.pack()
+
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments at once; a ``DataLoader`` calls this for a batch."""
         positions = [self._position(index) for index in indices]
-        there = {position: self._cached(position) for position in positions}
+        return [self._item(members) for members in self._several(positions)]
+
+    def stream(self, indices: Iterable[int]) -> Iterator[Any]:
+        """Garments one after the other, of numbers that may be endless; on a GPU the next are made meanwhile."""
+        positions = (self._position(index) for index in indices)
+        if self._place is None:
+            return (self._item(self._several([position])[0]) for position in positions)
+        return (self._item(members) for members in self._by_draper(positions, AHEAD))
+
+    def _several(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
+        if self._apart:
+            return list(self._by_draper(positions, len(positions)))
+        there = {position: self._known(position) for position in positions}
         missing = [position for position, members in there.items() if members is None]
-        made = dict(zip(missing, self._kept(missing), strict=True))
-        return [self._item(there[position] or made[position]) for position in positions]
+        made = dict(zip(missing, map(self._keep, missing, self._made(missing)), strict=True)) if missing else {}
+        return [there[position] or made[position] for position in positions]
+
+    def _by_draper(self, positions: Iterable[int], ahead: int) -> Iterator[Mapping[str, Bytes]]:
+        assert self._place is not None
+        return make_ahead(
+            self._seed, positions, self.config, self._place, ahead=ahead, known=self._known, finished=self._encoded
+        )
+
+    @property
+    def _apart(self) -> bool:
+        """Whether another process has to drape: CUDA does not survive a fork, and each context of it takes memory."""
+        elsewhere = get_worker_info() is not None or os.getpid() != self._process
+        return self._place is not None and elsewhere
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        return self._cached(position) or self._kept([position])[0]
+        return self._several([position])[0]
 
-    def _kept(self, positions: Sequence[int]) -> list[dict[str, bytes]]:
-        """Garments made, and put into the cache if there is one."""
-        made = self._made(positions)
-        for position, members in zip(positions, made, strict=True):
-            if self._cache_dir is not None:
-                path = self._cache_path(position)
-                make_folder(path.parent)
-                write_single(path, position, members)
-        return made
+    def _made(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
+        """Garments made, whatever is in the cache."""
+        if self._apart and self._place is not None:
+            samples = make_ahead(self._seed, positions, self.config, self._place, ahead=len(positions), finished=_whole)
+        else:
+            samples = make_many(self._seed, positions, self.config)
+        return [encode_sample(sample) for sample in samples]
 
-    def _made(self, positions: Sequence[int]) -> list[dict[str, bytes]]:
-        return [encode_sample(sample) for sample in make_many(self._seed, positions, self.config)]
+    def _encoded(self, sample: Sample) -> Mapping[str, Bytes]:
+        return self._keep(sample.provenance.index, encode_sample(sample))
 
-    def _cached(self, position: int) -> Mapping[str, Bytes] | None:
-        """The garment in the cache, if it is there and whole."""
+    def _keep(self, position: int, members: Mapping[str, Bytes]) -> Mapping[str, Bytes]:
+        if self._kept is not None:
+            self._kept.keep(position, members)
+        return members
+
+    def _known(self, position: int) -> Mapping[str, Bytes] | None:
+        """What an item needs of the garment in the cache, if it is there and whole."""
+        if self._kept is None:
+            return None
         try:
-            return self._read(position)
+            return self._kept.read(position, tuple(FIELDS[field] for field in self.fields))
         except ShardError as error:
             logger.warning("%s; it is made again", error)
             return None
 
-    def _read(self, position: int) -> Mapping[str, Bytes] | None:
-        """The garment in the cache, if it is there. Raises ``ShardError`` for a damaged one."""
-        self._require_no_fork()
-        if self._cache_dir is None:
-            return None
-        path = self._cache_path(position)
-        with reading(path):
-            there = path.exists()
-        return read_single(path) if there else None
-
-    def _cache_path(self, position: int) -> Path:
-        assert self._cache_dir is not None
-        return self._cache_dir / self._cache_name / f"{key_of(position)}.tar"
-
     @property
     def _cache_name(self) -> str:
         """The cache's folder for this seed, recipe and version: no garment is ever taken for one of another."""
-        return f"{__version__}-seed{self._seed}-{recipe_hash(recipe_of(self.config))[:16]}"
-
-    def _require_no_fork(self) -> None:
-        """Raise ``ConfigError`` where CUDA would be used in a forked process, which CUDA does not survive."""
-        if self._on_gpu and os.getpid() != self._process:
-            raise ConfigError(
-                f"device={self.config.device!r} in a forked worker: give the DataLoader multiprocessing_context="
-                "'spawn' or num_workers=0, or make garments with device='cpu'"
-            )
+        return f"{__version__}-seed{self._seed}-{recipe_hash(self._recipe)[:16]}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._process = os.getpid()  # unpickled: spawned, not forked
+
+
+def _whole(sample: Sample) -> Sample:
+    return sample
+
+
+def _named(device: str) -> str:
+    """The device, without ``auto``. Raises ``ConfigError``."""
+    # By its form alone, and what torch can tell without CUDA: to start that here would end it in workers forked later.
+    if not (isinstance(device, str) and re.fullmatch(r"auto|cpu|cuda(:\d+)?", device)):
+        raise ConfigError(f"device={device!r}: give auto, cpu, or a GPU as cuda:0")
+    if device == "auto":
+        return "cuda:0" if torch.cuda.device_count() > 0 else "cpu"
+    return "cuda:0" if device == "cuda" else device
+
+
+def _last_stage(drape: str | None, stage: Stage | None) -> Stage:
+    """The last step taken. Raises ``ConfigError`` for what is not there, or contradicts itself."""
+    if drape not in ("warp", None):
+        raise ConfigError(f"drape={drape!r}: there is 'warp', and None to stop at the box mesh")
+    if drape is None and stage == "drape":
+        raise ConfigError("drape=None and stage='drape': leave one of them out")
+    return stage or ("mesh" if drape is None else "drape")

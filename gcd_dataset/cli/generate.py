@@ -41,6 +41,10 @@ def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | Non
     config = config or MakeConfig()
     if count < 1:
         raise ConfigError(f"count is {count}: give 1 or more")
+    if config.stage == "drape":
+        from gcd_dataset.generator.drape import resolve_device
+
+        resolve_device(config.device)  # told before anything is written
     with ShardWriter(out, seed=seed, recipe=recipe_of(config)) as writer:
         done = writer.done
     return Plan(Path(out), count, seed, config, tuple(index for index in range(count) if index not in done))

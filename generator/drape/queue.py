@@ -4,10 +4,9 @@ A garment has two turns, its coarse mesh first and then itself, from the shape t
 happens in a turn does not depend on when it begins, nor on who else is in the batch.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import islice
+from functools import cached_property, partial
 from typing import Self
 
 import numpy as np
@@ -32,16 +31,30 @@ POLL_EVERY = 4  # frames after which the device is asked which garments still mo
 IDLE = 0.5  # share of the places that may stand empty while garments wait for one
 
 
+def no_more() -> int:
+    """How many jobs have arrived that were not there: none."""
+    return 0
+
+
 def drape_in_turn(
-    jobs: Iterable[DrapeJob], config: DrapeConfig, *, device: str, at_once: int
+    jobs: Iterable[DrapeJob | None],
+    config: DrapeConfig,
+    *,
+    device: str,
+    at_once: int,
+    arrived: Callable[[], int] = no_more,
 ) -> Iterator[tuple[int, Drape]]:
-    """The number and the drape of each job, in the order in which they come to rest; ``at_once`` share the device."""
-    waiting = (_Turn.first(number, job, config) for number, job in enumerate(jobs))
-    turns = list(islice(waiting, at_once))
-    any_wait, before = len(turns) == at_once, None
+    """The number and the drape of each job, in the order in which they come to rest; ``at_once`` share the device.
+
+    ``jobs`` may arrive while others are draped: a ``None`` among them, which counts as no job, says that there is none
+    at this moment, and ``arrived`` how many have come since. It ends when all are draped and none is there.
+    """
+    waiting = _Waiting(jobs, config)
+    turns = waiting.taken(at_once)
+    before = None
     while turns:
         solver = _begin(turns, before, config, device)
-        running = _run(solver, turns, any_wait)
+        running = _run(solver, turns, not waiting.ended, partial(_as_fit, arrived, at_once - len(turns)))
         frames = solver.state.frames.numpy()
         ended = [k for k in np.flatnonzero(~running).tolist() if turns[k].coarse is None]
         for k, drape in zip(ended, collect(solver, [turns[k].whole for k in ended], ended), strict=True):
@@ -49,8 +62,8 @@ def drape_in_turn(
         going_on = [turns[k].goes_on(k) for k in np.flatnonzero(running).tolist()]
         refined = [turn.refined(k, int(frames[k])) for k, turn in enumerate(turns) if turn.coarse and not running[k]]
         turns = going_on + refined
-        turns += islice(waiting, at_once - len(turns))
-        any_wait, before = len(turns) == at_once, solver
+        turns += waiting.taken(at_once - len(turns))
+        before = solver
 
 
 @dataclass(frozen=True)
@@ -97,6 +110,34 @@ class _Turn:
         return replace(self, coarse=None, frames_before=frames, old_place=place, start_from=self.coarse)
 
 
+def _as_fit(arrived: Callable[[], int], room: int) -> int:
+    return min(arrived(), room)
+
+
+class _Waiting:
+    """Garments that have no place yet."""
+
+    def __init__(self, jobs: Iterable[DrapeJob | None], config: DrapeConfig) -> None:
+        self._jobs, self._config, self._count = iter(jobs), config, 0
+        self.ended = False
+        """Whether the last of them has been taken."""
+
+    def taken(self, room: int) -> list[_Turn]:
+        """The next that are there, for so many places."""
+        turns: list[_Turn] = []
+        while len(turns) < room and not self.ended:
+            try:
+                job = next(self._jobs)
+            except StopIteration:
+                self.ended = True
+                break
+            if job is None:
+                break
+            turns.append(_Turn.first(self._count, job, self._config))
+            self._count += 1
+        return turns
+
+
 def _begin(turns: Sequence[_Turn], before: Solver | None, config: DrapeConfig, device: str) -> Solver:
     """The next batch, with what it takes over from the one before."""
     with one_at_a_time:
@@ -114,13 +155,13 @@ def _begin(turns: Sequence[_Turn], before: Solver | None, config: DrapeConfig, d
     return solver
 
 
-def _run(solver: Solver, turns: Sequence[_Turn], any_wait: bool) -> Bool[np.ndarray, " w"]:
+def _run(solver: Solver, turns: Sequence[_Turn], any_wait: bool, arrived: Callable[[], int]) -> Bool[np.ndarray, " w"]:
     """Step until nothing moves, or many places stand empty that others wait for; which garments still move."""
     refining = np.array([turn.coarse is not None for turn in turns])
     while True:
         running = solver.state.status.numpy() == RUNNING
         idle = ~running if any_wait else ~running & refining
-        if not running.any() or idle.sum() >= max(1, IDLE * len(turns)):
+        if not running.any() or idle.sum() + arrived() >= max(1, IDLE * len(turns)):
             return running
         for _ in range(POLL_EVERY):
             solver.frame()

@@ -1,6 +1,5 @@
 """Garments made on the spot are those that a shard would hold."""
 
-import json
 import os
 import subprocess
 import sys
@@ -14,7 +13,7 @@ from torch.utils.data import DataLoader
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.generator.pipeline import make_many
 from gcd_dataset.generator.recipe import recipe_of
-from gcd_dataset.loaders import GarmentDataset, GeneratedGarments, collate_packed
+from gcd_dataset.loaders import GarmentDataset, GarmentLoader, GeneratedGarments, collate_list, collate_packed
 from gcd_dataset.shards import ShardWriter
 from tests.loaders.test_shards import assert_all_same, same
 
@@ -72,9 +71,30 @@ def test_the_cache_is_read_and_not_made_again(
     ds = garments(cache_dir=tmp_path)
     assert same(ds[1], items[1])
     assert_all_same(ds.__getitems__([0, 1]), items[:2])
-    assert [path.name for path in sorted(tmp_path.glob("*/*"))] == ["gcd_000000000.tar", "gcd_000000001.tar"]
     monkeypatch.setattr("gcd_dataset.loaders.generated.make_many", no_more)
     assert same(garments(cache_dir=tmp_path)[1], items[1])
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_what_an_epoch_made_is_a_data_set(items: list[dict[str, Any]], tmp_path: Path, workers: int) -> None:
+    ds = garments(cache_dir=tmp_path)
+    assert_all_same(
+        GarmentLoader(ds, 1, shuffle=False, num_workers=workers, collate_fn=collate_list), [[i] for i in items]
+    )
+    assert ds.cache is not None
+    stored = GarmentDataset(ds.cache, verify="full")
+    assert_all_same([stored[i] for i in range(COUNT)], items)
+    assert [stored.recipe(i) for i in range(COUNT)] == [ds.recipe(i) for i in range(COUNT)]
+
+
+def test_a_cache_begun_can_be_packed(items: list[dict[str, Any]], tmp_path: Path) -> None:
+    ds = garments(cache_dir=tmp_path)
+    ds[2]
+    ds.pack()
+    assert ds.cache is not None
+    assert same(GarmentDataset(ds.cache)[0], items[2])
+    with pytest.raises(ConfigError, match="give cache_dir"):
+        garments().pack()
 
 
 def no_more(*_: Any) -> list[Any]:
@@ -94,7 +114,7 @@ def test_damage_in_the_cache_is_told_and_mended(
     ds = garments(cache_dir=tmp_path)
     ds[0]
     ds.verify(0)
-    (path,) = tmp_path.glob("*/*.tar")
+    (path,) = tmp_path.glob("*/.waiting/*/*.tar")
     whole = path.read_bytes()
     content = bytearray(whole)
     content[-1100 - len(content) // 3] ^= 1
@@ -107,6 +127,18 @@ def test_damage_in_the_cache_is_told_and_mended(
         assert "gcd_000000000.tar" in caplog.text
         assert "made again" in caplog.text
         assert path.read_bytes() == whole
+
+
+def test_damage_in_a_shard_of_the_cache_is_mended(items: list[dict[str, Any]], tmp_path: Path) -> None:
+    ds = garments(cache_dir=tmp_path)
+    ds.__getitems__(range(COUNT))
+    (path,) = tmp_path.glob("*/train-00000.tar")
+    whole = path.read_bytes()
+    content = bytearray(whole)
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    assert_all_same(garments(cache_dir=tmp_path), items)
+    assert path.read_bytes() == whole
 
 
 def test_another_version_has_another_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,25 +163,6 @@ def test_verify_finds_what_does_not_come_out_the_same(monkeypatch: pytest.Monkey
     monkeypatch.setattr(ds, "_made", lambda positions: [{**made(positions)[0], "design.json": os.urandom(8)}])
     with pytest.raises(ShardError, match=r"gcd_000000001, member design\.json"):
         ds.verify(1)
-
-
-def test_cuda_after_a_fork_is_refused_with_the_way_out() -> None:
-    ds = GeneratedGarments(COUNT, drape="warp", device="cuda:0")
-    read, write = os.pipe()
-    child = os.fork()
-    if child == 0:
-        try:
-            ds[0]
-        except ConfigError as error:
-            os.write(write, json.dumps(str(error)).encode())
-        finally:
-            os._exit(0)
-    os.waitpid(child, 0)
-    os.close(write)
-    told = json.loads(os.read(read, 1000))
-    os.close(read)
-    assert "device='cuda:0' in a forked worker" in told
-    assert "multiprocessing_context='spawn'" in told
 
 
 def test_options_that_do_not_exist_are_refused() -> None:

@@ -1,0 +1,130 @@
+"""Samples in order, the next ones prepared here while those before are draped by another process."""
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import Generic, TypeVar
+
+from gcd_dataset.generator.drapers.asking import Asking, Draped, Order
+from gcd_dataset.generator.drapers.place import Place
+from gcd_dataset.generator.pipeline import Dressed, DressedDesign, finish, prepare, turned_down
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.records import Sample
+
+__all__ = ["make_ahead"]
+
+
+Made = TypeVar("Made")
+
+
+def make_ahead(
+    seed: int,
+    indices: Iterable[int],
+    config: MakeConfig,
+    place: Place,
+    *,
+    ahead: int,
+    finished: Callable[[Sample], Made],
+    known: Callable[[int], Made | None] = lambda index: None,
+) -> Iterator[Made]:
+    """What ``finished`` makes of the samples of ``indices``, which may be endless, in order: those of ``make_many``.
+
+    Up to ``ahead`` of them are in work at a time. ``known``: what there is already of an index, which is not made then.
+    ``place`` belongs to ``config.device``. Raises ``PatternError`` as ``make_many`` does, ``DrapeError`` where the
+    draper is no more.
+    """
+    in_work = _InWork(seed, iter(indices), config, ahead, finished, known)
+    with Asking(place) as asking:
+        yield from in_work.all(asking)
+
+
+class _InWork(Generic[Made]):
+    """Garments asked for and not yet handed out."""
+
+    def __init__(
+        self,
+        seed: int,
+        indices: Iterator[int],
+        config: MakeConfig,
+        ahead: int,
+        finished: Callable[[Sample], Made],
+        known: Callable[[int], Made | None],
+    ) -> None:
+        self._seed, self._indices, self._config, self._ahead = seed, indices, config, ahead
+        self._finished, self._known = finished, known
+        self._order: deque[int] = deque()
+        self._asked: Counter[int] = Counter()
+        self._designs: dict[int, DressedDesign] = {}
+        self._draped: dict[int, dict[int, Draped]] = {}
+        self._done: dict[int, Made] = {}
+
+    def all(self, asking: Asking) -> Iterator[Made]:
+        """All of them, in order."""
+        ended = False
+        while True:
+            while self._order and self._order[0] in self._done:
+                yield self._handed_out()
+            if not ended and len(self._order) < self._ahead:
+                index = next(self._indices, None)
+                ended = index is None
+                if index is not None:
+                    self._begin(index, asking)
+            elif not self._order:
+                return
+            else:
+                self._take(asking.answer(), asking)
+            while self._designs and asking.answered():
+                self._take(asking.answer(), asking)
+
+    def _begin(self, index: int, asking: Asking) -> None:
+        """Have a sample's design draped, unless that is under way or done."""
+        self._order.append(index)
+        self._asked[index] += 1
+        number = index // self._config.wearers
+        if number in self._designs or index in self._done:
+            return
+        known = self._known(index)
+        if known is not None:
+            self._done[index] = known
+        else:
+            self._send(prepare(self._seed, number, self._config), asking)
+
+    def _send(self, design: DressedDesign, asking: Asking) -> None:
+        from gcd_dataset.generator.drape import DrapeJob, fabric_named
+
+        fabric = fabric_named(self._config.fabric)
+        self._designs[design.number], self._draped[design.number] = design, {}
+        for worn in design.dressed:
+            assert worn.box_mesh is not None  # the stage is "drape"
+            job = DrapeJob(worn.box_mesh, worn.body, worn.size, fabric, worn.coarse)
+            asking.ask(Order(worn.index, job, self._config.picture))
+
+    def _take(self, answer: Draped, asking: Asking) -> None:
+        """Finish the samples of a design when all of its wearers are draped, or try the next design."""
+        number = answer.number // self._config.wearers
+        design, draped = self._designs[number], self._draped[number]
+        draped[answer.number] = answer
+        if len(draped) < len(design.dressed):
+            return
+        del self._designs[number], self._draped[number]
+        failed = turned_down(design, [draped[worn.index].drape for worn in design.dressed], self._config)
+        if failed is not None:
+            self._send(prepare(self._seed, number, self._config, failed.rejects), asking)
+            return
+        for worn in design.dressed:
+            if worn.index in self._asked and worn.index not in self._done:
+                self._done[worn.index] = self._finished(_sample(design, worn, draped[worn.index], self._config))
+
+    def _handed_out(self) -> Made:
+        index = self._order.popleft()
+        self._asked[index] -= 1
+        if self._asked[index]:
+            return self._done[index]
+        del self._asked[index]
+        return self._done.pop(index)
+
+
+def _sample(design: DressedDesign, worn: Dressed, answer: Draped, config: MakeConfig) -> Sample:
+    from gcd_dataset.generator.drawing import jpeg_bytes
+
+    pictures = None if answer.pictures is None else (jpeg_bytes(answer.pictures[0]), jpeg_bytes(answer.pictures[1]))
+    return finish(design, worn, config, answer.drape, pictures)

@@ -1,0 +1,120 @@
+"""Where the draper of a device is met: a folder with a socket, and its start by the first that needs it.
+
+The process that names the place owns it. It holds a record lock there, which no fork inherits and any end of the
+process frees, so that the draper ends with it and not with the worker that has started it.
+"""
+
+import atexit
+import contextlib
+import fcntl
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import Client, Connection
+from pathlib import Path
+
+from gcd_dataset.errors import ConfigError, DrapeError
+
+__all__ = ["READY", "Place", "owner_file", "place_for", "socket_file"]
+
+READY = "ready"
+LONGEST = 90  # characters of a socket's path: systems allow 104 to 108
+
+_places: dict[str, "Place"] = {}
+_held: list[int] = []
+"""The owner's locks: open until the process ends."""
+_started: list[subprocess.Popen[str]] = []
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the draper of a device is met; may be pickled, and used in any process of this machine."""
+
+    folder: Path
+    device: str
+
+    def connect(self) -> Connection:
+        """A connection to the draper, which is started where there is none.
+
+        Raises ``DrapeError`` where it cannot be started, with the reason that it gives.
+        """
+        with self._starting():
+            try:
+                return Client(str(socket_file(self.folder)), "AF_UNIX")
+            except (FileNotFoundError, ConnectionRefusedError):
+                self._start()
+            return Client(str(socket_file(self.folder)), "AF_UNIX")
+
+    @contextlib.contextmanager
+    def _starting(self) -> Iterator[None]:
+        """One process at a time, so that no two drapers are started."""
+        try:
+            file = os.open(self.folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+        except FileNotFoundError as error:
+            raise DrapeError(
+                f"{self.folder}: gone with the process that made these garments: make GeneratedGarments anew"
+            ) from error
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(file)
+
+    def _start(self) -> None:
+        """Begin a draper and wait until it listens."""
+        # A program of its own, not a child made by ``multiprocessing``: that would run the user's script again, and a
+        # worker may have none.
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}  # noqa: PTH109
+        command = [sys.executable, "-P", "-m", "gcd_dataset.generator.drapers.process", str(self.folder), self.device]
+        draper = subprocess.Popen(
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        _started.append(draper)
+        assert draper.stdout is not None
+        with draper.stdout as said:
+            line = said.readline().strip()
+        if line != READY:
+            raise DrapeError(line or f"the process that drapes on {self.device} could not be started: see above")
+
+
+def place_for(device: str) -> Place:
+    """The place of a device's draper, the same for all in this process and those forked from it; starts nothing."""
+    if device not in _places:
+        _places[device] = _made(device)
+    return _places[device]
+
+
+def socket_file(folder: Path) -> Path:
+    """Where the draper listens."""
+    return folder / "socket"
+
+
+def owner_file(folder: Path) -> Path:
+    """What the owner holds locked while it lives."""
+    return folder / "owner"
+
+
+def _made(device: str) -> Place:
+    folder = Path(tempfile.mkdtemp(prefix="gcd-draper-"))
+    if len(str(socket_file(folder))) > LONGEST:
+        folder.rmdir()
+        raise ConfigError(f"{folder}: too long for a socket's path: set TMPDIR to a shorter one, such as /tmp")
+    file = os.open(owner_file(folder), os.O_RDWR | os.O_CREAT, 0o600)
+    fcntl.lockf(file, fcntl.LOCK_EX)
+    _held.append(file)
+    atexit.register(_remove, folder, os.getpid())
+    return Place(folder, device)
+
+
+def _remove(folder: Path, owner: int) -> None:
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)

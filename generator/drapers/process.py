@@ -1,0 +1,178 @@
+"""The draper: a process that drapes on one device what any number of others ask for.
+
+    python -m gcd_dataset.generator.drapers.process FOLDER DEVICE
+
+Garments of all askers share the device, and take turns there as they come. It ends with the owner of ``FOLDER``.
+"""
+
+import contextlib
+import fcntl
+import os
+import shutil
+import sys
+import threading
+from collections import deque
+from collections.abc import Iterator
+from multiprocessing.connection import Connection, Listener
+from pathlib import Path
+from queue import SimpleQueue
+
+from gcd_dataset.errors import GcdError
+from gcd_dataset.generator.drape import DrapeJob, resolve_device
+from gcd_dataset.generator.drape.config import DrapeConfig
+from gcd_dataset.generator.drape.drape import AT_ONCE
+from gcd_dataset.generator.drape.queue import drape_in_turn
+from gcd_dataset.generator.drapers.asking import Draped, Order
+from gcd_dataset.generator.drapers.place import READY, owner_file, socket_file
+from gcd_dataset.records import Drape
+
+__all__ = ["main"]
+
+CONFIG = DrapeConfig()
+AT_ONCE_ON_CPU = 2  # one core drapes them: more of them would only wait for each other
+
+
+def main(folder: Path, device: str) -> None:
+    """Listen, and drape until the owner of the folder has ended."""
+    threading.Thread(target=_end_with_owner, args=(folder,), daemon=True).start()
+    try:
+        device = resolve_device(device)
+    except GcdError as error:
+        print(error, flush=True)
+        return
+    inbox = Inbox()
+    socket_file(folder).unlink(missing_ok=True)  # of a draper that was killed
+    listener = Listener(str(socket_file(folder)), "AF_UNIX", backlog=128)
+    threading.Thread(target=_accept, args=(listener, inbox), daemon=True).start()
+    print(READY, flush=True)
+    os.dup2(2, 1)  # nobody reads on; whatever is printed goes where errors go
+    try:
+        while True:
+            inbox.drape(device)
+    except (GcdError, RuntimeError, MemoryError) as error:  # of ours, of Warp, of the machine
+        inbox.fail(" ".join(str(error).split()) or type(error).__name__)
+        raise
+
+
+class Asker:
+    """One connection: read by a thread, written by another, so that one which does not read holds up no other."""
+
+    def __init__(self, connection: Connection, inbox: "Inbox") -> None:
+        self._connection, self._inbox = connection, inbox
+        self._answers: SimpleQueue[Draped | str | None] = SimpleQueue()
+        self.there = True
+        self._writer = threading.Thread(target=self._write, daemon=True)
+        self._writer.start()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def tell(self, answer: Draped | str) -> None:
+        """Send an answer, if somebody is there to take it."""
+        self._answers.put(answer)
+
+    def finish(self) -> None:
+        """Wait until all that was told is sent, as long as that may take for one that is alive."""
+        self._answers.put(None)
+        self._writer.join(timeout=5.0)  # one that was stopped reads nothing
+
+    def _read(self) -> None:
+        # A worker that was killed while it sent leaves half an order: that is an error too.
+        with contextlib.suppress(EOFError, OSError):
+            while True:
+                self._inbox.put(self, self._connection.recv())
+        self.there = False
+        self._answers.put(None)
+
+    def _write(self) -> None:
+        with contextlib.suppress(OSError):
+            while (answer := self._answers.get()) is not None:
+                self._connection.send(answer)
+        self.there = False
+        with contextlib.suppress(OSError):
+            self._connection.close()
+
+
+class Inbox:
+    """Garments that wait to be draped, and those in work."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[Asker, Order]] = deque()
+        self._some = threading.Condition()
+        self._askers: set[Asker] = set()
+        self._at_work: dict[int, tuple[Asker, Order]] = {}
+
+    def put(self, asker: Asker, order: Order) -> None:
+        """Add a garment."""
+        with self._some:
+            self._waiting.append((asker, order))
+            self._some.notify()
+
+    def enter(self, asker: Asker) -> None:
+        """Know somebody who asks, and forget those who have gone."""
+        with self._some:
+            self._askers = {known for known in self._askers if known.there} | {asker}
+
+    def fail(self, reason: str) -> None:
+        """Tell everybody that nothing is draped any more."""
+        for asker in list(self._askers):
+            asker.tell(reason)
+        for asker in list(self._askers):
+            asker.finish()
+
+    def drape(self, device: str) -> None:
+        """Wait for a garment, then drape until none is left."""
+        with self._some:
+            self._some.wait_for(lambda: bool(self._waiting))
+        at_once = AT_ONCE_ON_CPU if device == "cpu" else AT_ONCE
+        drapes = drape_in_turn(self._jobs(), CONFIG, device=device, at_once=at_once, arrived=self._waiting.__len__)
+        for number, drape in drapes:
+            asker, order = self._at_work.pop(number)
+            if asker.there:
+                asker.tell(Draped(order.number, drape, _pictures(order, drape, device)))
+
+    def _jobs(self) -> Iterator[DrapeJob | None]:
+        """Those that wait, whenever asked; ``None`` where there is none at this moment."""
+        number = 0
+        while True:
+            taken = self._taken()
+            if taken is not None:
+                self._at_work[number] = taken
+                number += 1
+            yield None if taken is None else taken[1].job
+
+    def _taken(self) -> tuple[Asker, Order] | None:
+        """The next whose asker is still there."""
+        with self._some:
+            while self._waiting:
+                taken = self._waiting.popleft()
+                if taken[0].there:
+                    return taken
+        return None
+
+
+def _pictures(order: Order, drape: Drape, device: str) -> "tuple | None":
+    if not order.picture:
+        return None
+    from gcd_dataset.generator.render import render_garment
+
+    return render_garment(drape.vertices, order.job.box_mesh, order.job.body, size=order.picture, device=device)
+
+
+def _accept(listener: Listener, inbox: Inbox) -> None:
+    while True:
+        with contextlib.suppress(OSError):  # one that has gone before it was let in
+            inbox.enter(Asker(listener.accept(), inbox))
+
+
+def _end_with_owner(folder: Path) -> None:
+    """End this process when the owner of the folder has ended, however it did."""
+    try:
+        file = os.open(owner_file(folder), os.O_RDWR)
+        fcntl.lockf(file, fcntl.LOCK_EX)
+    except FileNotFoundError:
+        pass
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2])

@@ -1,0 +1,25 @@
+"""Garments are counted where a training loop takes them."""
+
+import argparse
+
+import pytest
+
+from benchmarks.cases import generated
+from gcd_dataset.errors import ConfigError
+
+
+def options(*given: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    generated.add_arguments(parser)
+    return parser.parse_args(given)
+
+
+def test_patterns_are_counted() -> None:
+    asked = options("--stage", "pattern", "--workers", "1", "--seconds", "0.2", "--warm", "2", "--batch", "2")
+    figures = {figure.metric: figure.value for figure in generated.run(asked).figures}
+    assert figures["per_second"] > 0
+
+
+def test_no_time_is_refused() -> None:
+    with pytest.raises(ConfigError, match="--seconds"):
+        generated.run(options("--seconds", "0"))

@@ -1,0 +1,206 @@
+"""Garments that workers have draped by a process of its own: the same as if they had draped them themselves."""
+
+import importlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from torch.utils.data import DataLoader
+
+from gcd_dataset.errors import DrapeError
+from gcd_dataset.generator.drape import DrapeJob
+from gcd_dataset.generator.drapers import Asking, Draped, Order, Place, make_ahead, place_for
+from gcd_dataset.generator.drapers.place import _made
+from gcd_dataset.generator.pipeline import prepare
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.loaders import GarmentLoader, GeneratedGarments, collate_list
+from gcd_dataset.records import Outcome
+from tests.loaders.test_shards import assert_all_same
+
+COUNT = 3
+OPTIONS: dict[str, Any] = {"seed": 5, "resolution": 10.0, "device": "cpu", "picture": 32, "on_fail": "keep"}
+
+
+class Apart(GeneratedGarments):
+    """Garments of which no process drapes its own, as on a GPU."""
+
+    def __init__(self, n: int, place: Place, **options: Any) -> None:
+        super().__init__(n, **OPTIONS, **options)
+        self._place = place
+
+    @property
+    def _apart(self) -> bool:
+        return True
+
+
+@pytest.fixture(scope="module")
+def items() -> list[dict[str, Any]]:
+    return GeneratedGarments(COUNT, **OPTIONS).__getitems__(range(COUNT))
+
+
+@pytest.fixture
+def place() -> Iterator[Place]:
+    """A place of which nobody else knows; its draper ends with the test."""
+    place = _made("cpu")
+    yield place
+    (place.folder / "owner").unlink(missing_ok=True)
+    kill_drapers(place)
+
+
+def drapers(place: Place) -> list[int]:
+    """Processes that drape there."""
+    there = []
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit():
+            try:
+                command = (folder / "cmdline").read_bytes().decode().split("\0")
+            except OSError:
+                continue
+            if str(place.folder) in command:
+                there.append(int(folder.name))
+    return there
+
+
+def kill_drapers(place: Place) -> None:
+    for pid in drapers(place):
+        os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize(("workers", "context"), [(0, None), (1, "spawn"), (2, "fork")])
+def test_whoever_drapes_them_they_are_the_same(items: list[dict[str, Any]], workers: int, context: str | None) -> None:
+    ds = Apart(COUNT, place_for("cpu"))
+    loader = DataLoader(ds, batch_size=2, num_workers=workers, multiprocessing_context=context, collate_fn=collate_list)
+    assert_all_same(loader, [items[:2], items[2:]])
+
+
+def test_all_workers_have_one_draper_in_common(items: list[dict[str, Any]], place: Place, tmp_path: Path) -> None:
+    ds = Apart(COUNT, place, cache_dir=tmp_path)
+    loader = GarmentLoader(ds, 1, shuffle=False, num_workers=2, collate_fn=collate_list)
+    assert drapers(place) == []
+    assert_all_same(loader, [[item] for item in items])
+    assert len(drapers(place)) == 1
+    kill_drapers(place)
+    assert_all_same(loader, [[item] for item in items])  # of the cache, without it
+    ds.verify(1)  # and with another
+
+
+def test_a_stream_gives_them_in_order(items: list[dict[str, Any]]) -> None:
+    ds = Apart(COUNT, place_for("cpu"))
+    assert_all_same(ds.stream([2, 0, 2, 1]), [items[2], items[0], items[2], items[1]])
+
+
+def test_a_drape_that_fails_raises_the_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
+    answered, told = Asking.answer, Counter[int]()
+
+    def failing_once(asking: Asking) -> Draped:
+        answer = answered(asking)
+        told[answer.number] += 1
+        if answer.number == 1 and told[1] == 1:
+            answer = replace(answer, drape=replace(answer.drape, outcome=Outcome.NOT_SETTLED))
+        return answer
+
+    monkeypatch.setattr(Asking, "answer", failing_once)
+    config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16)
+    made = make_ahead(5, range(3), config, place_for("cpu"), ahead=2, finished=lambda sample: sample)
+    rejects = [sample.provenance.rejects for sample in made]
+    assert rejects == [(), ("drape: not_settled",), ()]
+    assert told == {0: 1, 1: 2, 2: 1}
+
+
+def order(number: int, resolution: float = 10.0) -> Order:
+    config = MakeConfig(resolution=resolution, device="cpu")
+    [worn] = prepare(5, 0, config).dressed
+    assert worn.box_mesh is not None
+    return Order(number, DrapeJob(worn.box_mesh, worn.body, worn.size), 0)
+
+
+def test_a_killed_draper_is_told_and_the_next_is_begun(place: Place) -> None:
+    with Asking(place) as asking:
+        asking.ask(order(0))
+        kill_drapers(place)
+        with pytest.raises(DrapeError, match="drapes on cpu has ended"):
+            asking.answer()
+        with pytest.raises(DrapeError, match="drapes on cpu has ended"):
+            asking.ask(order(1))
+    with Asking(place) as asking:
+        asking.ask(order(7))
+        assert asking.answer().number == 7
+
+
+def test_a_draper_killed_under_a_loader_is_one_error(place: Place) -> None:
+    loader = iter(DataLoader(Apart(50, place), batch_size=1, num_workers=1, collate_fn=collate_list, timeout=120))
+    next(loader)
+    kill_drapers(place)
+    with pytest.raises(DrapeError, match="drapes on cpu has ended"):
+        for _ in loader:
+            pass
+
+
+def test_a_worker_that_is_killed_holds_up_no_other(place: Place) -> None:
+    with Asking(place) as asking:
+        asking.ask(order(0))
+        asking.answer()
+        child = os.fork()
+        if child == 0:
+            with Asking(place) as other:
+                for number in range(20):
+                    other.ask(order(number))
+                os.kill(os.getpid(), signal.SIGKILL)
+        os.waitpid(child, 0)
+        asking.ask(order(1))
+        assert asking.answer().number == 1
+
+
+def test_a_worker_that_does_not_read_holds_up_no_other(place: Place) -> None:
+    with Asking(place) as deaf, Asking(place) as asking:
+        large = order(0, 3.0)
+        for _ in range(3):
+            deaf.ask(large)
+        asking.ask(order(1))
+        assert asking.answer().number == 1
+
+
+def test_a_device_that_is_not_there_is_told() -> None:
+    with pytest.raises(DrapeError, match="device cuda:77: there is"):
+        _made("cuda:77").connect()
+
+
+def test_the_draper_ends_with_the_process_that_owns_it() -> None:
+    code = (
+        "import os, signal\n"
+        "from gcd_dataset.generator.drapers import place_for\n"
+        "place = place_for('cpu')\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    place.connect(); os._exit(0)\n"
+        "os.waitpid(child, 0)\n"
+        "place.connect()\n"  # it has outlived the child that started it
+        "print(place.folder, flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout.strip()
+    place = Place(Path(out), "cpu")
+    deadline = time.monotonic() + 60
+    while drapers(place) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert drapers(place) == []
+    assert not place.folder.exists()
+
+
+def warp_has_begun(item: dict[str, Any]) -> bool:
+    """Whether Warp has been started in this process: with a GPU that would be a context of CUDA."""
+    return importlib.import_module("warp._src.context").runtime is not None
+
+
+def test_no_worker_starts_warp() -> None:
+    ds = Apart(1, place_for("cpu"), transform=warp_has_begun)
+    [[begun]] = DataLoader(ds, num_workers=1, multiprocessing_context="spawn", collate_fn=collate_list)
+    assert not begun

@@ -1,0 +1,88 @@
+"""Garments made ahead of a training, and given several times."""
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from torch.utils.data import DataLoader
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.loaders import FakeGarments, FreshGarments, GarmentLoader, GeneratedGarments, PointNoise
+from tests.loaders.test_shards import assert_all_same, same
+
+
+def fresh(n: int = 20, **options: Any) -> FreshGarments:
+    return FreshGarments(FakeGarments(n, fields=["meta"]), **options)
+
+
+def numbers(garments: FreshGarments) -> list[int]:
+    return [item["meta"]["index"] for item in garments]
+
+
+@pytest.mark.parametrize(("replay", "times"), [(1, {1}), (3, {3}), (2.5, {2, 3})])
+def test_each_is_given_as_often_as_asked(replay: float, times: set[int]) -> None:
+    garments = fresh(replay=replay, room=6)
+    given = numbers(garments)
+    assert len(given) == len(garments) == 20 * replay
+    assert set(Counter(given)) == set(range(20))
+    assert set(Counter(given).values()) == times
+
+
+def test_workers_change_nothing() -> None:
+    alone = numbers(fresh(replay=2, room=4))
+    assert alone == numbers(fresh(replay=2, room=4))
+    assert alone == numbers(fresh(replay=2, room=4, workers=2))
+    assert alone != numbers(fresh(replay=2, room=4, seed=1))
+
+
+def test_no_more_are_held_than_there_is_room_for() -> None:
+    given: set[int] = set()
+    counts: Counter[int] = Counter()
+    for number in numbers(fresh(50, replay=4, room=5)):
+        given.add(number)
+        counts[number] += 1
+        # Of those made so far all but the last five have been given as often as they should.
+        assert sum(counts[n] < 4 for n in range(max(given) + 1)) <= 5
+
+
+def test_each_time_it_is_changed_otherwise() -> None:
+    garments = FreshGarments(FakeGarments(1), replay=2, augment=PointNoise(1.0))
+    first, second = garments
+    assert same(first["verts"], second["verts"])
+    assert not same(first["points"], second["points"])
+    assert_all_same(garments, [first, second])
+
+
+def test_they_are_loaded_in_batches() -> None:
+    batches = list(GarmentLoader(fresh(8, replay=2, room=4), 4, shuffle=False))
+    assert [meta["index"] for batch in batches for meta in batch["meta"]] == numbers(fresh(8, replay=2, room=4))
+
+
+def test_workers_of_the_loader_are_refused() -> None:
+    with pytest.raises(ConfigError, match="num_workers=0"):
+        next(iter(DataLoader(fresh(), batch_size=None, num_workers=1)))
+    for options in ({"replay": 0.5}, {"replay": float("nan")}, {"room": 0}):
+        with pytest.raises(ConfigError):
+            fresh(**options)
+
+
+def test_memory_does_not_grow_with_garments_made() -> None:
+    made = iter(FreshGarments(GeneratedGarments(200, stage="pattern", fields=["meta", "panels", "edges"]), room=8))
+    for _ in range(60):
+        next(made)
+    before = resident()
+    assert sum(1 for _ in made) == 140
+    assert resident() - before < 8 << 20
+
+
+def resident() -> int:
+    """Bytes of memory that this process holds."""
+    with open("/proc/self/statm") as file:  # noqa: PTH123
+        return int(file.read().split()[1]) * 4096
+
+
+def test_different_ranks_make_different_garments() -> None:
+    whole = FakeGarments(9, fields=["meta"])
+    ranks = [numbers(FreshGarments(whole.select(range(rank, 9, 2)))) for rank in range(2)]
+    assert np.array_equal(sorted(ranks[0] + ranks[1]), np.arange(9))

@@ -1,0 +1,123 @@
+"""Changes by chance: what they do to a garment, and that seed, number and epoch decide them."""
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from torch.utils.data import DataLoader
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.loaders import (
+    Augmented,
+    Chain,
+    FakeGarments,
+    GarmentLoader,
+    MixedDataset,
+    PartialView,
+    PointNoise,
+    Yaw,
+    collate_list,
+)
+from gcd_dataset.loaders.base import Item
+from tests.loaders.test_shards import assert_all_same, same
+
+
+def chance(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def ball(radius: float = 40.0) -> Item:
+    """Points of a ball with its middle 100 cm above the ground."""
+    shape = trimesh.creation.icosphere(subdivisions=4)
+    points = np.concatenate([radius * shape.vertices + [0, 100, 0], shape.vertices], axis=1)
+    return {"points": torch.from_numpy(points.astype(np.float16))}
+
+
+def test_a_turn_keeps_heights_and_distances() -> None:
+    item = FakeGarments(1)[0]
+    turned = Yaw()(item, chance())
+    for field in ("verts", "box", "points"):
+        before, after = item[field].float(), turned[field].float()
+        assert not torch.allclose(before, after, atol=0.1)
+        assert torch.allclose(before[:, 1], after[:, 1], atol=1e-3)
+        radius = (before[:, [0, 2]].norm(dim=1), after[:, [0, 2]].norm(dim=1))
+        assert torch.allclose(*radius, atol=0.03)
+        assert turned[field].dtype == item[field].dtype
+    assert same(item, FakeGarments(1)[0])
+
+
+def test_normals_turn_with_the_surface() -> None:
+    points = Yaw()(ball(), chance())["points"].float()
+    assert torch.allclose((points[:, :3] - torch.tensor([0.0, 100.0, 0.0])) / 40, points[:, 3:], atol=2e-3)
+
+
+def test_no_turn_beyond_the_greatest() -> None:
+    angles = []
+    for seed in range(50):
+        front = {"verts": torch.tensor([[0.0, 0.0, 1.0]])}
+        x, _, z = Yaw(0.5)(front, chance(seed))["verts"][0].tolist()
+        angles.append(np.arctan2(x, z))
+    assert 0.4 < max(angles) <= 0.5
+    assert -0.5 <= min(angles) < -0.4
+
+
+def test_noise_has_the_size_asked_for() -> None:
+    before, after = ball()["points"].float(), PointNoise(2.0)(ball(), chance())["points"].float()
+    assert (after - before)[:, :3].std().item() == pytest.approx(2.0, rel=0.05)
+    assert torch.equal(after[:, 3:], before[:, 3:])
+
+
+def test_a_view_shows_the_half_that_faces_the_camera() -> None:
+    seen = PartialView(distance=4000.0)(ball(), chance())["points"].float()
+    assert 0.4 < len(seen) / len(ball()["points"]) < 0.55
+    toward = seen[:, 3:].mean(dim=0)
+    facing = seen[:, 3:] @ (toward / toward.norm())
+    assert (facing > -0.15).all()
+    assert abs(toward[1]) < 0.05
+
+
+def test_what_is_not_there_is_passed_over() -> None:
+    item = FakeGarments(1, fields=["meta"])[0]
+    assert Chain(Yaw(), PointNoise(1.0), PartialView())(item, chance()) == item
+
+
+def test_seed_number_and_epoch_decide() -> None:
+    def changed(seed: int = 0, epoch: int = 0) -> Augmented:
+        ds = Augmented(FakeGarments(4, fields=["points"]), PointNoise(1.0), seed=seed)
+        ds.set_epoch(epoch)
+        return ds
+
+    assert_all_same(changed(), changed())
+    assert_all_same(changed().__getitems__([2, 0, -1]), [changed()[2], changed()[0], changed()[3]])
+    assert_all_same(changed().stream([2, 0]), [changed()[2], changed()[0]])
+    assert not same(changed()[0], changed(seed=1)[0])
+    assert not same(changed()[0], changed(epoch=1)[0])
+
+
+@pytest.mark.parametrize("context", ["fork", "spawn"])
+def test_the_epoch_reaches_workers_that_stay(context: str) -> None:
+    ds = Augmented(FakeGarments(2, fields=["points"]), PointNoise(1.0))
+    loader = DataLoader(
+        ds,
+        batch_size=2,
+        num_workers=1,
+        persistent_workers=True,
+        multiprocessing_context=context,
+        collate_fn=collate_list,
+    )
+    [first] = loader
+    ds.set_epoch(1)
+    [second] = loader
+    assert not same(first, second)
+    assert same(second, list(ds))
+
+
+def test_they_take_the_place_of_their_garments() -> None:
+    plain = FakeGarments(6, fields=["points"])
+    ds = Augmented(plain, Yaw())
+    state = GarmentLoader(plain, 2).state_dict()
+    GarmentLoader(ds, 2).load_state_dict(state)
+    assert ds.recipe(3) == plain.recipe(3)
+    assert len(ds[2:]) == 4
+    with pytest.raises(ConfigError, match="MixedDataset"):
+        Augmented(MixedDataset([plain], [1]), Yaw())

@@ -1,0 +1,138 @@
+"""Samples that many processes keep as they are made: a data set, whatever happens to them."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.loaders.fake import fake_sample
+from gcd_dataset.shards import encode_sample
+from gcd_dataset.shards.kept import KeptSamples
+from gcd_dataset.shards.layout import MEMBERS
+from tests.shards.folders import RECIPE, SHARD_SIZE, fill
+
+CONTEXT = multiprocessing.get_context("fork")
+
+
+def kept(folder: Path, count: int = 10) -> KeptSamples:
+    return KeptSamples(folder, count, seed=0, recipe=RECIPE, shard_size=SHARD_SIZE)
+
+
+def members(index: int) -> dict[str, bytes]:
+    return encode_sample(fake_sample(0, index))
+
+
+def keep(folder: Path, indices: Iterable[int], count: int = 10) -> None:
+    for index in indices:
+        kept(folder, count).keep(index, members(index))
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if path.suffix == ".tar")
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def test_a_shard_is_written_with_the_last_of_its_samples(tmp_path: Path) -> None:
+    samples = kept(tmp_path)
+    for index in (9, 2, 0, 3):
+        samples.keep(index, members(index))
+    assert names(tmp_path) == []
+    samples.keep(1, members(1))
+    assert names(tmp_path) == ["train-00000.tar"]
+    samples.keep(8, members(8))  # the last shard has two samples
+    assert names(tmp_path) == ["train-00000.tar", "train-00002.tar"]
+    assert [index for index in range(10) if samples.read(index) is None] == [4, 5, 6, 7]
+    for index in (0, 3, 9):
+        assert samples.read(index, MEMBERS) == members(index)
+    assert set(samples.read(2, ("box.npy",)) or ()) >= {"box.npy"}
+
+
+def test_the_folder_is_the_data_set_of_one_writer(tmp_path: Path) -> None:
+    keep(tmp_path / "kept", [7, 1, 5, 3, 9, 0, 2, 8, 6, 4])
+    written = fill(tmp_path / "written", range(10))
+    assert content(tmp_path / "kept") == content(written)
+    GarmentDataset(tmp_path / "kept", verify="full")
+
+
+def test_several_processes_bring_each_sample_once(tmp_path: Path) -> None:
+    workers = [CONTEXT.Process(target=keep, args=(tmp_path, range(part, 10, 3))) for part in range(3)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(60)
+        assert worker.exitcode == 0
+    dataset = GarmentDataset(tmp_path, fields=["meta"], verify="full")
+    assert [dataset[i]["meta"]["index"] for i in range(len(dataset))] == list(range(10))
+
+
+def test_what_another_process_has_packed_is_found(tmp_path: Path) -> None:
+    early = kept(tmp_path)
+    keep(tmp_path, [0, 1, 2])
+    assert early.read(1) == members(1)
+    keep(tmp_path, [3])
+    for index in range(4):
+        assert early.read(index) == members(index)
+    keep(tmp_path, [4, 5, 6, 7])
+    assert early.read(6) == members(6)
+
+
+def test_a_killed_process_loses_nothing_that_was_kept(tmp_path: Path) -> None:
+    def fsync(fd: Any) -> None:
+        if "train-" in str(Path(f"/proc/self/fd/{fd}").readlink()):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def killed_while_packing() -> None:
+        os.fsync = fsync
+        keep(tmp_path, range(4))
+
+    worker = CONTEXT.Process(target=killed_while_packing)
+    worker.start()
+    worker.join(60)
+    assert worker.exitcode == -signal.SIGKILL
+    assert names(tmp_path) == []
+    samples = kept(tmp_path)
+    assert all(samples.read(index) == members(index) for index in range(4))
+    samples.pack()
+    assert names(tmp_path) == ["train-00000.tar"]
+    assert not (tmp_path / ".waiting" / "00000").exists()
+
+
+def test_what_waits_can_be_packed_and_added_to(tmp_path: Path) -> None:
+    keep(tmp_path, [0, 2, 5])
+    kept(tmp_path).pack()
+    assert names(tmp_path) == ["train-00000.tar", "train-00001.tar"]
+    assert len(GarmentDataset(tmp_path)) == 3
+    keep(tmp_path, [1, 3])
+    assert len(GarmentDataset(tmp_path, verify="full")) == 5
+
+
+def test_a_greater_number_lets_the_last_shard_grow(tmp_path: Path) -> None:
+    keep(tmp_path, [0, 1], count=2)
+    assert len(GarmentDataset(tmp_path)) == 2
+    keep(tmp_path, [2, 3], count=10)
+    assert len(GarmentDataset(tmp_path, verify="full")) == 4
+
+
+def test_a_damaged_sample_is_told_and_replaced(tmp_path: Path) -> None:
+    keep(tmp_path, range(4))
+    whole = content(tmp_path)
+    shard = tmp_path / "train-00000.tar"
+    damaged = bytearray(shard.read_bytes())
+    place = damaged.find(members(2)["box.npy"]) + 200
+    damaged[place] ^= 1
+    shard.write_bytes(damaged)
+    samples = kept(tmp_path)
+    with pytest.raises(ShardError, match="gcd_000000002, member"):
+        samples.read(2)
+    samples.keep(2, members(2))
+    assert content(tmp_path) == whole
+    assert all(samples.read(index) == members(index) for index in range(4))
