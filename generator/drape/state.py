@@ -10,6 +10,8 @@ from gcd_dataset.generator.drape.model import ClothModel
 
 __all__ = ["ClothState", "new_state"]
 
+NEVER_COUNTED = 2**31 - 1  # crossings: whatever is found first is fewer
+
 
 @dataclass(frozen=True)
 class ClothState:
@@ -113,7 +115,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         hasty=zeros(worlds, int),
         kept_height=zeros(worlds, int),
         moved_far=wp.ones(worlds, dtype=int, device=model.device),
-        fewest=zeros(worlds, int),
+        fewest=wp.full(worlds, NEVER_COUNTED, dtype=int, device=model.device),
         fewest_at=zeros(worlds, int),
         parting=wp.ones(worlds, dtype=int, device=model.device),
         searching=zeros(worlds, int),

@@ -204,3 +204,15 @@ def test_crossed_sheets_come_apart() -> None:
     for _ in range(60):
         solver.frame()
     assert solver.self_crossings()[0] == 0
+
+
+def test_crossings_get_fewer_from_the_first_count_on() -> None:
+    """A garment that was let go before it came into its batch, as after a coarse start, is no exception."""
+    upright = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    lying = patch(6, 6, place=LYING, origin=(-3.0, 50.3, 3.0))
+    mesh = joined(lying, patch(6, 6, place=upright, origin=(-2.7, 47.1, 0.2)))
+    solver = Solver(build_model([DrapeJob(mesh, far_ball(), SIZE)], QUICK, "cpu"), QUICK)
+    solver.state.held.zero_()
+    found = solver.self_crossings()[0]
+    solver.frame()
+    assert 0 < solver.state.fewest.numpy()[0] <= 2 * found
