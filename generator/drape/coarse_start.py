@@ -18,9 +18,12 @@ AGAIN_LOOSE = 4  # frames after which a fine garment that goes on may be found a
 def go_on_from(coarse: Solver, fine: Solver, places: Sequence[tuple[int, int, Coarse]]) -> None:
     """Have garments of ``fine`` start from the end of their coarse drapes, whose worlds in ``coarse`` stand first.
 
-    One whose coarse drape has diverged starts as it is.
+    One whose coarse drape has diverged starts as it is. Where there was no room for contacts, that is told of the fine
+    garment too: which ones were left out depends on chance.
     """
+    contacts = coarse.state.contacts, fine.state.contacts
     status, time, held = (array.numpy() for array in (coarse.state.status, coarse.state.time, coarse.state.held))
+    overfull, overfulls = contacts[0].overfull.numpy(), contacts[1].overfull.numpy().copy()
     places = [place for place in places if status[place[0]] != DIVERGED]
     if not places:
         return
@@ -33,9 +36,10 @@ def go_on_from(coarse: Solver, fine: Solver, places: Sequence[tuple[int, int, Co
     for old, new, mesh in places:
         span = slice(first[new], first[new + 1])
         corners[span], weights[span] = mesh.corners + first_coarse[old], mesh.weights
-        times[new], helds[new] = time[old], held[old]
+        times[new], helds[new], overfulls[new] = time[old], held[old], overfull[old]
         loose[new] = time[old] + AGAIN_LOOSE * frame[new]
-    for array, values in ((state.time, times), (state.held, helds), (state.loose_after, loose)):
+    pairs = (state.time, times), (state.held, helds), (state.loose_after, loose), (contacts[1].overfull, overfulls)
+    for array, values in pairs:
         array.assign(values)
     shares = [wp.array(corners, dtype=wp.vec3i, device=device), wp.array(weights, dtype=wp.vec3, device=device)]
     wp.launch(

@@ -8,9 +8,13 @@ import trimesh
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_batch
+from gcd_dataset.generator.drape.coarse_start import go_on_from
 from gcd_dataset.generator.drape.holds import holds
-from gcd_dataset.generator.drape.outcome import slid_off
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.outcome import collect, slid_off
 from gcd_dataset.generator.drape.queue import drape_in_turn
+from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.mesh import coarsen
 from gcd_dataset.records import BoxMesh, Outcome
 from tests.helpers import SIZE, body_from, patch, tube
 
@@ -129,6 +133,17 @@ def test_contacts_without_room_are_reported() -> None:
     mesh = BoxMesh(**{**{n: getattr(job.box_mesh, n) for n in job.box_mesh.__dataclass_fields__}, "vertices": folded})
     config = DrapeConfig(contact_capacity=1, max_frames=2)
     [drape] = drape_batch([DrapeJob(mesh, job.body, SIZE)], config, device="cpu")
+    assert drape.outcome is Outcome.OVERFULL
+
+
+def test_contacts_without_room_in_a_coarse_start_are_reported() -> None:
+    job, config = on_a_ball(9), DrapeConfig()
+    coarse = coarsen(job.box_mesh)
+    first = Solver(build_model([replace(job, box_mesh=coarse.mesh)], config, "cpu", coarse=[0]), config)
+    first.state.contacts.overfull.fill_(1)
+    then = Solver(build_model([job], config, "cpu"), config)
+    go_on_from(first, then, [(0, 0, coarse)])
+    [drape] = collect(then, [job], [0])
     assert drape.outcome is Outcome.OVERFULL
 
 
