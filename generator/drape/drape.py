@@ -37,7 +37,7 @@ def drape_all(
     device = resolve_device(device)
     checked = _checked(jobs)
     if device == "cpu":
-        yield from _by_threads(checked, config, at_once or len(os.sched_getaffinity(0)))
+        yield from _by_threads(checked, config, at_once or _cores())
         return
     early: dict[int, Drape] = {}
     following = 0
@@ -46,6 +46,13 @@ def drape_all(
         while following in early:
             yield early.pop(following)
             following += 1
+
+
+def _cores() -> int:
+    """Those that this process may use; all of them where the system does not tell, as macOS."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _checked(jobs: Iterable[DrapeJob]) -> Iterator[DrapeJob]:

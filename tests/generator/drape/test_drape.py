@@ -160,6 +160,12 @@ def test_a_band_cut_too_small_is_overstretched() -> None:
         assert drape.outcome is outcome
 
 
+def test_a_system_that_does_not_tell_a_process_its_cores_drapes_on_all_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("os.sched_getaffinity", raising=False)
+    [drape] = drape_batch([on_a_ball(4)], DrapeConfig(max_frames=1), device="cpu")
+    assert drape.frames == 1
+
+
 def test_no_jobs_give_no_drapes() -> None:
     assert drape_batch([], device="cpu") == []
 
