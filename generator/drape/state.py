@@ -47,7 +47,7 @@ class ClothState:
     loose_after: wp.array
     """(w) when it may first be found at rest, once it is let go [s]."""
     status: wp.array
-    """(w) ``RUNNING``, ``DONE`` or ``DIVERGED``."""
+    """(w) ``RUNNING``, ``DONE``, ``DIVERGED`` or ``STOPPED``."""
     frames: wp.array
     """(w) frames it has run."""
     moving: wp.array

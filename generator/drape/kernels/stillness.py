@@ -108,7 +108,7 @@ def end_frame(
                 and world.keepers > 0
                 and float(kept_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers)
             ):
-                status[w] = DONE
+                status[w] = STOPPED
         if status[w] == RUNNING and frames[w] >= world.max_frames:
             status[w] = STOPPED
     moving[w] = 0

@@ -9,7 +9,8 @@ import trimesh
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_batch
 from gcd_dataset.generator.drape.coarse_start import go_on_from
-from gcd_dataset.generator.drape.holds import holds
+from gcd_dataset.generator.drape.holds import held_from_below, holds
+from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect, slid_off
 from gcd_dataset.generator.drape.queue import drape_in_turn
@@ -112,6 +113,24 @@ def test_what_nothing_holds_up_slides_off() -> None:
     [drape] = drape_batch([DrapeJob(aside, job.body, SIZE)], DrapeConfig(held_time=0.1), device="cpu")
     assert drape.outcome is Outcome.SLID_OFF
     assert drape.frames < DrapeConfig().max_frames
+
+
+def test_what_slides_is_not_at_rest_where_it_hangs_at_the_very_limit() -> None:
+    """Heights are added up in 1/256 cm: by that the kernel may find a garment too low, and its vertices not."""
+    job = on_a_ball(4, labels={"lower_interface": np.arange(25)})
+    job = replace(job, measurements=replace(SIZE, hips_line=20.0 - 1.0 / 512))
+    lowest = held_from_below(job)[1]
+    solver = Solver(build_model([job], DrapeConfig(), "cpu"), DrapeConfig())
+    x = solver.state.x.numpy()
+    x[:] = x + [60.0, 0.0, 0.0]
+    x[:, 1] = lowest + 1e-4
+    solver.state.held.zero_()
+    solver.state.time.fill_(1.0)
+    solver._record_end()
+    assert solver.state.status.numpy()[0] != RUNNING
+    assert not slid_off(job, x)
+    [drape] = collect(solver, [job], [0])
+    assert drape.outcome is Outcome.NOT_SETTLED
 
 
 def test_a_dress_hangs_from_its_shoulders() -> None:
