@@ -29,7 +29,7 @@ __all__ = ["Fitting", "fit", "needs_legs_apart", "read_patterns", "write_fitting
 
 log = logging.getLogger(__name__)
 
-BATCH = {"cpu": 1, "cuda": 16}  # garments draped at a time
+BATCH = {"cpu": 4, "cuda": 16}  # garments draped at a time
 PICTURE = 800  # pixels
 
 
@@ -87,7 +87,7 @@ def fit(
     device: str = "auto",
     batch: int | None = None,
 ) -> Iterator[Fitting]:
-    """Each pattern on the body that ``body_for`` gives it, in order; ``batch`` at a time (1 on a CPU, 16 on a GPU).
+    """Each pattern on the body that ``body_for`` gives it, in order; ``batch`` at a time (4 on a CPU, 16 on a GPU).
 
     What a file does not say is assumed (see ``dress``), told in the log and kept in the ``Fitting``.
     Raises ``PatternError`` for a pattern whose panels cannot be placed, ``MeshError`` with the pattern and its panel or

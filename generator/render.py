@@ -12,6 +12,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import render_kernels
 from gcd_dataset.generator.colours import PALETTE, PAPER
 from gcd_dataset.generator.drape import load_kernels, resolve_device
+from gcd_dataset.generator.drape.device import one_at_a_time
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.render_kernels import Camera, Scene, cast_rays, develop, look_up
 from gcd_dataset.records import Body, BoxMesh, Sample
@@ -94,8 +95,9 @@ def _render(shown: Painted, views: Sequence[View], size: int, device: str) -> li
         raise ConfigError(f"a picture of {size} pixels: give 1 or more")
     device = resolve_device(device)
     load_kernels("renderer", render_kernels, device=device)
-    scene, _mesh = _scene(shown, device)
-    return [_picture(scene, _camera(shown.vertices, view), len(shown.vertices), size, device) for view in views]
+    with one_at_a_time:
+        scene, _mesh = _scene(shown, device)
+        return [_picture(scene, _camera(shown.vertices, view), len(shown.vertices), size, device) for view in views]
 
 
 def _picture(scene: Scene, camera: Camera, n: int, size: int, device: str) -> UInt8[np.ndarray, "h w 3"]:

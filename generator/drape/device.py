@@ -19,8 +19,8 @@ logger = logging.getLogger("gcd_dataset")
 wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)
 
 one_at_a_time = threading.RLock()
-"""Held wherever kernels are launched or recorded, since a recording takes in what any thread launches on its device;
-graphs are played without it."""
+"""Held wherever kernels are launched or recorded: on a GPU a recording takes in what any thread launches there. Graphs
+are played without it."""
 
 _loaded: set[tuple[str, str]] = set()
 

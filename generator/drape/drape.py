@@ -69,14 +69,20 @@ def _by_threads(jobs: Iterable[DrapeJob], config: DrapeConfig, threads: int) -> 
         [(_, done)] = drape_in_turn([job], config, device="cpu", at_once=1)
         return done
 
-    if threads == 1:
-        yield from map(drape, jobs)
-        return
+    ahead: deque[Future[Drape]] = deque()
+    waiting, ended = iter(jobs), None
     with ThreadPoolExecutor(threads) as pool:
-        ahead: deque[Future[Drape]] = deque()
-        for job in jobs:
-            ahead.append(pool.submit(drape, job))
-            if len(ahead) > threads:
-                yield ahead.popleft().result()
-        for future in ahead:
-            yield future.result()
+        try:
+            while ended is None or ahead:
+                try:
+                    while ended is None and len(ahead) < threads:
+                        ahead.append(pool.submit(drape, next(waiting)))
+                except Exception as error:  # noqa: BLE001 - their end, or whatever is wrong with one: told after those before
+                    ended = error
+                if ahead:
+                    yield ahead.popleft().result()
+        finally:
+            for future in ahead:
+                future.cancel()
+    if not isinstance(ended, StopIteration):
+        raise ended

@@ -64,6 +64,8 @@ def drape_in_turn(
         turns = going_on + refined
         turns += waiting.taken(at_once - len(turns))
         before = solver
+    if waiting.failed is not None:
+        raise waiting.failed
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,8 @@ class _Waiting:
         self._jobs, self._config, self._count = iter(jobs), config, 0
         self.ended = False
         """Whether the last of them has been taken."""
+        self.failed: Exception | None = None
+        """What went wrong with the next; told when those before it are draped."""
 
     def taken(self, room: int) -> list[_Turn]:
         """The next that are there, for so many places."""
@@ -128,8 +132,9 @@ class _Waiting:
         while len(turns) < room and not self.ended:
             try:
                 job = next(self._jobs)
-            except StopIteration:
+            except Exception as error:  # noqa: BLE001 - their end, or whatever is wrong with one
                 self.ended = True
+                self.failed = None if isinstance(error, StopIteration) else error
                 break
             if job is None:
                 break

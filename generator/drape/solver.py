@@ -10,14 +10,38 @@ from jaxtyping import Bool, Int
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.device import load_kernels, one_at_a_time
-from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, finish, search, step, stillness
+from gcd_dataset.generator.drape.kernels import (
+    boxes,
+    carry,
+    contacts,
+    crossing,
+    field,
+    finish,
+    refine,
+    search,
+    step,
+    stillness,
+    topology,
+)
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import ClothModel
 from gcd_dataset.generator.drape.state import new_state
 
 __all__ = ["Solver"]
 
-KERNELS: tuple[ModuleType, ...] = (boxes, contacts, crossing, finish, search, step, stillness)
+KERNELS: tuple[ModuleType, ...] = (
+    boxes,
+    carry,
+    contacts,
+    crossing,
+    field,
+    finish,
+    refine,
+    search,
+    step,
+    stillness,
+    topology,
+)
 REBUILD_EVERY = 10  # frames after which the tree of boxes is built anew
 FINISHING_ROUNDS = 4
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; longer lists are walked in strides
@@ -36,11 +60,6 @@ class Solver:
         self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
         self._none = wp.zeros_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
-
-    @property
-    def running(self) -> bool:
-        """Whether any garment still moves."""
-        return bool(self.state.any_running.numpy()[0])
 
     def frame(self) -> None:
         """One frame: ``config.substeps`` time steps, and the count of what still moves."""
@@ -145,7 +164,6 @@ class Solver:
         """What ends a frame: garments that rest, and those that have slid off, are done."""
         m, s = self.model, self.state
         s.any_crossing.zero_()
-        s.any_running.zero_()
         threads = 1 if m.device == "cpu" else 256
         self._launch(
             stillness.watch_frame,
@@ -167,7 +185,6 @@ class Solver:
                 s.frames,
                 s.untangling,
                 s.any_crossing,
-                s.any_running,
             ],
         )
 

@@ -66,7 +66,6 @@ class ClothState:
     untangling: wp.array
     any_search: wp.array
     any_crossing: wp.array
-    any_running: wp.array
     newest: wp.array
     """The grid in which near vertices are found: the last vertex put into each bucket, and the one before each."""
     older: wp.array
@@ -123,7 +122,6 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         untangling=wp.ones(worlds, dtype=int, device=model.device),
         any_search=zeros(1, int),
         any_crossing=wp.ones(1, dtype=int, device=model.device),
-        any_running=wp.ones(1, dtype=int, device=model.device),
         newest=zeros(1 << (2 * n - 1).bit_length(), int),
         older=zeros(n, int),
         lower=zeros(faces, wp.vec3),

@@ -85,7 +85,6 @@ def end_frame(
     frames: wp.array(dtype=int),
     untangling: wp.array(dtype=int),
     any_crossing: wp.array(dtype=int),
-    any_running: wp.array(dtype=int),
 ):
     """Let go of garments that have fallen into place; end the drape of those that then rest, or that nothing keeps up.
 
@@ -120,7 +119,6 @@ def end_frame(
     parting[w] = int(frames[w] - fewest_at[w] <= PATIENCE)
     untangling[w] = 0
     if status[w] == RUNNING:
-        any_running[0] = 1
         if crossing_due[w] != 0 and (crossing_count[w] > 0 or frames[w] % CROSSINGS_EVERY == 0):
             untangling[w] = 1
             crossing_due[w] = 0

@@ -1,5 +1,6 @@
 """Whole drapes: outcomes, and that nothing but the garment decides them."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 import trimesh
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_batch
+from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch
 from gcd_dataset.generator.drape.coarse_start import go_on_from
 from gcd_dataset.generator.drape.holds import held_from_below, holds
 from gcd_dataset.generator.drape.kernels.world import RUNNING
@@ -16,7 +17,7 @@ from gcd_dataset.generator.drape.outcome import collect, slid_off
 from gcd_dataset.generator.drape.queue import drape_in_turn
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import coarsen
-from gcd_dataset.records import BoxMesh, Outcome
+from gcd_dataset.records import BoxMesh, Drape, Outcome
 from tests.helpers import SIZE, body_from, patch, tube
 
 LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
@@ -88,6 +89,24 @@ def test_a_garment_drapes_alike_whoever_leaves_and_joins_its_batch(few: int, mon
     assert [in_turn[number] for number in range(len(jobs))] == alone
     assert len({drape.frames for drape in alone}) > 2  # they did not end together
     assert drape_batch(jobs, config, device="cpu", at_once=2) == alone
+
+
+@pytest.mark.parametrize("at_once", [1, 2, 3])
+def test_what_is_wrong_with_a_job_is_told_after_those_before_it(at_once: int) -> None:
+    def jobs() -> Iterator[DrapeJob]:
+        yield from (on_a_ball(4), on_a_ball(5), on_a_ball(4))
+        raise OSError("the disk is gone")
+
+    config = DrapeConfig(max_frames=4)
+    drapes: list[Drape] = []
+    with pytest.raises(OSError, match="the disk is gone"):
+        drapes.extend(drape_all(jobs(), config, device="cpu", at_once=at_once))
+    assert len(drapes) == 3
+    in_turn = []
+    with pytest.raises(OSError, match="the disk is gone"):
+        for number, _ in drape_in_turn(jobs(), config, device="cpu", at_once=at_once):
+            in_turn.append(number)
+    assert sorted(in_turn) == [0, 1, 2]
 
 
 def test_a_coarse_start_comes_to_the_same_shape(monkeypatch: pytest.MonkeyPatch) -> None:
