@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Int
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.shards.codec import read_json
+from gcd_dataset.shards.layout import MEMBERS, Bytes
 from gcd_dataset.shards.npy import read_npy
 from gcd_dataset.shards.reader import ShardReader
 
@@ -15,7 +17,8 @@ __all__ = ["BODY", "DESIGN", "SHARES", "as_shares", "families", "leaks", "partit
 SHARES: Mapping[str, float] = {"train": 0.90, "validation": 0.05, "test": 0.05}
 """Shares of the garments, nearly those of GarmentCodeData's official split."""
 
-DESIGN, BODY = "design.json", "body.npy"
+META, DESIGN, BODY = MEMBERS[0], "design.json", "body.npy"
+NEUTRAL = "neutral"  # what a sample calls the body that is nobody's
 
 
 def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict[str, list[int]]:
@@ -91,7 +94,11 @@ def _nobodies(reader: ShardReader, design: np.ndarray, body: np.ndarray) -> list
     pairs = np.unique(np.stack([body, design]), axis=1)[0]
     shared = np.flatnonzero(np.bincount(pairs) > 1)
     first = {int(number): int(np.flatnonzero(body == number)[0]) for number in shared}
-    return [number for number, place in first.items() if not read_npy(reader.read(place, [BODY])[BODY]).any()]
+    return [number for number, place in first.items() if _is_nobody(reader.read(place, [META, BODY]))]
+
+
+def _is_nobody(members: Mapping[str, Bytes]) -> bool:
+    return read_json(members[META])["body"] == NEUTRAL or not len(read_npy(members[BODY]))
 
 
 def _chances(reader: ShardReader, family: np.ndarray) -> np.ndarray:

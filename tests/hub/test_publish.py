@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from gcd_dataset.errors import ConfigError, RemoteError
+from gcd_dataset.generator.body import neutral_shape
 from gcd_dataset.hub.partition import families, leaks, partition
 from gcd_dataset.hub.publish import Staged, stage, upload
 from gcd_dataset.loaders import GarmentDataset
@@ -25,7 +26,7 @@ from tests.shards.folders import fill, open_writer
 # How ``huggingface_hub`` sends files is not for us to mend.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
 
-NEUTRAL = BodyShape(np.zeros(8))
+NEUTRAL = neutral_shape()
 
 
 def put(folder: Path, samples: Iterable[Sample], *, split: str = "train") -> Path:
@@ -38,7 +39,9 @@ def put(folder: Path, samples: Iterable[Sample], *, split: str = "train") -> Pat
 def sample(index: int, *, design: int, body: int | None = None) -> Sample:
     """Garment ``index`` of a design, on a body; on the neutral one for ``None``."""
     shape = NEUTRAL if body is None else BodyShape(np.full(8, float(body + 1)))
-    return replace(fake_sample(0, index), design={"skirt": {"number": design}}, shape=shape)
+    made = fake_sample(0, index)
+    named = replace(made.provenance, body_name="neutral" if body is None else f"random:0:{body}")
+    return replace(made, design={"skirt": {"number": design}}, shape=shape, provenance=named)
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +57,7 @@ SHARES = {"train": 0.6, "validation": 0.2, "test": 0.2}
 def test_no_design_and_no_body_is_in_two_splits(both: Path) -> None:
     reader = ShardReader(both)
     parts = partition(reader, SHARES)
+    assert list(parts) == list(SHARES)
     assert sorted(position for part in parts.values() for position in part) == list(range(80))
     designs = {name: {position // 2 for position in part} for name, part in parts.items()}
     assert sum(map(len, designs.values())) == 40
