@@ -25,6 +25,7 @@ from gcd_dataset.shards.reader import ShardReader
 __all__ = ["Staged", "stage", "upload"]
 
 CARD, CROISSANT = "README.md", "croissant.json"
+STAGED = ".staged"  # in a folder whose shards are copies, which may be made anew
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
 """What the Hub calls splits that others call otherwise."""
 
@@ -60,12 +61,13 @@ def stage(
     """Put what is to be published as ``repo`` into ``folder``; gone on with where an earlier call was left.
 
     A data set of one split is divided by ``shares``, so that neither designs nor bodies are shared; several splits stay
-    as they are. Raises ``ConfigError`` for splits that share designs, or a data set that is not ours.
+    as they are. Raises ``ConfigError`` for splits that share designs, a data set that is not ours, or a folder that
+    holds another data set.
     """
     if not isinstance(find_place(repo), Repo):
         raise ConfigError(f"{repo}: no repository: write ORG/NAME, and see to it that no folder here is called so")
     plans = _plans(dataset, shares)
-    make_folder(folder)
+    _begin(folder)
     splits: dict[str, SplitRecord] = {}
     settled: dict[str, int] = {}
     members: tuple[str, ...] = ()
@@ -121,6 +123,15 @@ def upload(
             commit_message="Card, manifest and index",
         )
     return str(commit.oid)
+
+
+def _begin(folder: Path) -> None:
+    """Make the folder, marked as one of copies. Raises ``ConfigError`` for one with shards that are not."""
+    make_folder(folder)
+    if not (folder / STAGED).exists():
+        if splits_in(folder):
+            raise ConfigError(f"{folder}: holds a data set, whose shards would be replaced: choose another folder")
+        write_whole(folder / STAGED, b"")
 
 
 def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:

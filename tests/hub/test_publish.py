@@ -146,6 +146,15 @@ def test_it_is_staged_again_only_where_it_changed(tmp_path: Path) -> None:
     assert sum(len(GarmentDataset(tmp_path / "up", name)) for name in grown.manifest.splits) == 40
 
 
+def test_no_data_set_is_overwritten_by_what_goes_up(tmp_path: Path) -> None:
+    data, other = fill(tmp_path / "data", range(20)), fill(tmp_path / "other", range(3))
+    before = read_folder(data), read_folder(other)
+    for folder in (data, other):
+        with pytest.raises(ConfigError, match="holds a data set, whose shards would be replaced"):
+            stage(data, "org/new", folder)
+    assert (read_folder(data), read_folder(other)) == before
+
+
 def test_splits_that_are_there_stay_as_they_are(tmp_path: Path) -> None:
     put(tmp_path / "data", (sample(i, design=i) for i in range(5)))
     put(tmp_path / "data", (sample(i, design=i) for i in range(50, 53)), split="val")
