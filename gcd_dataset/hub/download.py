@@ -15,6 +15,7 @@ from gcd_dataset.hub.place import MAIN, Repo, Url
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
 from gcd_dataset.shards.access import locked, writing
+from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.fetched import Fetched, FetchedSplit, read_fetched
 from gcd_dataset.shards.index import ShardIndex
@@ -128,7 +129,7 @@ def _is_there(there: Fetched, place: Repo | Url, split: str, wanted: Layout) -> 
 def _begun(folder: Path, source: str, split: str, layout: Layout) -> Fetched:
     """The record of the folder, in which this split is about to come. Raises ``ConfigError`` if another is there."""
     there = read_fetched(folder)
-    if there is None and read_manifest(folder) is not None:
+    if there is None and (read_manifest(folder) is not None or splits_in(folder)):
         raise ConfigError(f"{folder}: holds a data set that was not downloaded: choose another folder")
     note = there or Fetched(source)
     if note.source != source:

@@ -3,6 +3,7 @@
 import errno
 import multiprocessing
 import os
+import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -160,6 +161,10 @@ def test_a_folder_that_holds_something_else_is_left_alone(hub: Hub, commit: str,
     with pytest.raises(ConfigError, match="holds a data set that was not downloaded"):
         download(REPO, folder, remote)
     assert read_folder(folder) == before
+    foreign = shutil.copytree(folder, tmp_path / "shards", ignore=lambda _, names: set(names) - {"train-00000.tar"})
+    with pytest.raises(ConfigError, match="holds a data set that was not downloaded"):
+        download(REPO, foreign, remote)
+    assert list(read_folder(foreign)) == ["train-00000.tar"]
     bring(hub, tmp_path, fields=["body"])
     with pytest.raises(ConfigError, match="holds the fields meta, body of split train, asked for meta, verts"):
         bring(hub, tmp_path, fields=["verts"])
