@@ -13,6 +13,7 @@ from gcd_dataset.shards.layout import Bytes
 __all__ = ["decode_member"]
 
 PICTURES = ("jpg", "jpeg", "png", "webp", "ppm", "pgm", "tif", "tiff", "bmp")
+NUMBERS = "biufc"  # NumPy's letters
 PICKLES = ("pkl", "pickle", "pyd", "pth", "pt", "joblib", "dill")
 
 
@@ -29,7 +30,7 @@ def decode_member(member: str, data: Bytes) -> Any:
         raise ShardError(f"member {member} is a pickle, which could run code, and is not read: leave it out of fields")
     try:
         if ending == "npy":
-            return np.load(io.BytesIO(data), allow_pickle=False)
+            return _numbers(np.load(io.BytesIO(data), allow_pickle=False))
         if ending == "json":
             return json.loads(bytes(data))
         if ending == "txt":
@@ -42,3 +43,10 @@ def decode_member(member: str, data: Bytes) -> Any:
     except (ValueError, OSError, EOFError, SyntaxError, Image.DecompressionBombError) as error:
         raise ShardError(f"member {member}: not what its name says ({error}): get it anew from its maker") from error
     return bytes(data)
+
+
+def _numbers(array: Any) -> np.ndarray:
+    """The array in this machine's byte order. Raises ``ValueError`` for anything but numbers."""
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in NUMBERS:
+        raise ValueError(f"{getattr(array, 'dtype', 'several arrays')}, where numbers are read")
+    return array.astype(array.dtype.newbyteorder("="), copy=False)

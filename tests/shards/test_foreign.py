@@ -98,6 +98,18 @@ def written(path: Path, entries: Entries, *, style: int = tarfile.PAX_FORMAT, ch
     return path
 
 
+def test_arrays_of_other_machines_are_read_and_no_numbers_are_told(tmp_path: Path) -> None:
+    def content(array: np.ndarray) -> bytes:
+        file = io.BytesIO()
+        np.save(file, array)
+        return file.getvalue()
+
+    written(tmp_path / "a.tar", {"s.big.npy": content(np.arange(3, dtype=">f4")), "s.text.npy": content(np.array("a"))})
+    assert GarmentDataset(tmp_path, fields=["big.npy"])[0]["big.npy"].tolist() == [0.0, 1.0, 2.0]
+    with pytest.raises(ShardError, match=r"member text\.npy: not what its name says \(<U1, where numbers are read\)"):
+        GarmentDataset(tmp_path, fields=["text.npy"])[0]
+
+
 @pytest.mark.parametrize("style", [tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
 def test_any_program_s_headers_are_read(tmp_path: Path, style: int) -> None:
     long = "folder/" * 20 + "x" * (0 if style == tarfile.USTAR_FORMAT else 120)
