@@ -162,6 +162,8 @@ class Cache:
             self._evict(have)
         if not have.exists():
             make_folder(have.parent)
+            # Another file, not the same one emptied: whoever holds that still believes it full.
+            have.with_suffix(".tar").unlink(missing_ok=True)
             have.with_suffix(".tar").open("wb").close()
             draft = have.with_suffix(".tmp")
             draft.write_bytes(bytes(COUNTER + count))  # zeros, no hole: a map over a hole of a full disk is a crash

@@ -126,6 +126,26 @@ def test_a_kill_leaves_nothing_that_counts(tmp_path: Path, monkeypatch: pytest.M
     assert after.read("a", MEMBERS, parts([1])) == {1: piece(1).data}
 
 
+def test_a_kill_while_a_shard_makes_way_gives_nobody_wrong_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reader, writer = Cache(tmp_path, 2 * SIZE), Cache(tmp_path, 2 * SIZE)
+    writer.keep("a", MEMBERS, [piece(0), piece(1)])
+    assert reader.read("a", MEMBERS, parts([0, 1]))
+
+    def killed(path: Path, size: int) -> None:
+        with path.open("r+b") as file:
+            file.truncate(size)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "truncate", killed)
+    with pytest.raises(KeyboardInterrupt):
+        writer.keep("b", MEMBERS, [piece(0)])
+    monkeypatch.undo()
+    Cache(tmp_path, 2 * SIZE).keep("a", MEMBERS, [piece(1)])
+    assert reader.read("a", MEMBERS, parts([0, 1])) == {1: piece(1).data}
+
+
 def fill_at_random(folder: Path, limit: int | None, seed: int, count: int) -> int:
     """Keep and read members in some order; how many came back wrong."""
     cache, wrong = Cache(folder, limit), 0
