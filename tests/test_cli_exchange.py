@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,9 @@ from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.release.layout import ENDINGS
-from gcd_dataset.shards import ShardWriter
+from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards.copying import copy_shard
+from gcd_dataset.shards.layout import GARMENTS
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
 from tests.shards.folders import contents, fill
 
@@ -222,3 +225,20 @@ def test_types_follow_the_rules_of_the_authors_sampler(design: dict[str, object]
 def test_nothing_published_is_nothing_to_convert(published: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="bodies='neutral'"):
         plan_convert(published, tmp_path, bodies="neutral")
+
+
+@pytest.mark.parametrize(
+    "verb", [["export", "--hdf5", "out.h5"], ["export", "--layout", "published", "out"], ["show", "--png", "out.png"]]
+)
+def test_samples_without_all_of_their_files_are_told(
+    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    reader = ShardReader(fill(tmp_path / "whole", range(2)))
+    (tmp_path / "part").mkdir()
+    copy_shard(
+        tmp_path / "part" / "train-00000.tar", reader, [0, 1], GARMENTS.of(["meta.json", "points.npy"]), lambda _: None
+    )
+    assert run(*verb, "part") == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert re.fullmatch(r"gcd \w+: part: its samples have no \S+: give a data set .*", told)

@@ -94,8 +94,12 @@ class ShardReader:
             self._require_same(row, column, data)
 
     def _columns(self, members: tuple[str, ...]) -> list[int]:
-        """Columns of members, in the order of the file."""
+        """Columns of members, in the order of the file. Raises ``ConfigError`` for one that the samples lack."""
         if members not in self._columns_of:
+            if lacking := [member for member in members if member not in self.layout.members]:
+                raise ConfigError(
+                    f"{self.store.place()}: its samples have no {lacking[0]}: give a data set with all of their files"
+                )
             self._columns_of[members] = sorted({self.layout.members.index(member) for member in members})
         return self._columns_of[members]
 
