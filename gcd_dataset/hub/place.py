@@ -68,10 +68,15 @@ def find_place(source: str | Path, revision: str | None = None) -> Place:
     Raises ``ConfigError`` for anything else, and for a revision of what has none.
     """
     with reading(Path(source)):
-        is_folder = "://" not in str(source) and Path(source).is_dir()
+        is_here = "://" not in str(source)
+        is_folder, is_file = is_here and Path(source).is_dir(), is_here and Path(source).is_file()
     if is_folder:
         return _without_revision(Folder(Path(source)), revision)
     text = str(source)
+    if is_file:
+        raise ConfigError(
+            f"{shown(text)}: a file, not a folder of shards: give that; Hdf5Garments reads what gcd export --hdf5 makes"
+        )
     if text.startswith("file://"):
         return find_place(Path(unquote(urlsplit(text).path)), revision)
     if text.startswith(("http://", "https://")):

@@ -1,5 +1,6 @@
 """A data set on a server, read sample by sample: only the members asked for, each checked, each asked for once."""
 
+import hashlib
 import io
 import re
 import zlib
@@ -50,11 +51,14 @@ class RemoteStore(Store):
             raise ShardError(f"{self.place()}: no samples of split {split}: there is {', '.join(manifest.splits)}")
         try:
             index = ShardIndex.parse(self.site.small(name), self.place(name), layout, partial=True)
+            self._require_listed(index, split, manifest)
         except MissingError as error:
             if manifest is not None or layout != GARMENTS:
                 raise RemoteError(f"{error}: ask its publisher to run gcd index and publish it again") from error
             index = foreign_site_index(self.site, split)
-        self._require_listed(index, split, manifest)
+        except ShardError:
+            self.site.forget(name)  # its publisher may be at work
+            raise
         first = 0
         for shard, table in index.tables().items():
             self._shards[shard] = _RemoteShard(self._key(shard, split, manifest), len(table), first, index)
@@ -151,7 +155,7 @@ class RemoteStore(Store):
         """What the cache knows a shard by: its hash, so that data sets and revisions share what they share."""
         records = manifest.splits[split].shards if manifest is not None else ()
         known = {record.name: record.sha256 for record in records if SHA256.fullmatch(record.sha256)}
-        return known.get(shard) or f"{zlib.crc32(self.place(shard).encode()):08x}-{self.site.revision}"
+        return known.get(shard) or hashlib.sha256(self.place(shard).encode()).hexdigest()
 
 
 class _RemoteShard:

@@ -89,8 +89,15 @@ class Site:
         try:
             return self.kept(name, lambda: self._checked(self.web, name))
         except MissingError:
-            _keep(sign, b"")
+            if isinstance(self._place, Repo):  # at a URL it may come later
+                _keep(sign, b"")
             raise
+
+    def forget(self, name: str) -> None:
+        """Ask for a small file anew the next time, if a server may be asked: it was not what it should be."""
+        with contextlib.suppress(OSError):
+            if self.allowed:
+                (self._seen / self.revision / name).unlink(missing_ok=True)
 
     def kept(self, name: str, get: Callable[[], bytes]) -> bytes:
         """What is kept of this revision under a name; gotten and kept where it is not."""

@@ -14,6 +14,7 @@ from gcd_dataset.errors import ConfigError, MissingError, RefusedError, RemoteEr
 from gcd_dataset.hub import remote
 from gcd_dataset.loaders import GarmentDataset, collate_packed
 from gcd_dataset.shards import read_index
+from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import MEMBERS
 from tests.hub.conftest import COUNT
 from tests.hub.server import Fault, Hub
@@ -159,6 +160,35 @@ def test_what_is_not_there_is_told(hub: Hub, commit: str, tmp_path: Path) -> Non
         GarmentDataset(f"{hub.endpoint}/files/garments", revision="main")
     with pytest.raises(ConfigError, match="max_cache_size='lots'"):
         opened(hub, tmp_path, max_cache_size="lots")
+
+
+def test_a_file_is_no_repository(hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "train.h5").touch()
+    for source in ("data/train.h5", Path("data/train.h5")):
+        with pytest.raises(ConfigError, match=r"data/train\.h5: a file, not a folder of shards.*Hdf5Garments"):
+            GarmentDataset(source)
+    assert not hub.asked()
+
+
+def test_a_url_whose_files_come_one_after_the_other_is_read_in_the_end(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path
+) -> None:
+    url, index = f"{hub.endpoint}/files/garments", hub.static.pop("garments/index-train.npz")
+    for unfinished in (None, b"<html>soon</html>", other_index(folder)):
+        hub.static |= {} if unfinished is None else {"garments/index-train.npz": unfinished}
+        with pytest.raises(ShardError, match=r"index-train\.npz"):
+            GarmentDataset(url, cache_dir=tmp_path)
+    hub.static["garments/index-train.npz"] = index
+    assert_all_same(GarmentDataset(url, cache_dir=tmp_path), GarmentDataset(folder))
+
+
+def other_index(folder: Path) -> bytes:
+    """The index as it was before the last shard came."""
+    index = read_index(folder)
+    table = dict(list(index.tables().items())[:-1])
+    return ShardIndex.of(folder, table).to_bytes()
 
 
 @pytest.mark.parametrize("fields", [None, ["verts"]])
