@@ -22,6 +22,8 @@ class Hdf5Garments(Garments):
     fast: train from those. Raises ``ShardError`` for a file that is missing, damaged, foreign or newer.
     """
 
+    reads_only = True
+
     def __init__(
         self, source: str | Path, fields: Iterable[str] | None = None, *, transform: Transform | None = None
     ) -> None:

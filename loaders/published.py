@@ -79,6 +79,8 @@ class PublishedGarmentCodeData(Garments):
     or not as it should be.
     """
 
+    reads_only = True
+
     def __init__(
         self,
         root: str | Path | PublishedBatches,

@@ -3,6 +3,7 @@
 import json
 import pickle
 import shutil
+import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.loaders import GarmentDataset, PublishedGarmentCodeData, collate_list
+from gcd_dataset.loaders import GarmentDataset, GarmentLoader, PublishedGarmentCodeData, collate_list
+from gcd_dataset.loaders.base import Item
 from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garment import PublishedGarment
 from gcd_dataset.release.layout import ENDINGS, properties_name
@@ -356,3 +358,16 @@ def test_the_reference_systems_files_are_written_again(examples: Path, tmp_path:
 def _pickled_lengths(content: bytes) -> dict[tuple[int, int], float]:
     """What such a pickle holds; of the reference system's files, made for these tests, and of ours alone."""
     return {(int(a), int(b)): float(length) for (a, b), length in pickle.loads(content).items()}
+
+
+def test_garments_are_read_beside_the_training_loop(folders: Path) -> None:
+    readers: set[int] = set()
+
+    def noted(item: Item) -> Item:
+        readers.add(threading.get_ident())
+        return item
+
+    ds = PublishedGarmentCodeData(folders, fields=["verts"], transform=noted)
+    assert sum(len(batch.verts_ptr) - 1 for batch in GarmentLoader(ds, 3)) == len(ds)
+    assert readers
+    assert threading.get_ident() not in readers

@@ -1,6 +1,7 @@
 """One HDF5 file holds what the shards hold, byte for byte."""
 
 import pickle
+import threading
 from pathlib import Path
 
 import h5py
@@ -10,7 +11,8 @@ import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
-from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, collate_list
+from gcd_dataset.loaders import GarmentDataset, GarmentLoader, Hdf5Garments, collate_list
+from gcd_dataset.loaders.base import Item
 from gcd_dataset.shards import MEMBERS, ShardReader
 from gcd_dataset.shards.hdf5 import Hdf5Reader, write_hdf5
 from tests.shards.folders import fill
@@ -52,6 +54,18 @@ def test_items_are_those_of_the_shards(folder: Path, file: Path) -> None:
     assert one.recipe(2) == shards.recipe(2)
     with pytest.raises(IndexError):
         one[COUNT]
+
+
+def test_they_are_read_beside_the_training_loop(file: Path) -> None:
+    readers: set[int] = set()
+
+    def noted(item: Item) -> Item:
+        readers.add(threading.get_ident())
+        return item
+
+    assert len(list(GarmentLoader(Hdf5Garments(file, fields=["verts"], transform=noted), 2))) == 3
+    assert readers
+    assert threading.get_ident() not in readers
 
 
 def test_other_programs_find_arrays_and_texts(folder: Path, file: Path) -> None:
