@@ -1,6 +1,8 @@
 """The verbs of whole data sets, as a user meets them."""
 
+import io
 import shutil
+import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -86,6 +88,18 @@ def test_index_is_made_again(data: Path, capsys: Capture) -> None:
     assert "train: 10 samples in 3 shards" in said(capsys)
     assert main(["index", str(data), "--split", "test"]) == 1
     assert main(["index", str(data / "nowhere")]) == 2
+
+
+def test_info_tells_foreign_files_apart(tmp_path: Path, capsys: Capture) -> None:
+    with tarfile.open(tmp_path / "a.tar", "w") as archive:
+        for name, size in {"s.seg.txt": 30, "s.seg.json": 10}.items():
+            info = tarfile.TarInfo(name)
+            info.size = size
+            archive.addfile(info, io.BytesIO(b"1" * size))
+    assert main(["info", str(tmp_path)]) == 0
+    assert {("seg.txt", "75.0%"), ("seg.json", "25.0%")} <= {
+        tuple(line.split()[:2]) for line in said(capsys).splitlines()
+    }
 
 
 def test_sets_of_bodies_are_served_too(tmp_path: Path, capsys: Capture) -> None:

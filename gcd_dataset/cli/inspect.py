@@ -70,7 +70,10 @@ def _made_lines(record: SplitRecord) -> Iterator[str]:
 
 def _bytes_by_member(reader: ShardReader) -> dict[str, int]:
     total = reader.index.table.size.sum(axis=0, dtype=np.int64)
-    return {member.split(".")[0]: int(size) for member, size in zip(reader.layout.members, total, strict=True)}
+    members = reader.layout.members
+    # Names of foreign members may begin alike.
+    names = members if reader.layout.kind == FOREIGN else [member.split(".")[0] for member in members]
+    return dict(zip(names, total.tolist(), strict=True))
 
 
 def _content_lines(reader: ShardReader) -> Iterator[str]:
