@@ -257,7 +257,7 @@ def _parser() -> argparse.ArgumentParser:
 
     drape = _verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
-    drape.add_argument("--body", default="neutral", help=f"{NAMES} or a mesh file")
+    drape.add_argument("--body", default="neutral", help=f"{NAMES} or a mesh file (default: neutral)")
     drape.add_argument(
         "--measurements", type=Path, metavar="YAML", help="of a body from a mesh file [cm, degrees]; else taken"
     )
@@ -266,7 +266,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     drape.add_argument("--fabric", default="default", metavar="NAME", help=f"{FABRICS} (default: default)")
     drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")
-    drape.add_argument("--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (1.0)")
+    drape.add_argument(
+        "--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (default: 1.0)"
+    )
     drape.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
 
     measure = _verb(verbs, "measure", _measure, "the tailor's measures of a body, as YAML [cm, degrees]")

@@ -46,7 +46,9 @@ def add_verbs(add: AddVerb) -> None:
     publish.add_argument(
         "--shares", default="90,5,5", metavar="A,B,C", help="of train, validation, test [%%] (default: 90,5,5)"
     )
-    publish.add_argument("--license", default="unknown", help="identifier of the Hub, such as cc-by-4.0 (unknown)")
+    publish.add_argument(
+        "--license", default="unknown", help="identifier of the Hub, such as cc-by-4.0 (default: unknown)"
+    )
     publish.add_argument("--private", action="store_true", help="a repository that only you see")
     publish.add_argument(
         "--stage", type=Path, metavar="DIR", help="folder for what goes up (default: DATASET/published)"
