@@ -20,6 +20,7 @@ class Stage(IntEnum):
     POINTS = 4
     AUGMENT = 5
     KIND = 6
+    ARMS = 7
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

@@ -3,6 +3,7 @@
 A sample is named by ``(seed, index)`` and comes out the same alone, in a batch, in any order and in any process.
 """
 
+import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -140,7 +141,7 @@ def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[str, ...]
         chance = rng(seed, number, Stage.DESIGN, len(rejects))
         sizes = [wearer.size for wearer in wearers]
         design = sample_design(chance, sizes, kind=kind, overlay=config.design)
-        dressed = _dress_all(wearers, design, config)
+        dressed = _dress_all(seed, wearers, design, config)
         if not isinstance(dressed, Reject):
             return DressedDesign(seed, number, rejects, design, dressed)
         rejects += (str(dressed),)
@@ -165,8 +166,9 @@ def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
     sex = config.bodies if config.bodies in SEXES else None
     if config.bodies in ("neutral", "both"):
         shapes["neutral"] = neutral_shape()
-    if config.bodies != "neutral":
-        shapes[f"{sex or 'random'}:{seed}:{number}"] = draw_shape(rng(seed, number, Stage.BODY), sex=sex)
+    for place in range(config.bodies_each if config.bodies != "neutral" else 0):
+        name = f"{sex or 'random'}:{seed}:{number}" + (f":{place}" if place else "")
+        shapes[name] = draw_shape(rng(seed, number, Stage.BODY, place), sex=sex)
     wearers = []
     for place, (name, shape) in enumerate(shapes.items()):
         body = build_body(shape)
@@ -174,31 +176,41 @@ def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
     return tuple(wearers)
 
 
-def _dress_all(wearers: Iterable[_Wearer], design: OutfitDesign, config: MakeConfig) -> tuple[Dressed, ...] | Reject:
+def _dress_all(
+    seed: int, wearers: Iterable[_Wearer], design: OutfitDesign, config: MakeConfig
+) -> tuple[Dressed, ...] | Reject:
     """All wearers in the design, or why one of them cannot wear it."""
     dressed = []
     for wearer in wearers:
-        worn = _dress(wearer, design, config)
+        worn = _dress(seed, wearer, design, config)
         if isinstance(worn, Reject):
             return worn
         dressed.append(worn)
     return tuple(dressed)
 
 
-def _dress(wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> Dressed | Reject:
+def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> Dressed | Reject:
     pattern = try_on(wearer.size, design, name=sample_key(wearer.index))
     if isinstance(pattern, Reject):
         return pattern
-    shape, body = wearer.shape, wearer.body
+    shape = _held(seed, wearer, config)
     if design.meta.bottom is Bottom.PANTS:  # measured with legs together, dressed with legs apart
         shape = replace(shape, legs_apart=True)
-        body = build_body(shape)
+    body = wearer.body if shape is wearer.shape else build_body(shape)
     try:
         mesh = build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None
     except MeshError as error:
         return Reject("cannot_be_meshed", str(error))
     coarse = coarse_start(mesh) if mesh is not None and config.stage == "drape" else None
     return Dressed(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse)
+
+
+def _held(seed: int, wearer: _Wearer, config: MakeConfig) -> BodyShape:
+    """The wearer with the arms as chance holds them."""
+    if not config.arms:
+        return wearer.shape
+    turn = rng(seed, wearer.index, Stage.ARMS).uniform(-config.arms, config.arms)
+    return replace(wearer.shape, arm_angle=math.radians(turn))
 
 
 def _drape(load: Sequence[DressedDesign], config: MakeConfig) -> Iterator[tuple[Drape | None, ...]]:

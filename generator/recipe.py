@@ -18,6 +18,7 @@ OnFail = Literal["retry", "keep"]
 KINDS = {str: "word", int: "whole number", float: "number", Overlay: "design overlay"}
 USUAL_FABRIC = "default"
 FINEST, COARSEST = 0.2, 10.0  # cm
+MOST_ARMS = 15.0  # degrees; flat panels hang round arms in the A-pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,12 @@ class MakeConfig:
     bodies: Bodies = "random"
     """Who wears them. ``random`` ones are mostly between the sexes, ``female`` and ``male`` ones are drawn as a survey
     finds adults; ``both``: samples 2i and 2i+1 are one design on the neutral body and on a random one."""
+    bodies_each: int = 1
+    """Bodies drawn for each design: with 3, samples 3i, 3i+1 and 3i+2 are one design on three of them; with ``both``
+    the neutral one comes before them."""
+    arms: float = 0.0
+    """Greatest turn of both arms, up or down from the A-pose, by chance for each wearer [degrees]. Measures, design and
+    pattern are those of the A-pose."""
     stage: LastStage = "drape"
     """The last step taken."""
     resolution: float = 1.0
@@ -54,16 +61,21 @@ class MakeConfig:
             if getattr(self, name) not in get_args(kind):
                 raise ConfigError(f"{name} is {getattr(self, name)!r}: known are {', '.join(get_args(kind))}")
         object.__setattr__(self, "resolution", float(check_resolution(self.resolution)))  # 2 is 2.0 in a recipe
+        object.__setattr__(self, "arms", float(self.arms))
+        if not 0 <= self.arms <= MOST_ARMS:
+            raise ConfigError(f"arms is {self.arms}°: give an angle from 0 to {MOST_ARMS}")
         if self.fabric != USUAL_FABRIC:
             _require_fabric(self.fabric)
-        for name, least in {"points": 0, "picture": 0, "max_attempts": 1}.items():
+        for name, least in {"points": 0, "picture": 0, "max_attempts": 1, "bodies_each": 1}.items():
             if getattr(self, name) < least:
                 raise ConfigError(f"{name} is {getattr(self, name)}: give {least} or more")
+        if self.bodies == "neutral" and self.bodies_each > 1:
+            raise ConfigError(f"bodies_each is {self.bodies_each}, and there is one neutral body: give other bodies")
 
     @property
     def wearers(self) -> int:
         """Bodies that wear one design."""
-        return 2 if self.bodies == "both" else 1
+        return self.bodies_each + (self.bodies == "both")
 
 
 def check_resolution(centimetres: float) -> float:
@@ -77,8 +89,9 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
     """Everything but seed and index that decides what a sample holds, as plain values."""
     recipe = {entry.name: getattr(config, entry.name) for entry in fields(config)}
     recipe["design"] = config.design.to_dict()
-    if config.fabric == USUAL_FABRIC:  # what goes without saying keeps the recipe, and so the data sets made by it
-        del recipe["fabric"]
+    for name, usual in {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0}.items():
+        if recipe[name] == usual:  # what goes without saying keeps the recipe, and so the data sets made by it
+            del recipe[name]
     recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
     return recipe
 

@@ -38,8 +38,9 @@ class GeneratedGarments(Garments):
     >>> ds[7]["box"].shape  # doctest: +SKIP
     torch.Size([9731, 3])
 
-    ``bodies``, ``resolution`` [cm], ``fabric``, ``on_fail``, ``picture`` and ``design`` are those of ``MakeConfig``; an
-    overlay for ``design`` comes from ``read_overlay``. ``drape``: ``warp``, or ``None`` to stop at the box mesh;
+    ``bodies``, ``bodies_each``, ``arms`` [degrees], ``resolution`` [cm], ``fabric``, ``on_fail``, ``picture`` and
+    ``design``, an overlay by ``read_overlay``, are those of ``MakeConfig``. With the same ``seed`` and another fabric,
+    or arms held otherwise, come the same patterns, draped otherwise. ``drape``: ``warp``, or ``None`` to stop at the box mesh;
     ``stage="pattern"`` stops before that.
 
     ``device``: where cloth is draped; ``auto`` is the first GPU that torch sees, or the CPU. On a GPU, workers of a
@@ -59,6 +60,8 @@ class GeneratedGarments(Garments):
         seed: int = 0,
         *,
         bodies: Literal["neutral", "random", "female", "male", "both"] = "random",
+        bodies_each: int = 1,
+        arms: float = 0.0,
         drape: Literal["warp"] | None = "warp",
         stage: Stage | None = None,
         device: str = "auto",
@@ -75,6 +78,8 @@ class GeneratedGarments(Garments):
         self._n, self._seed = natural("n", n), natural("seed", seed)
         self.config = MakeConfig(
             bodies=bodies,
+            bodies_each=bodies_each,
+            arms=arms,
             stage=_last_stage(drape, stage),
             resolution=resolution,
             device=_named(device),

@@ -145,8 +145,13 @@ def _place(sample: Sample, split: str, first_batch: int) -> Place:
 
 
 def _design_number(sample: Sample) -> int:
-    """Of a design among those of its seed: with ``bodies="both"`` two samples are of one design."""
+    """Of a design among those of its seed: with ``bodies="both"`` two samples are of one design.
+
+    A design that several random bodies wear counts as several: the layout has one folder for random bodies.
+    """
     made = sample.provenance
+    if made.recipe.get("bodies_each", 1) > 1:
+        return made.index
     return made.index // (2 if made.source or made.recipe.get("bodies") == "both" else 1)
 
 

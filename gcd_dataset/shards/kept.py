@@ -51,13 +51,14 @@ class KeptSamples:
 
         Raises ``ShardError`` for a damaged one.
         """
-        content = self._in_shard(index, members)
-        if content is not None:
-            return content
-        if (content := self._single(index)) is not None:
-            return content
-        # It may have gone from one to the other in between.
-        return self._in_shard(index, members) if self._refreshed() else None
+        content = None if self._reader is None else self._in_shard(index, members)
+        if content is None:
+            content = self._single(index)
+        if content is None and self._shard_path(index // self._shard_size).exists():
+            # Written since the shards were looked at, or from one to the other in between.
+            self._refreshed()
+            content = self._in_shard(index, members)
+        return content
 
     def keep(self, index: int, members: Mapping[str, Bytes]) -> None:
         """Add a sample, or put it in the place of a damaged one; with the last of its shard the shard is written."""
@@ -66,7 +67,8 @@ class KeptSamples:
         write_single(path, index, members)
         number = index // self._shard_size
         wanted = range(number * self._shard_size, min((number + 1) * self._shard_size, self._count))
-        self._refreshed()
+        if self._shard_path(number).exists():  # else no need to read the index, which may be long
+            self._refreshed()
         if self._waiting(number).keys() | self._written(number) >= set(wanted):
             self._pack(number)
 
@@ -96,11 +98,11 @@ class KeptSamples:
     def _take_apart(self, number: int) -> None:
         """Let the undamaged samples of a shard wait again, and remove it."""
         for index in self._written(number) - self._waiting(number).keys():
-            with _unless_damaged(self.folder / shard_name(SPLIT, number)):
+            with _unless_damaged(self._shard_path(number)):
                 content = self._from_shard(index, MEMBERS)
                 assert content is not None
                 write_single(self._single_path(index), index, content)
-        (self.folder / shard_name(SPLIT, number)).unlink()
+        self._shard_path(number).unlink()
         self._reader = self._seen = None
 
     def _writer(self) -> ShardWriter:
@@ -131,6 +133,9 @@ class KeptSamples:
         return {int(match[1]): path for path in paths if (match := SINGLE.fullmatch(path.name))}
 
     # ------------------------------------------------------------------------------------------------ in shards
+
+    def _shard_path(self, number: int) -> Path:
+        return self.folder / shard_name(SPLIT, number)
 
     def _in_shard(self, index: int, members: tuple[str, ...]) -> Mapping[str, Bytes] | None:
         """A sample from the shards as they were last seen; where it is damaged, as they are, or the one that waits."""

@@ -63,6 +63,36 @@ def test_both_bodies_wear_one_design() -> None:
     assert random.measurements == make(9, 2, FLAT).measurements  # the random body of number 2
 
 
+def test_one_design_may_have_many_wearers() -> None:
+    config = replace(FLAT, bodies="female", bodies_each=3)
+    first, second, third, following = make_many(9, [3, 4, 5, 6], config)
+    assert first.design == second.design == third.design != following.design
+    assert len({sample.provenance.body_name for sample in (first, second, third)}) == 3
+    assert first.measurements != second.measurements != third.measurements != first.measurements
+    assert first.measurements == make(9, 1, replace(config, bodies_each=1)).measurements
+    assert second == make(9, 4, config)
+    neutral, *others = make_many(9, range(3), replace(config, bodies="both", bodies_each=2))
+    assert neutral.provenance.body_name == "neutral"
+    assert {sample.design == neutral.design for sample in others} == {True}
+    with pytest.raises(ConfigError, match="one neutral body"):
+        replace(config, bodies="neutral")
+
+
+def test_arms_held_otherwise_wear_the_same_pattern() -> None:
+    in_pose = list(make_many(5, range(4), FLAT))
+    otherwise = list(make_many(5, range(4), replace(FLAT, arms=15)))
+    assert [sample.pattern for sample in otherwise] == [sample.pattern for sample in in_pose]
+    assert [sample.measurements for sample in otherwise] == [sample.measurements for sample in in_pose]
+    turns = [np.degrees(sample.shape.arm_angle) for sample in otherwise if sample.shape]
+    assert len(set(turns)) == 4
+    assert 1.0 < np.abs(turns).max() <= 15.0
+    assert make(5, 2, replace(FLAT, arms=15)) == otherwise[2]
+    assert "arms" not in recipe_of(FLAT)
+    assert recipe_of(replace(FLAT, arms=15))["arms"] == 15.0
+    with pytest.raises(ConfigError, match="arms is 50"):
+        replace(FLAT, arms=50)
+
+
 @pytest.mark.parametrize("sex", ["female", "male"])
 def test_women_and_men_of_the_population_wear_designs(sex: Literal["female", "male"]) -> None:
     sample = make(9, 2, replace(FLAT, bodies=sex))
