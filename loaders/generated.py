@@ -40,8 +40,8 @@ class GeneratedGarments(Garments):
 
     ``bodies``, ``bodies_each``, ``arms`` [degrees], ``resolution`` [cm], ``fabric``, ``on_fail``, ``picture`` and
     ``design``, an overlay by ``read_overlay``, are those of ``MakeConfig``. With the same ``seed`` and another fabric,
-    or arms held otherwise, come the same patterns, draped otherwise. ``drape``: ``warp``, or ``None`` to stop at the box mesh;
-    ``stage="pattern"`` stops before that.
+    or arms held otherwise, come the same patterns, draped otherwise. ``drape``: ``warp``, or ``None`` to stop at the
+    box mesh; ``stage="pattern"`` stops before that.
 
     ``device``: where cloth is draped; ``auto`` is the first GPU that torch sees, or the CPU. On a GPU, workers of a
     ``DataLoader``, forked or spawned, make body, design, pattern and mesh, and one process drapes for all of them;

@@ -251,8 +251,8 @@ def _parser() -> argparse.ArgumentParser:
         "--config",
         type=Path,
         metavar="FILE.toml",
-        help="bodies, stage, fabric, resolution, device, on-fail; also bodies-each, arms, points, picture, max-attempts, and "
-        "tables such as [design.pants] that narrow what designs may be",
+        help="bodies, stage, fabric, resolution, device, on-fail; also bodies-each, arms, points, picture, "
+        "max-attempts, and tables such as [design.pants] that narrow what designs may be",
     )
 
     drape = _verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
