@@ -73,7 +73,9 @@ class PointNoise:
 
 @dataclass(frozen=True)
 class PartialView:
-    """Keeps the surface points that one camera sees, at the height of their middle and from any side.
+    """Surface points that one camera sees, at the height of their middle and from any side; as many as there were.
+
+    Some stand there several times in the place of those that are hidden, so that items still go into one batch.
 
     What is seen is found as by Katz, Tal and Basri (Direct visibility of point sets, ACM Trans. Graph. 26(3), 2007):
     points are flipped outward over a sphere about the camera, and those on the convex hull are seen.
@@ -90,7 +92,9 @@ class PartialView:
         angle = chance.uniform(-np.pi, np.pi)
         places = item["points"][:, :3].double().numpy()
         camera = places.mean(axis=0) + self.distance * np.array([np.sin(angle), 0.0, np.cos(angle)])
-        return {**item, "points": item["points"][torch.from_numpy(self._seen(places - camera))]}
+        seen = self._seen(places - camera)
+        again = chance.choice(seen, len(places) - len(seen))
+        return {**item, "points": item["points"][torch.from_numpy(np.concatenate([seen, again]))]}
 
     def _seen(self, rays: np.ndarray) -> np.ndarray:
         """Rows of the points that are seen from the origin, ascending."""

@@ -68,7 +68,9 @@ def test_noise_has_the_size_asked_for() -> None:
 
 
 def test_a_view_shows_the_half_that_faces_the_camera() -> None:
-    seen = PartialView(distance=4000.0)(ball(), chance())["points"].float()
+    view = PartialView(distance=4000.0)(ball(), chance())["points"]
+    assert view.shape == ball()["points"].shape
+    seen = view.float().unique(dim=0)
     assert 0.4 < len(seen) / len(ball()["points"]) < 0.55
     toward = seen[:, 3:].mean(dim=0)
     facing = seen[:, 3:] @ (toward / toward.norm())
