@@ -81,7 +81,8 @@ class DrapeConfig:
     moving_share: float = 0.015
     """A garment rests when no more than this share of its vertices moves."""
     max_body_crossings: int = 35
-    """Edges; this limit and the next are those of Korosteleva et al., ECCV 2024."""
+    """Edges that cross the skin, of arms that the cloth may pass through too; this limit and the next are those of
+    Korosteleva et al., ECCV 2024."""
     max_self_crossings: int = 300
     max_stretch: float = 1.6
     """Length over flat length of the hundredth edge that is stretched most."""
