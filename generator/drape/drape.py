@@ -5,16 +5,20 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
+import warp as wp
+
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import resolve_device
 from gcd_dataset.generator.drape.queue import drape_in_turn
 from gcd_dataset.records import Drape
 
-__all__ = ["drape_all", "drape_batch"]
+__all__ = ["drape_all", "drape_batch", "places_on"]
 
 DEFAULT = DrapeConfig()
-AT_ONCE = 128  # garments on a GPU: at 1 cm they fill an H200, and take 5 GB
+AT_ONCE = 128  # garments on a GPU: at 1 cm they fill an H200
+ROOM = 100e6  # bytes for each: 60 MB were measured at 1 cm, 12 000 vertices in the mean
+SHARE = 0.7  # of a GPU's free memory
 
 
 def drape_batch(
@@ -22,9 +26,9 @@ def drape_batch(
 ) -> list[Drape]:
     """The garments at rest on their bodies, one ``Drape`` for each job, in order.
 
-    On a GPU ``at_once`` garments are simulated at the same time (128), on a CPU so many threads drape one each (as many
-    as there are cores). Each gives the same result alone as in any batch. A garment that does not come to rest, or
-    comes to rest badly, is returned with the ``Outcome`` that says so.
+    On a GPU ``at_once`` garments are simulated at the same time (128, or as many as its free memory holds), on a CPU so
+    many threads drape one each (as many as there are cores). Each gives the same result alone as in any batch. A
+    garment that does not come to rest, or comes to rest badly, is returned with the ``Outcome`` that says so.
     Raises ``ConfigError`` for a device that is not there, ``DrapeError`` for a box mesh without faces.
     """
     return list(drape_all(jobs, config, device=device, at_once=at_once))
@@ -41,11 +45,25 @@ def drape_all(
         return
     early: dict[int, Drape] = {}
     following = 0
-    for number, drape in drape_in_turn(checked, config, device=device, at_once=at_once or AT_ONCE):
+    for number, drape in drape_in_turn(checked, config, device=device, at_once=at_once or places_on(device)):
         early[number] = drape
         while following in early:
             yield early.pop(following)
             following += 1
+
+
+def places_on(device: str) -> int:
+    """Garments that a GPU drapes at once: enough to fill it, as far as its memory goes."""
+    return places_in(wp.get_device(device).free_memory)
+
+
+def places_in(free: float) -> int:
+    """The same by its free memory [bytes].
+
+    >>> places_in(139e9), places_in(8e9), places_in(0.0)
+    (128, 56, 1)
+    """
+    return min(max(int(SHARE * free / ROOM), 1), AT_ONCE)
 
 
 def _cores() -> int:

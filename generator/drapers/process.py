@@ -20,7 +20,7 @@ from queue import SimpleQueue
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.drape import AT_ONCE
+from gcd_dataset.generator.drape.drape import places_on
 from gcd_dataset.generator.drape.queue import drape_in_turn
 from gcd_dataset.generator.drapers.asking import Draped, Order
 from gcd_dataset.generator.drapers.place import READY, owner_file, socket_file
@@ -122,7 +122,7 @@ class Inbox:
         """Wait for a garment, then drape until none is left."""
         with self._some:
             self._some.wait_for(lambda: bool(self._waiting))
-        at_once = AT_ONCE_ON_CPU if device == "cpu" else AT_ONCE
+        at_once = AT_ONCE_ON_CPU if device == "cpu" else places_on(device)
         drapes = drape_in_turn(self._jobs(), CONFIG, device=device, at_once=at_once, arrived=self._waiting.__len__)
         for number, drape in drapes:
             asker, order = self._at_work.pop(number)
