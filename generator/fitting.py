@@ -4,16 +4,15 @@ import json
 import logging
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gcd_dataset import __version__
-from gcd_dataset.errors import ConfigError, MeshError
+from gcd_dataset.errors import ConfigError, GcdError, MeshError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_batch, resolve_device
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
@@ -94,21 +93,43 @@ def fit(
     seam, and ``ConfigError`` for a device that is not there.
     """
     device = resolve_device(device)
-    rest = iter(patterns)
-    while load := list(islice(rest, batch or BATCH[device.split(":")[0]])):
-        meshes, seconds = [], []
-        wearers = [body_for(pattern) for pattern in load]
-        dressed = [_dressed(pattern, *wearer) for pattern, wearer in zip(load, wearers, strict=True)]
-        for dressing in dressed:
-            start = time.perf_counter()
-            meshes.append(_box_mesh(dressing.pattern, resolution))
-            seconds.append(time.perf_counter() - start)
-        start = time.perf_counter()
-        jobs = [DrapeJob(mesh, *wearer, fabric) for mesh, wearer in zip(meshes, wearers, strict=True)]
-        drapes = drape_batch(jobs, device=device)
-        each = (time.perf_counter() - start) / len(load)
-        for dressing, mesh, drape, spent in zip(dressed, meshes, drapes, seconds, strict=True):
-            yield Fitting(dressing.pattern, dressing.assumed, mesh, drape, spent, each)
+    load: list[_Ready] = []
+    for pattern in patterns:
+        try:
+            load.append(_ready(pattern, body_for(pattern), fabric, resolution))
+        except GcdError:
+            yield from _drape(load, device)  # those before it are not lost
+            raise
+        if len(load) == (batch or BATCH[device.split(":")[0]]):
+            yield from _drape(load, device)
+            load = []
+    yield from _drape(load, device)
+
+
+@dataclass(frozen=True)
+class _Ready:
+    """A garment to be draped."""
+
+    dressing: Dressing
+    job: DrapeJob
+    mesh_seconds: float
+
+
+def _ready(pattern: Pattern, wearer: tuple[Body, Measurements], fabric: Fabric, resolution: float) -> _Ready:
+    dressing = _dressed(pattern, *wearer)
+    start = time.perf_counter()
+    mesh = _box_mesh(dressing.pattern, resolution)
+    return _Ready(dressing, DrapeJob(mesh, *wearer, fabric), time.perf_counter() - start)
+
+
+def _drape(load: Sequence[_Ready], device: str) -> Iterator[Fitting]:
+    """All of them at once."""
+    start = time.perf_counter()
+    drapes = drape_batch([ready.job for ready in load], device=device)
+    each = (time.perf_counter() - start) / max(len(load), 1)
+    for ready, drape in zip(load, drapes, strict=True):
+        dressing = ready.dressing
+        yield Fitting(dressing.pattern, dressing.assumed, ready.job.box_mesh, drape, ready.mesh_seconds, each)
 
 
 def _dressed(pattern: Pattern, body: Body, size: Measurements) -> Dressing:
