@@ -116,5 +116,10 @@ def _made(device: str) -> Place:
 
 
 def _remove(folder: Path, owner: int) -> None:
-    if os.getpid() == owner:
-        shutil.rmtree(folder, ignore_errors=True)
+    if os.getpid() != owner:
+        return
+    while _started:  # those of the owner's workers end by themselves
+        draper = _started.pop()
+        draper.kill()
+        draper.wait()
+    shutil.rmtree(folder, ignore_errors=True)
