@@ -185,6 +185,16 @@ def count_self_crossings(
             return
 
 
+@wp.func
+def crosses_skin(mesh: wp.uint64, p: wp.vec3, q: wp.vec3) -> bool:
+    """Whether the segment pq meets the skin of a body."""
+    length = wp.length(q - p)
+    if length == 0.0:
+        return False
+    hit = wp.mesh_query_ray(mesh, p, (q - p) / length, length)
+    return hit.result
+
+
 @wp.kernel
 def count_body_crossings(
     # model
@@ -201,9 +211,5 @@ def count_body_crossings(
     w = cloth.vertex_world[i]
     if asked[w] == 0:
         return
-    along = x[cloth.edges[e][1]] - x[i]
-    length = wp.length(along)
-    if length > 0.0:
-        hit = wp.mesh_query_ray(cloth.body_mesh[w], x[i], along / length, length)
-        if hit.result:
-            wp.atomic_add(crossings, w, 1)
+    if crosses_skin(cloth.body_mesh[w], x[i], x[cloth.edges[e][1]]):
+        wp.atomic_add(crossings, w, 1)

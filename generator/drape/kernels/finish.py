@@ -7,6 +7,7 @@ distance from any cloth that it could meet, so that no two parts of the cloth ca
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.body_contact import is_unseen, nearest_part
+from gcd_dataset.generator.drape.kernels.crossing import crosses_skin
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle
 from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, entries
 
@@ -84,12 +85,9 @@ def mark_body_crossings(
     w = cloth.vertex_world[i]
     if chosen[w] == 0:
         return
-    length = wp.length(x[j] - x[i])
-    if length > 0.0:
-        hit = wp.mesh_query_ray(cloth.body_mesh[w], x[i], (x[j] - x[i]) / length, length)
-        if hit.result:
-            through[i] = 1
-            through[j] = 1
+    if crosses_skin(cloth.body_mesh[w], x[i], x[j]):
+        through[i] = 1
+        through[j] = 1
 
 
 @wp.func
