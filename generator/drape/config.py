@@ -32,6 +32,8 @@ class DrapeConfig:
     """Keep layers apart: points and triangles, edges and edges."""
     exempt_crossings: bool = True
     """Look for cloth that has crossed, and do not keep it apart: contacts would lock it in."""
+    remember_sides: bool = True
+    """Cloth that has passed through cloth is pushed back to the side on which it was before."""
     untangle: bool = True
     """Move crossing cloth so that the curve along which it crosses gets shorter."""
     pull_to_parts: bool = True

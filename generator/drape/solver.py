@@ -19,6 +19,7 @@ from gcd_dataset.generator.drape.kernels import (
     finish,
     refine,
     search,
+    sides,
     step,
     stillness,
     topology,
@@ -38,6 +39,7 @@ KERNELS: tuple[ModuleType, ...] = (
     finish,
     refine,
     search,
+    sides,
     step,
     stillness,
     topology,
@@ -93,7 +95,7 @@ class Solver:
         m, s = self.model, self.state
         chosen, through = self._asked(worlds), wp.zeros_like(s.listed)
         free, start, moved = wp.empty_like(s.skin), wp.clone(s.x), wp.empty_like(s.x)
-        self._launch(finish.begin_finish, m.n_vertices, [m.worlds, m.cloth, chosen], [s.contacts, free])
+        self._launch(finish.begin_finish, m.n_vertices, [m.worlds, m.cloth], [free])
         wp.copy(s.searching, chosen)
         self._search()
         threads = 1 if m.device == "cpu" else 256
@@ -154,7 +156,7 @@ class Solver:
             search.plan_search,
             m.n_worlds,
             [s.status],
-            [s.moved_far, s.contacts, s.searching, s.crossing_due, s.any_search],
+            [s.moved_far, s.searching, s.crossing_due, s.any_search],
         )
         wp.capture_if(s.any_search, self._search)
         for turn in range(self.config.search_every):
@@ -223,6 +225,9 @@ class Solver:
         """The pairs that may touch before the next search, of the worlds that need one."""
         m, s = self.model, self.state
         threads = self._threads
+        if self.config.remember_sides:
+            self._keep_sides()
+        self._launch(sides.empty_lists, m.n_worlds, [s.searching], [s.contacts])
         s.newest.fill_(-1)
         self._launch(
             search.fill_grid,
@@ -240,9 +245,24 @@ class Solver:
         self._launch(search.share_near, m.n_worlds + 1, [m.worlds, s.searching], [s.contacts])
         if self.config.self_contact:
             exempt = s.tangled if self.config.exempt_crossings else self._none
-            self._launch(search.find_pairs, threads, [m.worlds, m.cloth, threads, exempt, s.x], [s.listed, s.contacts])
+            inputs = [m.worlds, m.cloth, threads, exempt, s.passed, s.x]
+            self._launch(search.find_pairs, threads, inputs, [s.listed, s.contacts])
+        if self.config.remember_sides:
+            per_world = 1 if m.device == "cpu" else 256
+            inputs = [m.worlds, per_world, s.searching]
+            self._launch(sides.list_kept, (m.n_worlds, per_world), inputs, [s.listed, s.contacts])
         self._launch(search.find_long_edges, m.n_edges, [m.worlds, m.cloth, s.searching, s.x], [s.listed, s.contacts])
         self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
+
+    def _keep_sides(self) -> None:
+        """What has passed through the cloth since the last search keeps the sides it had."""
+        m, s = self.model, self.state
+        threads = self._threads
+        for emptied in (s.passed, s.contacts.kept_point_count, s.contacts.kept_edge_count):
+            emptied.zero_()
+        inputs = [m.worlds, s.contacts, threads, s.status, s.searching, s.x_searched, s.x]
+        self._launch(sides.mark_passed, threads, inputs, [s.passed])
+        self._launch(sides.keep_sides, threads, [m.worlds, threads, s.status, s.searching, s.passed], [s.contacts])
 
     def _bound(self) -> None:
         m, s = self.model, self.state

@@ -40,6 +40,8 @@ class ClothState:
     """(v) whether the vertex is in any list of contacts."""
     tangled: wp.array
     """(v) whether an edge or a face of the vertex crossed the cloth."""
+    passed: wp.array
+    """(v) whether it was on the wrong side of cloth at the last search."""
     time: wp.array
     """(w) simulated time [s]."""
     held: wp.array
@@ -88,6 +90,9 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
     lists.near, lists.long_edges, lists.crossings = (zeros(room * n, wp.vec2i) for _ in range(3))
     lists.points, lists.sides = zeros(room * n, wp.vec4i), zeros(room * n, float)
     lists.edges, lists.normals = zeros(room * n, wp.vec4i), zeros(room * n, wp.vec3)
+    lists.kept_points, lists.kept_sides = zeros(room * n, wp.vec4i), zeros(room * n, float)
+    lists.kept_edges, lists.kept_normals = zeros(room * n, wp.vec4i), zeros(room * n, wp.vec3)
+    lists.kept_point_count, lists.kept_edge_count = zeros(worlds, int), zeros(worlds, int)
     lists.near_count, lists.point_count, lists.edge_count = (zeros(worlds, int) for _ in range(3))
     lists.work, lists.near_work = zeros(worlds + 1, int), zeros(worlds + 1, int)
     lists.long_count, lists.crossing_count, lists.overfull = (zeros(worlds, int) for _ in range(3))
@@ -105,6 +110,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         beside=wp.ones(n, dtype=int, device=model.device),
         listed=zeros(n, int),
         tangled=zeros(n, int),
+        passed=zeros(n, int),
         time=zeros(worlds, float),
         held=wp.ones(worlds, dtype=int, device=model.device),
         loose_after=zeros(worlds, float),

@@ -22,20 +22,12 @@ DEEPEST = 3.0  # cm: what is further inside is left there
 def begin_finish(
     worlds: wp.array(dtype=World),
     cloth: Cloth,
-    chosen: wp.array(dtype=int),
     # state out
-    contacts: Contacts,
     free: wp.array(dtype=float),
 ):
-    """Empty the lists of the chosen worlds; every vertex may move within the margin of the search to come."""
+    """Every vertex may move within the margin of the search to come."""
     i = wp.tid()
-    w = cloth.vertex_world[i]
-    free[i] = SHARE * worlds[w].margin
-    if i == worlds[w].first and chosen[w] != 0:
-        contacts.near_count[w] = 0
-        contacts.point_count[w] = 0
-        contacts.edge_count[w] = 0
-        contacts.long_count[w] = 0
+    free[i] = SHARE * worlds[cloth.vertex_world[i]].margin
 
 
 @wp.kernel

@@ -13,6 +13,7 @@ from gcd_dataset.generator.drape.kernels.geometry import (
     has_vertex,
     segment_crosses,
 )
+from gcd_dataset.generator.drape.kernels.sides import edges_passed, mark, point_passed
 from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, entries, take_slot, world_of
 
 wp.set_module_options({"enable_backward": False})
@@ -29,13 +30,12 @@ def plan_search(
     status: wp.array(dtype=int),
     # state in and out
     moved_far: wp.array(dtype=int),
-    contacts: Contacts,
     # state out
     searching: wp.array(dtype=int),
     crossing_due: wp.array(dtype=int),
     any_search: wp.array(dtype=int),
 ):
-    """Mark the worlds to be searched, and empty their lists."""
+    """Mark the worlds to be searched."""
     w = wp.tid()
     searching[w] = 0
     if status[w] != RUNNING or moved_far[w] == 0:
@@ -44,10 +44,6 @@ def plan_search(
     crossing_due[w] = 1
     any_search[0] = 1
     moved_far[w] = 0
-    contacts.near_count[w] = 0
-    contacts.point_count[w] = 0
-    contacts.edge_count[w] = 0
-    contacts.long_count[w] = 0
 
 
 @wp.func
@@ -167,13 +163,15 @@ def watch_point(
     world: World,
     cloth: Cloth,
     tangled: wp.array(dtype=int),
+    passed: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
     """List vertex ``i`` with face ``f`` where it is near, and nearest to the face's corner ``j``."""
     face = cloth.faces[f]
-    if has_vertex(face, i):
+    point = wp.vec4i(i, face[0], face[1], face[2])
+    if has_vertex(face, i) or point_passed(point, passed):
         return
     a = x[face[0]]
     b = x[face[1]]
@@ -200,11 +198,9 @@ def watch_point(
         side = -1.0
     slot = take_slot(contacts.point_count, w, world, contacts)
     if slot >= 0:
-        contacts.points[slot] = wp.vec4i(i, face[0], face[1], face[2])
+        contacts.points[slot] = point
         contacts.sides[slot] = side
-        listed[i] = 1
-        for k in range(3):
-            listed[face[k]] = 1
+        mark(point, listed)
 
 
 @wp.func
@@ -217,6 +213,7 @@ def watch_edges(
     world: World,
     cloth: Cloth,
     tangled: wp.array(dtype=int),
+    passed: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     listed: wp.array(dtype=int),
     contacts: Contacts,
@@ -224,7 +221,8 @@ def watch_edges(
     """List two edges where they are near, inside both and nearest to their ends ``i`` and ``j``."""
     i1 = cloth.edges[e][0] + cloth.edges[e][1] - i
     j1 = cloth.edges[g][0] + cloth.edges[g][1] - j
-    if i1 == j1 or i1 == j or j1 == i:
+    ends = wp.vec4i(i, i1, j, j1)
+    if i1 == j1 or i1 == j or j1 == i or edges_passed(ends, passed):
         return
     st = closest_on_edges(x[i], x[i1], x[j], x[j1])
     if st[0] <= 0.0 or st[0] > 0.5 or st[1] <= 0.0 or st[1] > 0.5:
@@ -239,12 +237,9 @@ def watch_edges(
             return
     slot = take_slot(contacts.edge_count, w, world, contacts)
     if slot >= 0:
-        contacts.edges[slot] = wp.vec4i(i, i1, j, j1)
+        contacts.edges[slot] = ends
         contacts.normals[slot] = between / gap
-        listed[i] = 1
-        listed[i1] = 1
-        listed[j] = 1
-        listed[j1] = 1
+        mark(ends, listed)
 
 
 @wp.kernel
@@ -272,6 +267,7 @@ def find_pairs(
     threads: int,
     # state in
     tangled: wp.array(dtype=int),
+    passed: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state in and out
     listed: wp.array(dtype=int),
@@ -294,12 +290,12 @@ def find_pairs(
             p = j
             q = i
         for at in range(cloth.first_face[q] + turn, cloth.first_face[q + 1], ROUND):
-            watch_point(p, q, cloth.vertex_faces[at], w, world, cloth, tangled, x, listed, contacts)
+            watch_point(p, q, cloth.vertex_faces[at], w, world, cloth, tangled, passed, x, listed, contacts)
         for at in range(cloth.first_edge[i] + turn, cloth.first_edge[i + 1], ROUND):
+            e = cloth.vertex_edges[at]
             for to in range(cloth.first_edge[j] + half, cloth.first_edge[j + 1], 2):
-                watch_edges(
-                    i, j, cloth.vertex_edges[at], cloth.vertex_edges[to], w, world, cloth, tangled, x, listed, contacts
-                )
+                g = cloth.vertex_edges[to]
+                watch_edges(i, j, e, g, w, world, cloth, tangled, passed, x, listed, contacts)
 
 
 @wp.kernel

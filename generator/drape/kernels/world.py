@@ -86,11 +86,17 @@ class Contacts:
     sides: wp.array(dtype=float)  # of the face: 1 for its right one, -1
     edges: wp.array(dtype=wp.vec4i)  # two vertices, two vertices
     normals: wp.array(dtype=wp.vec3)  # from the first edge to the second
+    kept_points: wp.array(dtype=wp.vec4i)  # what has passed through, with the sides it had before
+    kept_sides: wp.array(dtype=float)
+    kept_edges: wp.array(dtype=wp.vec4i)
+    kept_normals: wp.array(dtype=wp.vec3)
     long_edges: wp.array(dtype=wp.vec2i)
     crossings: wp.array(dtype=wp.vec2i)  # edge, face
     near_count: wp.array(dtype=int)  # (w), as the other counts
     point_count: wp.array(dtype=int)
     edge_count: wp.array(dtype=int)
+    kept_point_count: wp.array(dtype=int)
+    kept_edge_count: wp.array(dtype=int)
     long_count: wp.array(dtype=int)
     crossing_count: wp.array(dtype=int)
     overfull: wp.array(dtype=int)

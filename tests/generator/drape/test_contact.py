@@ -206,6 +206,27 @@ def test_crossed_sheets_come_apart() -> None:
     assert solver.self_crossings()[0] == 0
 
 
+@pytest.mark.parametrize("share", [0.3, 0.8])
+def test_cloth_that_has_passed_through_returns_to_its_side(share: float) -> None:
+    """Even where most of a sheet is on the wrong side: the crossing curve alone would draw the rest after it."""
+    lower = patch(12, 12, place=LYING, origin=(-6.0, 100.0, 6.0))
+    upper = patch(7, 7, spacing=1.05, place=LYING, origin=(-3.7, 100.25, 3.6))
+    config = DrapeConfig(sewing_time=1e6, braking=0.0)
+    solver = Solver(build_model([DrapeJob(joined(lower, upper), far_ball(), SIZE)], config, "cpu"), config)
+    solver.frame()
+    x, above = solver.state.x.numpy(), np.arange(solver.model.n_vertices) >= len(lower.vertices)
+    through = above & (x[:, 0] > np.quantile(x[above, 0], 1.0 - share))
+    x[through, 1] -= 0.4
+    solver.state.x.assign(x)
+    solver.state.moved_far.fill_(1)
+    assert solver.self_crossings()[0] > 20
+    for _ in range(3):
+        solver.frame()
+    assert solver.self_crossings()[0] == 0
+    heights = solver.state.x.numpy()[:, 1]
+    assert heights[above].min() > heights[~above].mean()
+
+
 def test_crossings_get_fewer_from_the_first_count_on() -> None:
     """A garment that was let go before it came into its batch, as after a coarse start, is no exception."""
     upright = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])

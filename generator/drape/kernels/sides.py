@@ -1,0 +1,169 @@
+"""On which side of each other two parts of the cloth belong: remembered from before they passed through each other.
+
+Whatever may touch before the next search is listed before it touches, with its side. A listed pair that is on the other
+side at the next search, its point right above the triangle then and now, has passed through; going round a rim takes
+longer. Until it is back, only the sides listed before count where it is.
+"""
+
+import warp as wp
+
+from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Contacts, World, entries, take_slot, world_of
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def height_over(point: wp.vec4i, x: wp.array(dtype=wp.vec3)) -> float:
+    """How high a vertex is over a triangle in multiples of its double area, or 0 where it is not above or below it."""
+    a = x[point[1]]
+    b = x[point[2]]
+    c = x[point[3]]
+    weights = closest_on_triangle(x[point[0]], a, b, c)
+    if wp.min(weights[0], wp.min(weights[1], weights[2])) <= 0.0:
+        return 0.0
+    return wp.dot(x[point[0]] - a, wp.cross(b - a, c - a))
+
+
+@wp.func
+def way_between(ends: wp.vec4i, x: wp.array(dtype=wp.vec3)) -> wp.vec3:
+    """The way from one edge to another, or zero where they are nearest at an end."""
+    p = x[ends[0]]
+    p1 = x[ends[1]]
+    q = x[ends[2]]
+    q1 = x[ends[3]]
+    st = closest_on_edges(p, p1, q, q1)
+    if wp.min(st[0], st[1]) <= 0.0 or wp.max(st[0], st[1]) >= 1.0:
+        return wp.vec3(0.0)
+    return wp.lerp(q, q1, st[1]) - wp.lerp(p, p1, st[0])
+
+
+@wp.func
+def mark(part: wp.vec4i, passed: wp.array(dtype=int)):
+    for corner in range(4):
+        passed[part[corner]] = 1
+
+
+@wp.kernel
+def mark_passed(
+    # model
+    worlds: wp.array(dtype=World),
+    contacts: Contacts,
+    threads: int,
+    # state in
+    status: wp.array(dtype=int),
+    searching: wp.array(dtype=int),
+    x_searched: wp.array(dtype=wp.vec3),
+    x: wp.array(dtype=wp.vec3),
+    # state out
+    passed: wp.array(dtype=int),
+):
+    """Mark the vertices of listed pairs that are not on the side of each other that they were listed with."""
+    for item in range(wp.tid(), contacts.work[contacts.work.shape[0] - 1], threads):
+        w = world_of(item, contacts.work)
+        if searching[w] == 0 or status[w] != RUNNING:
+            continue
+        at = contacts.room * worlds[w].first
+        k = item - contacts.work[w]
+        points = entries(contacts.point_count, w, worlds[w], contacts)
+        if k < points:
+            point = contacts.points[at + k]
+            if contacts.sides[at + k] * height_over(point, x) < 0.0 and height_over(point, x_searched) != 0.0:
+                mark(point, passed)
+        elif k < points + entries(contacts.edge_count, w, worlds[w], contacts):
+            ends = contacts.edges[at + k - points]
+            if wp.dot(contacts.normals[at + k - points], way_between(ends, x)) < 0.0:
+                if wp.length_sq(way_between(ends, x_searched)) > 0.0:
+                    mark(ends, passed)
+
+
+@wp.func
+def point_passed(point: wp.vec4i, passed: wp.array(dtype=int)) -> bool:
+    """Whether a vertex and a triangle are where cloth has passed through cloth."""
+    return passed[point[0]] != 0 and passed[point[1]] + passed[point[2]] + passed[point[3]] != 0
+
+
+@wp.func
+def edges_passed(ends: wp.vec4i, passed: wp.array(dtype=int)) -> bool:
+    """Whether two edges are where cloth has passed through cloth."""
+    return passed[ends[0]] + passed[ends[1]] != 0 and passed[ends[2]] + passed[ends[3]] != 0
+
+
+@wp.kernel
+def keep_sides(
+    # model
+    worlds: wp.array(dtype=World),
+    threads: int,
+    # state in
+    status: wp.array(dtype=int),
+    searching: wp.array(dtype=int),
+    passed: wp.array(dtype=int),
+    # state in and out
+    contacts: Contacts,
+):
+    """Put the pairs where cloth has passed through cloth aside, before the lists are made anew."""
+    for item in range(wp.tid(), contacts.work[contacts.work.shape[0] - 1], threads):
+        w = world_of(item, contacts.work)
+        if searching[w] == 0 or status[w] != RUNNING:
+            continue
+        world = worlds[w]
+        at = contacts.room * world.first
+        k = item - contacts.work[w]
+        points = entries(contacts.point_count, w, world, contacts)
+        if k < points:
+            if point_passed(contacts.points[at + k], passed):
+                slot = take_slot(contacts.kept_point_count, w, world, contacts)
+                contacts.kept_points[slot] = contacts.points[at + k]
+                contacts.kept_sides[slot] = contacts.sides[at + k]
+        elif k < points + entries(contacts.edge_count, w, world, contacts):
+            k = k - points
+            if edges_passed(contacts.edges[at + k], passed):
+                slot = take_slot(contacts.kept_edge_count, w, world, contacts)
+                contacts.kept_edges[slot] = contacts.edges[at + k]
+                contacts.kept_normals[slot] = contacts.normals[at + k]
+
+
+@wp.kernel
+def empty_lists(
+    searching: wp.array(dtype=int),
+    # state out
+    contacts: Contacts,
+):
+    """Empty the lists of the worlds that are searched."""
+    w = wp.tid()
+    if searching[w] != 0:
+        contacts.near_count[w] = 0
+        contacts.point_count[w] = 0
+        contacts.edge_count[w] = 0
+        contacts.long_count[w] = 0
+
+
+@wp.kernel
+def list_kept(
+    # model
+    worlds: wp.array(dtype=World),
+    threads: int,
+    # state in
+    searching: wp.array(dtype=int),
+    # state in and out
+    listed: wp.array(dtype=int),
+    contacts: Contacts,
+):
+    """Put back into the lists what was put aside."""
+    w, thread = wp.tid()
+    if searching[w] == 0:
+        return
+    world = worlds[w]
+    at = contacts.room * world.first
+    for k in range(thread, entries(contacts.kept_point_count, w, world, contacts), threads):
+        slot = take_slot(contacts.point_count, w, world, contacts)
+        if slot >= 0:
+            contacts.points[slot] = contacts.kept_points[at + k]
+            contacts.sides[slot] = contacts.kept_sides[at + k]
+            mark(contacts.kept_points[at + k], listed)
+    for k in range(thread, entries(contacts.kept_edge_count, w, world, contacts), threads):
+        slot = take_slot(contacts.edge_count, w, world, contacts)
+        if slot >= 0:
+            contacts.edges[slot] = contacts.kept_edges[at + k]
+            contacts.normals[slot] = contacts.kept_normals[at + k]
+            mark(contacts.kept_edges[at + k], listed)
