@@ -8,6 +8,7 @@ import sys
 import tarfile
 from pathlib import Path
 
+import datasets
 import numpy as np
 import pytest
 import webdataset as wds
@@ -102,7 +103,6 @@ def test_names_that_no_header_holds_are_refused() -> None:
 
 
 def test_datasets_reads_it(shard: Path, tmp_path: Path) -> None:
-    datasets = pytest.importorskip("datasets")
     options = {"data_files": {"train": str(shard)}, "split": "train"}
     for streaming in (False, True):
         samples = list(
