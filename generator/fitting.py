@@ -24,7 +24,7 @@ from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Pattern
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.validate import require_valid
 
-__all__ = ["Fitting", "fit", "needs_legs_apart", "read_patterns", "write_fitting", "write_report"]
+__all__ = ["Fitting", "fit", "read_patterns", "write_fitting", "write_report"]
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +38,7 @@ class Fitting:
 
     pattern: Pattern
     """As it was draped, with all that was assumed."""
+    body: Body
     assumed: tuple[str, ...]
     """What its file did not say, with the reason."""
     box_mesh: BoxMesh
@@ -79,16 +80,17 @@ def read_patterns(paths: Iterable[Path | str]) -> tuple[Pattern, ...]:
 
 def fit(
     patterns: Iterable[Pattern],
-    body_for: Callable[[Pattern], tuple[Body, Measurements]],
+    wearer: Callable[[bool], tuple[Body, Measurements]],
     *,
     fabric: Fabric = FABRICS[DEFAULT_FABRIC],
     resolution: float = 1.0,
     device: str = "auto",
     batch: int | None = None,
 ) -> Iterator[Fitting]:
-    """Each pattern on the body that ``body_for`` gives it, in order; ``batch`` at a time (4 on a CPU, 16 on a GPU).
+    """Each pattern on a body, in order; ``batch`` at a time (4 on a CPU, 16 on a GPU).
 
-    What a file does not say is assumed (see ``dress``), told in the log and kept in the ``Fitting``.
+    ``wearer(legs_apart)`` gives the body with its legs together or, for a garment with legs, apart: they must not
+    touch there. What a file does not say is assumed (see ``dress``), told in the log and kept in the ``Fitting``.
     Raises ``PatternError`` for a pattern whose panels cannot be placed, ``MeshError`` with the pattern and its panel or
     seam, and ``ConfigError`` for a device that is not there.
     """
@@ -96,7 +98,7 @@ def fit(
     load: list[_Ready] = []
     for pattern in patterns:
         try:
-            load.append(_ready(pattern, body_for(pattern), fabric, resolution))
+            load.append(_ready(pattern, wearer, fabric, resolution))
         except GcdError:
             yield from _drape(load, device)  # those before it are not lost
             raise
@@ -115,11 +117,13 @@ class _Ready:
     mesh_seconds: float
 
 
-def _ready(pattern: Pattern, wearer: tuple[Body, Measurements], fabric: Fabric, resolution: float) -> _Ready:
-    dressing = _dressed(pattern, *wearer)
+def _ready(
+    pattern: Pattern, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
+) -> _Ready:
+    dressing, on = _dressed(pattern, wearer)
     start = time.perf_counter()
     mesh = _box_mesh(dressing.pattern, resolution)
-    return _Ready(dressing, DrapeJob(mesh, *wearer, fabric), time.perf_counter() - start)
+    return _Ready(dressing, DrapeJob(mesh, *on, fabric), time.perf_counter() - start)
 
 
 def _drape(load: Sequence[_Ready], device: str) -> Iterator[Fitting]:
@@ -129,14 +133,23 @@ def _drape(load: Sequence[_Ready], device: str) -> Iterator[Fitting]:
     each = (time.perf_counter() - start) / max(len(load), 1)
     for ready, drape in zip(load, drapes, strict=True):
         dressing = ready.dressing
-        yield Fitting(dressing.pattern, dressing.assumed, ready.job.box_mesh, drape, ready.mesh_seconds, each)
+        yield Fitting(
+            dressing.pattern, ready.job.body, dressing.assumed, ready.job.box_mesh, drape, ready.mesh_seconds, each
+        )
 
 
-def _dressed(pattern: Pattern, body: Body, size: Measurements) -> Dressing:
-    dressing = dress(pattern, body, size)
+def _dressed(
+    pattern: Pattern, wearer: Callable[[bool], tuple[Body, Measurements]]
+) -> tuple[Dressing, tuple[Body, Measurements]]:
+    """The pattern made ready, and for whom. Where its file gives panels no place, legs show only once they have one."""
+    legs_apart = has_legs(pattern)
+    dressing = dress(pattern, *wearer(legs_apart))
+    if has_legs(dressing.pattern) and not legs_apart:
+        legs_apart = True
+        dressing = dress(pattern, *wearer(legs_apart))
     for sentence in dressing.assumed:
         log.info("%s: %s", pattern.name, sentence)
-    return dressing
+    return dressing, wearer(legs_apart)
 
 
 def _box_mesh(pattern: Pattern, resolution: float) -> BoxMesh:
@@ -146,20 +159,15 @@ def _box_mesh(pattern: Pattern, resolution: float) -> BoxMesh:
         raise MeshError(f"pattern {pattern.name}: {error}") from error
 
 
-def needs_legs_apart(pattern: Pattern) -> bool:
-    """Whether a garment has legs, so that its wearer's must not touch."""
-    return has_legs(pattern)
-
-
-def write_fitting(fitting: Fitting, body: Body, folder: Path, *, device: str = "auto") -> None:
+def write_fitting(fitting: Fitting, folder: Path, *, device: str = "auto") -> None:
     """OBJ, PLY, GLB and pictures of a fitting in ``folder``. Raises ``OutputError``."""
     name, mesh, vertices = fitting.pattern.name, fitting.box_mesh, fitting.drape.vertices
     make_folder(folder)
-    front, back = render_garment(vertices, mesh, body, size=PICTURE, device=device)
+    front, back = render_garment(vertices, mesh, fitting.body, size=PICTURE, device=device)
     for ending, content in {
         ".obj": obj_bytes(vertices, mesh),
         ".ply": ply_bytes(vertices, mesh),
-        ".glb": glb_bytes(vertices, mesh, body),
+        ".glb": glb_bytes(vertices, mesh, fitting.body),
         "_front.png": png_bytes(front),
         "_back.png": png_bytes(back),
         "_pattern.png": png_bytes(draw_pattern(fitting.pattern)),

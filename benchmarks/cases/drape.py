@@ -38,7 +38,8 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, resolve_device
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
-from gcd_dataset.generator.fitting import Fitting, fit, needs_legs_apart, read_patterns, write_fitting
+from gcd_dataset.generator.dressing import has_legs
+from gcd_dataset.generator.fitting import Fitting, fit, read_patterns, write_fitting
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import Body, Drape, Measurements, Outcome, Pattern
@@ -84,23 +85,21 @@ def run(options: argparse.Namespace) -> Measured:
     if options.ablation or options.memory:
         raise ConfigError("--ablation and --memory drape sampled garments: give --count N, and no specification files")
     bodies = {apart: _body(options, apart) for apart in (False, True)}
-
-    def body_for(pattern: Pattern) -> tuple[Body, Measurements]:
-        return bodies[needs_legs_apart(pattern)]
-
     once = read_patterns(options.spec)
-    _warm_up(once[0], body_for(once[0]), options.device)
+    _warm_up(once[0], bodies[has_legs(once[0])], options.device)
     if options.peer:
         meshes = [build_box_mesh(pattern, spacing=options.resolution) for pattern in once]
-        jobs = [DrapeJob(mesh, *body_for(pattern)) for pattern, mesh in zip(once, meshes, strict=True)]
+        jobs = [DrapeJob(mesh, *bodies[has_legs(pattern)]) for pattern, mesh in zip(once, meshes, strict=True)]
         return compare(jobs, options.batches, device=resolve_device(options.device))
     patterns = [pattern for pattern in once for _ in range(options.repeat)]
-    fitted = fit(patterns, body_for, resolution=options.resolution, device=options.device, batch=options.batch)
+    fitted = fit(
+        patterns, bodies.__getitem__, resolution=options.resolution, device=options.device, batch=options.batch
+    )
     fittings = []
     for fitting in fitted:
         fittings.append(fitting)
         if options.pictures:
-            write_fitting(fitting, body_for(fitting.pattern)[0], options.pictures, device=options.device)
+            write_fitting(fitting, options.pictures, device=options.device)
     return Measured(_figures(fittings), [fitting.row for fitting in fittings])
 
 

@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -117,29 +118,27 @@ def _drape(options: argparse.Namespace) -> int:
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.body import named_body
     from gcd_dataset.generator.drape import fabric_named, resolve_device
-    from gcd_dataset.generator.fitting import Fitting, fit, needs_legs_apart, read_patterns, write_fitting, write_report
+    from gcd_dataset.generator.fitting import Fitting, fit, read_patterns, write_fitting, write_report
     from gcd_dataset.generator.recipe import check_resolution
-    from gcd_dataset.records import Body, Measurements, Pattern
+    from gcd_dataset.records import Body, Measurements
 
     patterns, device = read_patterns(options.spec), resolve_device(options.device)
     resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
-    wearers: dict[bool, tuple[Body, Measurements]] = {}
-    with_legs = {pattern.name: needs_legs_apart(pattern) for pattern in patterns}
-    for apart in sorted(set(with_legs.values())):
+
+    @cache
+    def wearer(legs_apart: bool) -> tuple[Body, Measurements]:
         found = named_body(
-            options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=apart
+            options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=legs_apart
         )
-        wearers[apart] = found[:2]
+        return found[:2]
 
-    def wearer(pattern: Pattern) -> tuple[Body, Measurements]:
-        return wearers[with_legs[pattern.name]]  # by name: once dressed, a pattern may show legs that its file did not
-
+    wearer(False)  # what is wrong with it is told before anything is written
     folder = make_folder(options.out)
     fittings: list[Fitting] = []
     try:
         done = fit(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
         for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):
-            write_fitting(fitting, wearer(fitting.pattern)[0], folder, device=device)
+            write_fitting(fitting, folder, device=device)
             fittings.append(fitting)
     finally:
         made_by = {"body": options.body, "fabric": options.fabric, "device": device}

@@ -10,6 +10,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.dressing import dress, has_legs
+from gcd_dataset.generator.fitting import fit
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, Measurements, Outcome, Panel, Pattern, Placement
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
@@ -154,6 +155,26 @@ def test_trousers_are_known_by_their_openings(examples: Path) -> None:
             for ref in stitch[:2]:
                 ref["panel"] = renamed[ref["panel"]]
         assert has_legs(pattern_from_spec(spec, name)) is (name in ("jumpsuit", "pants_cuff"))
+
+
+def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> None:
+    """Their legs show only when their panels have a place."""
+    lying = bared(pattern_of(examples, "pants_cuff"), placed=False)
+    names = {panel.name: f"piece_{number}" for number, panel in enumerate(lying.panels)}
+    panels = tuple(replace(panel, name=names[panel.name]) for panel in lying.panels)
+    seams = tuple(
+        replace(
+            seam,
+            left=replace(seam.left, panel=names[seam.left.panel]),
+            right=replace(seam.right, panel=names[seam.right.panel]),
+        )
+        for seam in lying.seams
+    )
+    wearers = {apart: named_body("neutral", legs_apart=apart)[:2] for apart in (False, True)}
+    pattern = Pattern("piece", panels, seams)
+    assert not has_legs(pattern)
+    [fitting] = fit([pattern], wearers.__getitem__, resolution=6.0, device="cpu")
+    assert fitting.body is wearers[True][0]
 
 
 def _at_depth(panel: Panel, z: float) -> Panel:
