@@ -161,14 +161,18 @@ def _item_of(dataset: Any, index: int) -> Any:
         return dataset[index]
 
 
-def natural(name: str, value: int) -> int:
-    """The value of an argument that counts something. Raises ``ConfigError`` unless it is a whole number from 0."""
+def natural(name: str, value: int, least: int = 0) -> int:
+    """The value of an argument that counts something. Raises ``ConfigError`` unless it is whole and ``least`` or more.
+
+    >>> natural("batch_size", 8, least=1)
+    8
+    """
     try:
         number = operator.index(value)
     except TypeError:
-        number = -1
-    if number < 0:
-        raise ConfigError(f"{name}={value!r}: give a whole number, 0 or more")
+        number = least - 1
+    if number < least:
+        raise ConfigError(f"{name}={value!r}: give a whole number, {least} or more")
     return number
 
 

@@ -160,6 +160,7 @@ def test_publish_and_download(
         (["verify", "me/garments"], 2, "me/garments: no such folder: give a folder of shards; for a repository"),
         (["verify", "https://example.org/a"], 2, "run gcd download https://example.org/a first"),
         (["verify", "hf://me/garments"], 2, "run gcd download hf://me/garments first"),
+        (["show", "https://example.org/a", "--png", "a.png"], 2, "run gcd download https://example.org/a first"),
         (["index", "https://example.org/a"], 2, "run gcd download https://example.org/a first"),
         (["export", "https://example.org/a", "--hdf5", "a.h5"], 2, "run gcd download https://example.org/a first"),
     ],

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, exchange
-from gcd_dataset.cli.verb import INTERRUPTED, add_quiet, add_verb, natural, stopped
+from gcd_dataset.cli.verb import INTERRUPTED, add_quiet, add_verb, natural, require_folder, stopped
 from gcd_dataset.errors import ConfigError, GcdError, SpecError
 from gcd_dataset.tomlfile import read_toml
 
@@ -285,7 +285,7 @@ def _parser() -> argparse.ArgumentParser:
     validate.add_argument("--errors", action="store_true", help="only what forbids sewing, no warnings")
 
     show = add_verb(verbs, "show", _show, "a picture of a sample or a pattern")
-    show.add_argument("what", type=Path, metavar="DATASET|SPEC", help="folder of shards, or specification JSON")
+    show.add_argument("what", metavar="DATASET|SPEC", help="folder of shards, or specification JSON")
     show.add_argument("--index", type=natural, default=0, help="which sample of the data set (default: 0)")
     show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready to be cut")
@@ -295,12 +295,13 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _sample_or_pattern(what: Path, index: int) -> "Sample | Pattern":
+def _sample_or_pattern(source: str, index: int) -> "Sample | Pattern":
     """The sample of that index in a folder of shards, or the pattern in a specification file."""
     from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
     from gcd_dataset.spec import read_pattern
     from gcd_dataset.validate import require_valid
 
+    what = require_folder(source) if "://" in source else Path(source)
     if not _is_folder(what):
         return require_valid(read_pattern(what), source=str(what))
     reader = ShardReader(what)

@@ -84,15 +84,13 @@ def _verify(options: argparse.Namespace) -> int:
 def _index(options: argparse.Namespace) -> int:
     from gcd_dataset.errors import ShardError
     from gcd_dataset.shards import rebuild_index
-    from gcd_dataset.shards.contents import layout_in, splits_in
+    from gcd_dataset.shards.contents import layout_in, require_splits
 
     folder = require_folder(options.dataset)
-    splits = splits_in(folder)
-    if options.split is not None:
-        splits = tuple(split for split in splits if split == options.split)
-    if not splits:
-        raise ShardError(f"{folder}: no shards of split {options.split or 'train'}: give a folder of shards")
-    for split in splits:
+    splits = require_splits(folder)
+    if options.split not in (None, *splits):
+        raise ShardError(f"{folder}: no shards of split {options.split}: there is {', '.join(splits)}")
+    for split in splits if options.split is None else [options.split]:
         index = rebuild_index(folder, split, layout_in(folder, split))
         print(f"{folder}: {split}: {len(index)} samples in {len(index.shards)} shards")
     return 0

@@ -10,7 +10,7 @@ from gcd_dataset.release.layout import BODY_FOLDERS, SPLIT_FILE, batch_order, bo
 from gcd_dataset.release.properties import Properties, read_properties
 from gcd_dataset.shards.access import reading
 
-__all__ = ["PublishedBatches"]
+__all__ = ["PublishedBatches", "is_published"]
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -58,6 +58,17 @@ class PublishedBatches:
         else:
             logger.warning("%s: missing, so failed garments are not known: download it too", properties)
             self.properties[place] = Properties()
+
+
+def is_published(folder: Path) -> bool:
+    """Whether a folder is a release, or one of its batches."""
+    if _is_batch(folder) or folder.name in BODY_FOLDERS.values():
+        return True
+    try:
+        _root(folder)
+    except ShardError:
+        return False
+    return True
 
 
 def _root(path: Path) -> Path:

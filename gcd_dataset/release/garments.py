@@ -134,7 +134,8 @@ def _split_name(split: str) -> str:
 def _split_file(batches: PublishedBatches) -> Path:
     if batches.split_file is None:
         raise ShardError(
-            f"{batches.root}: no official split ({SPLIT_FILE}): download it into this folder, or give split='{ALL}'"
+            f"{batches.root}: no official split ({SPLIT_FILE}): download it into this folder; "
+            f"PublishedGarmentCodeData does without for {ALL!r}"
         )
     return batches.split_file
 
