@@ -12,10 +12,21 @@ import torch
 from torch.utils.data import Dataset
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.codec import decode_field
+from gcd_dataset.shards.codec import decode_field, read_json
 from gcd_dataset.shards.layout import FIELDS, Bytes, known_fields
 
-__all__ = ["Garments", "Item", "SelectedGarments", "Transform", "as_item", "items_of", "naming", "natural", "tensor_of"]
+__all__ = [
+    "Garments",
+    "Item",
+    "SelectedGarments",
+    "Transform",
+    "as_item",
+    "items_of",
+    "made_with",
+    "naming",
+    "natural",
+    "tensor_of",
+]
 
 Item: TypeAlias = dict[str, Any]
 """A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
@@ -159,6 +170,12 @@ def naming(dataset: Any, *indices: int) -> Iterator[None]:
 def _item_of(dataset: Any, index: int) -> Any:
     with naming(dataset, index):
         return dataset[index]
+
+
+def made_with(meta: Bytes) -> dict[str, Any]:
+    """Seed, index, options and versions in the ``meta.json`` of a sample. Raises ``ShardError`` for a damaged one."""
+    content = read_json(meta)
+    return {name: content[name] for name in ("seed", "index", "recipe", "versions")}
 
 
 def natural(name: str, value: int, least: int = 0) -> int:

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.loaders.base import Garments, Transform
+from gcd_dataset.loaders.base import Garments, Transform, made_with
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.codec import read_json
 from gcd_dataset.shards.layout import Bytes
 
 __all__ = ["Hdf5Garments"]
@@ -45,8 +44,7 @@ class Hdf5Garments(Garments):
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` was made with. Raises ``IndexError``."""
-        meta = read_json(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
-        return {name: meta[name] for name in ("seed", "index", "recipe", "versions")}
+        return made_with(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
 
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` with file and member if a byte of garment ``index`` is not as it was written."""

@@ -45,7 +45,7 @@ def _convert(options: argparse.Namespace) -> int:
 
     faults = 0
     for plan in plan_convert(options.published, options.out, bodies=options.bodies, cache_dir=options.cache_dir):
-        there, made, split = plan.count - len(plan.missing), 0, plan.source.split
+        there, made, split = plan.there, 0, plan.source.split
         garments = convert(plan, workers=options.workers)
         try:
             bar = tqdm(garments, total=plan.count, initial=there, unit="garment", desc=split, disable=options.quiet)
