@@ -32,7 +32,8 @@ def add_verbs(verbs: Any) -> None:
         "--layout",
         nargs=2,
         metavar=("published", "OUT"),
-        help="all splits in the folders of GarmentCodeData; OUT is made if it is not there",
+        help="train, validation and test in the folders of GarmentCodeData; OUT is made if it is not there, "
+        "and gone on with where it was stopped",
     )
     export.add_argument("--split", help="split for --hdf5 (default: train)")
     add_quiet(export)
@@ -69,7 +70,9 @@ def _export(options: argparse.Namespace) -> int:
     if options.layout is not None and options.layout[0] != "published":
         raise ConfigError(f"--layout {options.layout[0]}: there is published")
     if options.layout is not None and options.split is not None:
-        raise ConfigError("--split is for --hdf5: --layout takes all splits, whose names go into its split file")
+        raise ConfigError(
+            "--split is for --hdf5: --layout takes train, validation and test, whose names go into its split file"
+        )
     return _export_hdf5(options) if options.layout is None else _export_layout(options)
 
 
