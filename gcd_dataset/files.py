@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from gcd_dataset.errors import OutputError, shown
 
-__all__ = ["drafted", "make_folder", "open_whole", "write_whole"]
+__all__ = ["drafted", "make_folder", "open_whole", "write_whole", "writing_to"]
 
 REMEDIES = {
     "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
@@ -54,12 +54,11 @@ def drafted(path: Path | str) -> Iterator[Path]:
         raise OutputError(f"{shown(str(path))}: names no file: give a file name")
     draft = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        yield draft
-        with draft.open("rb+") as file:
-            os.fsync(file.fileno())
-        draft.replace(path)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
+        with writing_to(path):
+            yield draft
+            with draft.open("rb+") as file:
+                os.fsync(file.fileno())
+            draft.replace(path)
     finally:
         with contextlib.suppress(OSError):
             draft.unlink(missing_ok=True)
@@ -70,13 +69,16 @@ def make_folder(path: Path | str) -> Path:
     path = Path(path)
     if "\0" in str(path):
         raise OutputError(f"{shown(str(path))}: names no folder: give a folder name")
-    try:
+    with writing_to(path):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
     return path
 
 
-def _cannot_write(path: Path, error: OSError) -> OutputError:
-    remedy = REMEDY_OF.get(error.errno or 0, "choose another folder")
-    return OutputError(f"{path}: cannot be written ({error.strerror or error}): {remedy}")
+@contextlib.contextmanager
+def writing_to(path: Path) -> Iterator[None]:
+    """Turn the system's errors into an ``OutputError`` with the file or folder, the system's reason and a remedy."""
+    try:
+        yield
+    except OSError as error:
+        remedy = REMEDY_OF.get(error.errno or 0, "choose another folder")
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error}): {remedy}") from error

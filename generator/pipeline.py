@@ -7,6 +7,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, islice
 
 from gcd_dataset.errors import MeshError, PatternError
@@ -14,6 +15,7 @@ from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_
 from gcd_dataset.generator.body.population import SEXES
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
 from gcd_dataset.generator.garments.design import Bottom
+from gcd_dataset.generator.last_design import LastDesign, MadeDesign
 from gcd_dataset.generator.mesh import Coarse, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of, versions
@@ -43,20 +45,38 @@ def make(seed: int, index: int, config: MakeConfig = DEFAULT) -> Sample:
 
 
 def make_many(
-    seed: int, indices: Iterable[int], config: MakeConfig = DEFAULT, *, batch: int | None = None
+    seed: int,
+    indices: Iterable[int],
+    config: MakeConfig = DEFAULT,
+    *,
+    batch: int | None = None,
+    last: LastDesign | None = None,
 ) -> Iterator[Sample]:
     """The samples of ``indices``, in order; up to ``batch`` garments are draped at a time (1 on a CPU, 64 on a GPU).
 
     With ``bodies="both"`` a design is taken or turned down for both of its bodies, so both are draped even if one index
-    is asked for. Raises ``PatternError`` as ``make`` does.
+    is asked for: a ``last`` that is given to the next call too holds the other meanwhile. Raises ``PatternError`` as
+    ``make`` does.
     """
     order = deque(indices)
     asked = Counter(order)
+    last = last or LastDesign()
     waiting = deque(dict.fromkeys(index // config.wearers for index in order))
     at_once = max((batch or BATCH[device_kind(config)]) // config.wearers, 1) if config.stage == "drape" else 1
     again = deque[DressedDesign]()
     done: dict[int, Sample] = {}
-    while order:
+    made = last.made
+    if made is not None and made.number in waiting:
+        waiting.remove(made.number)
+        first = made.number * config.wearers
+        done |= {index: made.sample_of(index) for index in range(first, first + config.wearers) if index in asked}
+    while True:
+        while order and order[0] in done:
+            index = order.popleft()
+            asked[index] -= 1
+            yield done[index] if asked[index] else done.pop(index)
+        if not order:
+            return
         load = [prepare(seed, failed.number, config, failed.rejects) for failed in again]
         again.clear()
         load += [prepare(seed, waiting.popleft(), config) for _ in range(min(at_once - len(load), len(waiting)))]
@@ -64,13 +84,10 @@ def make_many(
             if failed := turned_down(design, drapes, config):
                 again.append(failed)
                 continue
-            for dressed, drape in zip(design.dressed, drapes, strict=True):
-                if dressed.index in asked:
-                    done[dressed.index] = finish(design, dressed, config, drape)
-        while order and order[0] in done:
-            index = order.popleft()
-            asked[index] -= 1
-            yield done[index] if asked[index] else done.pop(index)
+            made = MadeDesign(design.number, partial(_finished, design, drapes, config))
+            done |= {worn.index: made.sample_of(worn.index) for worn in design.dressed if worn.index in asked}
+            if any(worn.index not in asked for worn in design.dressed):
+                last.made = made
 
 
 def build_pattern(size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Pattern:
@@ -237,6 +254,11 @@ def turned_down(design: DressedDesign, drapes: Sequence[Drape | None], config: M
     if failed is None or config.on_fail == "keep" or last:
         return None
     return replace(design, rejects=design.rejects + (f"drape: {failed.name.lower()}",))
+
+
+def _finished(design: DressedDesign, drapes: Sequence[Drape | None], config: MakeConfig, index: int) -> Sample:
+    place = index % config.wearers
+    return finish(design, design.dressed[place], config, drapes[place])
 
 
 def finish(

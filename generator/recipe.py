@@ -15,7 +15,12 @@ __all__ = ["MakeConfig", "check_resolution", "device_kind", "recipe_of", "versio
 Bodies = Literal["neutral", "random", "female", "male", "both"]
 LastStage = Literal["pattern", "mesh", "drape"]
 OnFail = Literal["retry", "keep"]
-KINDS = {str: "word", int: "whole number", float: "number", Overlay: "design overlay"}
+KINDS = {
+    str: "word",
+    int: "whole number",
+    float: "number",
+    Overlay: "design overlay, by Overlay.from_dict or read_overlay",
+}
 USUAL_FABRIC = "default"
 FINEST, COARSEST = 0.2, 10.0  # cm
 MOST_ARMS = 15.0  # degrees; flat panels hang round arms in the A-pose

@@ -12,10 +12,21 @@ import torch
 from torch.utils.data import Dataset
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.codec import decode_field
+from gcd_dataset.shards.codec import decode_field, read_json
 from gcd_dataset.shards.layout import FIELDS, Bytes, known_fields
 
-__all__ = ["Garments", "Item", "SelectedGarments", "Transform", "as_item", "items_of", "naming", "natural", "tensor_of"]
+__all__ = [
+    "Garments",
+    "Item",
+    "SelectedGarments",
+    "Transform",
+    "as_item",
+    "items_of",
+    "made_with",
+    "naming",
+    "natural",
+    "tensor_of",
+]
 
 Item: TypeAlias = dict[str, Any]
 """A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
@@ -161,14 +172,24 @@ def _item_of(dataset: Any, index: int) -> Any:
         return dataset[index]
 
 
-def natural(name: str, value: int) -> int:
-    """The value of an argument that counts something. Raises ``ConfigError`` unless it is a whole number from 0."""
+def made_with(meta: Bytes) -> dict[str, Any]:
+    """Seed, index, options and versions in the ``meta.json`` of a sample. Raises ``ShardError`` for a damaged one."""
+    content = read_json(meta)
+    return {name: content[name] for name in ("seed", "index", "recipe", "versions")}
+
+
+def natural(name: str, value: int, least: int = 0) -> int:
+    """The value of an argument that counts something. Raises ``ConfigError`` unless it is whole and ``least`` or more.
+
+    >>> natural("batch_size", 8, least=1)
+    8
+    """
     try:
         number = operator.index(value)
     except TypeError:
-        number = -1
-    if number < 0:
-        raise ConfigError(f"{name}={value!r}: give a whole number, 0 or more")
+        number = least - 1
+    if number < least:
+        raise ConfigError(f"{name}={value!r}: give a whole number, {least} or more")
     return number
 
 

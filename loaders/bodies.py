@@ -12,10 +12,9 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
-from gcd_dataset.loaders.base import Item, Transform
+from gcd_dataset.loaders.base import Item, Transform, made_with
 from gcd_dataset.records import MEASURES
 from gcd_dataset.release.bodies import PublishedPeople
-from gcd_dataset.shards.codec import read_json
 from gcd_dataset.shards.layout import BODIES, known_fields
 from gcd_dataset.shards.people import MEMBER_OF, decode_fields, decode_person, read_mesh
 from gcd_dataset.shards.reader import ShardReader, Verify
@@ -125,8 +124,7 @@ class BodyDataset(Bodies):
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that person ``index`` was made with. Raises ``IndexError``."""
-        meta = read_json(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
-        return {name: meta[name] for name in ("seed", "index", "recipe", "versions")}
+        return made_with(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
 
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` with shard, key and member if a byte of person ``index`` is not as it was written."""

@@ -51,9 +51,7 @@ class FreshGarments(IterableDataset[Item]):
     ) -> None:
         if not 1 <= replay < float("inf"):
             raise ConfigError(f"replay={replay!r}: give 1 or more")
-        if natural("room", room) < 1:
-            raise ConfigError("room=0: give 1 or more")
-        self.garments, self.replay, self.room = garments, Fraction(str(replay)), room
+        self.garments, self.replay, self.room = garments, Fraction(str(replay)), natural("room", room, least=1)
         self.workers, self.seed = natural("workers", workers), natural("seed", seed)
         self.augment = augment
 

@@ -14,6 +14,7 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.generator.drapers import make_ahead, place_for
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
+from gcd_dataset.generator.last_design import LastDesign
 from gcd_dataset.generator.pipeline import make_many
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.loaders.base import Garments, Transform, natural
@@ -97,6 +98,7 @@ class GeneratedGarments(Garments):
         self._kept = (
             None if self.cache is None else KeptSamples(self.cache, self._n, seed=self._seed, recipe=self._recipe)
         )
+        self._last = LastDesign()
         self._process = os.getpid()
 
     def __len__(self) -> int:
@@ -142,13 +144,24 @@ class GeneratedGarments(Garments):
             return list(self._by_draper(positions, len(positions)))
         there = {position: self._known(position) for position in positions}
         missing = [position for position, members in there.items() if members is None]
-        made = dict(zip(missing, map(self._keep, missing, self._made(missing)), strict=True)) if missing else {}
+        made = (
+            dict(zip(missing, map(self._keep, missing, self._made(missing, self._last)), strict=True))
+            if missing
+            else {}
+        )
         return [there[position] or made[position] for position in positions]
 
     def _by_draper(self, positions: Iterable[int], ahead: int) -> Iterator[Mapping[str, Bytes]]:
         assert self._place is not None
         return make_ahead(
-            self._seed, positions, self.config, self._place, ahead=ahead, known=self._known, finished=self._encoded
+            self._seed,
+            positions,
+            self.config,
+            self._place,
+            ahead=ahead,
+            known=self._known,
+            finished=self._encoded,
+            last=self._last,
         )
 
     @property
@@ -160,12 +173,14 @@ class GeneratedGarments(Garments):
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self._several([position])[0]
 
-    def _made(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
-        """Garments made, whatever is in the cache."""
+    def _made(self, positions: Sequence[int], last: LastDesign | None = None) -> list[Mapping[str, Bytes]]:
+        """Garments made, whatever is in the cache; without a ``last`` all anew."""
         if self._apart and self._place is not None:
-            samples = make_ahead(self._seed, positions, self.config, self._place, ahead=len(positions), finished=_whole)
+            samples = make_ahead(
+                self._seed, positions, self.config, self._place, ahead=len(positions), finished=_whole, last=last
+            )
         else:
-            samples = make_many(self._seed, positions, self.config)
+            samples = make_many(self._seed, positions, self.config, last=last)
         return [encode_sample(sample) for sample in samples]
 
     def _encoded(self, sample: Sample) -> Mapping[str, Bytes]:

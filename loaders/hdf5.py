@@ -4,8 +4,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.loaders.base import Garments, Transform
-from gcd_dataset.shards.codec import read_json
+from gcd_dataset.errors import ShardError
+from gcd_dataset.loaders.base import Garments, Transform, made_with
+from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.layout import Bytes
 
 __all__ = ["Hdf5Garments"]
@@ -30,6 +31,7 @@ class Hdf5Garments(Garments):
         from gcd_dataset.shards.hdf5 import Hdf5Reader  # brings h5py, which nobody else needs
 
         super().__init__(fields, transform)
+        _require_file(Path(source))
         self._reader = Hdf5Reader(source)
 
     @property
@@ -42,8 +44,7 @@ class Hdf5Garments(Garments):
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` was made with. Raises ``IndexError``."""
-        meta = read_json(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
-        return {name: meta[name] for name in ("seed", "index", "recipe", "versions")}
+        return made_with(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
 
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` with file and member if a byte of garment ``index`` is not as it was written."""
@@ -51,3 +52,15 @@ class Hdf5Garments(Garments):
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self._reader.read(position, members)
+
+
+def _require_file(path: Path) -> None:
+    """Raise ``ShardError`` for a folder, and for what is not there."""
+    with reading(path):
+        is_folder, is_there = path.is_dir(), path.exists()
+    if is_folder:
+        raise ShardError(
+            f"{path}: a folder: give a file from gcd export --hdf5; GarmentDataset reads folders of shards"
+        )
+    if not is_there:
+        raise ShardError(f"{path}: no such file: give one that gcd export --hdf5 has made")

@@ -66,9 +66,8 @@ class GarmentLoader:
         drop_last: bool = False,
         pad: Pad = "none",
     ) -> None:
-        if natural("batch_size", batch_size) < 1:
-            raise ConfigError("batch_size=0: give 1 or more")
-        self.dataset, self.batch_size = dataset, batch_size
+        self.dataset, self.batch_size = dataset, natural("batch_size", batch_size, least=1)
+        num_workers = natural("num_workers", num_workers)
         self._plan: Plan
         if isinstance(dataset, IterableDataset) and not isinstance(dataset, Garments):
             _require_stream_options(shuffle, num_workers, pad)

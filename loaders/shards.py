@@ -16,7 +16,7 @@ from webdataset.tariterators import group_by_keys, tar_file_expander
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
-from gcd_dataset.loaders.base import Garments, Transform, naming, tensor_of
+from gcd_dataset.loaders.base import Garments, Transform, made_with, naming, tensor_of
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.shards.codec import read_json
 from gcd_dataset.shards.layout import FIELDS, FOREIGN, MEMBERS, Bytes
@@ -131,8 +131,7 @@ class GarmentDataset(Garments):
         position = self._position(index)
         if self._foreign:
             raise ConfigError("samples of foreign archives do not tell how they were made: ask their maker")
-        meta = read_json(self._members(position, (META,))[META])
-        made = {name: meta[name] for name in ("seed", "index", "recipe", "versions")}
+        made = made_with(self._members(position, (META,))[META])
         return made if self.source is None else {**made, "source": self.source}
 
     def identity(self) -> dict[str, Any]:

@@ -157,11 +157,17 @@ def test_publish_and_download(
         (["publish", "DATA", "me/garments", "--shares", "90,5"], 2, "write per cent"),
         (["publish", "nowhere", "me/garments"], 2, "nowhere: no such folder"),
         (["verify", "nowhere"], 2, "nowhere: no such folder"),
+        (["verify", "me/garments"], 2, "me/garments: no such folder: give a folder of shards; for a repository"),
+        (["verify", "https://example.org/a"], 2, "run gcd download https://example.org/a first"),
+        (["verify", "hf://me/garments"], 2, "run gcd download hf://me/garments first"),
+        (["show", "https://example.org/a", "--png", "a.png"], 2, "run gcd download https://example.org/a first"),
+        (["index", "https://example.org/a"], 2, "run gcd download https://example.org/a first"),
+        (["export", "https://example.org/a", "--hdf5", "a.h5"], 2, "run gcd download https://example.org/a first"),
     ],
 )
 def test_errors_are_one_line(hub: Hub, data: Path, capsys: Capture, arguments: list[str], code: int, told: str) -> None:
     hub.publish("me/garments", data)
-    server = ["--endpoint", hub.endpoint] if arguments[0] != "verify" else []
+    server = ["--endpoint", hub.endpoint] if arguments[0] in ("download", "publish") else []
     assert main([str(data) if word == "DATA" else word for word in arguments] + server) == code
     error = capsys.readouterr().err.strip()
     assert told in error

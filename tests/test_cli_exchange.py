@@ -1,7 +1,9 @@
 """Data sets from and to the forms of others, as a user of ``gcd`` meets them."""
 
+import errno
 import itertools
 import json
+import os
 import re
 import shutil
 from dataclasses import replace
@@ -12,18 +14,20 @@ import torch
 
 from gcd_dataset.cli import main
 from gcd_dataset.cli.convert import convert, plan_convert
+from gcd_dataset.cli.export import export_published, exported_splits
 from gcd_dataset.cli.statistics import garment_type
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.pipeline import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
+from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.release.layout import ENDINGS
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.layout import GARMENTS
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
-from tests.shards.folders import contents, fill
+from tests.shards.folders import contents, fill, open_writer
 
 
 @pytest.fixture(scope="module")
@@ -151,6 +155,104 @@ def test_generated_garments_are_published_under_names_of_their_own(tmp_path: Pat
         design = item["design"]["meta"]["upper"]
         assert design["v"] == sample.design["meta"]["upper"]
         assert "range" in design
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Path to content of all files, hidden ones too."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_stopped_export_goes_on_to_the_same_bytes(
+    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shards = tmp_path / "shards"
+    assert run("convert", published, shards, "--quiet") == 0
+    assert run("export", shards, "--layout", "published", tmp_path / "whole", "--quiet") == 0
+    export = ["export", shards, "--layout", "published", tmp_path / "pieces", "--quiet"]
+    with monkeypatch.context() as full:
+        files = itertools.count()
+        sync = os.fsync
+
+        def no_room(file: int) -> None:
+            if next(files) > 20:  # in the second garment
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            sync(file)
+
+        full.setattr(os, "fsync", no_room)
+        assert run(*export) == 1
+    assert "No space left" in capsys.readouterr().err
+    garments = [path for path in (tmp_path / "pieces").glob("*/*/data/*") if path.is_dir()]
+    assert [len(list(garment.iterdir())) for garment in garments] == [len(ENDINGS)]
+    written = garments[0].stat().st_mtime_ns
+    assert run(*export) == 0
+    assert garments[0].stat().st_mtime_ns == written
+    assert tree(tmp_path / "pieces") == tree(tmp_path / "whole")
+    assert run(*export) == 2  # it has ended
+    assert "not empty" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("form", "told"),
+    [
+        (["--layout", "published", "out"], "stopped at 1 of 6: the same command goes on from there"),
+        (["--hdf5", "out.h5"], "stopped; out.h5 was not written: begin again"),
+    ],
+)
+def test_ctrl_c_is_told_with_what_is_there(
+    form: list[str],
+    told: str,
+    published: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("convert", published, "shards", "--quiet") == 0
+    capsys.readouterr()
+    read = ShardReader.read
+
+    def interrupted(reader: ShardReader, position: int, members: tuple[str, ...]) -> object:
+        if position == 1:
+            raise KeyboardInterrupt
+        return read(reader, position, members)
+
+    monkeypatch.setattr(ShardReader, "read", interrupted)
+    assert run("export", "shards", *form, "--quiet") == 130
+    assert capsys.readouterr().err == f"gcd export: {told}\n"
+    assert not Path("out.h5").exists()
+
+
+def test_a_stopped_export_does_not_go_on_with_other_garments(
+    published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shards, out = tmp_path / "shards", tmp_path / "out"
+    assert run("convert", published, shards, "--bodies", "random", "--quiet") == 0
+    stopped = export_published(exported_splits(shards), out)
+    next(stopped)
+    assert run("export", shards, "--layout", "published", out) == 1
+    assert "another process is exporting" in capsys.readouterr().err
+    stopped.close()
+    before = tree(out)
+    assert run("convert", published, shards, "--quiet") == 0
+    assert run("export", shards, "--layout", "published", out) == 2
+    assert f"{out}: begun from other garments" in capsys.readouterr().err
+    assert tree(out) == before
+
+
+def test_splits_that_the_published_layout_does_not_know_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    for split in ("train", "holdout"):
+        with open_writer(tmp_path / "shards", split=split) as writer:
+            writer.write(fake_sample(0, 0))
+    readers = exported_splits(tmp_path / "shards")
+    assert list(readers) == ["train"]
+    assert "holdout" in caplog.text
+    for path in (tmp_path / "shards").glob("*train*"):
+        path.unlink()
+    (tmp_path / "shards" / "manifest.json").unlink()
+    assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "out") == 1
+    assert "no split that the published layout has a name for: there is holdout" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_not_empty_is_not_mixed_up(

@@ -7,7 +7,7 @@ import argparse
 import logging
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, exchange
+from gcd_dataset.cli.verb import INTERRUPTED, add_quiet, add_verb, natural, require_folder, stopped
 from gcd_dataset.errors import ConfigError, GcdError, SpecError
 from gcd_dataset.tomlfile import read_toml
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
 NAMES = "neutral, female, male, random:SEED, female:SEED, male:SEED"  # of bodies
 FABRICS = "denim, drill, interlock, wool_light ...; a name that is not there is answered with those that are"
 BODY_STAGE = "body"  # the wearers alone, in both poses, with their measures
@@ -77,9 +77,7 @@ def _generate(options: argparse.Namespace) -> int:
                 bar.set_postfix(rejected=rejected, unsettled=failed, refresh=False)
     except KeyboardInterrupt:
         samples.close()
-        there = f"{task.there + made} of {task.count}"
-        print(f"gcd generate: stopped at {there}: the same command goes on from there", file=sys.stderr)
-        return INTERRUPTED
+        return stopped("generate", f"{task.there + made} of {task.count}")
     print(f"{options.out}: {task.count} garments, {made} of them made now, {rejected} designs or drapes turned down")
     if failed:
         print(f"  {failed} did not settle: each holds its outcome in meta.json")
@@ -105,9 +103,7 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
             made += 1
     except KeyboardInterrupt:
         people.close()
-        there = f"{task.there + made} of {task.count}"
-        print(f"gcd generate: stopped at {there}: the same command goes on from there", file=sys.stderr)
-        return INTERRUPTED
+        return stopped("generate", f"{task.there + made} of {task.count}")
     print(f"{options.out}: {task.count} bodies in two poses, {made} of them made now")
     return 0
 
@@ -224,10 +220,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"gcd_dataset {__version__}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
 
-    generate = _verb(verbs, "generate", _generate, "make a data set")
+    generate = add_verb(verbs, "generate", _generate, "make a data set")
     generate.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; made if it is not there")
-    generate.add_argument("--count", type=_natural, required=True, help="number of garments, or of bodies")
-    generate.add_argument("--seed", type=_natural, default=0, help="names the data set (default: 0)")
+    generate.add_argument("--count", type=natural, required=True, help="number of garments, or of bodies")
+    generate.add_argument("--seed", type=natural, default=0, help="names the data set (default: 0)")
     generate.add_argument(
         "--bodies",
         choices=("neutral", "random", "female", "male", "both"),
@@ -244,7 +240,7 @@ def _parser() -> argparse.ArgumentParser:
     generate.add_argument("--device", help="auto, cpu or cuda:0 (default: auto)")
     generate.add_argument("--on-fail", choices=("retry", "keep"), help="a drape that fails (default: retry)")
     generate.add_argument(
-        "--workers", type=_natural, default=0, help="processes, on a CPU; a GPU drapes for one (default: this one)"
+        "--workers", type=natural, default=0, help="processes, on a CPU; a GPU drapes for one (default: this one)"
     )
     generate.add_argument(
         "--config",
@@ -253,8 +249,9 @@ def _parser() -> argparse.ArgumentParser:
         help="bodies, stage, fabric, resolution, device, on-fail; also bodies-each, arms, points, picture, "
         "max-attempts, and tables such as [design.pants] that narrow what designs may be",
     )
+    add_quiet(generate)
 
-    drape = _verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
+    drape = add_verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
     drape.add_argument("--body", default="neutral", help=f"{NAMES} or a mesh file (default: neutral)")
     drape.add_argument(
@@ -269,8 +266,9 @@ def _parser() -> argparse.ArgumentParser:
         "--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (default: 1.0)"
     )
     drape.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
+    add_quiet(drape)
 
-    measure = _verb(verbs, "measure", _measure, "the tailor's measures of a body, as YAML [cm, degrees]")
+    measure = add_verb(verbs, "measure", _measure, "the tailor's measures of a body, as YAML [cm, degrees]")
     measure.add_argument(
         "mesh", nargs="?", metavar="MESH", help="OBJ or PLY of one body in m, cm or mm, closed or with small holes"
     )
@@ -281,43 +279,28 @@ def _parser() -> argparse.ArgumentParser:
     measure.add_argument("--segmentation", type=Path, metavar="JSON", help="vertex ids by body part; else found")
     measure.add_argument("--out", type=Path, metavar="YAML", help="file for the measures (default: printed)")
 
-    validate = _verb(verbs, "validate", _validate, "what is wrong with a pattern; exit 1 if anything")
+    validate = add_verb(verbs, "validate", _validate, "what is wrong with a pattern; exit 1 if anything")
     validate.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
     validate.add_argument("--errors", action="store_true", help="only what forbids sewing, no warnings")
 
-    show = _verb(verbs, "show", _show, "a picture of a sample or a pattern")
-    show.add_argument("what", type=Path, metavar="DATASET|SPEC", help="folder of shards, or specification JSON")
-    show.add_argument("--index", type=_natural, default=0, help="which sample of the data set (default: 0)")
+    show = add_verb(verbs, "show", _show, "a picture of a sample or a pattern")
+    show.add_argument("what", metavar="DATASET|SPEC", help="folder of shards, or specification JSON")
+    show.add_argument("--index", type=natural, default=0, help="which sample of the data set (default: 0)")
     show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready to be cut")
 
-    datasets.add_verbs(lambda name, run, text: _verb(verbs, name, run, text))
-    exchange.add_verbs(verbs, _verb, _natural)
+    datasets.add_verbs(verbs)
+    exchange.add_verbs(verbs)
     return parser
 
 
-def _verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = verbs.add_parser(
-        name, help=text, description=f"{text[0].upper()}{text[1:]}.", formatter_class=argparse.HelpFormatter
-    )
-    if run in (_generate, _drape):
-        parser.add_argument("--quiet", action="store_true", help="no progress bar")
-    parser.set_defaults(run=run)
-    return parser
-
-
-def _natural(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text} is no whole number of 0 or more")
-    return int(text)
-
-
-def _sample_or_pattern(what: Path, index: int) -> "Sample | Pattern":
+def _sample_or_pattern(source: str, index: int) -> "Sample | Pattern":
     """The sample of that index in a folder of shards, or the pattern in a specification file."""
     from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
     from gcd_dataset.spec import read_pattern
     from gcd_dataset.validate import require_valid
 
+    what = require_folder(source) if "://" in source else Path(source)
     if not _is_folder(what):
         return require_valid(read_pattern(what), source=str(what))
     reader = ShardReader(what)

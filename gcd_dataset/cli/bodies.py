@@ -6,7 +6,8 @@ from functools import partial
 from pathlib import Path
 
 from gcd_dataset.bodies import Person
-from gcd_dataset.cli.workers import side_by_side
+from gcd_dataset.cli.plan import Plan
+from gcd_dataset.cli.workers import side_by_side_in_parts
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, own_mesh
 from gcd_dataset.generator.recipe import versions
@@ -18,18 +19,10 @@ AT_ONCE = 16  # people a task: a quarter of a second of work, 10 MB to be sent b
 
 
 @dataclass(frozen=True)
-class PeoplePlan:
-    """A body set to be made, and who of it is still missing."""
+class PeoplePlan(Plan):
+    """A body set to be made."""
 
-    out: Path
-    count: int
     seed: int
-    missing: tuple[int, ...]
-
-    @property
-    def there(self) -> int:
-        """How many people an earlier run has finished."""
-        return self.count - len(self.missing)
 
 
 def plan_people(out: Path | str, count: int, *, seed: int = 0) -> PeoplePlan:
@@ -42,7 +35,7 @@ def plan_people(out: Path | str, count: int, *, seed: int = 0) -> PeoplePlan:
         raise ConfigError(f"count is {count}: give 1 or more")
     with _writer(out, seed) as writer:
         done = writer.done
-    return PeoplePlan(Path(out), count, seed, tuple(index for index in range(count) if index not in done))
+    return PeoplePlan(Path(out), count, tuple(index for index in range(count) if index not in done), seed)
 
 
 def generate_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, None, None]:
@@ -64,10 +57,7 @@ def _writer(out: Path | str, seed: int) -> BodyWriter:
 
 
 def _made(plan: PeoplePlan, workers: int) -> Iterator[Person]:
-    make = partial(_make, plan.seed)
-    tasks = (plan.missing[i : i + AT_ONCE] for i in range(0, len(plan.missing), AT_ONCE))
-    for people in side_by_side(make, tasks, workers) if workers > 1 else map(make, tasks):
-        yield from people
+    return side_by_side_in_parts(partial(_make, plan.seed), plan.missing, workers, at_once=AT_ONCE)
 
 
 def _make(seed: int, indices: Sequence[int]) -> list[Person]:

@@ -5,7 +5,8 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gcd_dataset.cli.workers import side_by_side
+from gcd_dataset.cli.plan import Plan
+from gcd_dataset.cli.workers import side_by_side_in_parts
 from gcd_dataset.errors import PatternError, ShardError
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.release.batches import PublishedBatches
@@ -30,14 +31,10 @@ class Source:
 
 
 @dataclass(frozen=True)
-class ConvertPlan:
-    """Garments to be converted, and which of them are still missing."""
+class ConvertPlan(Plan):
+    """Garments to be converted; those missing by their positions among the published ones."""
 
     source: Source
-    out: Path
-    count: int
-    missing: tuple[int, ...]
-    """Positions among the published garments."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +97,7 @@ def _plan(source: Source, out: Path) -> ConvertPlan:
         done = writer.done
     published = _dataset(source)
     missing = tuple(position for position in range(len(published)) if published.number(position) not in done)
-    return ConvertPlan(source, out, len(published), missing)
+    return ConvertPlan(out, len(published), missing, source)
 
 
 def _writer(source: Source, out: Path) -> ShardWriter:
@@ -120,10 +117,7 @@ def _dataset(source: Source) -> PublishedGarmentCodeData:
 
 
 def _converted(plan: ConvertPlan, workers: int) -> Iterator[Converted]:
-    make = functools.partial(_convert, plan.source)
-    tasks = (plan.missing[i : i + AT_ONCE] for i in range(0, len(plan.missing), AT_ONCE))
-    for garments in side_by_side(make, tasks, workers) if workers > 1 else map(make, tasks):
-        yield from garments
+    return side_by_side_in_parts(functools.partial(_convert, plan.source), plan.missing, workers, at_once=AT_ONCE)
 
 
 def _convert(source: Source, positions: Sequence[int]) -> list[Converted]:

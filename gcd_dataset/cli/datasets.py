@@ -2,31 +2,30 @@
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+from gcd_dataset.cli.verb import add_quiet, add_verb, require_folder
 from gcd_dataset.errors import ConfigError
 
 __all__ = ["add_verbs"]
 
-AddVerb = Callable[[str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
 
-
-def add_verbs(add: AddVerb) -> None:
-    """Put the verbs into a parser."""
-    info = add("info", _info, "counts, shares and plots of a data set")
+def add_verbs(verbs: Any) -> None:
+    """Give ``gcd`` these verbs."""
+    info = add_verb(verbs, "info", _info, "counts, shares and plots of a data set")
     info.add_argument("dataset", metavar="DATASET", help="folder, URL, or repository ORG/NAME of the Hub")
     _add_server(info)
 
-    verify = add("verify", _verify, "whether a data set is whole; exit 1 if not")
-    verify.add_argument("dataset", type=Path, metavar="DATASET", help="folder of shards")
+    verify = add_verb(verbs, "verify", _verify, "whether a data set is whole; exit 1 if not")
+    verify.add_argument("dataset", metavar="DATASET", help="folder of shards")
     verify.add_argument("--full", action="store_true", help="every byte of it, not only headers and lengths")
 
-    index = add("index", _index, "the index of a data set, made anew from its tars")
-    index.add_argument("dataset", type=Path, metavar="DATASET", help="folder of shards, ours or webdataset's")
+    index = add_verb(verbs, "index", _index, "the index of a data set, made anew from its tars")
+    index.add_argument("dataset", metavar="DATASET", help="folder of shards, ours or webdataset's")
     index.add_argument("--split", help="one split (default: all)")
 
-    download = add("download", _download, "a data set from the Hub or a URL; broken off, it goes on")
+    download = add_verb(verbs, "download", _download, "a data set from the Hub or a URL; broken off, it goes on")
     download.add_argument("repo", metavar="REPO", help="repository ORG/NAME of the Hub, or URL of a data set's folder")
     download.add_argument("--split", help="one split (default: all)")
     download.add_argument(
@@ -36,11 +35,11 @@ def add_verbs(add: AddVerb) -> None:
         "--out", "--root", type=Path, metavar="DIR", help="folder for it (default: the name of the repository)"
     )
     download.add_argument("--revision", help="branch, tag or commit (default: main)")
-    download.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_quiet(download)
     _add_server(download)
 
-    publish = add("publish", _publish, "a data set to the Hub, with card, Croissant and splits")
-    publish.add_argument("dataset", type=Path, metavar="DATASET", help="folder of shards that gcd generate has made")
+    publish = add_verb(verbs, "publish", _publish, "a data set to the Hub, with card, Croissant and splits")
+    publish.add_argument("dataset", metavar="DATASET", help="folder of shards that gcd generate has made")
     publish.add_argument("repo", metavar="REPO", help="repository ORG/NAME; made if it is not there")
     publish.add_argument("--dry-run", action="store_true", help="write everything, list it, and send nothing")
     publish.add_argument(
@@ -50,9 +49,7 @@ def add_verbs(add: AddVerb) -> None:
         "--license", default="unknown", help="identifier of the Hub, such as cc-by-4.0 (default: unknown)"
     )
     publish.add_argument("--private", action="store_true", help="a repository that only you see")
-    publish.add_argument(
-        "--stage", type=Path, metavar="DIR", help="folder for what goes up (default: DATASET/published)"
-    )
+    publish.add_argument("--out", type=Path, metavar="DIR", help="folder for what goes up (default: DATASET/published)")
     _add_server(publish)
 
 
@@ -75,30 +72,27 @@ def _info(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from gcd_dataset.cli.inspect import faults
 
-    _require_folder(options.dataset)
-    found = 0
-    for fault in faults(options.dataset, full=options.full):
+    folder, found = require_folder(options.dataset), 0
+    for fault in faults(folder, full=options.full):
         print(fault)
         found += 1
     if not found:
-        print(f"{options.dataset}: no fault found{'' if options.full else '; --full reads every byte'}")
+        print(f"{folder}: no fault found{'' if options.full else '; --full reads every byte'}")
     return 1 if found else 0
 
 
 def _index(options: argparse.Namespace) -> int:
     from gcd_dataset.errors import ShardError
     from gcd_dataset.shards import rebuild_index
-    from gcd_dataset.shards.contents import layout_in, splits_in
+    from gcd_dataset.shards.contents import layout_in, require_splits
 
-    _require_folder(options.dataset)
-    splits = splits_in(options.dataset)
-    if options.split is not None:
-        splits = tuple(split for split in splits if split == options.split)
-    if not splits:
-        raise ShardError(f"{options.dataset}: no shards of split {options.split or 'train'}: give a folder of shards")
-    for split in splits:
-        index = rebuild_index(options.dataset, split, layout_in(options.dataset, split))
-        print(f"{options.dataset}: {split}: {len(index)} samples in {len(index.shards)} shards")
+    folder = require_folder(options.dataset)
+    splits = require_splits(folder)
+    if options.split not in (None, *splits):
+        raise ShardError(f"{folder}: no shards of split {options.split}: there is {', '.join(splits)}")
+    for split in splits if options.split is None else [options.split]:
+        index = rebuild_index(folder, split, layout_in(folder, split))
+        print(f"{folder}: {split}: {len(index)} samples in {len(index.shards)} shards")
     return 0
 
 
@@ -136,11 +130,11 @@ def _publish(options: argparse.Namespace) -> int:
     from gcd_dataset.hub.partition import as_shares
     from gcd_dataset.hub.publish import stage, upload
 
-    _require_folder(options.dataset)
+    folder = require_folder(options.dataset)
     staged = stage(
-        options.dataset,
+        folder,
         options.repo,
-        options.stage or options.dataset / "published",
+        options.out or folder / "published",
         shares=as_shares(options.shares),
         license=options.license,
         endpoint=options.endpoint,
@@ -155,8 +149,3 @@ def _publish(options: argparse.Namespace) -> int:
     commit = upload(staged, options.repo, endpoint=options.endpoint, private=options.private)
     print(f"{options.repo}@{commit}: {len(staged.files)} files are up")
     return 0
-
-
-def _require_folder(path: Path) -> None:
-    if not path.is_dir():
-        raise ConfigError(f"{path}: no such folder: give a folder of shards")

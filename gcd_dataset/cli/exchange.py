@@ -2,22 +2,18 @@
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from gcd_dataset.cli.verb import INTERRUPTED, add_quiet, add_verb, natural, require_folder, stopped
 from gcd_dataset.errors import ConfigError
 
 __all__ = ["add_verbs"]
 
-INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
 
-Adder = Callable[[Any, str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
-
-
-def add_verbs(verbs: Any, add: Adder, natural: Callable[[str], int]) -> None:
+def add_verbs(verbs: Any) -> None:
     """Give ``gcd`` these verbs."""
-    convert = add(verbs, "convert", _convert, "the published GarmentCodeData into shards")
+    convert = add_verb(verbs, "convert", _convert, "the published GarmentCodeData into shards")
     convert.add_argument("published", type=Path, metavar="PUBLISHED", help="folder with garments_5000_0 and its like")
     convert.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; made if it is not there")
     convert.add_argument(
@@ -27,19 +23,20 @@ def add_verbs(verbs: Any, add: Adder, natural: Callable[[str], int]) -> None:
     convert.add_argument(
         "--cache-dir", type=Path, metavar="DIR", help="where indices of archives are kept (default: beside them)"
     )
-    convert.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_quiet(convert)
 
-    export = add(verbs, "export", _export, "a data set in the forms of other programs")
-    export.add_argument("dataset", type=Path, metavar="DATASET", help="folder of shards")
+    export = add_verb(verbs, "export", _export, "a data set in the forms of other programs")
+    export.add_argument("dataset", metavar="DATASET", help="folder of shards")
     export.add_argument("--hdf5", type=Path, metavar="FILE", help="one split as one HDF5 file")
     export.add_argument(
         "--layout",
         nargs=2,
         metavar=("published", "OUT"),
-        help="all splits in the folders of GarmentCodeData; OUT is made if it is not there",
+        help="train, validation and test in the folders of GarmentCodeData; OUT is made if it is not there, "
+        "and gone on with where it was stopped",
     )
     export.add_argument("--split", help="split for --hdf5 (default: train)")
-    export.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_quiet(export)
 
 
 def _convert(options: argparse.Namespace) -> int:
@@ -49,7 +46,7 @@ def _convert(options: argparse.Namespace) -> int:
 
     faults = 0
     for plan in plan_convert(options.published, options.out, bodies=options.bodies, cache_dir=options.cache_dir):
-        there, made, split = plan.count - len(plan.missing), 0, plan.source.split
+        there, made, split = plan.there, 0, plan.source.split
         garments = convert(plan, workers=options.workers)
         try:
             bar = tqdm(garments, total=plan.count, initial=there, unit="garment", desc=split, disable=options.quiet)
@@ -60,9 +57,7 @@ def _convert(options: argparse.Namespace) -> int:
                     bar.write(f"gcd convert: left out: {garment.fault}", file=sys.stderr)
         except KeyboardInterrupt:
             garments.close()
-            there_now = f"{there + made} of {plan.count} of {split}"
-            print(f"gcd convert: stopped at {there_now}: the same command goes on from there", file=sys.stderr)
-            return INTERRUPTED
+            return stopped("convert", f"{there + made} of {plan.count} of {split}")
         print(f"{options.out}: {split}: {there + made} garments, {made} of them converted now")
     if faults:
         print(f"gcd convert: {faults} garments were left out; the same command tries them again", file=sys.stderr)
@@ -75,7 +70,9 @@ def _export(options: argparse.Namespace) -> int:
     if options.layout is not None and options.layout[0] != "published":
         raise ConfigError(f"--layout {options.layout[0]}: there is published")
     if options.layout is not None and options.split is not None:
-        raise ConfigError("--split is for --hdf5: --layout takes all splits, whose names go into its split file")
+        raise ConfigError(
+            "--split is for --hdf5: --layout takes train, validation and test, whose names go into its split file"
+        )
     return _export_hdf5(options) if options.layout is None else _export_layout(options)
 
 
@@ -85,9 +82,15 @@ def _export_hdf5(options: argparse.Namespace) -> int:
     from gcd_dataset.shards import ShardReader
     from gcd_dataset.shards.hdf5 import write_hdf5
 
-    reader = ShardReader(options.dataset, options.split or "train")
-    for _ in tqdm(write_hdf5(reader, options.hdf5), total=len(reader), unit="garment", disable=options.quiet):
-        pass
+    reader = ShardReader(require_folder(options.dataset), options.split or "train")
+    stored = write_hdf5(reader, options.hdf5)
+    try:
+        for _ in tqdm(stored, total=len(reader), unit="garment", disable=options.quiet):
+            pass
+    except KeyboardInterrupt:
+        stored.close()
+        print(f"gcd export: stopped; {options.hdf5} was not written: begin again", file=sys.stderr)
+        return INTERRUPTED
     print(f"{options.hdf5}: {len(reader)} garments of {reader.split}")
     return 0
 
@@ -97,9 +100,14 @@ def _export_layout(options: argparse.Namespace) -> int:
 
     from gcd_dataset.cli.export import export_published, exported_splits
 
-    readers, out = exported_splits(options.dataset), Path(options.layout[1])
-    count = sum(map(len, readers.values()))
-    for _ in tqdm(export_published(readers, out), total=count, unit="garment", disable=options.quiet):
-        pass
+    readers, out = exported_splits(require_folder(options.dataset)), Path(options.layout[1])
+    count, there = sum(map(len, readers.values())), 0
+    written = export_published(readers, out)
+    try:
+        for _ in tqdm(written, total=count, unit="garment", disable=options.quiet):
+            there += 1
+    except KeyboardInterrupt:
+        written.close()
+        return stopped("export", f"{there} of {count}")
     print(f"{out}: {count} garments of {', '.join(readers)} in the published layout")
     return 0

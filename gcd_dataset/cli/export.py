@@ -3,8 +3,9 @@
 import hashlib
 import io
 import json
+import logging
 import string
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
+from gcd_dataset import __version__
 from gcd_dataset.cli.statistics import batch_properties, garment_type
-from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.files import make_folder, write_whole
+from gcd_dataset.errors import ShardError
+from gcd_dataset.files import write_whole
 from gcd_dataset.generator.colours import INK, cloth_colour
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.garments import design_from_dict
@@ -22,11 +24,15 @@ from gcd_dataset.generator.garments.design_file import design_tree
 from gcd_dataset.generator.lay_plan import LayPlan, lay_out
 from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.records import Outcome, Sample
+from gcd_dataset.release.draft import ReleaseDraft, release_draft
 from gcd_dataset.release.layout import BODY_FOLDERS, DEFAULT_BODY, SPLIT_NAMES, properties_name
 from gcd_dataset.release.write import FAIL_CLASSES, Drawn, garment_files, yaml_bytes
-from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample, read_manifest
+from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
+from gcd_dataset.shards.contents import splits_in
 
 __all__ = ["export_published", "exported_splits"]
+
+logger = logging.getLogger("gcd_dataset")
 
 BATCH = 5000  # designs
 LETTERS = string.ascii_uppercase + string.digits
@@ -63,22 +69,41 @@ class _Batch:
 
 
 def exported_splits(folder: Path | str) -> dict[str, ShardReader]:
-    """The splits of a data set that have a name in the layout. Raises ``ShardError`` where there is none."""
-    manifest = read_manifest(Path(folder))
-    there = [split for split in SPLIT_NAMES if manifest is not None and split in manifest.splits]
-    return {split: ShardReader(folder, split) for split in there or ["train"]}
+    """The splits of a data set that have a name in the layout; others are told. Raises ``ShardError`` without any."""
+    there = splits_in(folder)
+    others = ", ".join(split for split in there if split not in SPLIT_NAMES)
+    if others and not set(there) & set(SPLIT_NAMES):
+        raise ShardError(
+            f"{folder}: no split that the published layout has a name for: there is {others}: "
+            "give --hdf5 FILE and --split"
+        )
+    if others:
+        logger.warning("%s: left out: %s: the published layout has %s alone", folder, others, ", ".join(SPLIT_NAMES))
+    return {split: ShardReader(folder, split) for split in SPLIT_NAMES if split in (there or ("train",))}
 
 
-def export_published(readers: Mapping[str, ShardReader], out: Path | str) -> Iterator[str]:
+def export_published(readers: Mapping[str, ShardReader], out: Path | str) -> Generator[str, None, None]:
     """Write all garments, yielding the name of each; the split and the properties of the batches come last.
 
     Garments that came from a release keep their names. Ours are named by seed and design, 5,000 designs a batch; those
     on the neutral body go to ``default_body``. Those that did not settle are written too, and noted as failed, as the
-    authors' tools do. The folder must be new or empty. Raises ``ConfigError``, ``OutputError`` and ``ShardError``.
+    authors' tools do. The folder must be new or empty, or one where an earlier run with these garments was stopped:
+    it goes on there. Raises ``ConfigError``, ``OutputError`` and ``ShardError``.
     """
-    out = make_folder(out)
-    if any(out.iterdir()):
-        raise ConfigError(f"{out}: not empty: choose another folder, so that nothing of two data sets is mixed")
+    with release_draft(out, _told_apart(readers)) as draft:
+        yield from _written(readers, draft)
+
+
+def _told_apart(readers: Mapping[str, ShardReader]) -> str:
+    """What tells these garments, and how they are written, from others."""
+    contents = {}
+    for split, reader in readers.items():
+        table = reader.index.table
+        contents[split] = hashlib.sha256(table.sample.tobytes() + table.crc.tobytes()).hexdigest()
+    return json.dumps({"version": __version__, "contents": contents})
+
+
+def _written(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> Iterator[str]:
     batches: dict[tuple[str, str], _Batch] = {}
     splits: dict[str, dict[str, None]] = {}
     first_batch = 0
@@ -89,26 +114,23 @@ def export_published(readers: Mapping[str, ShardReader], out: Path | str) -> Ite
             sample = decode_sample(reader.read(position, MEMBERS))
             place = _place(sample, split, first_batch)
             last = max(last, _design_number(sample))
-            _write(sample, place, out, batches.setdefault((place.batch, place.body_folder), _Batch()))
+            _write(sample, place, draft, batches.setdefault((place.batch, place.body_folder), _Batch()))
             if sample.drape is not None and sample.drape.outcome is Outcome.SETTLED:
                 listed[place.listed] = None
             yield place.name
         first_batch += last // BATCH + 1
     for (batch, body_folder), noted in batches.items():
         tree = batch_properties(batch, noted.panels, noted.types, noted.counts, noted.fails)
-        write_whole(out / batch / body_folder / properties_name(body_folder), yaml_bytes(tree))
+        write_whole(draft.folder / batch / body_folder / properties_name(body_folder), yaml_bytes(tree))
     lists = {name: list(splits.get(name, {})) for name, *_ in SPLIT_NAMES.values()}
-    write_whole(out / SPLIT_FILE, json.dumps(lists, indent=4).encode())
+    write_whole(draft.folder / SPLIT_FILE, json.dumps(lists, indent=4).encode())
 
 
-def _write(sample: Sample, place: Place, out: Path, noted: _Batch) -> None:
-    tree = _tree(sample)
-    files = garment_files(sample, place.name, tree, _drawn(sample), body_sample=place.body_sample)
-    folder = make_folder(out / place.batch / place.body_folder / "data" / place.name)
-    if any(folder.iterdir()):
-        raise ShardError(f"{folder}: two garments of the data set have this name: export their splits one by one")
-    for name, content in files.items():
-        write_whole(folder / name, content)
+def _write(sample: Sample, place: Place, draft: ReleaseDraft, noted: _Batch) -> None:
+    tree, folder = _tree(sample), Path(place.batch, place.body_folder, "data", place.name)
+    if not draft.holds(folder):
+        files = garment_files(sample, place.name, tree, _drawn(sample), body_sample=place.body_sample)
+        draft.put(folder, files)
     _note(sample, place.name, tree, noted)
 
 

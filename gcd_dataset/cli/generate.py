@@ -6,6 +6,7 @@ from functools import partial
 from itertools import groupby
 from pathlib import Path
 
+from gcd_dataset.cli.plan import Plan
 from gcd_dataset.cli.workers import side_by_side
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.pipeline import make_many
@@ -13,26 +14,18 @@ from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of
 from gcd_dataset.records import Sample
 from gcd_dataset.shards import ShardWriter
 
-__all__ = ["Plan", "generate", "plan"]
+__all__ = ["GarmentPlan", "generate", "plan"]
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A data set to be made, and what of it is still missing."""
+class GarmentPlan(Plan):
+    """Garments to be made."""
 
-    out: Path
-    count: int
     seed: int
     config: MakeConfig
-    missing: tuple[int, ...]
-
-    @property
-    def there(self) -> int:
-        """How many of its samples an earlier run has finished."""
-        return self.count - len(self.missing)
 
 
-def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | None = None) -> Plan:
+def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | None = None) -> GarmentPlan:
     """What it takes to have samples 0 … ``count`` - 1 of ``seed`` in ``out``.
 
     What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError`` where ``out`` holds a data
@@ -47,10 +40,10 @@ def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | Non
         resolve_device(config.device)  # told before anything is written
     with ShardWriter(out, seed=seed, recipe=recipe_of(config)) as writer:
         done = writer.done
-    return Plan(Path(out), count, seed, config, tuple(index for index in range(count) if index not in done))
+    return GarmentPlan(Path(out), count, tuple(index for index in range(count) if index not in done), seed, config)
 
 
-def generate(plan: Plan, *, workers: int = 0) -> Generator[Sample, None, None]:
+def generate(plan: GarmentPlan, *, workers: int = 0) -> Generator[Sample, None, None]:
     """Make and store what is missing, yielding each sample as it is stored.
 
     Stopped at any moment and planned again it goes on; the shards come out as the same bytes. ``workers`` processes
@@ -65,7 +58,7 @@ def generate(plan: Plan, *, workers: int = 0) -> Generator[Sample, None, None]:
             yield sample
 
 
-def _made(plan: Plan, workers: int) -> Iterator[Sample]:
+def _made(plan: GarmentPlan, workers: int) -> Iterator[Sample]:
     if workers < 2 or (plan.config.stage == "drape" and device_kind(plan.config) == "cuda"):
         yield from make_many(plan.seed, plan.missing, plan.config)
         return

@@ -12,7 +12,7 @@ import numpy as np
 from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.hub.partition import BODY, DESIGN, leaks
 from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.contents import layout_in, splits_in
+from gcd_dataset.shards.contents import layout_in, require_splits
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import ShardTable, known_index, scan_shard
 from gcd_dataset.shards.layout import FOREIGN, GARMENTS, index_name
@@ -33,11 +33,9 @@ def info_lines(store: Store) -> Iterator[str]:
     """Counts, shares and their plots. Raises ``ShardError``."""
     manifest = store.manifest()
     if isinstance(store, FolderStore):
-        splits = splits_in(store.folder)
+        splits = require_splits(store.folder)
     else:
         splits = tuple(manifest.splits) if manifest is not None else ("train",)
-    if not splits:
-        raise ShardError(f"{store.place()}: no shards: give a folder that gcd generate has made")
     source = "" if store.source in (None, store.place()) else f", from {store.source}"
     maker = "" if manifest is None else f", begun by gcd_dataset {manifest.generator}, schema {manifest.schema}"
     yield f"{store.place()}{source}{maker}"
@@ -125,9 +123,7 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
     shard and those of its members. Of splits: whether they share designs.
     """
     store = FolderStore(folder)
-    splits = splits_in(folder)
-    if not splits:
-        raise ShardError(f"{folder}: no shards: give a folder that gcd generate has made")
+    splits = require_splits(folder)
     readers = {}
     for split in splits:
         try:

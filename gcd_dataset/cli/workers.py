@@ -5,17 +5,17 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from itertools import islice
+from itertools import chain, islice
 from multiprocessing.connection import Connection
 from typing import TypeVar
 
 from gcd_dataset.errors import GcdError
 
-__all__ = ["side_by_side"]
+__all__ = ["side_by_side", "side_by_side_in_parts"]
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -24,7 +24,13 @@ AHEAD = 2  # tasks in work for each process, so that none waits for the writer
 
 
 def side_by_side(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
-    """The results of the tasks, in order, from ``workers`` processes. Raises ``GcdError`` where one is killed."""
+    """The results of the tasks, in order, from ``workers`` processes, or from this one where one would be alone.
+
+    Raises ``GcdError`` where one is killed.
+    """
+    if workers < 2:
+        yield from map(work, tasks)
+        return
     waiting = iter(tasks)
     with _processes(workers) as pool:
 
@@ -35,6 +41,14 @@ def side_by_side(work: Callable[[Task], Result], tasks: Iterable[Task], workers:
         while at_work:
             yield _result(at_work.popleft())
             at_work.extend(submitted(1))
+
+
+def side_by_side_in_parts(
+    work: Callable[[Sequence[int]], Iterable[Result]], numbers: Sequence[int], workers: int, *, at_once: int
+) -> Iterator[Result]:
+    """The results for all numbers, in order; ``work`` gives those of ``at_once`` of them. Else as ``side_by_side``."""
+    tasks = (numbers[i : i + at_once] for i in range(0, len(numbers), at_once))
+    return chain.from_iterable(side_by_side(work, tasks, workers))
 
 
 def _result(task: Future[Result]) -> Result:

@@ -163,7 +163,7 @@ class Web:
         if status in GONE:
             raise MissingError(f"{own}: not there ({status}): check the name, and the token if it is private")
         if status in REFUSED:
-            raise RefusedError(f"{own}: refused ({status}): ask for access, and give token=, or run hf auth login")
+            raise RefusedError(f"{own}: refused ({status}): ask for access, then run hf auth login or set HF_TOKEN")
         if status == 416:
             raise RemoteError(f"{own}: shorter than its index tells: tell its publisher, or pin another revision")
         if not response.is_success:

@@ -5,12 +5,12 @@ import logging
 from pathlib import Path
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.release.folder import Store, open_store
+from gcd_dataset.release.folder import GarmentFiles, open_batch
 from gcd_dataset.release.layout import BODY_FOLDERS, SPLIT_FILE, batch_order, body_folders, properties_name
 from gcd_dataset.release.properties import Properties, read_properties
 from gcd_dataset.shards.access import reading
 
-__all__ = ["PublishedBatches"]
+__all__ = ["PublishedBatches", "is_published"]
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -29,8 +29,8 @@ class PublishedBatches:
     def __init__(self, root: Path | str, *, bodies: str = "both", cache_dir: Path | str | None = None) -> None:
         self.body_folders = body_folders(bodies)
         self.root, self._cache_dir = _root(Path(root)), None if cache_dir is None else Path(cache_dir)
-        self.stores: dict[tuple[str, str], Store] = {}
-        """Batch and body folder to the garments there."""
+        self.files: dict[tuple[str, str], GarmentFiles] = {}
+        """Batch and body folder to the files of the garments there."""
         self.properties: dict[tuple[str, str], Properties] = {}
         """The same to what is known of them."""
         with reading(self.root):
@@ -52,12 +52,23 @@ class PublishedBatches:
 
     def _open(self, folder: Path) -> None:
         place, properties = (folder.parent.name, folder.name), folder / properties_name(folder.name)
-        self.stores[place] = open_store(folder, self._cache_dir)
+        self.files[place] = open_batch(folder, self._cache_dir)
         if properties.exists():
             self.properties[place] = read_properties(properties, self._cache_dir)
         else:
             logger.warning("%s: missing, so failed garments are not known: download it too", properties)
             self.properties[place] = Properties()
+
+
+def is_published(folder: Path) -> bool:
+    """Whether a folder is a release, or one of its batches."""
+    if _is_batch(folder) or folder.name in BODY_FOLDERS.values():
+        return True
+    try:
+        _root(folder)
+    except ShardError:
+        return False
+    return True
 
 
 def _root(path: Path) -> Path:

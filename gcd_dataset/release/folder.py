@@ -10,14 +10,14 @@ from gcd_dataset.release.archive import Archive
 from gcd_dataset.release.layout import ENDINGS, REMEDY
 from gcd_dataset.shards.access import reading
 
-__all__ = ["Store", "open_store"]
+__all__ = ["GarmentFiles", "open_batch"]
 
 ARCHIVES = (".tar.gz", ".tgz", ".tar")
 NO_GARMENTS = frozenset({"renders", "patterns_vis"})  # folders that the authors' tools put beside those of garments
 
 
-class Store(Protocol):
-    """Where garments lie."""
+class GarmentFiles(Protocol):
+    """The files of the garments of one batch on one kind of body."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,7 +50,7 @@ class Extracted:
         return content
 
 
-def open_store(folder: Path, cache_dir: Path | None) -> Store:
+def open_batch(folder: Path, cache_dir: Path | None) -> GarmentFiles:
     """The garments in ``garments_5000_0/default_body`` or the like: those extracted, else those in its archive.
 
     Raises ``ShardError`` for a folder without garments and for a damaged archive, ``OutputError`` where the index of an

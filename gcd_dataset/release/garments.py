@@ -57,11 +57,11 @@ class PublishedGarments:
         """One garment; nothing is read yet."""
         entry = self.entries[position]
         place = (entry.batch, entry.body_folder)
-        store = self.batches.stores[place]
+        files = self.batches.files[place]
         return PublishedGarment(
             name=entry.name,
-            place=store.where(entry.name),
-            read=functools.partial(store.read, entry.name),
+            place=files.where(entry.name),
+            read=functools.partial(files.read, entry.name),
             facts=self.batches.properties[place].facts.get(entry.name, Facts()),
             default_body=entry.body_folder == BODY_FOLDERS["default"],
         )
@@ -69,7 +69,7 @@ class PublishedGarments:
     def require_any(self) -> None:
         """Raise ``ShardError`` if there is no garment."""
         if not self.entries:
-            there = ", ".join("/".join(place) for place in self.batches.stores) or "none"
+            there = ", ".join("/".join(place) for place in self.batches.files) or "none"
             raise ShardError(
                 f"{self.batches.root}: no garment of split {self.split} on the bodies asked for: there is {there}: "
                 "download the batches that it lists"
@@ -89,12 +89,12 @@ class PublishedGarments:
             yield from ((number, *design) for number, design in enumerate(_designs(self.split_file, self.split)))
             return
         designs = dict.fromkeys(
-            (batch, name) for (batch, _), store in self.batches.stores.items() for name in store.names
+            (batch, name) for (batch, _), files in self.batches.files.items() for name in files.names
         )
         yield from ((number, *design) for number, design in enumerate(designs))
 
     def _present(self, listed: Iterator[tuple[int, str, str]]) -> Iterator[Entry]:
-        names = {place: frozenset(store.names) for place, store in self.batches.stores.items()}
+        names = {place: frozenset(files.names) for place, files in self.batches.files.items()}
         absent = 0
         missing: list[Entry] = []
         for number, batch, name in listed:
@@ -134,7 +134,8 @@ def _split_name(split: str) -> str:
 def _split_file(batches: PublishedBatches) -> Path:
     if batches.split_file is None:
         raise ShardError(
-            f"{batches.root}: no official split ({SPLIT_FILE}): download it into this folder, or give split='{ALL}'"
+            f"{batches.root}: no official split ({SPLIT_FILE}): download it into this folder; "
+            f"PublishedGarmentCodeData does without for {ALL!r}"
         )
     return batches.split_file
 

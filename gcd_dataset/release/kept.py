@@ -24,7 +24,7 @@ def keep(path: Path, content: bytes) -> None:
         make_folder(path.parent)
         write_whole(path, content)
     except OutputError as error:
-        raise OutputError(f"{error}, or give cache_dir= with a folder where the index may be kept") from error
+        raise OutputError(f"{error}, or give another folder as cache_dir, where the index may be kept") from error
 
 
 def stamp_of(source: Path) -> tuple[int, int]:

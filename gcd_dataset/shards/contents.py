@@ -9,7 +9,7 @@ from gcd_dataset.shards.foreign import SPLITS, foreign_index, foreign_shards, sc
 from gcd_dataset.shards.index import ShardIndex, known_index, members_of_shard, scan_shard, tables_of
 from gcd_dataset.shards.layout import BODIES, FOREIGN, GARMENTS, Layout, foreign_layout, index_name, shards_in
 
-__all__ = ["layout_in", "read_index", "rebuild_index", "splits_in"]
+__all__ = ["layout_in", "read_index", "rebuild_index", "require_splits", "splits_in", "way_out"]
 
 log = logging.getLogger(__name__)
 
@@ -50,6 +50,26 @@ def splits_in(folder: Path | str) -> tuple[str, ...]:
     folder = Path(folder)
     ours, rest = _by_maker(folder)
     return tuple(sorted(ours | {split for split in SPLITS if foreign_shards(rest, split)}))
+
+
+def require_splits(folder: Path | str) -> tuple[str, ...]:
+    """As ``splits_in``. Raises ``ShardError`` for a folder without any shards."""
+    splits = splits_in(folder)
+    if not splits:
+        raise ShardError(f"{folder}: no shards: {way_out(Path(folder))}")
+    return splits
+
+
+def way_out(folder: Path) -> str:
+    """What to do about a folder without shards."""
+    from gcd_dataset.release.batches import is_published  # which stands on this package, and is seldom needed
+
+    if is_published(folder):
+        return (
+            "this is GarmentCodeData as published: read it with PublishedGarmentCodeData, or make shards of it with "
+            "gcd convert"
+        )
+    return "give a folder that gcd generate has made"
 
 
 def layout_in(folder: Path | str, split: str) -> Layout:

@@ -7,7 +7,7 @@ from typing import Any, BinaryIO
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.contents import read_index, splits_in
+from gcd_dataset.shards.contents import read_index, splits_in, way_out
 from gcd_dataset.shards.fetched import read_fetched
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import Layout, shard_number
@@ -83,7 +83,7 @@ class FolderStore(Store):
         if any(shard_number(name.removesuffix(".part"), split) is not None for name in names):
             return "a run has not finished its first shard: run gcd generate again to finish it"
         whole = splits_in(self.folder)
-        return f"there is {', '.join(whole)}" if whole else "give a folder that gcd generate has made"
+        return f"there is {', '.join(whole)}" if whole else way_out(self.folder)
 
 
 def read_parts(fd: int, parts: Sequence[Part]) -> tuple[dict[int, memoryview], int | None]:

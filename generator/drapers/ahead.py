@@ -1,12 +1,14 @@
 """Samples in order, the next ones prepared here while those before are draped by another process."""
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from typing import Generic, TypeVar
 
 from gcd_dataset.generator.drapers.asking import Asking, Draped, Order
 from gcd_dataset.generator.drapers.place import Place
-from gcd_dataset.generator.pipeline import Dressed, DressedDesign, finish, prepare, turned_down
+from gcd_dataset.generator.last_design import LastDesign, MadeDesign
+from gcd_dataset.generator.pipeline import DressedDesign, finish, prepare, turned_down
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Sample
 
@@ -25,14 +27,16 @@ def make_ahead(
     ahead: int,
     finished: Callable[[Sample], Made],
     known: Callable[[int], Made | None] = lambda index: None,
+    last: LastDesign | None = None,
 ) -> Iterator[Made]:
     """What ``finished`` makes of the samples of ``indices``, which may be endless, in order: those of ``make_many``.
 
     Up to ``ahead`` of them are in work at a time. ``known``: what there is already of an index, which is not made then.
+    ``last``: as for ``make_many``.
     ``place`` belongs to ``config.device``. Raises ``PatternError`` as ``make_many`` does, ``DrapeError`` where the
     draper is no more.
     """
-    in_work = _InWork(seed, iter(indices), config, ahead, finished, known)
+    in_work = _InWork(seed, iter(indices), config, ahead, finished, known, last or LastDesign())
     with Asking(place) as asking:
         yield from in_work.all(asking)
 
@@ -48,9 +52,10 @@ class _InWork(Generic[Made]):
         ahead: int,
         finished: Callable[[Sample], Made],
         known: Callable[[int], Made | None],
+        last: LastDesign,
     ) -> None:
         self._seed, self._indices, self._config, self._ahead = seed, indices, config, ahead
-        self._finished, self._known = finished, known
+        self._finished, self._known, self._last = finished, known, last
         self._order: deque[int] = deque()
         self._asked: Counter[int] = Counter()
         self._designs: dict[int, DressedDesign] = {}
@@ -82,9 +87,11 @@ class _InWork(Generic[Made]):
         number = index // self._config.wearers
         if number in self._designs or index in self._done:
             return
-        known = self._known(index)
+        known, made = self._known(index), self._last.made
         if known is not None:
             self._done[index] = known
+        elif made is not None and made.number == number:
+            self._done[index] = self._finished(made.sample_of(index))
         else:
             self._send(prepare(self._seed, number, self._config), asking)
 
@@ -110,9 +117,12 @@ class _InWork(Generic[Made]):
         if failed is not None:
             self._send(prepare(self._seed, number, self._config, failed.rejects), asking)
             return
+        made = MadeDesign(number, partial(_sample, design, draped, self._config))
         for worn in design.dressed:
-            if worn.index in self._asked and worn.index not in self._done:
-                self._done[worn.index] = self._finished(_sample(design, worn, draped[worn.index], self._config))
+            if worn.index not in self._asked:
+                self._last.made = made
+            elif worn.index not in self._done:
+                self._done[worn.index] = self._finished(made.sample_of(worn.index))
 
     def _handed_out(self) -> Made:
         index = self._order.popleft()
@@ -123,8 +133,9 @@ class _InWork(Generic[Made]):
         return self._done.pop(index)
 
 
-def _sample(design: DressedDesign, worn: Dressed, answer: Draped, config: MakeConfig) -> Sample:
+def _sample(design: DressedDesign, draped: Mapping[int, Draped], config: MakeConfig, index: int) -> Sample:
     from gcd_dataset.generator.drawing import jpeg_bytes
 
+    worn, answer = design.dressed[index % config.wearers], draped[index]
     pictures = None if answer.pictures is None else (jpeg_bytes(answer.pictures[0]), jpeg_bytes(answer.pictures[1]))
     return finish(design, worn, config, answer.drape, pictures)

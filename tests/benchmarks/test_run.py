@@ -10,9 +10,10 @@ from benchmarks import run
 from benchmarks.cases.figures import Figure, Measured
 
 
-def test_figures_are_printed_and_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture(autouse=True)
+def tape(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The one case there is, and the folder of the reports that are kept."""
+
     def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--length", type=float)
 
@@ -22,6 +23,10 @@ def test_figures_are_printed_and_reported(
     case = SimpleNamespace(__doc__="A case.", add_arguments=add_arguments, run=measure)
     monkeypatch.setattr(run, "CASES", {"tape": "tape"})
     monkeypatch.setattr(run, "load_case", lambda name: case)
+    monkeypatch.setattr(run, "REPORTS", tmp_path / "reports")
+
+
+def test_figures_are_printed_and_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "tape.md"
     assert run.main(["tape", "--length", "3", "--report", str(path)]) == 0
     assert capsys.readouterr().out == "tape.girth 6 cm\n"
@@ -30,3 +35,16 @@ def test_figures_are_printed_and_reported(
     assert "| tape.girth | 6 | cm |" in text
     assert "| doll | 3 |" in text
     assert "commit: " in text
+
+
+def test_a_report_of_a_full_run_is_replaced_only_when_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kept = tmp_path / "reports" / "tape.md"
+    kept.parent.mkdir()
+    kept.write_text("of a full run")
+    assert run.main(["tape", "--length", "3"]) == 0
+    assert kept.read_text() == "of a full run"
+    told = capsys.readouterr()
+    assert told.out == "tape.girth 6 cm\n"
+    assert f"no report is written: --keep writes {kept}" in told.err
+    assert run.main(["tape", "--length", "3", "--keep"]) == 0
+    assert "| tape.girth | 6 | cm |" in kept.read_text()

@@ -142,7 +142,7 @@ def test_a_url_is_there_without_a_server(hub: Hub, commit: str, tmp_path: Path) 
 
 def test_a_private_repository_asks_for_a_token(hub: Hub, folder: Path, tmp_path: Path) -> None:
     hub.publish("org/garments", folder, private=True)
-    with pytest.raises(RefusedError, match="refused"):
+    with pytest.raises(RefusedError, match=r"refused .* run hf auth login or set HF_TOKEN"):
         opened(hub, tmp_path)
     assert opened(hub, tmp_path, token=hub.token, fields=["meta"])[1]["meta"]["index"] == 1
     assert hub.asked("storage")

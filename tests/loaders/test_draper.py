@@ -20,7 +20,7 @@ from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import Asking, Draped, Order, Place, make_ahead, place_for
 from gcd_dataset.generator.drapers.place import _made
 from gcd_dataset.generator.garments.overlay import Overlay
-from gcd_dataset.generator.pipeline import prepare
+from gcd_dataset.generator.pipeline import prepare, sample_key
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentLoader, GeneratedGarments, collate_list
 from gcd_dataset.records import Outcome
@@ -98,6 +98,24 @@ def test_all_workers_have_one_draper_in_common(items: list[dict[str, Any]], plac
 def test_a_stream_gives_them_in_order(items: list[dict[str, Any]]) -> None:
     ds = Apart(COUNT, place_for("cpu"))
     assert_all_same(ds.stream([2, 0, 2, 1]), [items[2], items[0], items[2], items[1]])
+
+
+def test_a_design_is_draped_once_for_its_bodies_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent, ask = [], Asking.ask
+
+    def noted(asking: Asking, order: Order) -> None:
+        sent.append(order.number)
+        ask(asking, order)
+
+    monkeypatch.setattr(Asking, "ask", noted)
+    ds = Apart(4, place_for("cpu"), bodies="both", fields=["verts", "front", "meta"])
+    one_by_one = [ds[0], ds[1]]
+    assert sent == [0, 1]
+    assert_all_same(one_by_one, Apart(4, place_for("cpu"), bodies="both", fields=ds.fields).__getitems__([0, 1]))
+    sent.clear()
+    made = make_ahead(5, [2, 3, 3, 2], ds.config, place_for("cpu"), ahead=1, finished=lambda sample: sample.key)
+    assert list(made) == [sample_key(index) for index in (2, 3, 3, 2)]
+    assert sent == [2, 3]
 
 
 def test_a_drape_that_fails_raises_the_attempt(monkeypatch: pytest.MonkeyPatch) -> None:

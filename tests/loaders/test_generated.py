@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.generator.pipeline import make_many
+from gcd_dataset.generator.pipeline import DressedDesign, make_many, prepare
 from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, GeneratedGarments, collate_list, collate_packed
 from gcd_dataset.shards import ShardWriter
@@ -163,6 +163,40 @@ def test_verify_finds_what_does_not_come_out_the_same(monkeypatch: pytest.Monkey
     monkeypatch.setattr(ds, "_made", lambda positions: [{**made(positions)[0], "design.json": os.urandom(8)}])
     with pytest.raises(ShardError, match=r"gcd_000000001, member design\.json"):
         ds.verify(1)
+
+
+@pytest.fixture
+def designed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of the designs made in this process, as they are made."""
+    numbers = []
+
+    def noted(seed: int, number: int, *options: Any) -> DressedDesign:
+        numbers.append(number)
+        return prepare(seed, number, *options)
+
+    monkeypatch.setattr("gcd_dataset.generator.pipeline.prepare", noted)
+    return numbers
+
+
+@pytest.mark.parametrize("bodies", [{"bodies": "both"}, {"bodies_each": 2}])
+def test_a_design_is_made_once_for_its_bodies_one_after_the_other(bodies: dict[str, Any], designed: list[int]) -> None:
+    together = garments(**bodies).__getitems__([0, 1, 2])
+    designed.clear()
+    ds = garments(**bodies)
+    assert_all_same([ds[0], ds[1], ds[2]], together)
+    assert designed == [0, 1]
+    assert_all_same([ds[1], ds[0]], [together[1], together[0]])
+    assert designed == [0, 1, 0]
+    assert_all_same(garments(**bodies).stream(range(3)), together)
+    assert designed == [0, 1, 0, 0, 1]
+
+
+def test_verify_takes_nothing_that_was_made_before(designed: list[int]) -> None:
+    ds = garments(bodies="both")
+    ds[0]
+    designed.clear()
+    ds.verify(1)
+    assert designed == [0, 0]
 
 
 def test_options_that_do_not_exist_are_refused() -> None:

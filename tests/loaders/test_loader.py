@@ -316,6 +316,20 @@ def test_a_stream_is_shared_out_and_gone_on_with() -> None:
     assert list(second) == list(stream())  # nothing was left
 
 
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"num_workers": -1}, "num_workers=-1: give a whole number, 0 or more"),
+        ({"num_workers": 1.5}, "num_workers=1.5: give a whole number, 0 or more"),
+        ({"batch_size": -2}, "batch_size=-2: give a whole number, 1 or more"),
+        ({"batch_size": 0}, "batch_size=0: give a whole number, 1 or more"),
+    ],
+)
+def test_numbers_that_cannot_be_are_told_with_those_that_can(options: dict[str, Any], told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        GarmentLoader(garments(), **{"batch_size": 4, **options})
+
+
 def test_what_a_stream_cannot_do_is_refused() -> None:
     for options, told in (
         ({}, "a stream comes in its own order"),

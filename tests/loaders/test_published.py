@@ -279,9 +279,18 @@ def test_wrong_arguments_are_told_with_what_there_is(folders: Path, tmp_path: Pa
             PublishedGarmentCodeData(path)
 
 
+def test_shards_asked_for_in_a_published_folder_are_told_the_way(folders: Path) -> None:
+    for folder in (folders.parent, folders, folders / BATCH, folders / BATCH / BODIES[0]):
+        with pytest.raises(ShardError, match="PublishedGarmentCodeData, or make shards of it with gcd convert"):
+            GarmentDataset(folder)
+
+
 def test_a_folder_without_the_split_file_is_read_whole(own: Path) -> None:
     next(own.glob("*split*.json")).unlink()
-    with pytest.raises(ShardError, match=r"no official split .*: download it into this folder, or give split='all'"):
+    with pytest.raises(
+        ShardError,
+        match=r"no official split .*: download it into this folder; PublishedGarmentCodeData does without for 'all'",
+    ):
         PublishedGarmentCodeData(own)
     assert len(PublishedGarmentCodeData(own, "all")) == 6
 

@@ -100,8 +100,10 @@ def test_a_changed_byte_is_found(folder: Path, file: Path) -> None:
 
 
 def test_files_that_are_not_ours_are_told(file: Path, tmp_path: Path) -> None:
-    with pytest.raises(ShardError, match="No such file"):
+    with pytest.raises(ShardError, match="no such file: give one that gcd export --hdf5 has made"):
         Hdf5Garments(tmp_path / "nothing.h5")
+    with pytest.raises(ShardError, match=r"a folder: give a file .*; GarmentDataset reads folders of shards"):
+        Hdf5Garments(tmp_path)
     (tmp_path / "text.h5").write_text("not HDF5")
     with pytest.raises(ShardError, match="not HDF5, or damaged"):
         Hdf5Garments(tmp_path / "text.h5")

@@ -1,0 +1,58 @@
+"""What the verbs of ``gcd`` have in common: how they are put into its parser, and how they end when stopped."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from gcd_dataset.errors import ConfigError
+
+__all__ = ["INTERRUPTED", "add_quiet", "add_verb", "natural", "require_folder", "stopped"]
+
+INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
+
+
+def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+    """The parser of a verb, put among ``verbs``; ``run`` gives the exit code."""
+    parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def add_quiet(parser: argparse.ArgumentParser) -> None:
+    """Give a verb with a progress bar the option to leave it out."""
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def natural(text: str) -> int:
+    """An option that is a number of things."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text} is no whole number of 0 or more")
+    return int(text)
+
+
+def stopped(verb: str, there: str) -> int:
+    """The exit code of a verb ended by Ctrl-C, told with what is there: the same command goes on from that."""
+    print(f"gcd {verb}: stopped at {there}: the same command goes on from there", file=sys.stderr)
+    return INTERRUPTED
+
+
+def require_folder(source: str) -> Path:
+    """The folder of a data set. Raises ``ConfigError`` for anything else, and says how what is elsewhere comes here."""
+    from gcd_dataset.hub.place import Folder, find_place
+    from gcd_dataset.shards.access import reading
+
+    if "://" in source:
+        place = find_place(source)
+        if isinstance(place, Folder):
+            return place.path
+        raise ConfigError(
+            f"{source}: not on this machine: run gcd download {source} first, and give the folder that it makes"
+        )
+    with reading(Path(source)):
+        if Path(source).is_dir():
+            return Path(source)
+    raise ConfigError(
+        f"{source}: no such folder: give a folder of shards; for a repository of the Hub, run gcd download first"
+    )
