@@ -39,6 +39,11 @@ class Staged:
     files: Mapping[str, int]
     """Path to size of what goes up."""
 
+    @property
+    def garments(self) -> int:
+        """How many there are in all splits."""
+        return sum(shard.count for split in self.manifest.splits.values() for shard in split.shards)
+
 
 @dataclass(frozen=True)
 class _Plan:
@@ -95,32 +100,25 @@ def upload(
 ) -> str:
     """Bring what is staged to the Hub, which is made to hold it if need be; the commit.
 
-    Shards first, then, at once, all that names them: no reader meets a manifest of shards that are not there.
+    One commit holds all of it: until then a reader finds the release before, and from then on the whole of this one.
     Raises ``RemoteError`` for a Hub that does not answer, or refuses.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
     api = HfApi(endpoint=hub_endpoint(endpoint), token=token)
     name = _repo_name(repo)
-    small = [path for path in staged.files if not path.endswith(".tar")]
     with _asking_hub(repo):
         api.create_repo(name, repo_type="dataset", private=private, exist_ok=True)
-        shards = [path for path in staged.files if path.endswith(".tar")]
-        api.upload_folder(
-            repo_id=name,
-            repo_type="dataset",
-            folder_path=staged.folder,
-            allow_patterns=shards,
-            commit_message=f"{len(shards)} shards",
-        )
+        added = [CommitOperationAdd(path, staged.folder / path) for path in staged.files]
+        api.preupload_lfs_files(name, added, repo_type="dataset")
+        # Listed when all bytes are up, which may take hours.
         there = api.list_repo_files(name, repo_type="dataset")
         stale = [path for path in there if _is_ours(path) and path not in staged.files]
         commit = api.create_commit(
             name,
-            [CommitOperationAdd(path, staged.folder / path) for path in small]
-            + [CommitOperationDelete(path) for path in stale],
+            [*added, *map(CommitOperationDelete, stale)],
             repo_type="dataset",
-            commit_message="Card, manifest and index",
+            commit_message=f"{staged.garments} garments",
         )
     return str(commit.oid)
 

@@ -188,11 +188,21 @@ def test_shards_of_an_older_release_go(hub: Hub, staged: Staged, tmp_path: Path)
     hub.publish("org/new-set", {"train-00099.tar": b"old", "index-old.npz": b"old", "notes/a.tar": b"theirs"})
     upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
     assert hub.repos["org/new-set"].commits[-1][1].keys() == {*staged.files, "notes/a.tar"}
-    # Whoever reads meanwhile finds no manifest of shards that are not there.
-    for _, files in hub.repos["org/new-set"].commits:
-        if "manifest.json" in files:
-            listed = json.loads(files["manifest.json"])["splits"].values()
-            assert all(shard["name"] in files for split in listed for shard in split["shards"])
+
+
+def test_a_reader_finds_the_whole_of_one_release_or_of_the_other(
+    hub: Hub, staged: Staged, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = fill(tmp_path / "before", range(9))
+    hub.publish("org/new-set", before)
+    ours = staged.files.keys()
+    hub.faults = [Fault("/put/", method="PUT", status=403, times=99)]
+    with pytest.raises(RemoteError, match="cannot be published"):
+        upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
+    hub.faults = []
+    upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
+    assert [files.keys() for _, files in hub.repos["org/new-set"].commits] == [read_folder(before).keys(), ours]
+    assert staged.garments == 80
 
 
 def test_a_hub_that_refuses_is_told(hub: Hub, staged: Staged, tmp_path: Path) -> None:
