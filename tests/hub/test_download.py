@@ -93,6 +93,18 @@ def test_a_download_that_broke_off_goes_on(
     assert rest.span == "bytes=20000-" + str((folder / "train-00000.tar").stat().st_size - 1)
 
 
+def test_a_download_goes_on_though_the_server_sends_whole_files_only(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path
+) -> None:
+    hub.faults = [
+        Fault(r"train-00001\.tar", whole=True, cut=20000),
+        Fault(r"\.tar", whole=True, times=99),
+    ]
+    assert_all_same(GarmentDataset(bring(hub, tmp_path)), GarmentDataset(folder))
+    with pytest.raises(RemoteError, match=r"sends whole files only.*without --fields"):
+        bring(hub, tmp_path / "part", fields=["verts"])
+
+
 def test_a_download_of_fields_that_broke_off_goes_on(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
