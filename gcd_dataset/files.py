@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Files written whole or not at all, and the folders that users name."""
 
 import contextlib
 import errno
@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from gcd_dataset.errors import OutputError, shown
 
-__all__ = ["drafted", "make_folder", "open_whole", "write_whole"]
+__all__ = ["drafted", "make_folder", "open_whole", "user_path", "write_whole"]
 
 REMEDIES = {
     "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
@@ -75,6 +75,14 @@ def make_folder(path: Path | str) -> Path:
     except OSError as error:
         raise _cannot_write(path, error) from error
     return path
+
+
+def user_path(path: Path | str) -> Path:
+    """The path that a user has written: a ``~`` or ``~USER`` at its beginning is that home, where there is one."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:  # nobody is called so: a plain name that begins with it
+        return Path(path)
 
 
 def _cannot_write(path: Path, error: OSError) -> OutputError:

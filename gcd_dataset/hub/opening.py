@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import user_path
 from gcd_dataset.hub.cache import Cache, size_in_bytes
 from gcd_dataset.hub.download import download
 from gcd_dataset.hub.place import Folder, find_place
@@ -34,10 +35,11 @@ def open_store(
         return FolderStore(place.path)
     limit = size_in_bytes(remote.max_cache_size)
     if root is not None:
+        folder = user_path(root)
         if remote.allowed:
             for split in splits:
-                download(place, Path(root), remote, split=split, fields=fields)
-        return FolderStore(root)
+                download(place, folder, remote, split=split, fields=fields)
+        return FolderStore(folder)
     return RemoteStore(Site(place, remote), Cache(remote.folder, limit))
 
 

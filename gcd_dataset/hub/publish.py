@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -28,6 +29,8 @@ CARD, CROISSANT = "README.md", "croissant.json"
 STAGED = ".staged"  # in a folder whose shards are copies, which may be made anew
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
 """What the Hub calls splits that others call otherwise."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,7 @@ def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
         ((split, reader),) = readers.items()
         assert reader.manifest is not None
         record, parts = reader.manifest.splits[split], partition(reader, shares)
+        _tell_missing(dataset, shares, parts)
         return {name: _Plan(reader, _part(record, shares, name), positions) for name, positions in parts.items()}
     if told := leaks(readers):
         raise ConfigError(f"{dataset}: {told[0]}: publish it as one split, which is then divided, or make them anew")
@@ -155,6 +159,18 @@ def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
         for (split, reader), manifest in zip(readers.items(), manifests.values(), strict=True)
         if manifest is not None
     }
+
+
+def _tell_missing(dataset: Path, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
+    """Warn of splits that have a share and get no garment, since fewer families are there than splits."""
+    if missing := [name for name, share in shares.items() if share > 0 and name not in parts]:
+        log.warning(
+            "%s: nothing for %s: garments that share a design or a body stay in one split, and all of these fall into "
+            "%s: add garments of other designs on other bodies, or give --shares 100,0,0",
+            dataset,
+            " and ".join(missing),
+            " and ".join(parts),
+        )
 
 
 def _part(record: SplitRecord, shares: Mapping[str, float], name: str) -> SplitRecord:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from gcd_dataset.errors import ShardError
+from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.contents import read_index, splits_in
 from gcd_dataset.shards.fetched import read_fetched
@@ -25,7 +26,7 @@ class FolderStore(Store):
     """The shards in a folder. Raises ``ShardError`` for a download that was not finished."""
 
     def __init__(self, folder: Path | str) -> None:
-        self.folder = Path(folder)
+        self.folder = user_path(folder)
         fetched = read_fetched(self.folder)
         self.source = None if fetched is None else fetched.source
         self._files = OpenFiles()

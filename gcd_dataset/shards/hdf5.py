@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Int, UInt8
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.files import drafted
+from gcd_dataset.files import drafted, user_path
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.codec import read_json
 from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMA, Bytes
@@ -55,7 +55,7 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     sample.
     """
     columns = _columns(reader)
-    with drafted(path) as draft, h5py.File(draft, "w") as file:
+    with drafted(user_path(path)) as draft, h5py.File(draft, "w") as file:
         _lay_out(file, reader, columns)
         for position in range(len(reader)):
             members = reader.read(position, MEMBERS)
@@ -76,7 +76,7 @@ class Hdf5Reader:
     """
 
     def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
+        self.path = user_path(path)
         self._file: _OpenFile | None = None
         self._process, self._lock = os.getpid(), threading.Lock()
         with self._opened() as file:

@@ -165,6 +165,15 @@ def test_splits_that_are_there_stay_as_they_are(tmp_path: Path) -> None:
         stage(tmp_path / "data", "org/new", tmp_path / "up")
 
 
+def test_splits_that_get_nothing_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    put(tmp_path / "one", (sample(i, design=i, body=7) for i in range(4)))
+    assert list(stage(tmp_path / "one", "org/new", tmp_path / "up").manifest.splits) == ["train"]
+    assert "nothing for validation and test: garments that share a design or a body stay in one split" in caplog.text
+    caplog.clear()
+    stage(tmp_path / "one", "org/new", tmp_path / "all", shares={"train": 1.0, "validation": 0.0, "test": 0.0})
+    assert not caplog.text
+
+
 def test_what_goes_up_comes_down(hub: Hub, both: Path, staged: Staged, tmp_path: Path) -> None:
     from huggingface_hub import HfApi, hf_hub_download, snapshot_download
 
