@@ -38,6 +38,8 @@ class Url:
     """A folder of a web server."""
 
     url: str
+    revision: str = ""
+    """Hash of its manifest; empty for whatever is there."""
 
     def __str__(self) -> str:
         return self.url

@@ -18,7 +18,8 @@ from gcd_dataset.hub.publish import Staged, stage, upload
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import BodyShape, Sample
-from gcd_dataset.shards import ShardReader
+from gcd_dataset.shards import MEMBERS, ShardReader
+from gcd_dataset.shards.index import scan_shard
 from tests.hub.server import Fault, Hub, read_folder
 from tests.loaders.test_shards import assert_all_same
 from tests.shards.folders import fill, open_writer
@@ -144,6 +145,26 @@ def test_it_is_staged_again_only_where_it_changed(tmp_path: Path) -> None:
     fill(data, range(20, 40))
     grown = stage(data, "org/new", tmp_path / "up")
     assert sum(len(GarmentDataset(tmp_path / "up", name)) for name in grown.manifest.splits) == 40
+
+
+def test_a_data_set_made_anew_is_staged_anew(tmp_path: Path) -> None:
+    shares = {"train": 1.0, "validation": 0.0, "test": 0.0}
+    stage(fill(tmp_path / "data", range(6)), "org/new", tmp_path / "up", shares=shares)
+    (tmp_path / "up" / "train-00001.tar").rename(tmp_path / "up" / "train-00001.tar.part")  # stopped in the middle
+    other = fill(tmp_path / "other", range(6), seed=1)
+    stage(other, "org/new", tmp_path / "up", shares=shares)
+    assert_all_same(GarmentDataset(tmp_path / "up"), GarmentDataset(other))
+
+
+def test_a_damaged_copy_is_staged_anew(tmp_path: Path) -> None:
+    data, shares = fill(tmp_path / "data", range(4)), {"train": 1.0, "validation": 0.0, "test": 0.0}
+    stage(data, "org/new", tmp_path / "up", shares=shares)
+    path = tmp_path / "up" / "train-00000.tar"
+    content = bytearray(path.read_bytes())
+    content[int(scan_shard(path).offset[2, MEMBERS.index("verts.npy")]) + 300] ^= 1
+    path.write_bytes(content)
+    stage(data, "org/new", tmp_path / "up", shares=shares)
+    assert_all_same(GarmentDataset(tmp_path / "up", verify="full"), GarmentDataset(data))
 
 
 def test_no_data_set_is_overwritten_by_what_goes_up(tmp_path: Path) -> None:
