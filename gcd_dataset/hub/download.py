@@ -35,7 +35,7 @@ from gcd_dataset.shards.layout import (
 from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, keep_split, read_manifest
 from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["download", "remote_splits"]
+__all__ = ["download", "remote_splits", "require_from"]
 
 META = GARMENTS.members[0]
 LINES = 4  # shards that come at a time
@@ -70,6 +70,7 @@ def download(
     if there is not None and _is_there(folder, there, place, split, wanted):
         return there
     site = Site(place, remote)
+    place = replace(place, revision=site.revision)
     store = RemoteStore(site, None)
     reader = ShardReader(store, split)
     if reader.manifest is None or reader.layout.kind == FOREIGN:
@@ -98,6 +99,14 @@ def download(
         return _ended(folder, site.source, split, layout)
 
 
+def require_from(folder: Path, place: Repo | Url) -> None:
+    """Raise ``ConfigError`` for a folder that was downloaded from elsewhere; what a tag stood for, nobody can tell."""
+    there = read_fetched(folder)
+    known = place if isinstance(place, Url) or place.is_pinned else replace(place, revision=MAIN)
+    if there is not None and not _is_from(there, known):
+        raise ConfigError(f"{folder}: holds {there.source}, asked for {place}: choose another folder")
+
+
 def remote_splits(place: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple[str, ...]]:
     """The place at its revision of now, and the splits there are.
 
@@ -124,6 +133,11 @@ def _is_there(folder: Path, there: Fetched, place: Repo | Url, split: str, wante
         return False
     if not _has_shards(folder, split):
         return False
+    return _is_from(there, place)
+
+
+def _is_from(there: Fetched, place: Repo | Url) -> bool:
+    """Whether a folder was downloaded from that place, at the revision that it names, if any."""
     name, _, revision = there.source.rpartition("@")
     if isinstance(place, Url):
         return name == place.url and place.revision in ("", revision)

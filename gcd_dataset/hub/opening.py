@@ -6,7 +6,7 @@ from pathlib import Path
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import user_path
 from gcd_dataset.hub.cache import Cache, size_in_bytes
-from gcd_dataset.hub.download import download
+from gcd_dataset.hub.download import download, require_from
 from gcd_dataset.hub.place import Folder, find_place
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
@@ -36,9 +36,10 @@ def open_store(
     limit = size_in_bytes(remote.max_cache_size)
     if root is not None:
         folder = user_path(root)
-        if remote.allowed:
-            for split in splits:
-                download(place, folder, remote, split=split, fields=fields)
+        if not remote.allowed:
+            require_from(folder, place)
+        for split in splits if remote.allowed else ():
+            download(place, folder, remote, split=split, fields=fields)
         return FolderStore(folder)
     return RemoteStore(Site(place, remote), Cache(remote.folder, limit))
 

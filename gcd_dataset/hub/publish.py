@@ -3,6 +3,7 @@
 import hashlib
 import json
 import logging
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -27,6 +28,7 @@ __all__ = ["Staged", "stage", "upload"]
 
 CARD, CROISSANT = "README.md", "croissant.json"
 STAGED = ".staged"  # in a folder whose shards are copies, which may be made anew
+OURS = re.compile(r"[^/]+-\d{5,}\.tar|index-[^/]+\.npz")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
 """What the Hub calls splits that others call otherwise."""
 
@@ -207,7 +209,7 @@ def _tidy(folder: Path, manifest: Manifest) -> None:
 
 def _is_ours(path: str) -> bool:
     """Whether a file of a repository is one that a release replaces."""
-    return "/" not in path and (path.endswith(".tar") or (path.startswith("index-") and path.endswith(".npz")))
+    return OURS.fullmatch(path) is not None
 
 
 def _size_and_hash(path: Path) -> tuple[int, str]:

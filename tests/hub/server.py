@@ -65,6 +65,8 @@ class Repo:
 
     commits: list[tuple[str, dict[str, bytes]]] = field(default_factory=list)
     private: bool = False
+    tags: dict[str, str] = field(default_factory=dict)
+    """Name to commit."""
 
     def commit(self, files: Mapping[str, bytes]) -> str:
         """Add a commit; its hash."""
@@ -76,7 +78,8 @@ class Repo:
         return sha
 
     def at(self, revision: str) -> tuple[str, dict[str, bytes]] | None:
-        """Commit and files of a branch or commit."""
+        """Commit and files of a branch, tag or commit."""
+        revision = self.tags.get(revision, revision)
         if revision == "main":
             return self.commits[-1] if self.commits else None
         return next((commit for commit in self.commits if commit[0] == revision), None)

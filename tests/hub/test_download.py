@@ -20,7 +20,7 @@ from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, read_index, rebuild_index
-from gcd_dataset.shards.fetched import read_fetched
+from gcd_dataset.shards.fetched import Fetched, read_fetched
 from gcd_dataset.shards.index import scan_shard
 from gcd_dataset.shards.layout import GARMENTS, MEMBERS
 from gcd_dataset.shards.manifest import read_manifest
@@ -82,6 +82,21 @@ def test_root_downloads_first(hub: Hub, commit: str, folder: Path, tmp_path: Pat
     for download_ in (True, False):
         again = GarmentDataset("org/garments", root=tmp_path / "data", download=download_, **options)
         assert_all_same(again, ds)
+    for source, revision in (("org/others", None), ("org/garments", "0" * 40)):
+        with pytest.raises(ConfigError, match=rf"holds hf://datasets/org/garments@{commit}, asked for .*{source}"):
+            GarmentDataset(source, root=tmp_path / "data", download=False, revision=revision, **options)
+
+
+def test_a_tag_is_downloaded_once(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hub.repos["org/garments"].tags["v1"] = commit
+    options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": tmp_path / "cache", "revision": "v1"}
+    GarmentDataset("org/garments", root=tmp_path / "data", **options)
+    monkeypatch.setattr(Fetched, "write", lambda self, folder: pytest.fail("begun once more"))
+    for download_ in (True, False):
+        ds = GarmentDataset("org/garments", root=tmp_path / "data", download=download_, **options)
+        assert_all_same(ds, GarmentDataset(folder))
 
 
 def test_a_download_that_broke_off_goes_on(

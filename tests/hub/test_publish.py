@@ -215,9 +215,12 @@ def test_what_goes_up_comes_down(hub: Hub, both: Path, staged: Staged, tmp_path:
 
 
 def test_shards_of_an_older_release_go(hub: Hub, staged: Staged, tmp_path: Path) -> None:
-    hub.publish("org/new-set", {"train-00099.tar": b"old", "index-old.npz": b"old", "notes/a.tar": b"theirs"})
+    hub.publish(
+        "org/new-set",
+        {"train-00099.tar": b"old", "index-old.npz": b"old", "notes/a.tar": b"theirs", "a.tar": b"theirs"},
+    )
     upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
-    assert hub.repos["org/new-set"].commits[-1][1].keys() == {*staged.files, "notes/a.tar"}
+    assert hub.repos["org/new-set"].commits[-1][1].keys() == {*staged.files, "notes/a.tar", "a.tar"}
 
 
 def test_a_reader_finds_the_whole_of_one_release_or_of_the_other(

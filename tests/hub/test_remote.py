@@ -333,6 +333,12 @@ def test_packed_files_are_told(hub: Hub, commit: str, tmp_path: Path) -> None:
         GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
 
 
+def test_a_manifest_that_is_none_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
+    hub.static["garments/manifest.json"] = b"<html>"
+    with pytest.raises(ShardError, match=r"manifest\.json: not a manifest .*: try again later, or tell its publisher"):
+        GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
+
+
 def test_an_index_of_other_shards_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
     manifest = hub.static["garments/manifest.json"].decode()
     size = len(hub.static["garments/train-00001.tar"])
