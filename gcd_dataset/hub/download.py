@@ -12,13 +12,13 @@ from pathlib import Path
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.files import make_folder
 from gcd_dataset.hub.checked import CheckedShards
-from gcd_dataset.hub.place import MAIN, Repo, Url
+from gcd_dataset.hub.held import begin, end, what_is_there
+from gcd_dataset.hub.place import Repo, Url
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
-from gcd_dataset.shards.access import locked, reading, writing
-from gcd_dataset.shards.contents import splits_in
+from gcd_dataset.shards.access import locked, writing
 from gcd_dataset.shards.copying import copy_shard
-from gcd_dataset.shards.fetched import Fetched, FetchedSplit, changing_fetched, read_fetched
+from gcd_dataset.shards.fetched import Fetched
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import (
     FIELDS,
@@ -30,12 +30,11 @@ from gcd_dataset.shards.layout import (
     lock_name,
     part_path,
     shard_number,
-    shards_in,
 )
-from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, keep_split, read_manifest
+from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_split
 from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["download", "remote_splits", "require_from"]
+__all__ = ["download", "remote_splits"]
 
 META = GARMENTS.members[0]
 LINES = 4  # shards that come at a time
@@ -66,8 +65,7 @@ def download(
     remote = remote or Remote()
     members = tuple(FIELDS[field] for field in known_fields(fields))
     wanted = GARMENTS.of([member for member in GARMENTS.members if member in {META, *members}])
-    there = read_fetched(folder) if folder.is_dir() else None
-    if there is not None and _is_there(folder, there, place, split, wanted):
+    if there := what_is_there(folder, place, split, wanted):
         return there
     site = Site(place, remote)
     place = replace(place, revision=site.revision)
@@ -81,14 +79,10 @@ def download(
     layout = reader.layout.of([member for member in reader.layout.members if member in wanted.members])
     make_folder(folder)
     with locked(folder / lock_name(split), f"writing split {split}", wait=True):
-        there = read_fetched(folder)
-        if there is not None and _is_there(folder, there, place, split, layout):
+        if there := what_is_there(folder, place, split, layout):
             return there  # another process was faster
-        with changing_fetched(folder):
-            _begun(folder, site.source, split, layout, reader.manifest).write(folder)
-            _begin_manifest(folder, reader.manifest)
+        begin(folder, site.source, split, layout, reader.manifest)
         record = reader.manifest.splits[split]
-        _drop_others(folder, split, record)
         if layout == reader.layout:
             _bring_whole(folder, site, split, record, told or _silent)
             shards = list(record.shards)
@@ -96,15 +90,7 @@ def download(
         else:
             shards = _bring_fields(folder, reader, layout, told or _silent)
         keep_split(folder, split, replace(record, shards=tuple(shards)))
-        return _ended(folder, site.source, split, layout)
-
-
-def require_from(folder: Path, place: Repo | Url) -> None:
-    """Raise ``ConfigError`` for a folder that was downloaded from elsewhere; what a tag stood for, nobody can tell."""
-    there = read_fetched(folder)
-    known = place if isinstance(place, Url) or place.is_pinned else replace(place, revision=MAIN)
-    if there is not None and not _is_from(there, known):
-        raise ConfigError(f"{folder}: holds {there.source}, asked for {place}: choose another folder")
+        return end(folder, site.source, split, layout)
 
 
 def remote_splits(place: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple[str, ...]]:
@@ -124,97 +110,6 @@ def _foreign(site: Site) -> ConfigError:
         f"{site.source}: tars of another program have no manifest to check them by: read them without root, or get "
         "them with hf download"
     )
-
-
-def _is_there(folder: Path, there: Fetched, place: Repo | Url, split: str, wanted: Layout) -> bool:
-    """Whether a folder holds all that is wanted, so that no server need be asked."""
-    known = there.splits.get(split)
-    if known is None or not known.whole or not set(wanted.members) <= set(known.members):
-        return False
-    if not _has_shards(folder, split):
-        return False
-    return _is_from(there, place)
-
-
-def _is_from(there: Fetched, place: Repo | Url) -> bool:
-    """Whether a folder was downloaded from that place, at the revision that it names, if any."""
-    name, _, revision = there.source.rpartition("@")
-    if isinstance(place, Url):
-        return name == place.url and place.revision in ("", revision)
-    return name == f"hf://datasets/{place.name}" and place.revision in (MAIN, revision)
-
-
-def _has_shards(folder: Path, split: str) -> bool:
-    """Whether all shards in the folder's manifest are there, as long as it says."""
-    record = (read_manifest(folder) or Manifest()).splits.get(split)
-    with reading(folder):
-        size = {path.name: path.stat().st_size for path in shards_in(folder, split)}
-    return record is not None and all(size.get(shard.name) == shard.size for shard in record.shards)
-
-
-def _begun(folder: Path, source: str, split: str, layout: Layout, manifest: Manifest) -> Fetched:
-    """The record of the folder, in which this split is about to come. Raises ``ConfigError`` if another is there."""
-    there = read_fetched(folder)
-    if there is None and (read_manifest(folder) is not None or splits_in(folder)):
-        raise ConfigError(f"{folder}: holds a data set that was not downloaded: choose another folder")
-    note = there or Fetched(source)
-    if note.source != source:
-        note = _followed(folder, note, source, manifest)
-    if (known := note.splits.get(split)) is not None and tuple(known.members) != layout.members:
-        had, now = (", ".join(member.split(".")[0] for member in some) for some in (known.members, layout.members))
-        raise ConfigError(f"{folder}: holds the fields {had} of split {split}, asked for {now}: choose another folder")
-    return note.with_split(split, FetchedSplit(layout.members))
-
-
-def _followed(folder: Path, note: Fetched, source: str, manifest: Manifest) -> Fetched:
-    """The record of a folder whose URL holds more by now; splits of it that have changed are no longer whole.
-
-    Raises ``ConfigError`` for another place, another commit, or a URL at which another data set is.
-    """
-    url = source.rpartition("@")[0]
-    if note.source.rpartition("@")[0] != url or not url.startswith(("http://", "https://")):
-        raise ConfigError(f"{folder}: holds {note.source}, asked for {source}: choose another folder, or that revision")
-    here = read_manifest(folder) or Manifest()
-    for name, record in here.splits.items():
-        if name not in manifest.splits or _way(record) != _way(manifest.splits[name]):
-            raise ConfigError(
-                f"{folder}: holds {note.source}, and by now another data set is there, with another seed, recipe or "
-                f"split than {name} had: choose another folder"
-            )
-    log.info("%s: %s has changed since: what is new is brought", folder, url)
-    same = {name for name in note.splits if here.splits.get(name) == manifest.splits.get(name)}
-    splits = {name: replace(split, whole=split.whole and name in same) for name, split in note.splits.items()}
-    return Fetched(source, splits)
-
-
-def _way(record: SplitRecord) -> SplitRecord:
-    """How the samples of a split are made, and numbered, however many there are."""
-    return replace(record, shards=())
-
-
-def _drop_others(folder: Path, split: str, record: SplitRecord) -> None:
-    """Remove shards that are no longer part of the split, which readers of the folder would find."""
-    listed = {shard.name for shard in record.shards}
-    for path in shards_in(folder, split):
-        if path.name not in listed:
-            with writing(path):
-                path.unlink()
-
-
-def _ended(folder: Path, source: str, split: str, layout: Layout) -> Fetched:
-    """The record of the folder, in which this split is whole, unless it follows a later revision meanwhile."""
-    with changing_fetched(folder):
-        note = read_fetched(folder) or Fetched(source)
-        if note.source == source:
-            note = note.with_split(split, FetchedSplit(layout.members, whole=True))
-            note.write(folder)
-    return note
-
-
-def _begin_manifest(folder: Path, manifest: Manifest) -> None:
-    """A manifest that says who made the data set."""
-    if read_manifest(folder) is None:
-        replace(manifest, splits={}).write(folder)
 
 
 # ------------------------------------------------------------------------------------------------------- whole shards

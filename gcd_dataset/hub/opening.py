@@ -6,7 +6,8 @@ from pathlib import Path
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import user_path
 from gcd_dataset.hub.cache import Cache, size_in_bytes
-from gcd_dataset.hub.download import download, require_from
+from gcd_dataset.hub.download import download
+from gcd_dataset.hub.held import require_from
 from gcd_dataset.hub.place import Folder, find_place
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
