@@ -42,7 +42,7 @@ def test_a_plain_name_that_begins_so_stays() -> None:
 
 
 def test_folders_of_shards(home: Path) -> None:
-    fill(home / "data", range(COUNT))
+    fill(Path("~/data"), range(COUNT))
     assert find_place("~/data") == Folder(home / "data")
     assert len(GarmentDataset("~/data")) == len(GarmentDataset(Path("~/data"))) == COUNT
     assert len(ShardReader("~/data")) == COUNT
