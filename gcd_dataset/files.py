@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Files written whole or not at all, and the folders that users name."""
 
 import contextlib
 import errno
@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from gcd_dataset.errors import OutputError, shown
 
-__all__ = ["drafted", "make_folder", "open_whole", "write_whole", "writing_to"]
+__all__ = ["drafted", "make_folder", "open_whole", "user_path", "write_whole", "writing_to"]
 
 REMEDIES = {
     "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
@@ -72,6 +72,14 @@ def make_folder(path: Path | str) -> Path:
     with writing_to(path):
         path.mkdir(parents=True, exist_ok=True)
     return path
+
+
+def user_path(path: Path | str) -> Path:
+    """The path that a user has written: a ``~`` or ``~USER`` at its beginning is that home, where there is one."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:  # nobody is called so: a plain name that begins with it
+        return Path(path)
 
 
 @contextlib.contextmanager

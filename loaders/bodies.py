@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
+from gcd_dataset.files import user_path
 from gcd_dataset.loaders.base import Item, Transform, made_with
 from gcd_dataset.records import MEASURES
 from gcd_dataset.release.bodies import PublishedPeople
@@ -110,7 +111,7 @@ class BodyDataset(Bodies):
     ) -> None:
         super().__init__(fields, transform)
         self._reader = ShardReader(source, split, layout=BODIES, verify=verify)
-        self._mesh = read_mesh(Path(source), split, self.recipe(0)["recipe"]["mesh"])
+        self._mesh = read_mesh(user_path(source), split, self.recipe(0)["recipe"]["mesh"])
 
     @property
     def mesh(self) -> BodyMesh:

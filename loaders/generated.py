@@ -12,6 +12,7 @@ from torch.utils.data import get_worker_info
 
 from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.files import user_path
 from gcd_dataset.generator.drapers import make_ahead, place_for
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.last_design import LastDesign
@@ -93,7 +94,7 @@ class GeneratedGarments(Garments):
         self._on_gpu = self.config.stage == "drape" and self.config.device != "cpu"
         # Named here, so that all workers meet in one place and it ends with this process, not with one of them.
         self._place = place_for(self.config.device) if self._on_gpu else None
-        self.cache = None if cache_dir is None else Path(cache_dir) / self._cache_name
+        self.cache = None if cache_dir is None else user_path(cache_dir) / self._cache_name
         """The folder of this seed, recipe and version in ``cache_dir``."""
         self._kept = (
             None if self.cache is None else KeptSamples(self.cache, self._n, seed=self._seed, recipe=self._recipe)

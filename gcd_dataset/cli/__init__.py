@@ -17,6 +17,7 @@ from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, exchange
 from gcd_dataset.cli.verb import INTERRUPTED, add_quiet, add_verb, natural, require_folder, stopped
 from gcd_dataset.errors import ConfigError, GcdError, SpecError
+from gcd_dataset.files import user_path
 from gcd_dataset.tomlfile import read_toml
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``gcd`` with ``arguments`` and return its exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     logging.getLogger("gcd_dataset").setLevel(logging.INFO)
-    options = _parser().parse_args(arguments)
+    options = _at_home(_parser().parse_args(arguments))
     try:
         return int(options.run(options))
     except KeyboardInterrupt:
@@ -292,6 +293,17 @@ def _parser() -> argparse.ArgumentParser:
     datasets.add_verbs(verbs)
     exchange.add_verbs(verbs)
     return parser
+
+
+def _at_home(options: argparse.Namespace) -> argparse.Namespace:
+    """The options with every ``~`` that a path begins with resolved: shells leave those of ``--out=~/x`` alone."""
+    return argparse.Namespace(**{name: _resolved(value) for name, value in vars(options).items()})
+
+
+def _resolved(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_resolved(entry) for entry in value]
+    return type(value)(user_path(value)) if isinstance(value, str | Path) and str(value).startswith("~") else value
 
 
 def _sample_or_pattern(source: str, index: int) -> "Sample | Pattern":

@@ -13,6 +13,7 @@ import errno
 import logging
 import os
 import re
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,6 +30,7 @@ __all__ = ["Cache", "Piece", "size_in_bytes"]
 
 COUNTER = 8  # bytes at the head of a .have file
 OPEN_SHARDS = 256  # of the 1024 files that most systems give a process
+TOUCHED_EVERY = 60.0  # s: on a network's file system a time costs as much to write down as a member to read
 UNITS = {"": 1, "B": 1} | {
     f"{prefix}{unit}": base ** (power + 1)
     for unit, base in (("B", 1000), ("IB", 1024))
@@ -116,9 +118,8 @@ class Cache:
         size = sum(len(piece.data) for piece in fresh)
         if not fresh or not self._make_room(size, key):
             return
-        shard = self._made(key, count)  # it may have been the one to make way
-        for piece in fresh:
-            _write(shard.fd, piece.data, piece.offset)
+        self._made(key, count)  # it may have been the one to make way
+        _write(self._have(key).with_suffix(".tar"), fresh)
         # Counted before it is vouched for: what a kill leaves behind is counted too much, never too little.
         self._count(key, size)
         for piece in fresh:
@@ -174,13 +175,14 @@ class Cache:
         """The shard's files, opened once; ``None`` where there are none."""
         shard = self._open.get(key)
         if shard is not None and not shard.is_gone and len(shard.have) == COUNTER + count:
+            shard.touch()
             return shard
         self._open.pop(key, None)
         try:
             shard = _Shard(self._have(key), count)
-            os.utime(self._have(key))
         except (OSError, ValueError):
             return None
+        shard.touch()
         if len(self._open) >= OPEN_SHARDS:
             self._open.pop(next(iter(list(self._open))), None)
         self._open[key] = shard
@@ -230,13 +232,21 @@ class _Shard:
 
     def __init__(self, have: Path, count: int) -> None:
         self.fd = -1
+        self._path, self._due = have, 0.0
         self.have = np.memmap(have, np.uint8, "r", shape=(COUNTER + count,))
-        self.fd = os.open(have.with_suffix(".tar"), os.O_RDWR)
+        self.fd = os.open(have.with_suffix(".tar"), os.O_RDONLY)
 
     @property
     def is_gone(self) -> bool:
         """Whether it has made way for others."""
         return os.fstat(self.fd).st_nlink == 0
+
+    def touch(self) -> None:
+        """Write down that it is in use, now and then: whoever makes room goes by that."""
+        if (now := time.monotonic()) >= self._due:
+            self._due = now + TOUCHED_EVERY
+            with contextlib.suppress(OSError):  # a cache that may only be read
+                os.utime(self._path)
 
     def __del__(self) -> None:
         if self.fd >= 0:
@@ -260,7 +270,12 @@ def _set(path: Path, place: int, content: bytes) -> None:
         os.close(fd)
 
 
-def _write(fd: int, data: memoryview, place: int) -> None:
-    while data:
-        written = os.pwrite(fd, data, place)
-        data, place = data[written:], place + written
+def _write(path: Path, pieces: Sequence[Piece]) -> None:
+    fd = os.open(path, os.O_WRONLY)
+    try:
+        for _, place, data in pieces:
+            while data:
+                written = os.pwrite(fd, data, place)
+                data, place = data[written:], place + written
+    finally:
+        os.close(fd)

@@ -11,13 +11,14 @@ from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.files import make_folder
-from gcd_dataset.hub.place import MAIN, Repo, Url
+from gcd_dataset.hub.checked import CheckedShards
+from gcd_dataset.hub.held import begin, end, what_is_there
+from gcd_dataset.hub.place import Repo, Url
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
 from gcd_dataset.shards.access import locked, writing
-from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.copying import copy_shard
-from gcd_dataset.shards.fetched import Fetched, FetchedSplit, read_fetched
+from gcd_dataset.shards.fetched import Fetched
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import (
     FIELDS,
@@ -30,7 +31,7 @@ from gcd_dataset.shards.layout import (
     part_path,
     shard_number,
 )
-from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, keep_split, read_manifest
+from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_split
 from gcd_dataset.shards.reader import ShardReader
 
 __all__ = ["download", "remote_splits"]
@@ -55,18 +56,19 @@ def download(
 ) -> Fetched:
     """Bring a split into ``folder``, as a data set of its own; with ``fields`` nothing else of each sample.
 
-    What is whole there is not asked for again: broken off and started again, it goes on. Every shard has the hash, or
-    every member the CRC-32, that was published, or does not stay. Raises ``RemoteError`` for a server that fails for
-    longer than it is waited for, ``ConfigError`` for a folder that holds something else, ``OutputError`` for one that
-    cannot be written.
+    What is whole there is not asked for again: broken off and started again, it goes on. Where ``place`` names another
+    revision, that of a URL whose data set has grown, what has changed is brought. Every shard has the hash, or every
+    member the CRC-32, that was published, or does not stay. Raises ``RemoteError`` for a server that fails for longer
+    than it is waited for, ``ConfigError`` for a folder that holds something else, ``OutputError`` for one that cannot
+    be written.
     """
     remote = remote or Remote()
     members = tuple(FIELDS[field] for field in known_fields(fields))
     wanted = GARMENTS.of([member for member in GARMENTS.members if member in {META, *members}])
-    there = read_fetched(folder) if folder.is_dir() else None
-    if there is not None and _is_there(there, place, split, wanted):
+    if there := what_is_there(folder, place, split, wanted):
         return there
     site = Site(place, remote)
+    place = replace(place, revision=site.revision)
     store = RemoteStore(site, None)
     reader = ShardReader(store, split)
     if reader.manifest is None or reader.layout.kind == FOREIGN:
@@ -77,23 +79,18 @@ def download(
     layout = reader.layout.of([member for member in reader.layout.members if member in wanted.members])
     make_folder(folder)
     with locked(folder / lock_name(split), f"writing split {split}", wait=True):
-        there = read_fetched(folder)
-        if there is not None and _is_there(there, place, split, layout):
+        if there := what_is_there(folder, place, split, layout):
             return there  # another process was faster
-        note = _begun(folder, site.source, split, layout)
-        note.write(folder)
+        begin(folder, site.source, split, layout, reader.manifest)
         record = reader.manifest.splits[split]
-        _begin_manifest(folder, reader.manifest)
         if layout == reader.layout:
-            _bring_whole(folder, site, record, told or _silent)
+            _bring_whole(folder, site, split, record, told or _silent)
             shards = list(record.shards)
             reader.index.write(folder / index_name(split))
         else:
             shards = _bring_fields(folder, reader, layout, told or _silent)
         keep_split(folder, split, replace(record, shards=tuple(shards)))
-        note = note.with_split(split, FetchedSplit(layout.members, whole=True))
-        note.write(folder)
-    return note
+        return end(folder, site.source, split, layout)
 
 
 def remote_splits(place: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple[str, ...]]:
@@ -105,7 +102,7 @@ def remote_splits(place: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple[
     manifest = RemoteStore(site, None).manifest()
     if manifest is None:
         raise _foreign(site)
-    return (replace(place, revision=site.revision) if isinstance(place, Repo) else place), tuple(manifest.splits)
+    return replace(place, revision=site.revision), tuple(manifest.splits)
 
 
 def _foreign(site: Site) -> ConfigError:
@@ -115,41 +112,11 @@ def _foreign(site: Site) -> ConfigError:
     )
 
 
-def _is_there(there: Fetched, place: Repo | Url, split: str, wanted: Layout) -> bool:
-    """Whether a folder holds all that is wanted, so that no server need be asked."""
-    known = there.splits.get(split)
-    if known is None or not known.whole or not set(wanted.members) <= set(known.members):
-        return False
-    name, _, revision = there.source.rpartition("@")
-    if isinstance(place, Url):
-        return name == place.url
-    return name == f"hf://datasets/{place.name}" and place.revision in (MAIN, revision)
-
-
-def _begun(folder: Path, source: str, split: str, layout: Layout) -> Fetched:
-    """The record of the folder, in which this split is about to come. Raises ``ConfigError`` if another is there."""
-    there = read_fetched(folder)
-    if there is None and (read_manifest(folder) is not None or splits_in(folder)):
-        raise ConfigError(f"{folder}: holds a data set that was not downloaded: choose another folder")
-    note = there or Fetched(source)
-    if note.source != source:
-        raise ConfigError(f"{folder}: holds {note.source}, asked for {source}: choose another folder, or that revision")
-    if (known := note.splits.get(split)) is not None and tuple(known.members) != layout.members:
-        had, now = (", ".join(member.split(".")[0] for member in some) for some in (known.members, layout.members))
-        raise ConfigError(f"{folder}: holds the fields {had} of split {split}, asked for {now}: choose another folder")
-    return note.with_split(split, FetchedSplit(layout.members))
-
-
-def _begin_manifest(folder: Path, manifest: Manifest) -> None:
-    """A manifest that says who made the data set."""
-    if read_manifest(folder) is None:
-        replace(manifest, splits={}).write(folder)
-
-
 # ------------------------------------------------------------------------------------------------------- whole shards
 
 
-def _bring_whole(folder: Path, site: Site, record: SplitRecord, told: Told) -> None:
+def _bring_whole(folder: Path, site: Site, split: str, record: SplitRecord, told: Told) -> None:
+    checked = CheckedShards(folder, split)
     total, come = sum(shard.size for shard in record.shards), [0] * len(record.shards)
 
     def bring(number: int) -> None:
@@ -157,21 +124,26 @@ def _bring_whole(folder: Path, site: Site, record: SplitRecord, told: Told) -> N
             come[number] = size
             told(sum(come), total)
 
-        _bring_shard(folder, site, record.shards[number], tell)
+        _bring_shard(folder, site, record.shards[number], checked, tell)
 
     _all_of(bring, len(record.shards), LINES)
 
 
-def _bring_shard(folder: Path, site: Site, shard: ShardRecord, tell: Callable[[int], None]) -> None:
+def _bring_shard(
+    folder: Path, site: Site, shard: ShardRecord, checked: CheckedShards, tell: Callable[[int], None]
+) -> None:
     """One shard, checked. Raises ``RemoteError`` where wrong bytes come twice; none of them stay."""
     path = folder / shard.name
-    if path.exists() and path.stat().st_size == shard.size:
+    if checked.holds(shard):
         tell(shard.size)
         return
+    with writing(path):
+        path.unlink(missing_ok=True)
     for _ in range(2):
         if _filled(part_path(path), site, shard, tell) == shard.sha256:
             with writing(path):
                 part_path(path).replace(path)
+            checked.remember(shard)
             return
         with writing(path):
             part_path(path).unlink()

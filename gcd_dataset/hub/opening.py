@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import user_path
 from gcd_dataset.hub.cache import Cache, size_in_bytes
 from gcd_dataset.hub.download import download
+from gcd_dataset.hub.held import require_from
 from gcd_dataset.hub.place import Folder, find_place
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
@@ -34,10 +36,12 @@ def open_store(
         return FolderStore(place.path)
     limit = size_in_bytes(remote.max_cache_size)
     if root is not None:
-        if remote.allowed:
-            for split in splits:
-                download(place, Path(root), remote, split=split, fields=fields)
-        return FolderStore(root)
+        folder = user_path(root)
+        if not remote.allowed:
+            require_from(folder, place)
+        for split in splits if remote.allowed else ():
+            download(place, folder, remote, split=split, fields=fields)
+        return FolderStore(folder)
     return RemoteStore(Site(place, remote), Cache(remote.folder, limit))
 
 

@@ -13,6 +13,7 @@ from typing import TypeAlias
 from urllib.parse import unquote, urlsplit
 
 from gcd_dataset.errors import ConfigError, shown
+from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import reading
 
 __all__ = ["Folder", "Place", "Repo", "Url", "find_place"]
@@ -37,6 +38,8 @@ class Url:
     """A folder of a web server."""
 
     url: str
+    revision: str = ""
+    """Hash of its manifest; empty for whatever is there."""
 
     def __str__(self) -> str:
         return self.url
@@ -67,6 +70,8 @@ def find_place(source: str | Path, revision: str | None = None) -> Place:
 
     Raises ``ConfigError`` for anything else, and for a revision of what has none.
     """
+    if str(source).startswith("~"):
+        source = user_path(source)
     with reading(Path(source)):
         is_here = "://" not in str(source)
         is_folder, is_file = is_here and Path(source).is_dir(), is_here and Path(source).is_file()

@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+import logging
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -26,8 +28,11 @@ __all__ = ["Staged", "stage", "upload"]
 
 CARD, CROISSANT = "README.md", "croissant.json"
 STAGED = ".staged"  # in a folder whose shards are copies, which may be made anew
+OURS = re.compile(r"[^/]+-\d{5,}\.tar|index-[^/]+\.npz")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
 """What the Hub calls splits that others call otherwise."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,11 @@ class Staged:
     manifest: Manifest
     files: Mapping[str, int]
     """Path to size of what goes up."""
+
+    @property
+    def garments(self) -> int:
+        """How many there are in all splits."""
+        return sum(shard.count for split in self.manifest.splits.values() for shard in split.shards)
 
 
 @dataclass(frozen=True)
@@ -95,32 +105,25 @@ def upload(
 ) -> str:
     """Bring what is staged to the Hub, which is made to hold it if need be; the commit.
 
-    Shards first, then, at once, all that names them: no reader meets a manifest of shards that are not there.
+    One commit holds all of it: until then a reader finds the release before, and from then on the whole of this one.
     Raises ``RemoteError`` for a Hub that does not answer, or refuses.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
     api = HfApi(endpoint=hub_endpoint(endpoint), token=token)
     name = _repo_name(repo)
-    small = [path for path in staged.files if not path.endswith(".tar")]
     with _asking_hub(repo):
         api.create_repo(name, repo_type="dataset", private=private, exist_ok=True)
-        shards = [path for path in staged.files if path.endswith(".tar")]
-        api.upload_folder(
-            repo_id=name,
-            repo_type="dataset",
-            folder_path=staged.folder,
-            allow_patterns=shards,
-            commit_message=f"{len(shards)} shards",
-        )
+        added = [CommitOperationAdd(path, staged.folder / path) for path in staged.files]
+        api.preupload_lfs_files(name, added, repo_type="dataset")
+        # Listed when all bytes are up, which may take hours.
         there = api.list_repo_files(name, repo_type="dataset")
         stale = [path for path in there if _is_ours(path) and path not in staged.files]
         commit = api.create_commit(
             name,
-            [CommitOperationAdd(path, staged.folder / path) for path in small]
-            + [CommitOperationDelete(path) for path in stale],
+            [*added, *map(CommitOperationDelete, stale)],
             repo_type="dataset",
-            commit_message="Card, manifest and index",
+            commit_message=f"{staged.garments} garments",
         )
     return str(commit.oid)
 
@@ -148,6 +151,7 @@ def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
         ((split, reader),) = readers.items()
         assert reader.manifest is not None
         record, parts = reader.manifest.splits[split], partition(reader, shares)
+        _tell_missing(dataset, shares, parts)
         return {name: _Plan(reader, _part(record, shares, name), positions) for name, positions in parts.items()}
     if told := leaks(readers):
         raise ConfigError(f"{dataset}: {told[0]}: publish it as one split, which is then divided, or make them anew")
@@ -157,6 +161,18 @@ def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
         for (split, reader), manifest in zip(readers.items(), manifests.values(), strict=True)
         if manifest is not None
     }
+
+
+def _tell_missing(dataset: Path, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
+    """Warn of splits that have a share and get no garment, since fewer families are there than splits."""
+    if missing := [name for name, share in shares.items() if share > 0 and name not in parts]:
+        log.warning(
+            "%s: nothing for %s: garments that share a design or a body stay in one split, and all of these fall into "
+            "%s: add garments of other designs on other bodies, or give --shares 100,0,0",
+            dataset,
+            " and ".join(missing),
+            " and ".join(parts),
+        )
 
 
 def _part(record: SplitRecord, shares: Mapping[str, float], name: str) -> SplitRecord:
@@ -193,7 +209,7 @@ def _tidy(folder: Path, manifest: Manifest) -> None:
 
 def _is_ours(path: str) -> bool:
     """Whether a file of a repository is one that a release replaces."""
-    return "/" not in path and (path.endswith(".tar") or (path.startswith("index-") and path.endswith(".npz")))
+    return OURS.fullmatch(path) is not None
 
 
 def _size_and_hash(path: Path) -> tuple[int, str]:

@@ -41,7 +41,7 @@ class RemoteStore(Store):
 
     def manifest(self) -> Manifest | None:
         try:
-            return parse_manifest(self.site.small(MANIFEST), self.place(MANIFEST))
+            return parse_manifest(self.site.small(MANIFEST), self.place(MANIFEST), self.remedy)
         except MissingError:
             return None
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from gcd_dataset.errors import ConfigError, MissingError, OutputError, RefusedError, RemoteError
-from gcd_dataset.files import make_folder, write_whole
+from gcd_dataset.files import make_folder, user_path, write_whole
 from gcd_dataset.hub.place import COMMIT, Repo, Url
 from gcd_dataset.hub.web import Web
 from gcd_dataset.shards.manifest import MANIFEST
@@ -37,7 +37,7 @@ class Remote:
     @property
     def folder(self) -> Path:
         """Of the cache."""
-        return Path.home() / ".cache" / "gcd_dataset" if self.cache_dir is None else Path(self.cache_dir)
+        return Path.home() / ".cache" / "gcd_dataset" if self.cache_dir is None else user_path(self.cache_dir)
 
 
 def hub_endpoint(endpoint: str | None) -> str:

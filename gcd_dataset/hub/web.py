@@ -55,20 +55,26 @@ class Web:
         return b"".join(self.pieces(path))
 
     def read(self, path: str, start: int, end: int) -> memoryview:
-        """Bytes ``start`` to ``end`` of a file, writable and the caller's own. Raises as ``get`` does."""
+        """Bytes ``start`` to ``end`` of a file, writable and the caller's own.
+
+        Raises as ``get`` does, and ``RemoteError`` for a server that would send the whole file for every part of it.
+        """
         buffer, place = memoryview(bytearray(end - start)), 0
-        for piece in self.pieces(path, start, end):
+        for piece in self.pieces(path, start, end, only=True):
             buffer[place : place + len(piece)] = piece
             place += len(piece)
         return buffer
 
-    def pieces(self, path: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
-        """The bytes from ``start`` to ``end``, or to the end of the file, as they come; goes on where a line breaks."""
+    def pieces(self, path: str, start: int = 0, end: int | None = None, *, only: bool = False) -> Iterator[bytes]:
+        """The bytes from ``start`` to ``end``, or to the end of the file, as they come; goes on where a line breaks.
+
+        ``only`` these: a server that sends others with them is not read.
+        """
         place, failures = start, 0
         while True:
             before = place
             try:
-                for piece in self._once(path, place, end):
+                for piece in self._once(path, place, end, only):
                     place += len(piece)
                     yield piece
                 if end is None or place == end:
@@ -90,7 +96,7 @@ class Web:
         log.info("%s: %s: once more in %.1f s", self.address(path), trouble, wait)
         time.sleep(wait)
 
-    def _once(self, path: str, start: int, end: int | None) -> Iterator[bytes]:
+    def _once(self, path: str, start: int, end: int | None, only: bool) -> Iterator[bytes]:
         """One attempt. Raises ``_Trouble`` where another may do better."""
         whole = start == 0 and end is None
         if end is not None and start >= end:
@@ -105,6 +111,8 @@ class Web:
             self._require(path, response, ranged=not whole)
             skip = 0 if whole else _skip(response, start, self.address(path))
             left = None if end is None else end - start
+            if only:
+                _require_part(response, left, self.address(path))
             for piece in response.iter_raw():  # as it comes: what is gathered first is lost where the line breaks
                 part = piece[skip:] if left is None else piece[skip : skip + left]
                 skip -= min(skip, len(piece))
@@ -170,6 +178,8 @@ class Web:
             raise RemoteError(f"{own}: answered with {status}: check the address")
         if status == 206 and not ranged:
             raise RemoteError(f"{own}: sent a part of what was asked for whole: try another server")
+        if (packed := response.headers.get("Content-Encoding", "identity")) != "identity":
+            raise RemoteError(f"{own}: comes packed ({packed}), unasked: have its server send files as they are")
 
 
 class _Trouble(Exception):  # noqa: N818 - nothing has failed yet
@@ -188,6 +198,15 @@ def _skip(response: "httpx2.Response", start: int, where: str) -> int:
     if not span.startswith(f"bytes {start}-"):
         raise RemoteError(f"{where}: sent {span or 'an unnamed part'}, asked for byte {start}: try another server")
     return 0
+
+
+def _require_part(response: "httpx2.Response", size: int | None, where: str) -> None:
+    """Raise ``RemoteError`` for an answer that holds all of a file for the sake of ``size`` bytes of it."""
+    if response.status_code == 200 and response.headers.get("Content-Length") != str(size):
+        raise RemoteError(
+            f"{where}: this server sends whole files only, all of a shard for every garment: bring the data set here "
+            "with gcd download, without --fields, or read it with streaming=True"
+        )
 
 
 def _retry_after(headers: Mapping[str, str]) -> float | None:

@@ -5,6 +5,7 @@ import logging
 from pathlib import Path
 
 from gcd_dataset.errors import ShardError
+from gcd_dataset.files import user_path
 from gcd_dataset.release.folder import GarmentFiles, open_batch
 from gcd_dataset.release.layout import BODY_FOLDERS, SPLIT_FILE, batch_order, body_folders, properties_name
 from gcd_dataset.release.properties import Properties, read_properties
@@ -28,7 +29,7 @@ class PublishedBatches:
 
     def __init__(self, root: Path | str, *, bodies: str = "both", cache_dir: Path | str | None = None) -> None:
         self.body_folders = body_folders(bodies)
-        self.root, self._cache_dir = _root(Path(root)), None if cache_dir is None else Path(cache_dir)
+        self.root, self._cache_dir = _root(user_path(root)), None if cache_dir is None else user_path(cache_dir)
         self.files: dict[tuple[str, str], GarmentFiles] = {}
         """Batch and body folder to the files of the garments there."""
         self.properties: dict[tuple[str, str], Properties] = {}

@@ -20,6 +20,7 @@ from jaxtyping import Float32, Int
 from gcd_dataset.bodies import POSES, BodyMesh, Person
 from gcd_dataset.bodyfiles import file_content, read_measurements, read_parts
 from gcd_dataset.errors import BodyError, ShardError
+from gcd_dataset.files import user_path
 from gcd_dataset.records import BodyShape, Measurements, Record
 from gcd_dataset.release.obj import ObjText, read_obj
 from gcd_dataset.shards.access import reading
@@ -57,7 +58,7 @@ class PublishedPeople:
         needed: Iterable[str] = tuple(KINDS),
         segmentation: Path | str | None = None,
     ) -> None:
-        self.folder = _folder(Path(root))
+        self.folder = _folder(user_path(root))
         self.names = _everybody(self.folder) if names is None else tuple(names)
         self._segmentation = segmentation
         _require(self.folder, self.names, tuple(needed))
@@ -105,7 +106,7 @@ class PublishedPeople:
         """The mesh of everybody, as the first file has it. Raises ``BodyError`` for a broken file."""
         first, parts = self._first, None
         if self._segmentation is not None:
-            parts = read_parts(Path(self._segmentation), first.n_vertices, first.path)
+            parts = read_parts(user_path(self._segmentation), first.n_vertices, first.path)
         return BodyMesh(first.faces, parts)
 
     @functools.cached_property

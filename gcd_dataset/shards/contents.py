@@ -4,6 +4,7 @@ import logging
 from pathlib import Path
 
 from gcd_dataset.errors import ShardError
+from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.foreign import SPLITS, foreign_index, foreign_shards, scan_foreign
 from gcd_dataset.shards.index import ShardIndex, known_index, members_of_shard, scan_shard, tables_of
@@ -20,7 +21,7 @@ def read_index(folder: Path | str, split: str = "train", layout: Layout = GARMEN
     Its layout holds the members that are there: all of ``layout``'s, some in a folder where only some were downloaded,
     and others where ``webdataset``'s tars by another program are. Raises ``ShardError`` for a broken index or shard.
     """
-    folder = Path(folder)
+    folder = user_path(folder)
     known = known_index(folder, split, layout, partial=True)
     found = _layout_in(folder, split, layout) if known is None else known.layout
     if found.kind == FOREIGN:
@@ -33,7 +34,7 @@ def rebuild_index(folder: Path | str, split: str = "train", layout: Layout = GAR
 
     Raises ``ShardError`` for a broken shard and ``OutputError`` where the folder cannot be written.
     """
-    folder = Path(folder)
+    folder = user_path(folder)
     found = _layout_in(folder, split, layout)
     if found.kind == FOREIGN:
         index = _scanned(folder, _foreign_paths(folder, split))
@@ -47,7 +48,7 @@ def rebuild_index(folder: Path | str, split: str = "train", layout: Layout = GAR
 
 def splits_in(folder: Path | str) -> tuple[str, ...]:
     """The splits of which a folder holds shards, by name. Raises ``ShardError``."""
-    folder = Path(folder)
+    folder = user_path(folder)
     ours, rest = _by_maker(folder)
     return tuple(sorted(ours | {split for split in SPLITS if foreign_shards(rest, split)}))
 

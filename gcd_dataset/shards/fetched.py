@@ -1,15 +1,16 @@
 """Where a folder was downloaded from, and whether all of it has come: kept in ``download.json``."""
 
+import contextlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
-from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.access import locked, reading
 
-__all__ = ["FETCHED", "Fetched", "FetchedSplit", "read_fetched"]
+__all__ = ["FETCHED", "Fetched", "FetchedSplit", "changing_fetched", "read_fetched"]
 
 FETCHED = "download.json"
 
@@ -44,6 +45,13 @@ class Fetched:
     def write(self, folder: Path) -> None:
         """Keep the record in the folder, whole or not at all. Raises ``OutputError``."""
         write_whole(folder / FETCHED, (json.dumps(asdict(self), indent=1) + "\n").encode())
+
+
+@contextlib.contextmanager
+def changing_fetched(folder: Path) -> Iterator[None]:
+    """Hold the record while it is read and written: splits may come side by side. Raises ``OutputError``."""
+    with locked(folder / f".{FETCHED}.lock", f"writing {FETCHED}", wait=True):
+        yield
 
 
 def read_fetched(folder: Path) -> Fetched | None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from gcd_dataset.errors import ShardError
+from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.contents import read_index, splits_in, way_out
 from gcd_dataset.shards.fetched import read_fetched
@@ -25,9 +26,10 @@ class FolderStore(Store):
     """The shards in a folder. Raises ``ShardError`` for a download that was not finished."""
 
     def __init__(self, folder: Path | str) -> None:
-        self.folder = Path(folder)
+        self.folder = user_path(folder)
         fetched = read_fetched(self.folder)
         self.source = None if fetched is None else fetched.source
+        self.remedy = REMEDY if fetched is None else "delete it, and run gcd download again"
         self._files = OpenFiles()
         self._paths: dict[str, Path] = {}  # to join a path anew for every sample costs as much as to read a small one
 
@@ -50,7 +52,7 @@ class FolderStore(Store):
             file = self._files.open(path)  # held, so that no other thread closes it meanwhile
             content, end = read_parts(file.fd, parts)
         if end is not None:
-            raise ShardError(f"{path}: ends at byte {end}, in a sample: {REMEDY}")
+            raise ShardError(f"{path}: ends at byte {end}, in a sample: {self.remedy}")
         return content
 
     def _path(self, shard: str) -> Path:
@@ -75,7 +77,7 @@ class FolderStore(Store):
             with reading(path):
                 size = path.stat().st_size if path.exists() else 0
             if size < shard.size:  # longer is no fault: a shard may have grown since
-                raise ShardError(f"{path}: {size} of the {shard.size} bytes in {MANIFEST}: {REMEDY}")
+                raise ShardError(f"{path}: {size} of the {shard.size} bytes in {MANIFEST}: {self.remedy}")
 
     def _way_out(self, split: str) -> str:
         """What to do in a folder without samples of the split."""

@@ -6,6 +6,7 @@
 ``/ptr/verts``, …           int64 [n+1]: sample i holds the rows from ``ptr[i]`` to ``ptr[i + 1]``
 ``/bytes/faces``, …         u1 [n]: bytes a number takes in the shard's file
 ``/spec``, ``/meta``, …     a JSON field: one text a sample
+``/crc32``                  u4 [n]: CRC-32 of each ``meta``, which holds those of the sample's other files
 attributes                  ``format``, ``schema``, ``split``, ``count``, ``recipe`` as JSON
 ==========================  ==========================================================================================
 
@@ -28,7 +29,7 @@ import numpy as np
 from jaxtyping import Int, UInt8
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.files import drafted
+from gcd_dataset.files import drafted, user_path
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.codec import read_json
 from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMA, Bytes
@@ -39,6 +40,7 @@ __all__ = ["Hdf5Reader", "write_hdf5"]
 
 REMEDY = "copy it again, or make it again with gcd export"
 FORMAT = "gcd_dataset garments"
+META, META_CRC = MEMBERS[0], "crc32"
 ARRAYS = tuple(field for field, member in FIELDS.items() if member.endswith(".npy"))
 TEXTS = tuple(field for field, member in FIELDS.items() if member.endswith(".json"))
 PICTURES = tuple(field for field, member in FIELDS.items() if member.endswith(".jpg"))
@@ -53,12 +55,13 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     sample.
     """
     columns = _columns(reader)
-    with drafted(path) as draft, h5py.File(draft, "w") as file:
+    with drafted(user_path(path)) as draft, h5py.File(draft, "w") as file:
         _lay_out(file, reader, columns)
         for position in range(len(reader)):
             members = reader.read(position, MEMBERS)
             for field in TEXTS:
                 file[field][position] = bytes(members[FIELDS[field]]).decode()
+            file[META_CRC][position] = zlib.crc32(members[META])
             for field, column in columns.items():
                 start, end = column.ptr[position : position + 2].tolist()
                 if end > start:
@@ -73,7 +76,7 @@ class Hdf5Reader:
     """
 
     def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
+        self.path = user_path(path)
         self._file: _OpenFile | None = None
         self._process, self._lock = os.getpid(), threading.Lock()
         with self._opened() as file:
@@ -95,14 +98,18 @@ class Hdf5Reader:
             return {member: file.member(position, member.split(".")[0]) for member in members}
 
     def check(self, position: int) -> None:
-        """Raise ``ShardError`` if any byte of a sample but its ``meta.json`` is not what was written."""
+        """Raise ``ShardError`` if any byte of a sample is not what was written."""
         members = self.read(position, MEMBERS)
-        for member, crc in read_json(members[MEMBERS[0]])["crc32"].items():
-            if zlib.crc32(members[member]) != crc:
-                raise ShardError(
-                    f"{self.path}: sample {position}, member {member}: bytes differ from those that were written: "
-                    f"{REMEDY}"
-                )
+        with self._opened() as file:
+            self._require_same(position, META, members[META], file.meta_crc(position))
+        for member, crc in read_json(members[META])["crc32"].items():
+            self._require_same(position, member, members[member], crc)
+
+    def _require_same(self, position: int, member: str, data: Bytes, crc: int) -> None:
+        if zlib.crc32(data) != crc:
+            raise ShardError(
+                f"{self.path}: sample {position}, member {member}: bytes differ from those that were written: {REMEDY}"
+            )
 
     def close(self) -> None:
         """Let go of the file; the next read opens it again."""
@@ -156,6 +163,10 @@ class _OpenFile:
             return rows.tobytes()
         return write_npy(rows.astype(f"<{rows.dtype.kind}{self._size[field][position]}", copy=False))
 
+    def meta_crc(self, position: int) -> int:
+        """CRC-32 of a sample's ``meta.json``. Raises ``KeyError`` for a file without it."""
+        return int(self.handle[META_CRC][position])
+
     def _look_up(self, field: str) -> None:
         if field in RAGGED:
             self._first[field], self._size[field] = self.handle["ptr"][field][:], self.handle["bytes"][field][:]
@@ -204,6 +215,7 @@ def _lay_out(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Column
     file.attrs.update(given)
     for field in TEXTS:
         file.create_dataset(field, (len(reader),), h5py.string_dtype(), track_times=False)
+    file.create_dataset(META_CRC, (len(reader),), np.dtype("<u4"), track_times=False)
     for field, column in columns.items():
         dtype = np.dtype(f"<{column.kind}{column.size.max(initial=1)}")
         file.create_dataset(field, (int(column.ptr[-1]), *column.width), dtype, track_times=False)

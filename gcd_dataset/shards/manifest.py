@@ -16,6 +16,7 @@ from gcd_dataset.shards.layout import SCHEMA
 __all__ = ["MANIFEST", "Manifest", "ShardRecord", "SplitRecord", "keep_split", "parse_manifest", "read_manifest"]
 
 MANIFEST = "manifest.json"
+REMEDY = "delete it: shards are read without it, and gcd generate makes it again"
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,8 @@ def read_manifest(folder: Path) -> Manifest | None:
     return None if content is None else parse_manifest(content, str(path))
 
 
-def parse_manifest(content: bytes, path: str) -> Manifest:
-    """The manifest in a file's content; ``path`` names it in errors. Raises as ``read_manifest`` does."""
+def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
+    """The manifest in a file's content; ``path`` and ``remedy`` stand in errors. Raises as ``read_manifest`` does."""
     try:
         entry = json.loads(content)
         if (schema := entry["schema"]) != SCHEMA:
@@ -99,9 +100,7 @@ def parse_manifest(content: bytes, path: str) -> Manifest:
         splits = {name: SplitRecord.from_json(split) for name, split in entry["splits"].items()}
         return Manifest(splits, entry["generator"], schema)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ShardError(
-            f"{path}: not a manifest ({error}): delete it: shards are read without it, and gcd generate makes it again"
-        ) from error
+        raise ShardError(f"{path}: not a manifest ({error}): {remedy}") from error
 
 
 def keep_split(folder: Path, split: str, record: SplitRecord) -> None:

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from gcd_dataset.errors import ConfigError, OutputError
-from gcd_dataset.files import make_folder
+from gcd_dataset.files import make_folder, user_path
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import locked, reading
 from gcd_dataset.shards.codec import encode_sample
@@ -60,7 +60,7 @@ class ShardWriter:
     ) -> None:
         if shard_size < 1:
             raise ConfigError(f"shard_size is {shard_size}: a shard holds 1 sample or more")
-        self._folder, self._split, self._layout = make_folder(folder), split, layout
+        self._folder, self._split, self._layout = make_folder(user_path(folder)), split, layout
         self._open: dict[int, GrowingShard] = {}
         with contextlib.ExitStack() as held:
             held.enter_context(locked(self._folder / lock_name(split), f"writing split {split}"))

@@ -53,6 +53,8 @@ class Fault:
     """After the cut, keep the line open and silent until the server goes."""
     flip: int | None = None
     """Change one bit of this byte of the file."""
+    whole: bool = False
+    """Send all of the file, whatever part of it is asked for."""
     flip_share: float | None = None
     """Change one bit of the byte in this place of what is sent, from 0 to 1."""
 
@@ -63,6 +65,8 @@ class Repo:
 
     commits: list[tuple[str, dict[str, bytes]]] = field(default_factory=list)
     private: bool = False
+    tags: dict[str, str] = field(default_factory=dict)
+    """Name to commit."""
 
     def commit(self, files: Mapping[str, bytes]) -> str:
         """Add a commit; its hash."""
@@ -74,7 +78,8 @@ class Repo:
         return sha
 
     def at(self, revision: str) -> tuple[str, dict[str, bytes]] | None:
-        """Commit and files of a branch or commit."""
+        """Commit and files of a branch, tag or commit."""
+        revision = self.tags.get(revision, revision)
         if revision == "main":
             return self.commits[-1] if self.commits else None
         return next((commit for commit in self.commits if commit[0] == revision), None)
@@ -253,9 +258,11 @@ class _Handler(BaseHTTPRequestHandler):
         """A file, or the part of it that is asked for."""
         if self.fault is not None and self.fault.flip is not None and self.command == "GET":
             data = _flipped(data, self.fault.flip)
-        match = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
+        whole = self.fault is not None and self.fault.whole
+        match = None if whole else re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
         if match is None:
-            self._answer(200, self._spoilt(data), {"Accept-Ranges": "bytes", **headers})
+            told = dict(self.fault.headers) if self.fault is not None else {}
+            self._answer(200, self._spoilt(data), {"Accept-Ranges": "none" if whole else "bytes", **told, **headers})
             return
         start, end = int(match[1]), min(int(match[2]) + 1 if match[2] else len(data), len(data))
         if start >= len(data):

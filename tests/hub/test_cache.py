@@ -18,6 +18,7 @@ from gcd_dataset.shards import read_index
 from gcd_dataset.shards.store import Part
 from tests.hub.server import Hub
 from tests.loaders.test_shards import assert_all_same
+from tests.shards.folders import forbidden, public_folder
 
 # To start a process afresh would take longer than all else here.
 pytestmark = pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
@@ -47,6 +48,17 @@ def test_what_is_kept_comes_back(tmp_path: Path) -> None:
     assert Cache(tmp_path).used == 2 * SIZE
 
 
+def test_a_cache_that_may_only_be_read_is_read(caplog: pytest.LogCaptureFixture) -> None:
+    with public_folder() as folder:
+        Cache(folder / "cache").keep("a", MEMBERS, [piece(0)])
+        with forbidden(folder / "cache", 0o755):
+            reader = Cache(folder / "cache", 5 * SIZE)
+            assert reader.read("a", MEMBERS, parts([0])) == {0: piece(0).data}
+            reader.keep("a", MEMBERS, [piece(1)])
+            assert reader.read("a", MEMBERS, parts([0, 1])) == {0: piece(0).data}
+    assert "going on without keeping what is read" in caplog.text
+
+
 def test_it_never_holds_more_than_its_limit(tmp_path: Path) -> None:
     cache = Cache(tmp_path, 5 * SIZE + 10)
     for shard in range(4):
@@ -67,6 +79,19 @@ def test_the_shard_not_asked_for_the_longest_goes_first(tmp_path: Path) -> None:
     assert Cache(tmp_path).read("a", MEMBERS, parts([0]))  # asked for just now
     cache.keep("e", MEMBERS, [piece(0)])
     assert [key for key in "abcde" if Cache(tmp_path).read(key, MEMBERS, parts([0]))] == ["a", "c", "d", "e"]
+
+
+def test_a_shard_that_is_read_all_the_time_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache_module, "TOUCHED_EVERY", 0.0)
+    reader, writer = Cache(tmp_path), Cache(tmp_path, 2 * SIZE)
+    writer.keep("a", MEMBERS, [piece(0)])
+    assert reader.read("a", MEMBERS, parts([0]))  # opened once, and held open
+    writer.keep("b", MEMBERS, [piece(0)])
+    for order, key in enumerate("ab"):
+        os.utime(tmp_path / "shards" / f"{key}.have", (order, order))
+    assert reader.read("a", MEMBERS, parts([0]))
+    writer.keep("c", MEMBERS, [piece(0)])
+    assert [key for key in "abc" if Cache(tmp_path).read(key, MEMBERS, parts([0]))] == ["a", "c"]
 
 
 def test_a_shard_that_makes_way_frees_its_bytes_though_others_hold_it_open(tmp_path: Path) -> None:

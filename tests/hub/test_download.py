@@ -1,6 +1,7 @@
 """Data sets brought here: whole, in part, and in spite of everything."""
 
 import errno
+import hashlib
 import multiprocessing
 import os
 import shutil
@@ -12,14 +13,21 @@ from typing import Any
 import pytest
 
 from gcd_dataset.errors import ConfigError, OutputError, RemoteError, ShardError
-from gcd_dataset.hub.download import download
+from gcd_dataset.hub.checked import CheckedShards
+from gcd_dataset.hub.download import download, remote_splits
 from gcd_dataset.hub.place import Repo, Url
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, read_index, rebuild_index
+from gcd_dataset.shards.fetched import Fetched, read_fetched
+from gcd_dataset.shards.index import scan_shard
+from gcd_dataset.shards.layout import GARMENTS, MEMBERS
+from gcd_dataset.shards.manifest import read_manifest
 from tests.hub.conftest import COUNT
 from tests.hub.server import Fault, Hub, read_folder
 from tests.loaders.test_shards import assert_all_same
+from tests.shards.folders import fill, open_writer
 
 REPO = Repo("org/garments")
 
@@ -74,6 +82,21 @@ def test_root_downloads_first(hub: Hub, commit: str, folder: Path, tmp_path: Pat
     for download_ in (True, False):
         again = GarmentDataset("org/garments", root=tmp_path / "data", download=download_, **options)
         assert_all_same(again, ds)
+    for source, revision in (("org/others", None), ("org/garments", "0" * 40)):
+        with pytest.raises(ConfigError, match=rf"holds hf://datasets/org/garments@{commit}, asked for .*{source}"):
+            GarmentDataset(source, root=tmp_path / "data", download=False, revision=revision, **options)
+
+
+def test_a_tag_is_downloaded_once(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hub.repos["org/garments"].tags["v1"] = commit
+    options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": tmp_path / "cache", "revision": "v1"}
+    GarmentDataset("org/garments", root=tmp_path / "data", **options)
+    monkeypatch.setattr(Fetched, "write", lambda self, folder: pytest.fail("begun once more"))
+    for download_ in (True, False):
+        ds = GarmentDataset("org/garments", root=tmp_path / "data", download=download_, **options)
+        assert_all_same(ds, GarmentDataset(folder))
 
 
 def test_a_download_that_broke_off_goes_on(
@@ -91,6 +114,18 @@ def test_a_download_that_broke_off_goes_on(
     assert_all_same(GarmentDataset(bring(hub, tmp_path)), GarmentDataset(folder))
     (rest,) = [request for request in hub.asked(r"storage/.*train-00000") if request.status == 206]
     assert rest.span == "bytes=20000-" + str((folder / "train-00000.tar").stat().st_size - 1)
+
+
+def test_a_download_goes_on_though_the_server_sends_whole_files_only(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path
+) -> None:
+    hub.faults = [
+        Fault(r"train-00001\.tar", whole=True, cut=20000),
+        Fault(r"\.tar", whole=True, times=99),
+    ]
+    assert_all_same(GarmentDataset(bring(hub, tmp_path)), GarmentDataset(folder))
+    with pytest.raises(RemoteError, match=r"sends whole files only.*without --fields"):
+        bring(hub, tmp_path / "part", fields=["verts"])
 
 
 def test_a_download_of_fields_that_broke_off_goes_on(
@@ -153,6 +188,108 @@ def test_a_full_disk_is_told_and_gone_on_with(
     monkeypatch.undo()
     monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))
     assert_all_same(GarmentDataset(bring(hub, tmp_path)), GarmentDataset(folder))
+
+
+def refreshed(hub: Hub, tmp_path: Path, fields: Any = None) -> Path:
+    """As ``gcd download`` brings a URL: at the revision that is there."""
+    remote = Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "cache")
+    place, splits = remote_splits(Url(f"{hub.endpoint}/files/garments"), remote)
+    for split in splits:
+        download(place, tmp_path / "data", remote, split=split, fields=fields)
+    return tmp_path / "data"
+
+
+def put_up(hub: Hub, folder: Path) -> None:
+    hub.static = {f"garments/{name}": data for name, data in read_folder(folder).items()}
+
+
+@pytest.mark.parametrize("fields", [None, ["verts"]])
+def test_what_has_grown_on_a_server_grows_here(hub: Hub, tmp_path: Path, fields: Any) -> None:
+    theirs = fill(tmp_path / "theirs", range(COUNT))
+    put_up(hub, theirs)
+    refreshed(hub, tmp_path, fields)
+    put_up(hub, fill(theirs, range(COUNT, COUNT + 5)))
+    hub.log.clear()
+    data = refreshed(hub, tmp_path, fields)
+    assert_all_same(GarmentDataset(data), GarmentDataset(theirs, fields=_with_meta(fields)))
+    assert not hub.asked(r"train-0000[01]\.tar")  # those are full, and here
+    hub.log.clear()
+    refreshed(hub, tmp_path, fields)
+    assert not hub.asked(r"\.tar")
+
+
+def test_another_data_set_under_the_same_url_is_told(hub: Hub, tmp_path: Path) -> None:
+    put_up(hub, fill(tmp_path / "one", range(3)))
+    before = read_folder(refreshed(hub, tmp_path))
+    put_up(hub, fill(tmp_path / "two", range(3), seed=1))
+    with pytest.raises(ConfigError, match="by now another data set is there, with another seed, recipe or split"):
+        refreshed(hub, tmp_path)
+    assert read_folder(tmp_path / "data") == before
+
+
+def test_a_set_that_has_shrunk_leaves_no_shards_behind(hub: Hub, tmp_path: Path) -> None:
+    put_up(hub, fill(tmp_path / "more", range(COUNT)))
+    refreshed(hub, tmp_path)
+    put_up(hub, fill(tmp_path / "less", range(4)))
+    assert_all_same(GarmentDataset(refreshed(hub, tmp_path)), GarmentDataset(tmp_path / "less"))
+
+
+@pytest.mark.parametrize("fields", [None, ["verts"]])
+def test_a_shard_of_the_right_length_is_not_believed(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
+) -> None:
+    monkeypatch.setattr("gcd_dataset.hub.web.WAITS", (0.0,))
+    hub.faults = [Fault(r"storage/.*train-00002", drop=True, times=99)]
+    with pytest.raises(RemoteError, match="what has come is kept"):
+        bring(hub, tmp_path, fields=fields)
+    hub.faults.clear()
+    path = tmp_path / "data" / "train-00000.tar"
+    layout = GARMENTS.of(MEMBERS if fields is None else ["meta.json", "verts.npy"])
+    content = bytearray(path.read_bytes())
+    content[int(scan_shard(path, layout).offset[1, layout.members.index("verts.npy")]) + 300] ^= 1
+    path.write_bytes(content)
+    assert_all_same(
+        GarmentDataset(bring(hub, tmp_path, fields=fields)), GarmentDataset(folder, fields=_with_meta(fields))
+    )
+
+
+def test_a_shard_is_hashed_once(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest = read_manifest(folder)
+    assert manifest is not None
+    shard = manifest.splits["train"].shards[0]
+    path = Path(shutil.copy(folder / shard.name, tmp_path))
+    assert CheckedShards(tmp_path, "train").holds(shard)
+
+    def hashed(file: Any, name: str) -> Any:
+        raise AssertionError("read again")
+
+    monkeypatch.setattr(hashlib, "file_digest", hashed)
+    assert CheckedShards(tmp_path, "train").holds(shard)
+    assert not CheckedShards(tmp_path, "train").holds(replace(shard, size=shard.size + 1))
+    path.touch()
+    with pytest.raises(AssertionError, match="read again"):
+        CheckedShards(tmp_path, "train").holds(shard)
+
+
+def test_a_shard_that_was_deleted_comes_again(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+    (bring(hub, tmp_path) / "train-00001.tar").unlink()
+    with pytest.raises(ShardError, match=r"train-00001\.tar: 0 of the .*: delete it, and run gcd download again"):
+        GarmentDataset(tmp_path / "data")
+    hub.log.clear()
+    assert_all_same(GarmentDataset(bring(hub, tmp_path)), GarmentDataset(folder))
+    assert not hub.asked(r"storage/.*train-0000[02]")
+
+
+def test_splits_that_come_side_by_side_are_both_there(hub: Hub, tmp_path: Path) -> None:
+    theirs = fill(tmp_path / "theirs", range(4))
+    with open_writer(theirs, split="test") as writer:
+        writer.write(fake_sample(0, 50))
+    hub.publish("org/garments", theirs)
+    bring(hub, tmp_path, told=lambda come, total: bring(hub, tmp_path, split="test") and None)
+    assert [len(GarmentDataset(tmp_path / "data", split)) for split in ("train", "test")] == [4, 1]
+    note = read_fetched(tmp_path / "data")
+    assert note is not None
+    assert {name: split.whole for name, split in note.splits.items()} == {"train": True, "test": True}
 
 
 def test_a_folder_that_holds_something_else_is_left_alone(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:

@@ -18,7 +18,8 @@ from gcd_dataset.hub.publish import Staged, stage, upload
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import BodyShape, Sample
-from gcd_dataset.shards import ShardReader
+from gcd_dataset.shards import MEMBERS, ShardReader
+from gcd_dataset.shards.index import scan_shard
 from tests.hub.server import Fault, Hub, read_folder
 from tests.loaders.test_shards import assert_all_same
 from tests.shards.folders import fill, open_writer
@@ -146,6 +147,26 @@ def test_it_is_staged_again_only_where_it_changed(tmp_path: Path) -> None:
     assert sum(len(GarmentDataset(tmp_path / "up", name)) for name in grown.manifest.splits) == 40
 
 
+def test_a_data_set_made_anew_is_staged_anew(tmp_path: Path) -> None:
+    shares = {"train": 1.0, "validation": 0.0, "test": 0.0}
+    stage(fill(tmp_path / "data", range(6)), "org/new", tmp_path / "up", shares=shares)
+    (tmp_path / "up" / "train-00001.tar").rename(tmp_path / "up" / "train-00001.tar.part")  # stopped in the middle
+    other = fill(tmp_path / "other", range(6), seed=1)
+    stage(other, "org/new", tmp_path / "up", shares=shares)
+    assert_all_same(GarmentDataset(tmp_path / "up"), GarmentDataset(other))
+
+
+def test_a_damaged_copy_is_staged_anew(tmp_path: Path) -> None:
+    data, shares = fill(tmp_path / "data", range(4)), {"train": 1.0, "validation": 0.0, "test": 0.0}
+    stage(data, "org/new", tmp_path / "up", shares=shares)
+    path = tmp_path / "up" / "train-00000.tar"
+    content = bytearray(path.read_bytes())
+    content[int(scan_shard(path).offset[2, MEMBERS.index("verts.npy")]) + 300] ^= 1
+    path.write_bytes(content)
+    stage(data, "org/new", tmp_path / "up", shares=shares)
+    assert_all_same(GarmentDataset(tmp_path / "up", verify="full"), GarmentDataset(data))
+
+
 def test_no_data_set_is_overwritten_by_what_goes_up(tmp_path: Path) -> None:
     data, other = fill(tmp_path / "data", range(20)), fill(tmp_path / "other", range(3))
     before = read_folder(data), read_folder(other)
@@ -163,6 +184,15 @@ def test_splits_that_are_there_stay_as_they_are(tmp_path: Path) -> None:
     put(tmp_path / "data", [sample(60, design=3)], split="test")
     with pytest.raises(ConfigError, match="test and train share 1 design: publish it as one split"):
         stage(tmp_path / "data", "org/new", tmp_path / "up")
+
+
+def test_splits_that_get_nothing_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    put(tmp_path / "one", (sample(i, design=i, body=7) for i in range(4)))
+    assert list(stage(tmp_path / "one", "org/new", tmp_path / "up").manifest.splits) == ["train"]
+    assert "nothing for validation and test: garments that share a design or a body stay in one split" in caplog.text
+    caplog.clear()
+    stage(tmp_path / "one", "org/new", tmp_path / "all", shares={"train": 1.0, "validation": 0.0, "test": 0.0})
+    assert not caplog.text
 
 
 def test_what_goes_up_comes_down(hub: Hub, both: Path, staged: Staged, tmp_path: Path) -> None:
@@ -185,14 +215,27 @@ def test_what_goes_up_comes_down(hub: Hub, both: Path, staged: Staged, tmp_path:
 
 
 def test_shards_of_an_older_release_go(hub: Hub, staged: Staged, tmp_path: Path) -> None:
-    hub.publish("org/new-set", {"train-00099.tar": b"old", "index-old.npz": b"old", "notes/a.tar": b"theirs"})
+    hub.publish(
+        "org/new-set",
+        {"train-00099.tar": b"old", "index-old.npz": b"old", "notes/a.tar": b"theirs", "a.tar": b"theirs"},
+    )
     upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
-    assert hub.repos["org/new-set"].commits[-1][1].keys() == {*staged.files, "notes/a.tar"}
-    # Whoever reads meanwhile finds no manifest of shards that are not there.
-    for _, files in hub.repos["org/new-set"].commits:
-        if "manifest.json" in files:
-            listed = json.loads(files["manifest.json"])["splits"].values()
-            assert all(shard["name"] in files for split in listed for shard in split["shards"])
+    assert hub.repos["org/new-set"].commits[-1][1].keys() == {*staged.files, "notes/a.tar", "a.tar"}
+
+
+def test_a_reader_finds_the_whole_of_one_release_or_of_the_other(
+    hub: Hub, staged: Staged, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = fill(tmp_path / "before", range(9))
+    hub.publish("org/new-set", before)
+    ours = staged.files.keys()
+    hub.faults = [Fault("/put/", method="PUT", status=403, times=99)]
+    with pytest.raises(RemoteError, match="cannot be published"):
+        upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
+    hub.faults = []
+    upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
+    assert [files.keys() for _, files in hub.repos["org/new-set"].commits] == [read_folder(before).keys(), ours]
+    assert staged.garments == 80
 
 
 def test_a_hub_that_refuses_is_told(hub: Hub, staged: Staged, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Garments from a server that behaves like the Hub: which bytes are asked for, and what is kept."""
 
+import gzip
 import pickle
 from pathlib import Path
 from typing import Any
@@ -309,6 +310,33 @@ def test_a_shard_that_is_cut_off_is_told(hub: Hub, commit: str, tmp_path: Path) 
     stream = GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path, fields=["back"], streaming=True)
     with pytest.raises(ShardError, match=r"train-00001\.tar"):
         list(stream)
+
+
+def test_a_server_of_whole_files_is_not_asked_for_every_garment(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path
+) -> None:
+    hub.faults = [Fault(SHARDS, whole=True, times=999)]
+    url = f"{hub.endpoint}/files/garments"
+    ds = GarmentDataset(url, cache_dir=tmp_path / "cache", fields=["verts"])
+    with pytest.raises(RemoteError, match=rf"{url}/train-00001\.tar: this server sends whole files only.*gcd download"):
+        ds[7]
+    assert len(hub.asked(SHARDS)) == 1
+    stream = GarmentDataset(url, cache_dir=tmp_path / "cache", fields=["verts"], streaming=True)
+    assert_all_same(stream, GarmentDataset(folder, fields=["verts"]))
+    assert_all_same(GarmentDataset(url, root=tmp_path / "data", cache_dir=tmp_path / "cache"), GarmentDataset(folder))
+
+
+def test_packed_files_are_told(hub: Hub, commit: str, tmp_path: Path) -> None:
+    hub.faults = [Fault(r"manifest\.json", headers={"Content-Encoding": "gzip"}, times=9)]
+    hub.static["garments/manifest.json"] = gzip.compress(hub.static["garments/manifest.json"])
+    with pytest.raises(RemoteError, match=r"manifest\.json: comes packed \(gzip\), unasked"):
+        GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
+
+
+def test_a_manifest_that_is_none_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
+    hub.static["garments/manifest.json"] = b"<html>"
+    with pytest.raises(ShardError, match=r"manifest\.json: not a manifest .*: try again later, or tell its publisher"):
+        GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
 
 
 def test_an_index_of_other_shards_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:

@@ -4,7 +4,9 @@ import io
 import json
 import os
 import pickle
+import struct
 import tarfile
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -108,6 +110,52 @@ def test_arrays_of_other_machines_are_read_and_no_numbers_are_told(tmp_path: Pat
     assert GarmentDataset(tmp_path, fields=["big.npy"])[0]["big.npy"].tolist() == [0.0, 1.0, 2.0]
     with pytest.raises(ShardError, match=r"member text\.npy: not what its name says \(<U1, where numbers are read\)"):
         GarmentDataset(tmp_path, fields=["text.npy"])[0]
+
+
+def encoded(array: np.ndarray, form: str) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(array).save(file, form)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(("form", "ending"), [("PNG", "png"), ("TIFF", "tif"), ("PPM", "pgm")])
+def test_a_depth_map_keeps_its_values(tmp_path: Path, form: str, ending: str) -> None:
+    depth = np.array([[0, 255, 256], [4711, 65534, 65535]], np.uint16)
+    written(tmp_path / "a.tar", {f"s.depth.{ending}": encoded(depth, form)})
+    read = GarmentDataset(tmp_path)[0][f"depth.{ending}"]
+    assert (read.dtype, read.tolist()) == (torch.int32, [depth.tolist()])
+
+
+def test_a_picture_of_floats_keeps_its_values(tmp_path: Path) -> None:
+    heights = np.array([[-0.5, 1e6], [0.25, 300.0]], np.float32)
+    written(tmp_path / "a.tar", {"s.height.tif": encoded(heights, "TIFF")})
+    assert GarmentDataset(tmp_path)[0]["height.tif"].tolist() == [heights.tolist()]
+
+
+def deep_png() -> bytes:
+    """One pixel of 16 bits a channel, which Pillow cannot write."""
+    parts = {b"IHDR": struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0), b"IDAT": zlib.compress(b"\0\1\2\3\4\5\6")}
+    parts[b"IEND"] = b""
+    chunks = (name + data for name, data in parts.items())
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk)) for chunk in chunks
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("s.png", deep_png()),
+        ("s.ppm", b"P6 1 1 65535 abcdef"),
+        ("s.ppm", b"P6 1 1 1023 abcdef"),
+        ("s.pgm", b"P5 1 1 1023 ab"),
+    ],
+    ids=["png", "ppm-65535", "ppm-1023", "pgm-1023"],
+)
+def test_values_that_would_be_rounded_are_told(tmp_path: Path, name: str, data: bytes) -> None:
+    written(tmp_path / "a.tar", {name: data})
+    with pytest.raises(ShardError, match=r"more than 8 bits a channel, which would be lost: store it as \.npy"):
+        GarmentDataset(tmp_path)[0]
 
 
 @pytest.mark.parametrize("style", [tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])

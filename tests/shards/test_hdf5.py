@@ -99,6 +99,17 @@ def test_a_changed_byte_is_found(folder: Path, file: Path) -> None:
         one.verify(2)
 
 
+def test_a_changed_byte_of_what_is_known_of_a_garment_is_found(folder: Path, file: Path) -> None:
+    meta = bytes(ShardReader(folder).read(2, MEMBERS)["meta.json"])
+    content = bytearray(file.read_bytes())
+    content[content.index(meta) + meta.index(b'"attempts":') + len(b'"attempts":')] ^= 1
+    file.write_bytes(content)
+    one = Hdf5Garments(file)
+    one.verify(1)
+    with pytest.raises(ShardError, match=r"sample 2, member meta\.json: bytes differ"):
+        one.verify(2)
+
+
 def test_files_that_are_not_ours_are_told(file: Path, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="no such file: give one that gcd export --hdf5 has made"):
         Hdf5Garments(tmp_path / "nothing.h5")
