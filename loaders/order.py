@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import torch.distributed
+from jaxtyping import UInt64
 from torch.utils.data import Sampler
 
 from gcd_dataset.errors import ConfigError
@@ -24,7 +25,7 @@ __all__ = ["ElasticSampler", "Order", "Pad", "Permutation", "identity_of", "perm
 Pad = Literal["none", "repeat"]
 
 ROUNDS = 8  # of the network: half of them change a number's left part, half its right
-WORD = (1 << 64) - 1
+BLOCK = 1024  # places that are worked out together: an array takes little longer than one number does
 
 
 class Permutation:
@@ -45,27 +46,37 @@ class Permutation:
         self._columns = -(-length // self._rows)
         keys = np.random.SeedSequence(key).generate_state(ROUNDS, np.uint64).tolist()
         self._rounds = tuple(zip(keys[::2], keys[1::2], strict=True))
+        self._block = lru_cache(maxsize=4)(self._block_of)
 
     def __call__(self, place: int) -> int:
-        rows, columns = self._rows, self._columns
-        while True:
-            row, column = divmod(place, columns)
-            for first, second in self._rounds:
-                row = (row + _scrambled(column + first)) % rows
-                column = (column + _scrambled(row + second)) % columns
-            place = row * columns + column
-            if place < self.length:
-                return place
+        block, offset = divmod(place, BLOCK)
+        return self._block(block)[offset]
+
+    def _block_of(self, number: int) -> list[int]:
+        """What stands at a block of places."""
+        found = np.arange(number * BLOCK, min((number + 1) * BLOCK, self.length), dtype=np.uint64)
+        beyond = np.arange(len(found))
+        while len(beyond):
+            found[beyond] = self._walked(found[beyond])
+            beyond = beyond[found[beyond] >= self.length]
+        return found.tolist()
+
+    def _walked(self, place: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
+        row, column = np.divmod(place, self._columns)
+        for first, second in self._rounds:
+            row = (row + _scrambled(column + first)) % self._rows
+            column = (column + _scrambled(row + second)) % self._columns
+        return row * self._columns + column
 
 
 permutation = lru_cache(maxsize=64)(Permutation)
 """The same, kept for the next place."""
 
 
-def _scrambled(number: int) -> int:
-    """A word in which every bit depends on every bit of ``number``: that is how SplitMix64 ends (Steele 2014)."""
-    number = ((number ^ number >> 30) * 0xBF58476D1CE4E5B9) & WORD
-    number = ((number ^ number >> 27) * 0x94D049BB133111EB) & WORD
+def _scrambled(number: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
+    """Words in which every bit depends on every bit of ``number``: that is how SplitMix64 ends (Steele 2014)."""
+    number = (number ^ number >> 30) * 0xBF58476D1CE4E5B9
+    number = (number ^ number >> 27) * 0x94D049BB133111EB
     return number ^ number >> 31
 
 
