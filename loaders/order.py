@@ -8,13 +8,12 @@ is all that has to be kept to go on later, with other ones too.
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping, Sized
+from collections.abc import Iterator, Mapping, Sequence, Sized
 from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
 import torch.distributed
-from jaxtyping import UInt64
 from torch.utils.data import Sampler
 
 from gcd_dataset.errors import ConfigError
@@ -25,7 +24,8 @@ __all__ = ["ElasticSampler", "Order", "Pad", "Permutation", "identity_of", "perm
 Pad = Literal["none", "repeat"]
 
 ROUNDS = 8  # of the network: half of them change a number's left part, half its right
-BLOCK = 1024  # places that are worked out together: an array takes little longer than one number does
+WORD = (1 << 64) - 1
+AT_ONCE = 1024  # garments of a rank whose numbers are worked out together
 
 
 class Permutation:
@@ -46,23 +46,24 @@ class Permutation:
         self._columns = -(-length // self._rows)
         keys = np.random.SeedSequence(key).generate_state(ROUNDS, np.uint64).tolist()
         self._rounds = tuple(zip(keys[::2], keys[1::2], strict=True))
-        self._block = lru_cache(maxsize=4)(self._block_of)
 
     def __call__(self, place: int) -> int:
-        block, offset = divmod(place, BLOCK)
-        return self._block(block)[offset]
+        while (place := self._walked(place)) >= self.length:
+            pass
+        return place
 
-    def _block_of(self, number: int) -> list[int]:
-        """What stands at a block of places."""
-        found = np.arange(number * BLOCK, min((number + 1) * BLOCK, self.length), dtype=np.uint64)
+    def of(self, places: Sequence[int]) -> list[int]:
+        """The same for several places: a thousand take little longer than twenty do one by one."""
+        found = np.asarray(places, np.uint64)
         beyond = np.arange(len(found))
         while len(beyond):
             found[beyond] = self._walked(found[beyond])
             beyond = beyond[found[beyond] >= self.length]
         return found.tolist()
 
-    def _walked(self, place: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
-        row, column = np.divmod(place, self._columns)
+    def _walked(self, place: Any) -> Any:
+        """A number of the grid, or each of an array of them."""
+        row, column = divmod(place, self._columns)
         for first, second in self._rounds:
             row = (row + _scrambled(column + first)) % self._rows
             column = (column + _scrambled(row + second)) % self._columns
@@ -73,10 +74,11 @@ permutation = lru_cache(maxsize=64)(Permutation)
 """The same, kept for the next place."""
 
 
-def _scrambled(number: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
-    """Words in which every bit depends on every bit of ``number``: that is how SplitMix64 ends (Steele 2014)."""
-    number = (number ^ number >> 30) * 0xBF58476D1CE4E5B9
-    number = (number ^ number >> 27) * 0x94D049BB133111EB
+def _scrambled(number: Any) -> Any:
+    """A word in which every bit depends on every bit of ``number``: that is how SplitMix64 ends (Steele 2014)."""
+    number = number & WORD  # words of an array begin again by themselves
+    number = ((number ^ number >> 30) * 0xBF58476D1CE4E5B9) & WORD
+    number = ((number ^ number >> 27) * 0x94D049BB133111EB) & WORD
     return number ^ number >> 31
 
 
@@ -100,6 +102,13 @@ class Order:
             return position
         epoch, place = divmod(position, self.length)
         return permutation(self.length, self.seed, epoch)(place) if self.shuffle else place
+
+    def numbers(self, positions: Sequence[int]) -> list[int]:
+        """The numbers of the garments at some positions of one epoch."""
+        if self._as_it_comes or not self.shuffle or not len(positions):
+            return [self[position] for position in positions]
+        epoch = positions[0] // self.length
+        return permutation(self.length, self.seed, epoch).of([place - epoch * self.length for place in positions])
 
     def end(self, position: int) -> int:
         """Where the epoch of a position ends and the next begins."""
@@ -185,15 +194,17 @@ class ElasticSampler(Sampler[int]):
         done = received >= len(self.share(begun))
         return self.order.end(begun) if done else begun + received * self.world_size
 
-    def garment(self, begun: int, position: int) -> int:
-        """The number of the garment at a position; behind the epoch that was begun follow its first garments."""
-        first = self.order.end(begun) - self.order.length
-        return self.order[first + (position - first) % self.order.length]
+    def garments(self, begun: int) -> Iterator[int]:
+        """The numbers of this rank's garments; behind the epoch that was begun follow its first garments."""
+        length, share = self.order.length, self.share(begun)
+        first = self.order.end(begun) - length
+        for cut in range(0, len(share), AT_ONCE):
+            yield from self.order.numbers([first + (place - first) % length for place in share[cut : cut + AT_ONCE]])
 
     def _handed_out(self, begun: int) -> Iterator[int]:
-        for count, position in enumerate(self.share(begun), 1):
+        for count, number in enumerate(self.garments(begun), 1):
             self.position = self.after(begun, count)
-            yield self.garment(begun, position)
+            yield number
 
 
 def position_of(state: Mapping[str, Any], names: Mapping[str, Any]) -> int:
