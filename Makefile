@@ -5,6 +5,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+# A process a core, of one thread each; more than eight would have too little memory to themselves.
+SHARED_OUT := --numprocesses logical --maxprocesses 8 --dist worksteal
 
 .PHONY: demo test lint
 
@@ -15,7 +17,7 @@ test: $(INSTALLED)
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
 	$(BIN)/mypy
-	$(BIN)/python -m pytest --doctest-modules gcd_dataset tests
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(SHARED_OUT) --doctest-modules gcd_dataset tests
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format

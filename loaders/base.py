@@ -4,7 +4,6 @@ import operator
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -100,9 +99,10 @@ class Garments(Dataset[Item], ABC):
 
     def _position(self, index: int) -> int:
         number = operator.index(index)
-        if not -len(self) <= number < len(self):
-            raise IndexError(f"garment {number} of {len(self)}")
-        return number % len(self)
+        length = len(self)
+        if not -length <= number < length:
+            raise IndexError(f"garment {number} of {length}")
+        return number % length
 
 
 class SelectedGarments(Garments):
@@ -156,15 +156,22 @@ def items_of(dataset: Any, indices: Sequence[int]) -> list[Any]:
         return dataset.__getitems__(indices)
 
 
-@contextmanager
-def naming(dataset: Any, *indices: int) -> Iterator[None]:
+class naming:  # noqa: N801 -- a context manager, named as functions are
     """Note on an error which items it came up with."""
-    try:
-        yield
-    except Exception as error:
-        which = f"{', '.join(map(str, indices))} of {type(dataset).__name__}"
-        error.add_note(f"while loading {'garment' if len(indices) == 1 else 'garments'} {which}")
-        raise
+
+    # A class: entered for every garment, where a generator would take several times as long.
+    __slots__ = ("_dataset", "_indices")
+
+    def __init__(self, dataset: Any, *indices: int) -> None:
+        self._dataset, self._indices = dataset, indices
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, Exception):
+            which = f"{', '.join(map(str, self._indices))} of {type(self._dataset).__name__}"
+            error.add_note(f"while loading {'garment' if len(self._indices) == 1 else 'garments'} {which}")
 
 
 def _item_of(dataset: Any, index: int) -> Any:
@@ -195,8 +202,11 @@ def natural(name: str, value: int, least: int = 0) -> int:
 
 def as_item(members: Mapping[str, Bytes], fields: Iterable[str]) -> Item:
     """Encoded members as tensors, parsed JSON and pictures."""
-    values = ((field, decode_field(field, members[FIELDS[field]])) for field in fields)
-    return {field: tensor_of(value) if isinstance(value, np.ndarray) else value for field, value in values}
+    item = {}
+    for field in fields:
+        value = decode_field(field, members[FIELDS[field]])
+        item[field] = tensor_of(value) if isinstance(value, np.ndarray) else value
+    return item
 
 
 def tensor_of(array: np.ndarray) -> torch.Tensor:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from typing import Any
 
 import torch
@@ -44,10 +45,11 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     """
     _require_same_fields(items)
     batch = PackedBatch(batch_size=len(items))
-    batch |= {f"{field}_ptr": _pointers([item[field] for item in items]) for field in RAGGED if field in items[0]}
+    rows = {field: [item[field].shape[0] for item in items] for field in RAGGED if field in items[0]}
+    batch |= {f"{field}_ptr": torch.tensor([0, *accumulate(counts)]) for field, counts in rows.items()}
     for field in items[0]:
         values = [item[field] for item in items]
-        batch[field] = _packed(values, batch, field) if field in RAGGED else _together(values)
+        batch[field] = _packed(values, rows[field], batch, field) if field in rows else _together(values)
     return batch
 
 
@@ -87,25 +89,17 @@ def _require_same_fields(items: Sequence[Item]) -> None:
             raise ConfigError(f"only some garments of the batch have {odd}: choose the same fields for all")
 
 
-def _pointers(values: Sequence[Tensor]) -> Tensor:
-    """Where the rows of each value begin, and the end of the last."""
-    return torch.tensor([0] + [len(value) for value in values]).cumsum(0)
-
-
-def _packed(values: list[Tensor], batch: PackedBatch, field: str) -> Tensor:
+def _packed(values: list[Tensor], counts: list[int], batch: PackedBatch, field: str) -> Tensor:
     """The rows one below the other, and the row numbers in them raised by where each garment begins."""
     starts = [(column, starts_of(batch, field, target)) for column, target in POINTS_TO.get(field, ())]
-    ends = batch[f"{field}_ptr"]
-    rows = _room((int(ends[-1]), *values[0].shape[1:]), values[0])
+    rows = _room((sum(counts), *values[0].shape[1:]), values[0])
     if starts and starts[0][0] == WHOLE:  # in one go: these are the largest
-        for value, start, part in zip(
-            values, starts[0][1].tolist(), torch.split(rows, ends.diff().tolist()), strict=False
-        ):
+        for value, start, part in zip(values, starts[0][1].tolist(), torch.split(rows, counts), strict=False):
             torch.add(value, start, out=part)
         return rows
     torch.cat(values, out=rows)
     for column, start in starts:
-        raised = start[:-1].repeat_interleave(ends.diff()).to(rows.dtype)
+        raised = start[:-1].to(rows.dtype).repeat_interleave(torch.tensor(counts), output_size=len(rows))
         part = rows[:, column]
         part += raised if part.ndim == 1 else raised[:, None]
     return rows

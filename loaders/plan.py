@@ -64,10 +64,8 @@ class ByNumber:
 
     def __iter__(self) -> Iterator[list[int]]:
         """The numbers of each batch of the pass that was begun."""
-        start, size = self._start, self._batch_size
-        share = self._sampler.share(start)
-        cuts = (share[cut : cut + size] for cut in self._cuts(start))
-        return ([self._sampler.garment(start, position) for position in positions] for positions in cuts)
+        numbers = self._sampler.garments(self._start)
+        return (list(islice(numbers, self._batch_size)) for _ in self._cuts(self._start))
 
     def epoch(self, position: int) -> int:
         return position // self._sampler.order.length

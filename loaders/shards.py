@@ -111,16 +111,18 @@ class GarmentDataset(Garments):
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments, as a ``DataLoader`` asks for a batch of them: of a server all at once."""
-        places = [self._place(self._position(index)) for index in indices]
-        members: dict[int, Mapping[str, Bytes]] = {}
-        for reader in {id(part.reader): part.reader for part, _ in places}.values():
-            rows = [row for row, (part, _) in enumerate(places) if part.reader is reader]
-            content = reader.read_many([places[row][1] for row in rows], self._wanted)
-            members |= dict(zip(rows, content, strict=True))
+        asked: dict[ShardReader, list[int]] = {}
+        readers = []
+        for index in indices:
+            part, position = self._place(self._position(index))
+            asked.setdefault(part.reader, []).append(position)
+            readers.append(part.reader)
+        content = {reader: reader.read_many(positions, self._wanted) for reader, positions in asked.items()}
         items = []
-        for row, index in enumerate(indices):
+        for index, reader in zip(indices, readers, strict=True):
+            members = next(content[reader])
             with naming(self, index):
-                items.append(self._item(members[row]))
+                items.append(self._item(members))
         return items
 
     def recipe(self, index: int) -> dict[str, Any]:

@@ -14,19 +14,30 @@ REMEDY = "copy it again, or delete it and run gcd generate again"
 """What to do about a damaged shard: the next writer makes again what is missing."""
 
 
-@contextlib.contextmanager
-def reading(path: Path) -> Iterator[None]:
+class reading:  # noqa: N801 -- a context manager, named as functions are
     """Turn the system's errors into a ``ShardError``."""
-    try:
-        yield
-    except PermissionError as error:
-        remedy = "have yourself allowed to read it, or give another folder"
-        raise ShardError(f"{path}: cannot be read ({error.strerror}): {remedy}") from error
-    except (FileNotFoundError, NotADirectoryError) as error:
-        remedy = "give a folder that gcd generate has made, or copy what is missing again"
-        raise ShardError(f"{path}: cannot be read ({error.strerror}): {remedy}") from error
-    except OSError as error:
-        raise ShardError(f"{path}: cannot be read ({error.strerror}): {REMEDY}") from error
+
+    # A class: entered for every garment, where a generator would take several times as long.
+    __slots__ = ("_path",)
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, OSError):
+            raise ShardError(f"{self._path}: cannot be read ({error.strerror}): {_way_out(error)}") from error
+
+
+def _way_out(error: OSError) -> str:
+    """What to do about a file that cannot be read."""
+    if isinstance(error, PermissionError):
+        return "have yourself allowed to read it, or give another folder"
+    if isinstance(error, FileNotFoundError | NotADirectoryError):
+        return "give a folder that gcd generate has made, or copy what is missing again"
+    return REMEDY
 
 
 @contextlib.contextmanager

@@ -33,7 +33,7 @@ import contextlib
 import io
 import json
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -211,8 +211,8 @@ def _json(value: Any) -> bytes:
 def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str] | None = None) -> dict[str, Any]:
     """Field name to array, parsed JSON, or picture as u8 [3, height, width]; all fields for ``None``.
 
-    Floats come as they are stored and as views of the members where they can; ids as int32. Raises ``ConfigError`` for
-    a field that does not exist, ``ShardError`` with the member's name for content that is not what it should be.
+    Floats come as they are stored, ids as int32, both as views of the members where they can. Raises ``ConfigError``
+    for a field that does not exist, ``ShardError`` with the member's name for content that is not what it should be.
     """
     return {field: decode_field(field, members[FIELDS[field]]) for field in known_fields(fields)}
 
@@ -243,28 +243,26 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
 def read_json(data: Bytes) -> Any:
     """Parsed JSON. Raises ``ShardError``."""
     try:
-        return json.loads(bytes(data))
+        return json.loads(str(data, "utf-8"))
     except ValueError as error:
         raise ShardError(f"not JSON ({error})") from error
 
 
 def decode_field(field: str, data: Bytes) -> Any:
     """One of ``FIELDS``, as ``decode_fields`` does it."""
-    kind = FIELDS[field].rpartition(".")[2]
     try:
-        if kind == "json":
-            return read_json(data)
-        if kind == "jpg":
-            return _picture(data)
-        array = read_npy(data)
+        return DECODERS[field](data)
     except ShardError as error:
         raise ShardError(
             f"member {FIELDS[field]}: {error}: copy its shard again, or delete that and run gcd generate again"
         ) from error
-    return _as_int32(array) if field in IDS else array
 
 
-def _as_int32(array: np.ndarray) -> np.ndarray:
+def _read_ids(data: Bytes) -> np.ndarray:
+    """Row numbers as int32: a view of the member if they are stored as such."""
+    array = read_npy(data)
+    if array.dtype == np.int32:
+        return array
     wide = room_for(array.size * 4).view(np.int32).reshape(array.shape)
     np.copyto(wide, array, casting="same_kind")
     return wide
@@ -280,6 +278,15 @@ def _picture(data: Bytes) -> np.ndarray:
     except OSError as error:
         raise ShardError(f"not a picture ({error})") from error
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _decoder(field: str) -> Callable[[Bytes], Any]:
+    if field in IDS:
+        return _read_ids
+    return {"json": read_json, "jpg": _picture, "npy": read_npy}[FIELDS[field].rpartition(".")[2]]
+
+
+DECODERS = {field: _decoder(field) for field in FIELDS}
 
 
 def _provenance(meta: Mapping[str, Any]) -> Provenance:

@@ -47,7 +47,7 @@ def read_npy(file: Bytes) -> np.ndarray:
         start, dtype, shape, size = _parsed(bytes(data[:start]))
     if len(data) - start != size:
         raise ShardError(f"a .npy file of {len(data) - start} bytes for {dtype} of shape {shape}")
-    return np.frombuffer(data, dtype, offset=start).reshape(shape)
+    return np.ndarray(shape, dtype, data, start)
 
 
 @lru_cache(maxsize=4096)

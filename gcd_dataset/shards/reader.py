@@ -1,9 +1,9 @@
 """Samples of a data set by number: the members asked for and no others, checked as they come."""
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -16,6 +16,9 @@ from gcd_dataset.shards.store import Part, Store
 __all__ = ["ShardReader", "Verify"]
 
 Verify = Literal["lazy", "full", "off"]
+Rows: TypeAlias = Int[np.ndarray, " n"]
+Wanted: TypeAlias = tuple[str, int, list[Part]]
+"""Shard, number in it, and members of a sample."""
 
 
 class ShardReader:
@@ -60,7 +63,7 @@ class ShardReader:
     def __len__(self) -> int:
         return len(self._row)
 
-    def rows(self, positions: Iterable[int]) -> Int[np.ndarray, " n"]:
+    def rows(self, positions: Iterable[int]) -> Rows:
         """The rows of ``index`` that hold samples."""
         return self._row[np.fromiter(positions, np.int64)]
 
@@ -69,19 +72,13 @@ class ShardReader:
 
         Raises ``ShardError`` with shard, key and member for a byte that is not what was written.
         """
-        row, columns = int(self._row[position]), self._columns(tuple(members))
-        wanted = self._parts(row, columns)
-        return self._checked(row, columns, wanted, self.store.read(*wanted))
+        return next(self.read_many([position], members))
 
-    def read_many(self, positions: Iterable[int], members: Iterable[str]) -> list[dict[str, memoryview]]:
-        """As ``read``, for several samples: a server is asked for all of them at once."""
-        rows, columns = self.rows(positions).tolist(), self._columns(tuple(members))
-        wanted = [self._parts(row, columns) for row in rows]
-        content = self.store.read_many(wanted)
-        return [
-            self._checked(row, columns, *entry)
-            for row, entry in zip(rows, zip(wanted, content, strict=True), strict=True)
-        ]
+    def read_many(self, positions: Iterable[int], members: Iterable[str]) -> Iterator[dict[str, memoryview]]:
+        """As ``read``, for several samples: a server is asked for all of them at once, a folder for one by one."""
+        rows, columns = self.rows(positions), self._columns(tuple(members))
+        wanted = self._parts(rows, columns)
+        return self._checked(rows, columns, wanted, self.store.read_many(wanted))
 
     def number(self, position: int) -> int:
         """The index that a sample was written under."""
@@ -89,9 +86,9 @@ class ShardReader:
 
     def check(self, position: int) -> None:
         """Raise ``ShardError`` if any byte of a sample is not what was written."""
-        row = int(self._row[position])
-        for column, data in self.store.read(*self._parts(row, self._columns(self.layout.members))).items():
-            self._require_same(row, column, data)
+        rows = self._row[[position]]
+        for column, data in self.store.read(*self._parts(rows, self._columns(self.layout.members))[0]).items():
+            self._require_same(int(rows[0]), column, data)
 
     def _columns(self, members: tuple[str, ...]) -> list[int]:
         """Columns of members, in the order of the file. Raises ``ConfigError`` for one that the samples lack."""
@@ -103,29 +100,38 @@ class ShardReader:
             self._columns_of[members] = sorted({self.layout.members.index(member) for member in members})
         return self._columns_of[members]
 
-    def _parts(self, row: int, columns: Iterable[int]) -> tuple[str, int, list[Part]]:
-        """Shard, number in it, and members of a sample, in the order of the file."""
-        table, shard = self.index.table, int(self.index.shard[row])
-        # Whole rows: to pick columns of an array costs more than to pick entries of a list.
-        offset, size, crc = (array[row].tolist() for array in (table.offset, table.size, table.crc))
-        parts = [Part(column, offset[column], size[column], crc[column]) for column in columns]
+    def _parts(self, rows: Rows, columns: list[int]) -> list[Wanted]:
+        """Shard, number in it, and members of each sample, in the order of the file."""
+        table, shards = self.index.table, self.index.shard[rows].tolist()
+        # All at once: an array takes as long to give up one row as a hundred.
+        offset, size, crc = (array[rows].take(columns, 1).tolist() for array in (table.offset, table.size, table.crc))
+        parts = [list(map(Part, columns, *entry)) for entry in zip(offset, size, crc, strict=True)]
         if self.layout.kind == FOREIGN:  # a sample may lack what others have, and be in another order
-            parts = sorted((part for part in parts if part.offset >= 0), key=lambda part: part.offset)
-        return self.index.shards[shard], row - self._first[shard], parts
+            parts = [sorted((part for part in row if part.offset >= 0), key=lambda part: part.offset) for row in parts]
+        return [
+            (self.index.shards[shard], row - self._first[shard], entry)
+            for row, shard, entry in zip(rows.tolist(), shards, parts, strict=True)
+        ]
 
     def _checked(
-        self, row: int, columns: list[int], wanted: tuple[str, int, list[Part]], content: dict[int, memoryview]
-    ) -> dict[str, memoryview]:
-        """Member to content, after a look at what has not been looked at."""
-        if self._unchecked[row].take(columns).any():
-            shard, number, parts = wanted
-            for part in parts:
-                if self._unchecked[row, part.column]:
-                    if zlib.crc32(content[part.column]) != part.crc:
-                        content[part.column] = self.store.mend(shard, number, part) or content[part.column]
-                    self._require_same(row, part.column, content[part.column])
+        self, rows: Rows, columns: list[int], wanted: Sequence[Wanted], content: Iterable[dict[int, memoryview]]
+    ) -> Iterator[dict[str, memoryview]]:
+        """Member to content of each sample, after a look at what has not been looked at."""
         members = self.layout.members
-        return {members[column]: data for column, data in content.items()}
+        unchecked = self._unchecked[rows].take(columns, 1).any(axis=1).tolist()
+        for row, first, parts, sample in zip(rows.tolist(), unchecked, wanted, content, strict=True):
+            if first:
+                self._check_first(row, parts, sample)
+            yield {members[column]: data for column, data in sample.items()}
+
+    def _check_first(self, row: int, wanted: Wanted, content: dict[int, memoryview]) -> None:
+        """Look at what has not been looked at; what is damaged is got anew, if it can be."""
+        shard, number, parts = wanted
+        for part in parts:
+            if self._unchecked[row, part.column]:
+                if zlib.crc32(content[part.column]) != part.crc:
+                    content[part.column] = self.store.mend(shard, number, part) or content[part.column]
+                self._require_same(row, part.column, content[part.column])
 
     def _require_same(self, row: int, column: int, data: memoryview) -> None:
         if zlib.crc32(data) != self.index.table.crc[row, column]:

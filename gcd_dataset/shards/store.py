@@ -1,8 +1,8 @@
 """Where the files of a data set lie: what a reader asks of a folder, and of a server."""
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Iterable, Sequence
 from typing import BinaryIO, NamedTuple
 
 from gcd_dataset.shards.access import REMEDY
@@ -58,9 +58,10 @@ class Store(ABC):
         Writable, and the caller's own. Raises ``ShardError``.
         """
 
-    def read_many(self, wanted: Sequence[tuple[str, int, Sequence[Part]]]) -> list[dict[int, memoryview]]:
+    def read_many(self, wanted: Sequence[tuple[str, int, Sequence[Part]]]) -> Iterable[dict[int, memoryview]]:
         """As ``read``, for several samples: shard, number and members of each. Raises ``ShardError``."""
-        return [self.read(*sample) for sample in wanted]
+        # One by one, so that what is read is looked at while it is in the processor's cache.
+        return (self.read(*sample) for sample in wanted)
 
     def mend(self, shard: str, number: int, part: Part) -> memoryview | None:
         """A member that was found damaged, got anew; ``None`` where there is nowhere to get it."""
@@ -71,7 +72,14 @@ class Store(ABC):
         """A shard from its first byte on. Raises ``ShardError``, when it is read too."""
 
 
-def runs(parts: Sequence[Part], gap: int) -> list[Sequence[Part]]:
+def runs(parts: Sequence[Part], gap: int) -> list[list[Part]]:
     """Members in runs with no more than ``gap`` bytes between neighbours."""
-    cuts = [i + 1 for i, (a, b) in enumerate(pairwise(parts)) if b.offset - a.offset - a.size > gap]
-    return [parts[i:j] for i, j in pairwise([0, *cuts, len(parts)]) if i < j]
+    found: list[list[Part]] = []
+    end = -math.inf
+    for part in parts:
+        _, offset, size, _ = part
+        if offset - end > gap:
+            found.append([])
+        found[-1].append(part)
+        end = offset + size
+    return found

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import ConcatDataset, DataLoader
 
 from gcd_dataset.errors import BodyError, ConfigError, ShardError
 from gcd_dataset.generator.body import build_body, measure
@@ -126,8 +126,11 @@ def test_the_mesh_is_there_once(ours: Path) -> None:
 
 @pytest.mark.parametrize(("workers", "context"), [(0, None), (2, "fork"), (1, "spawn")])
 def test_a_plain_loader_stacks_people(ours: Path, published: Path, workers: int, context: str | None) -> None:
-    for ds in (BodyDataset(ours), PublishedBodies(published)):
-        (batch,) = DataLoader(ds, batch_size=COUNT, num_workers=workers, multiprocessing_context=context)
+    both = BodyDataset(ours), PublishedBodies(published)
+    batches: DataLoader[Any] = DataLoader(
+        ConcatDataset(both), batch_size=COUNT, num_workers=workers, multiprocessing_context=context
+    )
+    for ds, batch in zip(both, batches, strict=True):
         assert batch["measures"].shape == (COUNT, len(MEASURES))
         assert batch["apart"].shape == (COUNT, len(ds[0]["apart"]), 3)
         assert batch["arm_angle"].shape == (COUNT,)

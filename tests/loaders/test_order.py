@@ -50,6 +50,7 @@ def test_neighbours_are_not_kept_together() -> None:
 def test_the_order_is_a_contract() -> None:
     """Stored positions must mean the same garments in the next release."""
     assert [Permutation(115_195, 3, 1)(place) for place in range(4)] == [19630, 97393, 69458, 93375]
+    assert [Permutation(115_195, 3, 1)(place) for place in (1023, 1024, 115_194)] == [56467, 52793, 93004]
     assert list(ElasticSampler(garments(7))) == [1, 3, 0, 6, 2, 4, 5]
 
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,15 @@ from benchmarks.broken_bodies import broken_body
 from benchmarks.cases.measures import tolerance
 from benchmarks.skin import skin_crossings
 from benchmarks.stand_ins import SMPL_VERTICES, SMPLX_VERTICES, coarser, like_smpl, like_smplx
-from gcd_dataset.generator.body import build_body, draw_shape, female_shape, measure, read_body, read_measurements
+from gcd_dataset.generator.body import (
+    build_body,
+    draw_shape,
+    female_shape,
+    files,
+    measure,
+    read_body,
+    read_measurements,
+)
 from gcd_dataset.generator.body.files import measure_file
 from gcd_dataset.generator.body.measuring import Fitted, fit_tape
 from gcd_dataset.generator.body.pose import T_POSE
@@ -105,6 +114,21 @@ def test_a_body_like_smpls(tmp_path: Path) -> None:
     assert not any("doubtful" in remark for remark in remarks)
 
 
+@pytest.fixture
+def fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mesh is fitted once, however often it is read."""
+    known: dict[tuple[bytes, bytes], Fitted] = {}
+
+    def fit(vertices: np.ndarray, faces: np.ndarray, *place: Any, **options: Any) -> Fitted:
+        mesh = vertices.tobytes(), faces.tobytes()
+        if mesh not in known:
+            known[mesh] = fit_tape(vertices, faces, *place, **options)
+        return known[mesh]
+
+    monkeypatch.setattr(files, "fit_tape", fit)
+
+
+@pytest.mark.usefixtures("fitted_once")
 def test_a_body_like_smplxs_lying_in_z_up_centimetres(tmp_path: Path) -> None:
     """10,475 vertices with two eyeballs and an open mouth, which cloth is not to meet."""
     shape = BodyShape(female_shape().weights)

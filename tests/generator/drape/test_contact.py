@@ -182,11 +182,16 @@ def test_a_search_finds_whatever_is_near() -> None:
     found = {tuple(pair) for pair in contacts.points.numpy()[: contacts.point_count.numpy()[0]].tolist()}
     assert len(found) == contacts.point_count.numpy()[0], "a pair is listed twice"
     sheet = np.arange(len(mesh.vertices)) >= len(lower.vertices)
+    # No point of a triangle of these sheets is 3 cm from its first corner.
+    away = np.linalg.norm(mesh.vertices[:, None] - mesh.vertices[mesh.faces[:, 0]], axis=2)
+    sides = np.linalg.norm(mesh.vertices[mesh.faces] - np.roll(mesh.vertices[mesh.faces], 1, axis=1), axis=2)
+    assert sides.max() < 3.0
     near = {
         (i, *face)
         for i, point in enumerate(mesh.vertices)
-        for face in mesh.faces.tolist()
+        for row, face in enumerate(mesh.faces.tolist())
         if sheet[i] != sheet[face[0]]
+        and away[i, row] < 3.0 + config.contact_margin
         and np.linalg.norm(point - closest_on_triangle(point, mesh.vertices[face])) < config.contact_margin - 1e-4
     }
     assert len(near) > 100
