@@ -51,12 +51,13 @@ def make_many(
     *,
     batch: int | None = None,
     last: LastDesign | None = None,
+    pictured: bool = True,
 ) -> Iterator[Sample]:
     """The samples of ``indices``, in order; up to ``batch`` garments are draped at a time (1 on a CPU, 64 on a GPU).
 
     With ``bodies="both"`` a design is taken or turned down for both of its bodies, so both are draped even if one index
-    is asked for: a ``last`` that is given to the next call too holds the other meanwhile. Raises ``PatternError`` as
-    ``make`` does.
+    is asked for: a ``last`` that is given to the next call too holds the other meanwhile. Without ``pictured`` nothing
+    else is different but that pictures are missing. Raises ``PatternError`` as ``make`` does.
     """
     order = deque(indices)
     asked = Counter(order)
@@ -84,7 +85,7 @@ def make_many(
             if failed := turned_down(design, drapes, config):
                 again.append(failed)
                 continue
-            made = MadeDesign(design.number, partial(_finished, design, drapes, config))
+            made = MadeDesign(design.number, partial(_finished, design, drapes, config, pictured))
             done |= {worn.index: made.sample_of(worn.index) for worn in design.dressed if worn.index in asked}
             if any(worn.index not in asked for worn in design.dressed):
                 last.made = made
@@ -256,9 +257,11 @@ def turned_down(design: DressedDesign, drapes: Sequence[Drape | None], config: M
     return replace(design, rejects=design.rejects + (f"drape: {failed.name.lower()}",))
 
 
-def _finished(design: DressedDesign, drapes: Sequence[Drape | None], config: MakeConfig, index: int) -> Sample:
+def _finished(
+    design: DressedDesign, drapes: Sequence[Drape | None], config: MakeConfig, pictured: bool, index: int
+) -> Sample:
     place = index % config.wearers
-    return finish(design, design.dressed[place], config, drapes[place])
+    return finish(design, design.dressed[place], config, drapes[place], pictured=pictured)
 
 
 def finish(
@@ -267,8 +270,9 @@ def finish(
     config: MakeConfig,
     drape: Drape | None,
     pictures: tuple[bytes, bytes] | None = None,
+    pictured: bool = True,
 ) -> Sample:
-    """The sample of a dressed body: points are taken, and ``pictures`` too where none are given."""
+    """The sample of a dressed body: points are taken, and ``pictures`` too where none are given and they are wanted."""
     mesh, points = dressed.box_mesh, None
     if mesh is not None:
         surface = drape.vertices if drape is not None else mesh.vertices
@@ -292,7 +296,7 @@ def finish(
         drape=drape,
         points=points,
     )
-    if drape is None or not config.picture:
+    if drape is None or not (config.picture and pictured):
         return sample
     if pictures is None:
         from gcd_dataset.generator.render import render_sample

@@ -43,7 +43,8 @@ class GeneratedGarments(Garments):
     ``bodies``, ``bodies_each``, ``arms`` [degrees], ``resolution`` [cm], ``fabric``, ``on_fail``, ``picture`` and
     ``design``, an overlay by ``read_overlay``, are those of ``MakeConfig``. With the same ``seed`` and another fabric,
     or arms held otherwise, come the same patterns, draped otherwise. ``drape``: ``warp``, or ``None`` to stop at the
-    box mesh; ``stage="pattern"`` stops before that.
+    box mesh; ``stage="pattern"`` stops before that. Pictures are taken for a cache, or where
+    ``fields`` have ``front``, ``back`` or, with checksums of all, ``meta``.
 
     ``device``: where cloth is draped; ``auto`` is the first GPU that torch sees, or the CPU. On a GPU, workers of a
     ``DataLoader``, forked or spawned, make body, design, pattern and mesh, and one process drapes for all of them;
@@ -163,7 +164,13 @@ class GeneratedGarments(Garments):
             known=self._known,
             finished=self._encoded,
             last=self._last,
+            pictured=self._pictured,
         )
+
+    @property
+    def _pictured(self) -> bool:
+        """Whether anybody sees the pictures, or their checksums in ``meta``: on a CPU they take a second."""
+        return self._kept is not None or not {"front", "back", "meta"}.isdisjoint(self.fields)
 
     @property
     def _apart(self) -> bool:
@@ -178,10 +185,17 @@ class GeneratedGarments(Garments):
         """Garments made, whatever is in the cache; without a ``last`` all anew."""
         if self._apart and self._place is not None:
             samples = make_ahead(
-                self._seed, positions, self.config, self._place, ahead=len(positions), finished=_whole, last=last
+                self._seed,
+                positions,
+                self.config,
+                self._place,
+                ahead=len(positions),
+                finished=_whole,
+                last=last,
+                pictured=self._pictured,
             )
         else:
-            samples = make_many(self._seed, positions, self.config, last=last)
+            samples = make_many(self._seed, positions, self.config, last=last, pictured=self._pictured)
         return [encode_sample(sample) for sample in samples]
 
     def _encoded(self, sample: Sample) -> Mapping[str, Bytes]:

@@ -28,15 +28,16 @@ def make_ahead(
     finished: Callable[[Sample], Made],
     known: Callable[[int], Made | None] = lambda index: None,
     last: LastDesign | None = None,
+    pictured: bool = True,
 ) -> Iterator[Made]:
     """What ``finished`` makes of the samples of ``indices``, which may be endless, in order: those of ``make_many``.
 
     Up to ``ahead`` of them are in work at a time. ``known``: what there is already of an index, which is not made then.
-    ``last``: as for ``make_many``.
+    ``last`` and ``pictured``: as for ``make_many``.
     ``place`` belongs to ``config.device``. Raises ``PatternError`` as ``make_many`` does, ``DrapeError`` where the
     draper is no more.
     """
-    in_work = _InWork(seed, iter(indices), config, ahead, finished, known, last or LastDesign())
+    in_work = _InWork(seed, iter(indices), config, ahead, finished, known, last or LastDesign(), pictured)
     with Asking(place) as asking:
         yield from in_work.all(asking)
 
@@ -53,9 +54,10 @@ class _InWork(Generic[Made]):
         finished: Callable[[Sample], Made],
         known: Callable[[int], Made | None],
         last: LastDesign,
+        pictured: bool,
     ) -> None:
         self._seed, self._indices, self._config, self._ahead = seed, indices, config, ahead
-        self._finished, self._known, self._last = finished, known, last
+        self._finished, self._known, self._last, self._pictured = finished, known, last, pictured
         self._order: deque[int] = deque()
         self._asked: Counter[int] = Counter()
         self._designs: dict[int, DressedDesign] = {}
@@ -103,7 +105,7 @@ class _InWork(Generic[Made]):
         for worn in design.dressed:
             assert worn.box_mesh is not None  # the stage is "drape"
             job = DrapeJob(worn.box_mesh, worn.body, worn.size, fabric, worn.coarse)
-            asking.ask(Order(worn.index, job, self._config.picture))
+            asking.ask(Order(worn.index, job, self._config.picture if self._pictured else 0))
 
     def _take(self, answer: Draped, asking: Asking) -> None:
         """Finish the samples of a design when all of its wearers are draped, or try the next design."""
@@ -117,7 +119,7 @@ class _InWork(Generic[Made]):
         if failed is not None:
             self._send(prepare(self._seed, number, self._config, failed.rejects), asking)
             return
-        made = MadeDesign(number, partial(_sample, design, draped, self._config))
+        made = MadeDesign(number, partial(_sample, design, draped, self._config, self._pictured))
         for worn in design.dressed:
             if worn.index not in self._asked:
                 self._last.made = made
@@ -133,9 +135,11 @@ class _InWork(Generic[Made]):
         return self._done.pop(index)
 
 
-def _sample(design: DressedDesign, draped: Mapping[int, Draped], config: MakeConfig, index: int) -> Sample:
+def _sample(
+    design: DressedDesign, draped: Mapping[int, Draped], config: MakeConfig, pictured: bool, index: int
+) -> Sample:
     from gcd_dataset.generator.drawing import jpeg_bytes
 
     worn, answer = design.dressed[index % config.wearers], draped[index]
     pictures = None if answer.pictures is None else (jpeg_bytes(answer.pictures[0]), jpeg_bytes(answer.pictures[1]))
-    return finish(design, worn, config, answer.drape, pictures)
+    return finish(design, worn, config, answer.drape, pictures, pictured)

@@ -65,6 +65,21 @@ def test_only_the_fields_asked_for_come() -> None:
     assert set(garments(fields=("panels", "box"))[0]) == {"panels", "box"}
 
 
+def test_pictures_that_nobody_asked_for_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rest of a garment is the same without them."""
+    options: dict[str, Any] = {"seed": 5, "resolution": 8.0, "picture": 32, "device": "cpu"}
+    whole = GeneratedGarments(1, **options)[0]
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise AssertionError("a picture was taken")
+
+    monkeypatch.setattr("gcd_dataset.generator.render.render_sample", refuse)
+    fields = [field for field in whole if field not in ("front", "back", "meta")]
+    assert_all_same([GeneratedGarments(1, fields=fields, **options)[0]], [{name: whole[name] for name in fields}])
+    with pytest.raises(AssertionError, match="a picture was taken"):
+        GeneratedGarments(1, fields=["points", "back"], **options)[0]
+
+
 def test_the_cache_is_read_and_not_made_again(
     items: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
