@@ -74,5 +74,5 @@ def test_a_damaged_archive_is_named_with_the_way_out(archive: Path) -> None:
 def test_where_the_index_cannot_be_kept_another_place_is_asked_for(archive: Path) -> None:
     with public_folder() as folder:
         moved = Path(shutil.copy(archive, folder))
-        with forbidden(folder, 0o555), pytest.raises(OutputError, match="or give cache_dir="):
+        with forbidden(folder, 0o555), pytest.raises(OutputError, match="or give another folder as cache_dir"):
             Archive.opened(moved, None)
