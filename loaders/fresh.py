@@ -11,6 +11,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, Item, natural
+from gcd_dataset.loaders.sharing import share_by_name
 from gcd_dataset.loaders.transforms import Augment
 from gcd_dataset.seeding import Stage, rng
 
@@ -85,6 +86,7 @@ class FreshGarments(IterableDataset[Item]):
                 _Share(self.garments),
                 batch_size=None,
                 num_workers=self.workers,
+                worker_init_fn=share_by_name,
                 # Of its own: a ``DataLoader`` without one draws from the caller's random numbers.
                 generator=torch.Generator().manual_seed(self.seed),
                 **options,

@@ -10,6 +10,7 @@ from torch.utils.data import DataLoader, Dataset, IterableDataset
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import items_of
 from gcd_dataset.loaders.order import ElasticSampler, identity_of, position_of, rank_of
+from gcd_dataset.loaders.sharing import share_by_name
 
 __all__ = ["ByNumber", "Plan", "Streamed"]
 
@@ -57,7 +58,14 @@ class ByNumber:
     def loader(self, *, num_workers: int, **options: Any) -> DataLoader:
         """What loads the batches of each pass that is begun; its workers stay."""
         named, stay = _Named(self._dataset), num_workers > 0
-        return DataLoader(named, batch_sampler=self, num_workers=num_workers, persistent_workers=stay, **options)
+        return DataLoader(
+            named,
+            batch_sampler=self,
+            num_workers=num_workers,
+            persistent_workers=stay,
+            worker_init_fn=share_by_name,
+            **options,
+        )
 
     def __len__(self) -> int:
         return len(self._cuts(0))

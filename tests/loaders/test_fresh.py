@@ -1,5 +1,10 @@
 """Garments made ahead of a training, and given several times."""
 
+import multiprocessing
+import os
+import signal
+import threading
+import time
 from collections import Counter
 from typing import Any
 
@@ -65,6 +70,24 @@ def test_workers_of_the_loader_are_refused() -> None:
     for options in ({"replay": 0.5}, {"replay": float("nan")}, {"room": 0}):
         with pytest.raises(ConfigError):
             fresh(**options)
+
+
+def test_what_a_worker_has_made_is_taken_without_its_answer() -> None:
+    """It is at work on the next garment, and would answer late: here it is stopped."""
+    others = set(multiprocessing.active_children())
+    made = iter(FreshGarments(FakeGarments(9, fields=["meta", "verts"]), room=1, workers=1))
+    next(made)
+    [worker] = set(multiprocessing.active_children()) - others
+    assert worker.pid is not None
+    time.sleep(1.0)  # it has made the next meanwhile
+    os.kill(worker.pid, signal.SIGSTOP)
+    goes_on = threading.Timer(30.0, os.kill, (worker.pid, signal.SIGCONT))
+    goes_on.start()
+    item = next(made)
+    assert goes_on.is_alive(), "it was waited for"
+    goes_on.cancel()
+    os.kill(worker.pid, signal.SIGCONT)
+    assert item["verts"].isfinite().all()
 
 
 def test_memory_does_not_grow_with_garments_made() -> None:
