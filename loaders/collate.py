@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -95,9 +96,9 @@ def _packed(values: list[Tensor], counts: list[int], batch: PackedBatch, field: 
     rows = _room((sum(counts), *values[0].shape[1:]), values[0])
     if starts and starts[0][0] == WHOLE:  # in one go: these are the largest
         for value, start, part in zip(values, starts[0][1].tolist(), torch.split(rows, counts), strict=False):
-            torch.add(value, start, out=part)
+            _add(value, start, part)
         return rows
-    torch.cat(values, out=rows)
+    _join(values, rows)
     for column, start in starts:
         raised = start[:-1].to(rows.dtype).repeat_interleave(torch.tensor(counts), output_size=len(rows))
         part = rows[:, column]
@@ -126,8 +127,34 @@ def _together(values: list[Any]) -> Any:
     """Tensors of one shape as one, anything else in a list."""
     first = values[0]
     if all(isinstance(value, Tensor) and value.shape == first.shape for value in values):
-        return torch.stack(values, out=_room((len(values), *first.shape), first))
+        batch = _room((len(values), *first.shape), first)
+        _join([value[None] for value in values], batch)
+        return batch
     return values
+
+
+# By numpy, which has one thread: those of torch keep on turning for a while after each call, in the way of workers that
+# make garments.
+
+
+def _join(values: Sequence[Tensor], out: Tensor) -> None:
+    """Put values of one type one below the other."""
+    if _in_numpy(out):
+        np.concatenate([value.detach().numpy() for value in values], out=out.numpy())
+    else:
+        torch.cat(list(values), out=out)
+
+
+def _add(value: Tensor, start: int, out: Tensor) -> None:
+    """Put whole numbers raised by ``start`` there."""
+    if _in_numpy(out):
+        np.add(value.numpy(), start, out=out.numpy())
+    else:
+        torch.add(value, start, out=out)
+
+
+def _in_numpy(out: Tensor) -> bool:
+    return out.device.type == "cpu" and out.dtype is not torch.bfloat16
 
 
 def _room(shape: Sequence[int], like: Tensor) -> Tensor:

@@ -11,11 +11,13 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, Item, natural
-from gcd_dataset.loaders.sharing import share_by_name
 from gcd_dataset.loaders.transforms import Augment
+from gcd_dataset.loaders.worker import begin_worker
 from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["FreshGarments"]
+
+AHEAD = 8  # garments that each worker may have ready: some take ten times as long as others
 
 
 class FreshGarments(IterableDataset[Item]):
@@ -80,13 +82,13 @@ class FreshGarments(IterableDataset[Item]):
 
     def _made(self) -> Iterator[Item]:
         """The garments in order: workers have them by turns, and give them by turns."""
-        options: dict[str, Any] = {"prefetch_factor": 2} if self.workers else {}
+        options: dict[str, Any] = {"prefetch_factor": AHEAD} if self.workers else {}
         return iter(
             DataLoader(
                 _Share(self.garments),
                 batch_size=None,
                 num_workers=self.workers,
-                worker_init_fn=share_by_name,
+                worker_init_fn=begin_worker,
                 # Of its own: a ``DataLoader`` without one draws from the caller's random numbers.
                 generator=torch.Generator().manual_seed(self.seed),
                 **options,

@@ -10,7 +10,7 @@ from torch.utils.data import DataLoader, Dataset, IterableDataset
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import items_of
 from gcd_dataset.loaders.order import ElasticSampler, identity_of, position_of, rank_of
-from gcd_dataset.loaders.sharing import share_by_name
+from gcd_dataset.loaders.worker import begin_worker
 
 __all__ = ["ByNumber", "Plan", "Streamed"]
 
@@ -63,7 +63,7 @@ class ByNumber:
             batch_sampler=self,
             num_workers=num_workers,
             persistent_workers=stay,
-            worker_init_fn=share_by_name,
+            worker_init_fn=begin_worker,
             **options,
         )
 

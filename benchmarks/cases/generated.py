@@ -99,7 +99,7 @@ def _own_rate(garments: GeneratedGarments, options: argparse.Namespace) -> float
     prepared = [worn for number in range(options.prepared) for worn in prepare(1, number, config).dressed]
     jobs = [DrapeJob(worn.box_mesh, worn.body, worn.size, coarse=worn.coarse) for worn in prepared if worn.box_mesh]
     with Asking(place_for(config.device)) as asking:
-        orders = (Order(number, job, config.picture) for number, job in enumerate(cycle(jobs)))
+        orders = (Order(number, job) for number, job in enumerate(cycle(jobs)))  # without pictures, as in the loop
         for order in islice(orders, 256):  # twice what it drapes at a time
             asking.ask(order)
         for order in islice(orders, options.warm):

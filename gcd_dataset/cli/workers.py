@@ -61,6 +61,8 @@ def _result(task: Future[Result]) -> Result:
 @contextmanager
 def _processes(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that leave Ctrl-C to this one, and that end with the block, or with this process however it ends."""
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # of each worker: there is one a core
     # Not forked: threads that Warp or torch may have started here would not live on there.
     context = multiprocessing.get_context("spawn")
     lifeline, held = context.Pipe(duplex=False)
