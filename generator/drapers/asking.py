@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from gcd_dataset.errors import DrapeError
+from gcd_dataset.generator.drapers.parcel import send_parcel
 from gcd_dataset.generator.drapers.place import Place
 from gcd_dataset.records import Drape
 
@@ -54,7 +55,7 @@ class Asking:
         if not len(order.job.box_mesh.faces):
             raise DrapeError("a garment has no faces: build its box mesh from a pattern with panels")
         try:
-            self._connection.send(order)
+            send_parcel(self._connection, order)
         except OSError as error:
             raise self._gone() from error
 

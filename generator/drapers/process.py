@@ -23,6 +23,7 @@ from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.drape import places_on
 from gcd_dataset.generator.drape.queue import drape_in_turn
 from gcd_dataset.generator.drapers.asking import Draped, Order
+from gcd_dataset.generator.drapers.parcel import receive_parcel
 from gcd_dataset.generator.drapers.place import READY, owner_file, socket_file
 from gcd_dataset.records import Drape
 
@@ -78,7 +79,7 @@ class Asker:
         # A worker that was killed while it sent leaves half an order: that is an error too.
         with contextlib.suppress(EOFError, OSError):
             while True:
-                self._inbox.put(self, self._connection.recv())
+                self._inbox.put(self, receive_parcel(self._connection))
         self.there = False
         self._answers.put(None)
 
