@@ -66,10 +66,13 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
         return wp.empty(size, dtype=dtype, device=device)
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type, shift: np.ndarray | None = None) -> wp.array:
-        joined: np.ndarray = np.concatenate(arrays).astype(kind, copy=False)
-        if shift is not None:
-            joined = joined + np.repeat(shift[:-1], [len(a) for a in arrays])[:, None].astype(kind)
-        return wp.array(np.ascontiguousarray(joined), dtype=dtype, device=device)
+        joined = np.empty((sum(map(len, arrays)), *arrays[0].shape[1:]), kind)
+        first = 0
+        for number, array in enumerate(arrays):
+            by = 0 if shift is None else shift[number]
+            np.add(array, by, out=joined[first : first + len(array)], casting="same_kind")
+            first += len(array)
+        return wp.array(joined, dtype=dtype, device=device)
 
     start = put([mesh.vertices for mesh in meshes], np.float32, wp.vec3)
     world = wp.array(np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(vertices)), dtype=int, device=device)
