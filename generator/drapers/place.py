@@ -43,11 +43,26 @@ class Place:
         Raises ``DrapeError`` where it cannot be started, with the reason that it gives.
         """
         with self._starting():
-            try:
-                return Client(str(socket_file(self.folder)), "AF_UNIX")
-            except (FileNotFoundError, ConnectionRefusedError):
+            connection = self._greeted()
+            if connection is None:
                 self._start()
-            return Client(str(socket_file(self.folder)), "AF_UNIX")
+                connection = self._greeted()
+        if connection is None:
+            raise DrapeError(f"the process that drapes on {self.device} ended as soon as it had begun: see above")
+        return connection
+
+    def _greeted(self) -> Connection | None:
+        """A connection to a draper that has greeted; one that is about to end may still be called, and says nothing."""
+        try:
+            connection = Client(str(socket_file(self.folder)), "AF_UNIX")
+        except (FileNotFoundError, ConnectionRefusedError):
+            return None
+        try:
+            connection.recv()
+        except (EOFError, OSError):
+            connection.close()
+            return None
+        return connection
 
     @contextlib.contextmanager
     def _starting(self) -> Iterator[None]:

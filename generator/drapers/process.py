@@ -161,7 +161,9 @@ def _pictures(order: Order, drape: Drape, device: str) -> "tuple | None":
 def _accept(listener: Listener, inbox: Inbox) -> None:
     while True:
         with contextlib.suppress(OSError):  # one that has gone before it was let in
-            inbox.enter(Asker(listener.accept(), inbox))
+            connection = listener.accept()
+            connection.send(READY)
+            inbox.enter(Asker(connection, inbox))
 
 
 def _end_with_owner(folder: Path) -> None:

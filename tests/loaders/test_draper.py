@@ -5,10 +5,12 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from multiprocessing.connection import Listener
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from torch.utils.data import DataLoader
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import Asking, Draped, Order, Place, make_ahead, place_for
-from gcd_dataset.generator.drapers.place import _made
+from gcd_dataset.generator.drapers.place import _made, socket_file
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.pipeline import prepare, sample_key
 from gcd_dataset.generator.recipe import MakeConfig
@@ -154,6 +156,17 @@ def test_a_killed_draper_is_told_and_the_next_is_begun(place: Place) -> None:
     with Asking(place) as asking:
         asking.ask(order(7))
         assert asking.answer().number == 7
+
+
+def test_a_draper_that_is_about_to_end_is_not_taken_for_one(place: Place) -> None:
+    """Its socket takes calls a moment longer than it answers them."""
+    with Listener(str(socket_file(place.folder)), "AF_UNIX") as dying:
+        thread = threading.Thread(target=lambda: dying.accept().close())
+        thread.start()
+        with Asking(place) as asking:
+            asking.ask(order(7))
+            assert asking.answer().number == 7
+        thread.join()
 
 
 def test_a_draper_killed_under_a_loader_is_one_error(place: Place) -> None:
