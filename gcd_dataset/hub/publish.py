@@ -231,7 +231,7 @@ def _asking_hub(repo: str) -> Iterator[None]:
 
     try:
         yield
-    except (HfHubHTTPError, httpx2.HTTPError, OfflineModeIsEnabled, RuntimeError, ValueError) as error:
+    except (HfHubHTTPError, httpx2.HTTPError, OfflineModeIsEnabled, ConnectionError, RuntimeError, ValueError) as error:
         # An upload that fails comes as a RuntimeError or ValueError.
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise RemoteError(
