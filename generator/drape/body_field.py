@@ -5,6 +5,7 @@ solid, and cloth finds neither a cavity nor a second skin behind the first.
 """
 
 import hashlib
+import threading
 import weakref
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from gcd_dataset.generator.body.holes import Skin
 from gcd_dataset.generator.drape.kernels.field import fill_field
 from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["AXES", "FOREARM", "BodyField", "body_field"]
+__all__ = ["AXES", "FOREARM", "BodyField", "body_field", "host_field"]
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
@@ -37,10 +38,11 @@ AXES = {
     "legs": (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG),
 }
 
-_digested: dict[int, tuple[weakref.ref[Body], tuple[bytes, bytes]]] = {}
+_known: dict[int, tuple[weakref.ref[Body], "_HostField"]] = {}
 _in_use: WeakValueDictionary[tuple[str, bytes], "BodyField"] = WeakValueDictionary()
 _kept: OrderedDict[tuple[str, bytes], "BodyField"] = OrderedDict()
 _skins: OrderedDict[bytes, "_KnownSkin"] = OrderedDict()
+_skins_lock = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -62,11 +64,11 @@ class BodyField:
 
 def body_field(body: Body, device: str) -> BodyField:
     """The field of a body on a device; made once for each body and kept while it is in use."""
-    skin, shape = _digests(body)
-    key = (device, skin + shape)
+    host = host_field(body)
+    key = (device, host.digest)
     field = _in_use.get(key)
     if field is None:
-        field = _in_use[key] = _make_field(body, _skin(skin, body), device)
+        field = _in_use[key] = _make_field(host, device)
     _kept[key] = field
     _kept.move_to_end(key)
     if len(_kept) > KEPT:
@@ -74,17 +76,54 @@ def body_field(body: Body, device: str) -> BodyField:
     return field
 
 
-def _digests(body: Body) -> tuple[bytes, bytes]:
-    """What tells a body's faces and parts from others', and its shape; worked out once for each object."""
-    same, found = _digested.get(id(body), (None, None))
+@dataclass(frozen=True)
+class _HostField:
+    """What a field is made from."""
+
+    digest: bytes
+    """Tells a body's faces, parts and vertices from others'."""
+    triangles: Int[np.ndarray, " 3g"]
+    """The skin's faces."""
+    points: Float[np.ndarray, "w 3"]
+    """Single precision [cm]."""
+    parts: UInt8[np.ndarray, " g"]
+    """Of the faces, with ``FOREARM``."""
+    low: Float[np.ndarray, "3"]
+    """Centre of the first voxel [cm]."""
+    shape: tuple[int, ...]
+    patched: float
+    """Height below which there is no patch over an opening [cm]."""
+    axes: Float[np.ndarray, "2 axes 3"]
+
+
+def host_field(body: Body) -> _HostField:
+    """What of a field needs no device; worked out once for each object, by any thread."""
+    same, found = _known.get(id(body), (None, None))
     if found is None or same is None or same() is not body:
-        skin = hashlib.sha256(np.ascontiguousarray(body.faces, np.int32).tobytes())
-        skin.update(np.ascontiguousarray(body.parts, np.uint8).tobytes())
-        shape = hashlib.sha256(np.ascontiguousarray(body.vertices, np.float32).tobytes())
-        found = skin.digest(), shape.digest()
-        forget = partial(_digested.pop, id(body), None)
-        _digested[id(body)] = (weakref.ref(body, lambda _: forget()), found)
+        found = _host_field(body)
+        forget = partial(_known.pop, id(body), None)
+        _known[id(body)] = (weakref.ref(body, lambda _: forget()), found)
     return found
+
+
+def _host_field(body: Body) -> _HostField:
+    same = hashlib.sha256(np.ascontiguousarray(body.faces, np.int32).tobytes())
+    same.update(np.ascontiguousarray(body.parts, np.uint8).tobytes())
+    known = _skin(same.digest(), body)
+    points = known.skin.points(body.vertices)
+    seen = points[known.vertices].T.copy()  # numpy takes the least of a row thirty times as fast as that of a column
+    low = seen.min(axis=1) - BAND - CELL
+    size = np.ceil((seen.max(axis=1) + BAND + CELL - low) / CELL).astype(int) + 1
+    return _HostField(
+        digest=same.digest() + hashlib.sha256(np.ascontiguousarray(body.vertices, np.float32).tobytes()).digest(),
+        triangles=known.triangles,
+        points=np.asarray(points, np.float32),
+        parts=_with_forearms(points, known),
+        low=low,
+        shape=tuple(int(n) for n in size),
+        patched=min((float(points[rim, 1].min()) for rim in known.skin.rims), default=np.inf) - BAND,
+        axes=_axes(points, known),
+    )
 
 
 @dataclass(frozen=True)
@@ -121,44 +160,33 @@ class _KnownSkin:
 
 def _skin(digest: bytes, body: Body) -> _KnownSkin:
     """The skin of bodies with these faces and parts; the last few are kept, since most bodies have the same."""
-    if digest not in _skins:
-        _skins[digest] = _KnownSkin.of(Skin.of(body.faces, body.parts))
-        if len(_skins) > KEPT:
-            _skins.popitem(last=False)
-    _skins.move_to_end(digest)
-    return _skins[digest]
+    with _skins_lock:
+        if digest not in _skins:
+            _skins[digest] = _KnownSkin.of(Skin.of(body.faces, body.parts))
+            if len(_skins) > KEPT:
+                _skins.popitem(last=False)
+        _skins.move_to_end(digest)
+        return _skins[digest]
 
 
-def _make_field(body: Body, known: _KnownSkin, device: str) -> BodyField:
-    points = known.skin.points(body.vertices)
-    seen = points[known.vertices].T.copy()  # numpy takes the least of a row thirty times as fast as that of a column
-    low = seen.min(axis=1) - BAND - CELL
-    size = np.ceil((seen.max(axis=1) + BAND + CELL - low) / CELL).astype(int) + 1
+def _make_field(host: _HostField, device: str) -> BodyField:
     mesh = wp.Mesh(
-        points=wp.array(np.asarray(points, np.float32), dtype=wp.vec3, device=device),
-        indices=wp.array(known.triangles, dtype=int, device=device),
+        points=wp.array(host.points, dtype=wp.vec3, device=device),
+        indices=wp.array(host.triangles, dtype=int, device=device),
         support_winding_number=True,
     )
-    shape = tuple(int(n) for n in size)
-    patched = min((float(points[rim, 1].min()) for rim in known.skin.rims), default=np.inf) - BAND
-    distance = wp.empty(shape, dtype=float, device=device)
-    part = wp.zeros(shape, dtype=wp.uint8, device=device)
+    distance = wp.empty(host.shape, dtype=float, device=device)
+    part = wp.zeros(host.shape, dtype=wp.uint8, device=device)
+    parts = wp.array(host.parts, dtype=wp.uint8, device=device)
     wp.launch(
         fill_field,
-        dim=shape,
-        inputs=[
-            mesh.id,
-            wp.array(_with_forearms(points, known), dtype=wp.uint8, device=device),
-            wp.vec3(*low),
-            CELL,
-            BAND,
-            patched,
-        ],
+        dim=host.shape,
+        inputs=[mesh.id, parts, wp.vec3(*host.low), CELL, BAND, host.patched],
         outputs=[distance, part],
         device=device,
     )
-    axes = _axes(points, known)
-    return BodyField(distance, part, (float(low[0]), float(low[1]), float(low[2])), CELL, axes, mesh)
+    x, y, z = host.low.tolist()
+    return BodyField(distance, part, (x, y, z), CELL, host.axes, mesh)
 
 
 def _axes(points: Float[np.ndarray, "w 3"], known: _KnownSkin) -> Float[np.ndarray, "2 axes 3"]:

@@ -11,7 +11,7 @@ import warp as wp
 
 from gcd_dataset.generator.drape.body_field import BodyField, body_field
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.holds import Wear
+from gcd_dataset.generator.drape.holds import Wear, wear_of
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.topology import add_inertia
 from gcd_dataset.generator.drape.kernels.world import Cloth, World
@@ -63,15 +63,13 @@ def build_model(
     device: str,
     *,
     coarse: Container[int] = (),
-    worn: Sequence[Wear] | None = None,
 ) -> ClothModel:
     """The batch on a device, in the order of the jobs; those ``coarse`` are the start of finer ones.
 
-    Layers of coarse cloth are kept further apart, lest they cross when chords become folds again. ``worn``: what is
-    known of the jobs already.
+    Layers of coarse cloth are kept further apart, lest they cross when chords become folds again.
     """
     jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
-    worn = worn or [Wear.of(job) for job in jobs]
+    worn = [wear_of(job) for job in jobs]
     topology = build_topology(jobs, [wear.keepers for wear in worn], device)
     bodies = tuple(body_field(job.body, device) for job in jobs)
     fields, offsets, parts = _join_fields(bodies, device)

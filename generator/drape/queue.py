@@ -6,18 +6,19 @@ happens in a turn does not depend on when it begins, nor on who else is in the b
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Self
 
 import numpy as np
 from jaxtyping import Bool
 
 from gcd_dataset.generator.drape.arrange import arranged
+from gcd_dataset.generator.drape.body_field import host_field
 from gcd_dataset.generator.drape.carry import carry_over
 from gcd_dataset.generator.drape.coarse_start import go_on_from
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import one_at_a_time
-from gcd_dataset.generator.drape.holds import Wear
+from gcd_dataset.generator.drape.holds import wear_of
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect
@@ -25,7 +26,7 @@ from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import Coarse, coarse_start
 from gcd_dataset.records import Drape
 
-__all__ = ["drape_in_turn"]
+__all__ = ["drape_in_turn", "work_ahead"]
 
 POLL_EVERY = 4  # frames after which the device is asked which garments still move
 IDLE = 0.5  # share of the places that may stand empty while garments wait for one
@@ -68,6 +69,13 @@ def drape_in_turn(
         raise waiting.failed
 
 
+def work_ahead(job: DrapeJob) -> None:
+    """Work out what a garment's turns need of the host, in any thread while others are draped: they begin sooner."""
+    host_field(job.body)
+    for mesh in [job.box_mesh, *([job.coarse.mesh] if job.coarse else [])]:
+        wear_of(replace(job, box_mesh=mesh))
+
+
 @dataclass(frozen=True)
 class _Turn:
     """A garment's place in a batch: for its coarse mesh first, if it has one, then for itself."""
@@ -81,10 +89,6 @@ class _Turn:
     """Its world in the batch before."""
     start_from: Coarse | None = None
     """The coarse mesh in that place, whose shape this turn starts from."""
-
-    @cached_property
-    def wear(self) -> Wear:
-        return Wear.of(self.job)
 
     @classmethod
     def first(cls, number: int, job: DrapeJob, config: DrapeConfig) -> Self:
@@ -103,9 +107,7 @@ class _Turn:
 
     def goes_on(self, place: int) -> Self:
         """The same turn in the next batch."""
-        same = replace(self, old_place=place, start_from=None)
-        same.__dict__["wear"] = self.wear
-        return same
+        return replace(self, old_place=place, start_from=None)
 
     def refined(self, place: int, frames: int) -> Self:
         """The turn after that of the coarse mesh."""
@@ -148,9 +150,7 @@ def _begin(turns: Sequence[_Turn], before: Solver | None, config: DrapeConfig, d
     with one_at_a_time:
         coarse = [k for k, turn in enumerate(turns) if turn.coarse]
         solver = Solver(
-            build_model(
-                [turn.job for turn in turns], config, device, coarse=coarse, worn=[turn.wear for turn in turns]
-            ),
+            build_model([turn.job for turn in turns], config, device, coarse=coarse),
             config,
         )
         if before is not None:

@@ -21,7 +21,7 @@ from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.drape import places_on
-from gcd_dataset.generator.drape.queue import drape_in_turn
+from gcd_dataset.generator.drape.queue import drape_in_turn, work_ahead
 from gcd_dataset.generator.drapers.asking import Draped, Order
 from gcd_dataset.generator.drapers.parcel import receive_parcel
 from gcd_dataset.generator.drapers.place import READY, owner_file, socket_file
@@ -79,7 +79,10 @@ class Asker:
         # A worker that was killed while it sent leaves half an order: that is an error too.
         with contextlib.suppress(EOFError, OSError):
             while True:
-                self._inbox.put(self, receive_parcel(self._connection))
+                order = receive_parcel(self._connection)
+                with contextlib.suppress(Exception):  # what is wrong with a garment is told in its turn
+                    work_ahead(order.job)
+                self._inbox.put(self, order)
         self.there = False
         self._answers.put(None)
 
