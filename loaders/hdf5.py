@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.errors import ShardError
+from gcd_dataset.files import user_path
 from gcd_dataset.loaders.base import Garments, Transform, made_with
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.layout import Bytes
@@ -31,7 +32,7 @@ class Hdf5Garments(Garments):
         from gcd_dataset.shards.hdf5 import Hdf5Reader  # brings h5py, which nobody else needs
 
         super().__init__(fields, transform)
-        _require_file(Path(source))
+        _require_file(user_path(source))
         self._reader = Hdf5Reader(source)
 
     @property
