@@ -118,17 +118,21 @@ class ShardReader:
     ) -> Iterator[dict[str, memoryview]]:
         """Member to content of each sample, after a look at what has not been looked at."""
         members = self.layout.members
-        unchecked = self._unchecked[rows].take(columns, 1).any(axis=1).tolist()
-        for row, first, parts, sample in zip(rows.tolist(), unchecked, wanted, content, strict=True):
-            if first:
-                self._check_first(row, parts, sample)
+        # As it was before: of a sample that is asked for twice, both copies may have been read damaged.
+        unchecked = self._unchecked[rows]
+        first = unchecked.take(columns, 1).any(axis=1).tolist()
+        for row, is_first, which, parts, sample in zip(rows.tolist(), first, unchecked, wanted, content, strict=True):
+            if is_first:
+                self._check_first(row, which, parts, sample)
             yield {members[column]: data for column, data in sample.items()}
 
-    def _check_first(self, row: int, wanted: Wanted, content: dict[int, memoryview]) -> None:
+    def _check_first(
+        self, row: int, unchecked: Bool[np.ndarray, " m"], wanted: Wanted, content: dict[int, memoryview]
+    ) -> None:
         """Look at what has not been looked at; what is damaged is got anew, if it can be."""
         shard, number, parts = wanted
         for part in parts:
-            if self._unchecked[row, part.column]:
+            if unchecked[part.column]:
                 if zlib.crc32(content[part.column]) != part.crc:
                     content[part.column] = self.store.mend(shard, number, part) or content[part.column]
                 self._require_same(row, part.column, content[part.column])

@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import pickle
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_index
 from gcd_dataset.shards import folder as folders
+from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.store import Part
 from tests.shards.folders import fill, forbidden, public_folder
 
 
@@ -61,6 +64,23 @@ def test_a_flipped_bit_is_named(folder: Path, member: str) -> None:
     blind.read(5, MEMBERS)
     with pytest.raises(ShardError, match=told):
         blind.check(5)
+
+
+def test_of_a_sample_asked_for_twice_both_copies_are_looked_at(folder: Path) -> None:
+    """As a store gives them that reads all at once, and mends what is damaged there."""
+
+    class Mended(FolderStore):
+        def read_many(self, wanted: Sequence[tuple[str, int, Sequence[Part]]]) -> Iterable[dict[int, memoryview]]:
+            return list(super().read_many(wanted))
+
+        def mend(self, shard: str, number: int, part: Part) -> memoryview:
+            return memoryview(encode_sample(fake_sample(0, 5))["verts.npy"])
+
+    flip(folder, 5, "verts.npy")
+    reader = ShardReader(folder)
+    reader.store = Mended(folder)
+    expected = encode_sample(fake_sample(0, 5))["verts.npy"]
+    assert [sample["verts.npy"] for sample in reader.read_many([5, 5], ["verts.npy"])] == [expected, expected]
 
 
 def test_a_flipped_bit_is_found_without_an_index(folder: Path) -> None:
