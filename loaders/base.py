@@ -39,6 +39,8 @@ class Garments(Dataset[Item], ABC):
     """Whether garments are only read, so that a thread beside the training can do it as well as a process."""
     endless = False
     """Whether numbers from ``len()`` on are garments too, those of the epochs that follow in an order of their own."""
+    together = 1
+    """So many garments in a row are best made by one process, since they are one design; from any multiple of it on."""
 
     def __init__(
         self, fields: Iterable[str] | None, transform: Transform | None, *, there: Iterable[str] = FIELDS

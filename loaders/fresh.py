@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["FreshGarments"]
 
-AHEAD = 8  # garments that each worker may have ready: some take ten times as long as others
+AHEAD = 8  # designs that each worker may have ready: some take ten times as long as others
 
 
 class FreshGarments(IterableDataset[Item]):
@@ -83,17 +84,16 @@ class FreshGarments(IterableDataset[Item]):
     def _made(self) -> Iterator[Item]:
         """The garments in order: workers have them by turns, and give them by turns."""
         options: dict[str, Any] = {"prefetch_factor": AHEAD} if self.workers else {}
-        return iter(
-            DataLoader(
-                _Share(self.garments),
-                batch_size=None,
-                num_workers=self.workers,
-                worker_init_fn=begin_worker,
-                # Of its own: a ``DataLoader`` without one draws from the caller's random numbers.
-                generator=torch.Generator().manual_seed(self.seed),
-                **options,
-            )
+        designs = DataLoader(
+            _Share(self.garments),
+            batch_size=None,
+            num_workers=self.workers,
+            worker_init_fn=begin_worker,
+            # Of its own: a ``DataLoader`` without one draws from the caller's random numbers.
+            generator=torch.Generator().manual_seed(self.seed),
+            **options,
         )
+        return chain.from_iterable(designs)
 
     def _changed(self, entry: "_Given") -> Item:
         if self.augment is None:
@@ -119,13 +119,16 @@ class _Given:
     given: int = 0
 
 
-class _Share(IterableDataset[Item]):
-    """Each worker's garments: every so many of them."""
+class _Share(IterableDataset[list[Item]]):
+    """Each worker's garments: every so many designs, those of a design in a list."""
 
     def __init__(self, garments: Garments) -> None:
         self._garments = garments
 
-    def __iter__(self) -> Iterator[Item]:
+    def __iter__(self) -> Iterator[list[Item]]:
         worker = get_worker_info()
         first, step = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        return self._garments.stream(range(first, len(self._garments), step))
+        count, each = len(self._garments), self._garments.together
+        designs = [range(k, min(k + each, count)) for k in range(first * each, count, step * each)]
+        made = self._garments.stream(chain.from_iterable(designs))
+        return (list(islice(made, len(design))) for design in designs)

@@ -91,6 +91,7 @@ class GeneratedGarments(Garments):
             design=design or NO_OVERLAY,
             fabric=fabric,
         )
+        self.together = self.config.wearers
         self._recipe = recipe_of(self.config)
         self._on_gpu = self.config.stage == "drape" and self.config.device != "cpu"
         # Named here, so that all workers meet in one place and it ends with this process, not with one of them.

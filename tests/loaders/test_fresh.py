@@ -13,6 +13,7 @@ import pytest
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.loaders import FakeGarments, FreshGarments, GarmentLoader, GeneratedGarments, PointNoise
 from tests.loaders.test_shards import assert_all_same, same
 
@@ -103,6 +104,22 @@ def resident() -> int:
     """Bytes of memory that this process holds."""
     with open("/proc/self/statm") as file:  # noqa: PTH123
         return int(file.read().split()[1]) * 4096
+
+
+def test_a_design_is_made_once_for_all_its_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By one worker, whatever their number: else one would have the neutral bodies and the other the random ones."""
+    designs = multiprocessing.Value("i", 0)
+
+    def counted(*options: Any) -> Any:
+        with designs.get_lock():
+            designs.value += 1
+        return prepare(*options)
+
+    monkeypatch.setattr("gcd_dataset.generator.pipeline.prepare", counted)
+    whole = GeneratedGarments(5, seed=5, bodies="both", stage="pattern", fields=["panels", "body"])
+    made = list(FreshGarments(whole, room=1, workers=2))
+    assert designs.value == 3
+    assert_all_same(made, [whole[index] for index in range(5)])
 
 
 def test_different_ranks_make_different_garments() -> None:
