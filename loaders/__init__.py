@@ -15,6 +15,7 @@ from gcd_dataset.loaders.order import ElasticSampler
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.loaders.shards import GarmentDataset
 from gcd_dataset.loaders.transforms import Augment, Augmented, Chain, PartialView, PointNoise, Yaw
+from gcd_dataset.loaders.worker import begin_worker
 
 __all__ = [
     "Augment",
@@ -39,6 +40,7 @@ __all__ = [
     "PublishedGarmentCodeData",
     "SeamGraph",
     "Yaw",
+    "begin_worker",
     "collate_list",
     "collate_packed",
     "collate_padded",

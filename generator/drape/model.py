@@ -13,7 +13,7 @@ from gcd_dataset.generator.drape.body_field import BodyField, body_field
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import Wear, wear_of
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
-from gcd_dataset.generator.drape.kernels.topology import add_inertia
+from gcd_dataset.generator.drape.kernels.rows import add_inertia
 from gcd_dataset.generator.drape.kernels.world import Cloth, World
 from gcd_dataset.generator.drape.topology import Topology, build_topology
 

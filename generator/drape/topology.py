@@ -8,6 +8,7 @@ import warp as wp
 
 from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.generator.drape.device import load_kernels
+from gcd_dataset.generator.drape.kernels import rows as row_kernels
 from gcd_dataset.generator.drape.kernels import topology as kernels
 from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring
 from gcd_dataset.generator.drape.kernels.sheet import Sheet, sheet_of
@@ -52,7 +53,7 @@ class Topology:
 
 def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], device: str) -> Topology:
     """The topology of all garments, in the order of the jobs; ``keepers`` are the vertices that keep each one up."""
-    load_kernels("drape's topology", kernels, device=device)
+    load_kernels("drape's topology", kernels, row_kernels, device=device)
     meshes = [job.box_mesh for job in jobs]
     vertices = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     corners = np.cumsum([0, *(len(mesh.uv) for mesh in meshes)])
@@ -128,7 +129,7 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     keeper = wp.array(kept, dtype=wp.uint8, device=device)
     mass, stiffness = empty(n, float), empty(n, float)
     launch(
-        kernels.weigh_rows,
+        row_kernels.weigh_rows,
         n,
         [face, flat, edges, opposite, side_edge, vertex_faces, first_face, vertex_edges, first_edge]
         + [spring, hinge, hinge_scale, world, keeper, sheets],

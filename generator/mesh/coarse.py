@@ -262,10 +262,8 @@ def _place(mesh: BoxMesh, rows: Int[np.ndarray, " n"], points: Float[np.ndarray,
 def _locate(
     points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], wanted: Float[np.ndarray, "n 2"]
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """The triangle that each wanted point lies in, or lies nearest to, and the shares of its corners.
-
-    It is looked for round the nearest corner.
-    """
+    """The triangle round the nearest corner that each wanted point lies in, or is least outside of, and the shares of
+    its corners, none below zero."""
     round_corner = _faces_round(faces, len(points))
     _, nearest = cKDTree(points, balanced_tree=False, compact_nodes=False).query(wanted)
     a, b, c = points[faces].transpose(1, 0, 2)
