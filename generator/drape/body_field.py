@@ -10,6 +10,7 @@ import weakref
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import partial
+from typing import Self
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -20,7 +21,7 @@ from gcd_dataset.generator.body.holes import Skin
 from gcd_dataset.generator.drape.kernels.field import fill_field
 from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["AXES", "FOREARM", "BodyField", "body_field", "host_field"]
+__all__ = ["AXES", "FOREARM", "BodyField", "HostField", "body_field"]
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
@@ -38,7 +39,7 @@ AXES = {
     "legs": (BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG),
 }
 
-_known: dict[int, tuple[weakref.ref[Body], "_HostField"]] = {}
+_digested: dict[int, tuple[weakref.ref[Body], tuple[bytes, bytes]]] = {}
 _in_use: WeakValueDictionary[tuple[str, bytes], "BodyField"] = WeakValueDictionary()
 _kept: OrderedDict[tuple[str, bytes], "BodyField"] = OrderedDict()
 _skins: OrderedDict[bytes, "_KnownSkin"] = OrderedDict()
@@ -62,13 +63,13 @@ class BodyField:
     """The skin without what is internal, in cm."""
 
 
-def body_field(body: Body, device: str) -> BodyField:
-    """The field of a body on a device; made once for each body and kept while it is in use."""
-    host = host_field(body)
-    key = (device, host.digest)
+def body_field(body: Body, device: str, host: "HostField | None" = None) -> BodyField:
+    """The field of a body on a device; made once for each body, from ``host`` if given, and kept while it is in use."""
+    skin, shape = _digests(body)
+    key = (device, skin + shape)
     field = _in_use.get(key)
     if field is None:
-        field = _in_use[key] = _make_field(host, device)
+        field = _in_use[key] = _make_field(host or HostField.of(body), device)
     _kept[key] = field
     _kept.move_to_end(key)
     if len(_kept) > KEPT:
@@ -77,11 +78,9 @@ def body_field(body: Body, device: str) -> BodyField:
 
 
 @dataclass(frozen=True)
-class _HostField:
-    """What a field is made from."""
+class HostField:
+    """What of a field needs no device, and may be worked out by any thread."""
 
-    digest: bytes
-    """Tells a body's faces, parts and vertices from others'."""
     triangles: Int[np.ndarray, " 3g"]
     """The skin's faces."""
     points: Float[np.ndarray, "w 3"]
@@ -95,35 +94,35 @@ class _HostField:
     """Height below which there is no patch over an opening [cm]."""
     axes: Float[np.ndarray, "2 axes 3"]
 
+    @classmethod
+    def of(cls, body: Body) -> Self:
+        known = _skin(_digests(body)[0], body)
+        points = known.skin.points(body.vertices)
+        seen = points[known.vertices].T.copy()  # numpy finds the least of a row three times as fast as of a column
+        low = seen.min(axis=1) - BAND - CELL
+        size = np.ceil((seen.max(axis=1) + BAND + CELL - low) / CELL).astype(int) + 1
+        return cls(
+            triangles=known.triangles,
+            points=np.asarray(points, np.float32),
+            parts=_with_forearms(points, known),
+            low=low,
+            shape=tuple(int(n) for n in size),
+            patched=min((float(points[rim, 1].min()) for rim in known.skin.rims), default=np.inf) - BAND,
+            axes=_axes(points, known),
+        )
 
-def host_field(body: Body) -> _HostField:
-    """What of a field needs no device; worked out once for each object, by any thread."""
-    same, found = _known.get(id(body), (None, None))
+
+def _digests(body: Body) -> tuple[bytes, bytes]:
+    """What tells a body's faces and parts from others', and its shape; worked out once for each object."""
+    same, found = _digested.get(id(body), (None, None))
     if found is None or same is None or same() is not body:
-        found = _host_field(body)
-        forget = partial(_known.pop, id(body), None)
-        _known[id(body)] = (weakref.ref(body, lambda _: forget()), found)
+        skin = hashlib.sha256(np.ascontiguousarray(body.faces, np.int32).tobytes())
+        skin.update(np.ascontiguousarray(body.parts, np.uint8).tobytes())
+        shape = hashlib.sha256(np.ascontiguousarray(body.vertices, np.float32).tobytes())
+        found = skin.digest(), shape.digest()
+        forget = partial(_digested.pop, id(body), None)
+        _digested[id(body)] = (weakref.ref(body, lambda _: forget()), found)
     return found
-
-
-def _host_field(body: Body) -> _HostField:
-    same = hashlib.sha256(np.ascontiguousarray(body.faces, np.int32).tobytes())
-    same.update(np.ascontiguousarray(body.parts, np.uint8).tobytes())
-    known = _skin(same.digest(), body)
-    points = known.skin.points(body.vertices)
-    seen = points[known.vertices].T.copy()  # numpy takes the least of a row thirty times as fast as that of a column
-    low = seen.min(axis=1) - BAND - CELL
-    size = np.ceil((seen.max(axis=1) + BAND + CELL - low) / CELL).astype(int) + 1
-    return _HostField(
-        digest=same.digest() + hashlib.sha256(np.ascontiguousarray(body.vertices, np.float32).tobytes()).digest(),
-        triangles=known.triangles,
-        points=np.asarray(points, np.float32),
-        parts=_with_forearms(points, known),
-        low=low,
-        shape=tuple(int(n) for n in size),
-        patched=min((float(points[rim, 1].min()) for rim in known.skin.rims), default=np.inf) - BAND,
-        axes=_axes(points, known),
-    )
 
 
 @dataclass(frozen=True)
@@ -169,7 +168,7 @@ def _skin(digest: bytes, body: Body) -> _KnownSkin:
         return _skins[digest]
 
 
-def _make_field(host: _HostField, device: str) -> BodyField:
+def _make_field(host: HostField, device: str) -> BodyField:
     mesh = wp.Mesh(
         points=wp.array(host.points, dtype=wp.vec3, device=device),
         indices=wp.array(host.triangles, dtype=int, device=device),

@@ -6,9 +6,7 @@ waist of what hangs from the shoulders is left alone: held at the body's waist, 
 crosses itself.
 """
 
-import weakref
 from dataclasses import dataclass
-from functools import partial
 from typing import Self
 
 import numpy as np
@@ -18,7 +16,7 @@ from gcd_dataset.generator.drape.body_field import AXES, FOREARM
 from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.records import BodyPart, BoxMesh, Measurements
 
-__all__ = ["Wear", "held_from_below", "holds", "own_parts", "unseen_parts", "wear_of"]
+__all__ = ["Wear", "held_from_below", "holds", "own_parts", "unseen_parts"]
 
 NECKLINE = frozenset({"left_collar", "right_collar"})
 SLIDING_DROP = 18.0  # cm below its level at which a held edge counts as slid off: about armpits to waist
@@ -40,20 +38,6 @@ class Wear:
     @classmethod
     def of(cls, job: DrapeJob) -> Self:
         return cls(*holds(job), unseen_parts(job.box_mesh), own_parts(job.box_mesh), *held_from_below(job))
-
-
-_worn: dict[int, tuple[weakref.ref[BoxMesh], Measurements, Wear]] = {}
-
-
-def wear_of(job: DrapeJob) -> Wear:
-    """How a garment is worn; worked out once for each box mesh, by any thread, and kept as long as that is there."""
-    mesh = job.box_mesh
-    known = _worn.get(id(mesh))
-    if known is None or known[0]() is not mesh or known[1] is not job.measurements:
-        forget = partial(_worn.pop, id(mesh), None)
-        known = weakref.ref(mesh, lambda _: forget()), job.measurements, Wear.of(job)
-        _worn[id(mesh)] = known
-    return known[2]
 
 
 def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " v"]]:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from gcd_dataset.generator.drape.body_field import BodyField, body_field
+from gcd_dataset.generator.drape.body_field import BodyField, HostField, body_field
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.holds import Wear, wear_of
+from gcd_dataset.generator.drape.holds import Wear
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.rows import add_inertia
 from gcd_dataset.generator.drape.kernels.world import Cloth, World
@@ -63,16 +63,20 @@ def build_model(
     device: str,
     *,
     coarse: Container[int] = (),
+    worn: Sequence[Wear] | None = None,
+    fields: Sequence[HostField | None] | None = None,
 ) -> ClothModel:
     """The batch on a device, in the order of the jobs; those ``coarse`` are the start of finer ones.
 
-    Layers of coarse cloth are kept further apart, lest they cross when chords become folds again.
+    Layers of coarse cloth are kept further apart, lest they cross when chords become folds again. ``worn`` and
+    ``fields``: what is known of the jobs already.
     """
     jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
-    worn = [wear_of(job) for job in jobs]
+    worn = worn or [Wear.of(job) for job in jobs]
     topology = build_topology(jobs, [wear.keepers for wear in worn], device)
-    bodies = tuple(body_field(job.body, device) for job in jobs)
-    fields, offsets, parts = _join_fields(bodies, device)
+    hosts = fields or [None] * len(jobs)
+    bodies = tuple(body_field(job.body, device, host) for job, host in zip(jobs, hosts, strict=True))
+    field, offsets, parts = _join_fields(bodies, device)
     steps = _time_steps(topology)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0) for k, job in enumerate(jobs)]
     for k, world in enumerate(worlds):
@@ -88,7 +92,7 @@ def build_model(
         world.field_origin = wp.vec3(*body.origin)
         world.field_cell = body.cell
     cloth = _cloth(worn, config, topology, _inertia(topology, steps, device), device)
-    cloth.field, cloth.field_parts = fields, parts
+    cloth.field, cloth.field_parts = field, parts
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
     face_world = np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(topology.face_offset))

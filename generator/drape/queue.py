@@ -6,19 +6,19 @@ happens in a turn does not depend on when it begins, nor on who else is in the b
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Self
 
 import numpy as np
 from jaxtyping import Bool
 
 from gcd_dataset.generator.drape.arrange import arranged
-from gcd_dataset.generator.drape.body_field import host_field
+from gcd_dataset.generator.drape.body_field import HostField
 from gcd_dataset.generator.drape.carry import carry_over
 from gcd_dataset.generator.drape.coarse_start import go_on_from
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import one_at_a_time
-from gcd_dataset.generator.drape.holds import wear_of
+from gcd_dataset.generator.drape.holds import Wear
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect
@@ -26,10 +26,26 @@ from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import Coarse, coarse_start
 from gcd_dataset.records import Drape
 
-__all__ = ["drape_in_turn", "work_ahead"]
+__all__ = ["Readied", "drape_in_turn"]
 
 POLL_EVERY = 4  # frames after which the device is asked which garments still move
 IDLE = 0.5  # share of the places that may stand empty while garments wait for one
+
+
+@dataclass(frozen=True)
+class Readied:
+    """A garment with what its turns need of the host: worked out by any thread, while others are draped."""
+
+    job: DrapeJob
+    field: HostField
+    wear: Wear
+    coarse_wear: Wear | None
+    """That of ``job.coarse``."""
+
+    @classmethod
+    def of(cls, job: DrapeJob) -> Self:
+        coarse = Wear.of(replace(job, box_mesh=job.coarse.mesh)) if job.coarse else None
+        return cls(job, HostField.of(job.body), Wear.of(job), coarse)
 
 
 def no_more() -> int:
@@ -38,7 +54,7 @@ def no_more() -> int:
 
 
 def drape_in_turn(
-    jobs: Iterable[DrapeJob | None],
+    jobs: Iterable[DrapeJob | Readied | None],
     config: DrapeConfig,
     *,
     device: str,
@@ -69,13 +85,6 @@ def drape_in_turn(
         raise waiting.failed
 
 
-def work_ahead(job: DrapeJob) -> None:
-    """Work out what a garment's turns need of the host, in any thread while others are draped: they begin sooner."""
-    host_field(job.body)
-    for mesh in [job.box_mesh, *([job.coarse.mesh] if job.coarse else [])]:
-        wear_of(replace(job, box_mesh=mesh))
-
-
 @dataclass(frozen=True)
 class _Turn:
     """A garment's place in a batch: for its coarse mesh first, if it has one, then for itself."""
@@ -89,15 +98,25 @@ class _Turn:
     """Its world in the batch before."""
     start_from: Coarse | None = None
     """The coarse mesh in that place, whose shape this turn starts from."""
+    known: Readied | None = None
+
+    @cached_property
+    def wear(self) -> Wear:
+        known = None
+        if self.known is not None:
+            known = self.known.wear if self.coarse is None else self.known.coarse_wear
+        return known or Wear.of(self.job)
 
     @classmethod
-    def first(cls, number: int, job: DrapeJob, config: DrapeConfig) -> Self:
+    def first(cls, number: int, given: DrapeJob | Readied, config: DrapeConfig) -> Self:
+        known = given if isinstance(given, Readied) and not config.curved_start else None
+        job = given.job if isinstance(given, Readied) else given
         coarse = (job.coarse or coarse_start(job.box_mesh)) if config.coarse_start else None
         if config.curved_start and coarse:
             coarse = replace(coarse, mesh=arranged(coarse.mesh, job.body))
         elif config.curved_start:
             job = replace(job, box_mesh=arranged(job.box_mesh, job.body))
-        return cls(number, job, coarse)
+        return cls(number, job, coarse, known=known)
 
     @property
     def job(self) -> DrapeJob:
@@ -107,7 +126,9 @@ class _Turn:
 
     def goes_on(self, place: int) -> Self:
         """The same turn in the next batch."""
-        return replace(self, old_place=place, start_from=None)
+        same = replace(self, old_place=place, start_from=None)
+        same.__dict__["wear"] = self.wear
+        return same
 
     def refined(self, place: int, frames: int) -> Self:
         """The turn after that of the coarse mesh."""
@@ -121,7 +142,7 @@ def _as_fit(arrived: Callable[[], int], room: int) -> int:
 class _Waiting:
     """Garments that have no place yet."""
 
-    def __init__(self, jobs: Iterable[DrapeJob | None], config: DrapeConfig) -> None:
+    def __init__(self, jobs: Iterable[DrapeJob | Readied | None], config: DrapeConfig) -> None:
         self._jobs, self._config, self._count = iter(jobs), config, 0
         self.ended = False
         """Whether the last of them has been taken."""
@@ -150,7 +171,14 @@ def _begin(turns: Sequence[_Turn], before: Solver | None, config: DrapeConfig, d
     with one_at_a_time:
         coarse = [k for k, turn in enumerate(turns) if turn.coarse]
         solver = Solver(
-            build_model([turn.job for turn in turns], config, device, coarse=coarse),
+            build_model(
+                [turn.job for turn in turns],
+                config,
+                device,
+                coarse=coarse,
+                worn=[turn.wear for turn in turns],
+                fields=[None if turn.known is None else turn.known.field for turn in turns],
+            ),
             config,
         )
         if before is not None:

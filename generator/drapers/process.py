@@ -21,7 +21,7 @@ from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.drape import places_on
-from gcd_dataset.generator.drape.queue import drape_in_turn, work_ahead
+from gcd_dataset.generator.drape.queue import Readied, drape_in_turn
 from gcd_dataset.generator.drapers.asking import Draped, Order
 from gcd_dataset.generator.drapers.parcel import receive_parcel
 from gcd_dataset.generator.drapers.place import READY, owner_file, socket_file
@@ -79,10 +79,7 @@ class Asker:
         # A worker that was killed while it sent leaves half an order: that is an error too.
         with contextlib.suppress(EOFError, OSError):
             while True:
-                order = receive_parcel(self._connection)
-                with contextlib.suppress(Exception):  # what is wrong with a garment is told in its turn
-                    work_ahead(order.job)
-                self._inbox.put(self, order)
+                self._inbox.put(self, receive_parcel(self._connection))
         self.there = False
         self._answers.put(None)
 
@@ -99,15 +96,16 @@ class Inbox:
     """Garments that wait to be draped, and those in work."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[Asker, Order]] = deque()
+        self._waiting: deque[tuple[Asker, Order, DrapeJob | Readied]] = deque()
         self._some = threading.Condition()
         self._askers: set[Asker] = set()
         self._at_work: dict[int, tuple[Asker, Order]] = {}
 
     def put(self, asker: Asker, order: Order) -> None:
         """Add a garment."""
+        ready = _readied(order.job)
         with self._some:
-            self._waiting.append((asker, order))
+            self._waiting.append((asker, order, ready))
             self._some.notify()
 
     def enter(self, asker: Asker) -> None:
@@ -133,17 +131,20 @@ class Inbox:
             if asker.there:
                 asker.tell(Draped(order.number, drape, _pictures(order, drape, device)))
 
-    def _jobs(self) -> Iterator[DrapeJob | None]:
+    def _jobs(self) -> Iterator[DrapeJob | Readied | None]:
         """Those that wait, whenever asked; ``None`` where there is none at this moment."""
         number = 0
         while True:
             taken = self._taken()
-            if taken is not None:
-                self._at_work[number] = taken
+            if taken is None:
+                yield None
+            else:
+                asker, order, ready = taken
+                self._at_work[number] = asker, order
                 number += 1
-            yield None if taken is None else taken[1].job
+                yield ready
 
-    def _taken(self) -> tuple[Asker, Order] | None:
+    def _taken(self) -> tuple[Asker, Order, DrapeJob | Readied] | None:
         """The next whose asker is still there."""
         with self._some:
             while self._waiting:
@@ -151,6 +152,14 @@ class Inbox:
                 if taken[0].there:
                     return taken
         return None
+
+
+def _readied(job: DrapeJob) -> DrapeJob | Readied:
+    """Ready for its turns; a job with which something is wrong as it is, which is told in its turn."""
+    try:
+        return Readied.of(job)
+    except Exception:  # noqa: BLE001 - whatever it is, it comes again
+        return job
 
 
 def _pictures(order: Order, drape: Drape, device: str) -> "tuple | None":
