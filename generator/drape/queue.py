@@ -99,6 +99,7 @@ class _Turn:
     start_from: Coarse | None = None
     """The coarse mesh in that place, whose shape this turn starts from."""
     known: Readied | None = None
+    """What was worked out ahead of its first turn."""
 
     @cached_property
     def wear(self) -> Wear:

@@ -45,6 +45,7 @@ def receive_parcel(connection: Connection) -> Any:
         memory = memoryview(mmap.mmap(file, places[-1], mmap.MAP_PRIVATE))
     finally:
         os.close(file)
+    # As ``Connection.recv`` does it: the socket lies in a folder that is the user's alone.
     return pickle.loads(
         head, buffers=[memory[place : place + size] for place, size in zip(places, sizes, strict=False)]
     )
