@@ -23,7 +23,7 @@ LARGE = (".tar", ".npz", ".h5")
 
 @dataclass(frozen=True)
 class Request:
-    """A request that was answered."""
+    """A request and its answer."""
 
     method: str
     path: str
@@ -31,7 +31,7 @@ class Request:
     """Its ``Range`` header."""
     status: int
     size: int
-    """Bytes of the answer's body that were sent."""
+    """Bytes of the answer's body that are sent."""
     authorization: str
 
 
@@ -232,23 +232,23 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(status, json.dumps(value).encode(), {"Content-Type": "application/json", **(headers or {})})
 
     def _answer(self, status: int, body: bytes, headers: Mapping[str, str]) -> None:
+        part = b"" if self.command == "HEAD" else self._cut(body)
+        self._note(status, len(part))  # first: who has the answer may look for it at once
         self.send_response(status)
         for name, value in {"Content-Length": str(len(body)), **headers}.items():
             self.send_header(name, value)
         self.end_headers()
-        sent = self._send(body) if self.command != "HEAD" else 0
-        self._note(status, sent)
-
-    def _send(self, body: bytes) -> int:
-        cut = self.fault.cut if self.fault is not None else None
-        if cut is not None and cut < len(body):
-            body = body[:cut]
-            self.close_connection = True
         with contextlib.suppress(OSError):
-            self.wfile.write(body)
+            self.wfile.write(part)
             if self.fault is not None and self.fault.hold:
                 self.rfile.read(1)  # until the other side is gone
-        return len(body)
+
+    def _cut(self, body: bytes) -> bytes:
+        cut = self.fault.cut if self.fault is not None else None
+        if cut is not None and cut < len(body):
+            self.close_connection = True
+            return body[:cut]
+        return body
 
     def _note(self, status: int, size: int) -> None:
         span, authorization = self.headers.get("Range", ""), self.headers.get("Authorization", "")

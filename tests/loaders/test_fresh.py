@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,7 @@ def test_what_a_worker_has_made_is_taken_without_its_answer() -> None:
     next(made)
     [worker] = set(multiprocessing.active_children()) - others
     assert worker.pid is not None
-    time.sleep(1.0)  # it has made the next meanwhile
+    wait_until_idle(worker.pid)  # it has made the next meanwhile
     os.kill(worker.pid, signal.SIGSTOP)
     goes_on = threading.Timer(30.0, os.kill, (worker.pid, signal.SIGCONT))
     goes_on.start()
@@ -98,6 +99,17 @@ def test_memory_does_not_grow_with_garments_made() -> None:
     before = resident()
     assert sum(1 for _ in made) == 140
     assert resident() - before < 8 << 20
+
+
+def wait_until_idle(pid: int) -> None:
+    """Until a process has used no CPU time for half a second."""
+    used, still = "", 0
+    while still < 10:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        now = f"{fields[0]} {fields[11]} {fields[12]}"  # state, ticks as user, ticks in the kernel
+        still = still + 1 if now == used and fields[0] == "S" else 0
+        used = now
+        time.sleep(0.05)
 
 
 def resident() -> int:
