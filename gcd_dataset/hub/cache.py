@@ -233,8 +233,11 @@ class _Shard:
     def __init__(self, have: Path, count: int) -> None:
         self.fd = -1
         self._path, self._due = have, 0.0
-        self.have = np.memmap(have, np.uint8, "r", shape=(COUNTER + count,))
-        self.fd = os.open(have.with_suffix(".tar"), os.O_RDONLY)
+        with have.open("rb") as file:
+            self.have = np.memmap(file, np.uint8, "r", shape=(COUNTER + count,))
+            self.fd = os.open(have.with_suffix(".tar"), os.O_RDONLY)
+            if not os.path.samestat(os.fstat(file.fileno()), have.stat()):
+                raise FileNotFoundError(f"{have}: has made way for another, to which the data may belong")
 
     @property
     def is_gone(self) -> bool:
