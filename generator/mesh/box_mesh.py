@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import shapely
@@ -18,6 +19,9 @@ __all__ = ["build_box_mesh"]
 
 NARROWEST = 0.05  # spacings: mean width of a panel under which its triangles would be slivers
 TOUCH = 1e-6  # cm between an edge and the point where it is said to cross another
+
+Filling: TypeAlias = tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]
+"""Points [cm] and triangles."""
 
 
 def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
@@ -78,7 +82,10 @@ class _Cut:
 def _cut(pattern: Pattern, spacing: float) -> _Cut:
     counts = edge_counts(pattern, spacing)
     borders = tuple(sample_border(panel, counts) for panel in pattern.panels)
-    meshes = [_mesh_panel(panel, border, spacing) for panel, border in zip(pattern.panels, borders, strict=True)]
+    fillings: dict[bytes, Filling] = {}  # a left panel mostly has the outline of the right one, to the last bit
+    meshes = [
+        _mesh_panel(panel, border, spacing, fillings) for panel, border in zip(pattern.panels, borders, strict=True)
+    ]
     sizes = np.array([len(points) for points, _ in meshes])
     first = np.cumsum(sizes) - sizes
     return _Cut(
@@ -93,18 +100,22 @@ def _cut(pattern: Pattern, spacing: float) -> _Cut:
     )
 
 
-def _mesh_panel(
-    panel: Panel, border: Border, spacing: float
-) -> tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]:
-    """Points of a panel, the border's first, and triangles wound as its loop, which is counter-clockwise outside."""
+def _mesh_panel(panel: Panel, border: Border, spacing: float, fillings: dict[bytes, Filling]) -> Filling:
+    """Points of a panel, the border's first, and triangles wound as its loop, which is counter-clockwise outside.
+
+    ``fillings``: seeds and triangles of the outlines that have been seen.
+    """
     _require_room(panel, border, spacing)
     _require_outline(panel, border, spacing)
     # A clockwise loop is meshed as its mirror image, so that a back has the mesh of the front it mirrors.
     mirror = np.array([1.0 if shapely.LinearRing(border.points).is_ccw else -1.0, 1.0])
-    try:
-        seeds, faces = triangulate(border.points * mirror, spacing)
-    except MeshError as error:
-        raise MeshError(f"panel {panel.name}: {error}") from error
+    outline = border.points * mirror + 0.0  # no -0.0: its bytes are others
+    if outline.tobytes() not in fillings:
+        try:
+            fillings[outline.tobytes()] = triangulate(outline, spacing)
+        except MeshError as error:
+            raise MeshError(f"panel {panel.name}: {error}") from error
+    seeds, faces = fillings[outline.tobytes()]
     return np.concatenate([border.points, seeds * mirror]), faces
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from gcd_dataset.errors import MeshError
 
-__all__ = ["restore_segments"]
+__all__ = ["has_segments", "restore_segments"]
 
 ROUNDING = 1e-9  # rad: four points of one circle are legal either way
 
@@ -32,6 +32,11 @@ def restore_segments(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f
     if len(lost):
         raise _touches(points[lost[0]])
     return faces
+
+
+def has_segments(faces: Int[np.ndarray, "f 3"], n: int) -> bool:
+    """Whether every segment (i, i+1) of the loop 0 … n-1 is an edge of some triangle."""
+    return bool(_present(faces, n).all())
 
 
 def _present(faces: Int[np.ndarray, "f 3"], n: int) -> Bool[np.ndarray, " n"]:

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay, cKDTree
 from scipy.spatial.distance import cdist
 
-from gcd_dataset.generator.mesh.flips import restore_segments
+from gcd_dataset.generator.mesh.flips import has_segments, restore_segments
 from gcd_dataset.generator.mesh.lattice import Lattice, build_lattice
 
 __all__ = ["triangulate"]
@@ -25,6 +25,7 @@ SHARPEST = np.radians(25.0)  # the angle refinement aims at; it is sure to end u
 ROUNDS = 10  # a seam gathered to a third of the spacing takes four
 EMPTY = 0.99  # of a circumradius without another point
 APART = 0.8  # circumradii that the new seeds of one round keep from each other
+SAME_AREA = 1e-9  # relative: triangles of which none is missing or covers another
 NUDGE = 1e-6  # spacings by which points stand aside while Qhull looks at them
 
 
@@ -38,13 +39,13 @@ def triangulate(
     touches itself.
     """
     strip = _Strip(border, spacing, build_lattice(border, spacing), np.zeros((0, 2)))
-    faces = strip.faces()
+    faces = fresh = strip.faces()
     for _ in range(ROUNDS):
-        seeds = strip.missing_seeds(faces)
+        seeds = strip.missing_seeds(fresh)  # where no seed has changed anything there is no more room than before
         if not len(seeds):
             break
-        strip = replace(strip, lattice=strip.lattice.without(seeds), added=np.concatenate([strip.added, seeds]))
-        faces = strip.faces()
+        strip, before = strip.with_seeds(seeds), strip
+        faces, fresh = strip.refined(before, faces)
     return strip.points[len(border) :], np.concatenate([faces, len(border) + strip.lattice.faces])
 
 
@@ -79,6 +80,35 @@ class _Strip:
         """The points that triangles of the strip can have for corners."""
         n, m = len(self.border), len(self.points)
         return np.concatenate([np.arange(n), n + self.lattice.rim, np.arange(m - len(self.added), m)])
+
+    def with_seeds(self, seeds: Float[np.ndarray, "k 2"]) -> "_Strip":
+        """The strip with more points in it, and wider where they disturb the lattice."""
+        return replace(self, lattice=self.lattice.without(seeds), added=np.concatenate([self.added, seeds]))
+
+    def refined(
+        self, before: "_Strip", faces: Int[np.ndarray, "f 3"]
+    ) -> tuple[Int[np.ndarray, "g 3"], Int[np.ndarray, "h 3"]]:
+        """The triangles of the strip, and those of them that have come with its last seeds.
+
+        ``before`` and ``faces``: the strip without those seeds, and its triangles. Only triangles with a seed in their
+        circumcircle go, and only triangles with a seed for a corner come (Bowyer, 1981; Watson, 1981): among the
+        corners of those that go they are the same as among all points. Over a slit that is not so, and all is done
+        again.
+        """
+        first_seed = len(self.points) - (len(self.added) - len(before.added))
+        opened = replace(before.lattice, filled=before.lattice.filled & ~self.lattice.filled).faces
+        old = np.concatenate([faces, len(self.border) + opened])
+        centres, radii, _, _ = _circumcircles(self.nudged[old])
+        goes = (cdist(self.nudged[first_seed:], centres) < radii).any(axis=0)
+        corners = np.append(np.unique(old[goes]), np.arange(first_seed, len(self.points)))
+        fresh = _counter_clockwise(self.nudged, corners[Delaunay(self.nudged[corners]).simplices])
+        fresh = fresh[fresh.max(axis=1) >= first_seed]
+        whole = np.concatenate([old[~goes], fresh])
+        same_area = np.isclose(_area(self.nudged[fresh]), _area(self.nudged[old[goes]]), rtol=SAME_AREA, atol=0.0)
+        if same_area and has_segments(whole, len(self.border)):
+            return whole, fresh
+        again = self.faces()
+        return again, again
 
     def faces(self) -> Int[np.ndarray, "f 3"]:
         """The constrained Delaunay triangles of the strip, counter-clockwise."""
@@ -133,6 +163,12 @@ def _counter_clockwise(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, 
     a, b, c = points[faces].transpose(1, 2, 0)
     turn = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
     return np.where(turn[:, None] < 0, faces[:, ::-1], faces)
+
+
+def _area(corners: Float[np.ndarray, "f 3 2"]) -> float:
+    """The area of all triangles [cm²]."""
+    (bx, by), (cx, cy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    return 0.5 * float((bx * cy - by * cx).sum())
 
 
 def _circumcircles(

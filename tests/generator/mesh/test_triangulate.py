@@ -37,7 +37,10 @@ OUTLINES: dict[str, list[tuple[float, float]]] = {
 @pytest.mark.parametrize("name", OUTLINES)
 def test_triangles_fill_the_outline_once(name: str) -> None:
     """Counter-clockwise, of the outline's area, with exactly its segments for a border."""
-    border = loop(OUTLINES[name], 1.0)
+    assert_filled_once(loop(OUTLINES[name], 1.0))
+
+
+def assert_filled_once(border: np.ndarray) -> None:
     seeds, faces = triangulate(border, 1.0)
     points = np.concatenate([border, seeds])
     assert (areas(points, faces) > 0).all()
@@ -47,6 +50,36 @@ def test_triangles_fill_the_outline_once(name: str) -> None:
     n = len(border)
     assert {(u, v) for u, v in once if (v, u) not in once} == {(i, (i + 1) % n) for i in range(n)}
     assert len(np.unique(faces)) == len(points)
+
+
+@pytest.mark.parametrize("name", OUTLINES)
+def test_no_edge_asks_to_be_turned(name: str) -> None:
+    """Constrained Delaunay: the two angles that look at an inner edge make 180° at most."""
+    assert_delaunay(loop(OUTLINES[name], 1.0))
+
+
+def assert_delaunay(border: np.ndarray) -> None:
+    seeds, faces = triangulate(border, 1.0)
+    looks = angles(np.concatenate([border, seeds]), faces)
+    opposite = {
+        (int(face[i - 2]), int(face[i - 1])): float(look[i])
+        for face, look in zip(faces, looks, strict=True)
+        for i in range(3)
+    }
+    inner = [angle + opposite[v, u] for (u, v), angle in opposite.items() if (v, u) in opposite]
+    assert max(inner, default=0.0) < 180.0 + 1e-3
+
+
+@pytest.mark.parametrize("width", [0.01, 0.2])
+@pytest.mark.parametrize("gathered", [1.5, 3.0])
+def test_a_slit_with_a_gathered_side(width: float, gathered: float) -> None:
+    """What grows from the dense side of a slit does not reach over to the other."""
+    corners = [(0.0, 0.0), (20.0, 0.0), (20.0, 7.0), (12.6, 8.6), (20.0, 7.0 + width), (20.0, 16.0), (0.0, 16.0)]
+    plain, dense = loop(corners, 1.0), loop(corners, 1.0 / gathered)
+    ends, dense_ends = ([int(np.argmin(np.linalg.norm(x - c, axis=1))) for c in corners] for x in (plain, dense))
+    border = np.concatenate([plain[: ends[2]], dense[dense_ends[2] : dense_ends[3]], plain[ends[3] :]])
+    assert_filled_once(border)
+    assert_delaunay(border)
 
 
 @pytest.mark.parametrize("name", OUTLINES)
