@@ -52,10 +52,13 @@ def merge_points(sewn: SewnPoints, panel: Int[np.ndarray, " c"], seams: tuple[Se
     group = _groups(len(panel), sewn.left, sewn.right)
     _require_open_seams(group, sewn, seams)
     _require_darts(group, sewn, panel, seams)
-    order = np.concatenate([sewn.left, np.setdiff1d(np.arange(len(panel)), np.concatenate([sewn.left, sewn.right]))])
-    groups, first = np.unique(group[order], return_index=True)
-    vertex = np.empty(len(groups), int)
-    vertex[groups[np.argsort(first)]] = np.arange(len(groups))
+    free = np.ones(len(panel), bool)
+    free[sewn.left] = free[sewn.right] = False
+    order = group[np.concatenate([sewn.left, np.flatnonzero(free)])]
+    first = np.empty(group.max() + 1, int)
+    first[order[::-1]] = np.arange(len(order))[::-1]  # of those of a group the first is written last, and stays
+    vertex = np.empty(len(first), int)
+    vertex[np.argsort(first)] = np.arange(len(first))
     return vertex[group]
 
 
