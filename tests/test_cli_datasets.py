@@ -146,6 +146,16 @@ def test_publish_and_download(
     assert f"hf://datasets/me/garments@{commit}" in said(capsys)
 
 
+def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Path) -> None:
+    hub.publish("me/garments", data)
+    pictures = {}
+    for what in (str(data), "me/garments"):
+        png = tmp_path / f"{len(pictures)}.png"
+        assert main(["show", what, "--index", "3", "--png", str(png), "--endpoint", hub.endpoint]) == 0
+        pictures[what] = png.read_bytes()
+    assert pictures[str(data)] == pictures["me/garments"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
@@ -160,14 +170,17 @@ def test_publish_and_download(
         (["verify", "me/garments"], 2, "me/garments: no such folder: give a folder of shards; for a repository"),
         (["verify", "https://example.org/a"], 2, "run gcd download https://example.org/a first"),
         (["verify", "hf://me/garments"], 2, "run gcd download hf://me/garments first"),
-        (["show", "https://example.org/a", "--png", "a.png"], 2, "run gcd download https://example.org/a first"),
+        (["show", "me/nothing", "--png", "a.png"], 1, "me/nothing"),
+        (["show", "me/garments", "--png", "a.png", "--split", "half"], 1, "half"),
+        (["show", "nowhere", "--png", "a.png"], 2, "nowhere: no such folder"),
+        (["show", "sewn/nowhere.json", "--png", "a.png"], 1, "sewn/nowhere.json: no such file"),
         (["index", "https://example.org/a"], 2, "run gcd download https://example.org/a first"),
         (["export", "https://example.org/a", "--hdf5", "a.h5"], 2, "run gcd download https://example.org/a first"),
     ],
 )
 def test_errors_are_one_line(hub: Hub, data: Path, capsys: Capture, arguments: list[str], code: int, told: str) -> None:
     hub.publish("me/garments", data)
-    server = ["--endpoint", hub.endpoint] if arguments[0] in ("download", "publish") else []
+    server = ["--endpoint", hub.endpoint] if arguments[0] in ("download", "publish", "show") else []
     assert main([str(data) if word == "DATA" else word for word in arguments] + server) == code
     error = capsys.readouterr().err.strip()
     assert told in error

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, exchange
-from gcd_dataset.cli.verb import INTERRUPTED, add_quiet, add_verb, natural, require_folder, stopped
+from gcd_dataset.cli.verb import ANYWHERE, INTERRUPTED, add_quiet, add_server, add_verb, natural, open_anywhere, stopped
 from gcd_dataset.errors import ConfigError, GcdError, SpecError
 from gcd_dataset.files import user_path
 from gcd_dataset.tomlfile import read_toml
@@ -204,7 +204,7 @@ def _show(options: argparse.Namespace) -> int:
     for ending, path in given.items():
         if path.suffix.lower() != f".{ending}":
             raise ConfigError(f"--{ending} {path}: the picture is {ending.upper()}, so end the name in .{ending}")
-    what = _sample_or_pattern(options.what, options.index)
+    what = _pattern(options) if _names_a_file(options.what) else _sample(options)
     if options.png is not None:
         write_whole(options.png, png_bytes(sample_sheet(what) if isinstance(what, Sample) else draw_pattern(what)))
     if options.svg is not None:
@@ -285,10 +285,12 @@ def _parser() -> argparse.ArgumentParser:
     validate.add_argument("--errors", action="store_true", help="only what forbids sewing, no warnings")
 
     show = add_verb(verbs, "show", _show, "a picture of a sample or a pattern")
-    show.add_argument("what", metavar="DATASET|SPEC", help="folder of shards, or specification JSON")
-    show.add_argument("--index", type=natural, default=0, help="which sample of the data set (default: 0)")
+    show.add_argument("what", metavar="DATASET|SPEC", help=f"{ANYWHERE}; or specification JSON")
+    show.add_argument("--index", type=natural, default=0, help="which sample of the split (default: 0)")
+    show.add_argument("--split", default="train", help="of the data set (default: train)")
     show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready to be cut")
+    add_server(show)
 
     datasets.add_verbs(verbs)
     exchange.add_verbs(verbs)
@@ -306,19 +308,27 @@ def _resolved(value: Any) -> Any:
     return type(value)(user_path(value)) if isinstance(value, str | Path) and str(value).startswith("~") else value
 
 
-def _sample_or_pattern(source: str, index: int) -> "Sample | Pattern":
-    """The sample of that index in a folder of shards, or the pattern in a specification file."""
-    from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
+def _names_a_file(source: str) -> bool:
+    """Whether this is a file, there or not: a data set is a folder, or on a server."""
+    return "://" not in source and not _is_folder(Path(source)) and (source.endswith(".json") or Path(source).is_file())
+
+
+def _pattern(options: argparse.Namespace) -> "Pattern":
+    """The pattern in a specification file."""
     from gcd_dataset.spec import read_pattern
     from gcd_dataset.validate import require_valid
 
-    what = require_folder(source) if "://" in source else Path(source)
-    if not _is_folder(what):
-        return require_valid(read_pattern(what), source=str(what))
-    reader = ShardReader(what)
-    if index >= len(reader):
-        raise ConfigError(f"{what}: sample {index} of {len(reader)}, counted from 0")
-    return decode_sample(reader.read(index, MEMBERS))
+    return require_valid(read_pattern(Path(options.what)), source=options.what)
+
+
+def _sample(options: argparse.Namespace) -> "Sample":
+    """The sample of that index in a data set, wherever it is."""
+    from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
+
+    reader = ShardReader(open_anywhere(options.what, options.endpoint), options.split)
+    if options.index >= len(reader):
+        raise ConfigError(f"{options.what}: sample {options.index} of {len(reader)}, counted from 0")
+    return decode_sample(reader.read(options.index, MEMBERS))
 
 
 def _is_folder(path: Path) -> bool:

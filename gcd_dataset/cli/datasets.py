@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.cli.verb import add_quiet, add_verb, require_folder
+from gcd_dataset.cli.verb import ANYWHERE, add_quiet, add_server, add_verb, open_anywhere, require_folder
 from gcd_dataset.errors import ConfigError
 
 __all__ = ["add_verbs"]
@@ -14,8 +14,8 @@ __all__ = ["add_verbs"]
 def add_verbs(verbs: Any) -> None:
     """Give ``gcd`` these verbs."""
     info = add_verb(verbs, "info", _info, "counts, shares and plots of a data set")
-    info.add_argument("dataset", metavar="DATASET", help="folder, URL, or repository ORG/NAME of the Hub")
-    _add_server(info)
+    info.add_argument("dataset", metavar="DATASET", help=ANYWHERE)
+    add_server(info)
 
     verify = add_verb(verbs, "verify", _verify, "whether a data set is whole; exit 1 if not")
     verify.add_argument("dataset", metavar="DATASET", help="folder of shards")
@@ -36,7 +36,7 @@ def add_verbs(verbs: Any) -> None:
     )
     download.add_argument("--revision", help="branch, tag or commit (default: main)")
     add_quiet(download)
-    _add_server(download)
+    add_server(download)
 
     publish = add_verb(verbs, "publish", _publish, "a data set to the Hub, with card, Croissant and splits")
     publish.add_argument("dataset", metavar="DATASET", help="folder of shards that gcd generate has made")
@@ -50,21 +50,13 @@ def add_verbs(verbs: Any) -> None:
     )
     publish.add_argument("--private", action="store_true", help="a repository that only you see")
     publish.add_argument("--out", type=Path, metavar="DIR", help="folder for what goes up (default: DATASET/published)")
-    _add_server(publish)
-
-
-def _add_server(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--endpoint", metavar="URL", help="of the Hub (default: HF_ENDPOINT, or huggingface.co)")
+    add_server(publish)
 
 
 def _info(options: argparse.Namespace) -> int:
     from gcd_dataset.cli.inspect import info_lines
-    from gcd_dataset.hub.opening import open_store
-    from gcd_dataset.hub.place import Repo, find_place
-    from gcd_dataset.hub.site import Remote
 
-    endpoint = options.endpoint if isinstance(find_place(options.dataset), Repo) else None
-    for line in info_lines(open_store(options.dataset, Remote(endpoint=endpoint))):
+    for line in info_lines(open_anywhere(options.dataset, options.endpoint)):
         print(line)
     return 0
 

@@ -4,13 +4,27 @@ import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["INTERRUPTED", "add_quiet", "add_verb", "natural", "require_folder", "stopped"]
+if TYPE_CHECKING:
+    from gcd_dataset.shards.store import Store
+
+__all__ = [
+    "ANYWHERE",
+    "INTERRUPTED",
+    "add_quiet",
+    "add_server",
+    "add_verb",
+    "natural",
+    "open_anywhere",
+    "require_folder",
+    "stopped",
+]
 
 INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
+ANYWHERE = "folder, URL, or repository ORG/NAME of the Hub"
 
 
 def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
@@ -23,6 +37,11 @@ def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], te
 def add_quiet(parser: argparse.ArgumentParser) -> None:
     """Give a verb with a progress bar the option to leave it out."""
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def add_server(parser: argparse.ArgumentParser) -> None:
+    """Give a verb that reads or writes repositories the option to say where they are."""
+    parser.add_argument("--endpoint", metavar="URL", help="of the Hub (default: HF_ENDPOINT, or huggingface.co)")
 
 
 def natural(text: str) -> int:
@@ -56,3 +75,12 @@ def require_folder(source: str) -> Path:
     raise ConfigError(
         f"{source}: no such folder: give a folder of shards; for a repository of the Hub, run gcd download first"
     )
+
+
+def open_anywhere(source: str, endpoint: str | None) -> "Store":
+    """The data set in a folder, at a URL, or in a repository at ``endpoint``. Raises ``ConfigError``."""
+    from gcd_dataset.hub.opening import open_store
+    from gcd_dataset.hub.place import Repo, find_place
+    from gcd_dataset.hub.site import Remote
+
+    return open_store(source, Remote(endpoint=endpoint if isinstance(find_place(source), Repo) else None))
