@@ -148,12 +148,11 @@ def test_publish_and_download(
 
 def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Path) -> None:
     hub.publish("me/garments", data)
-    pictures = {}
-    for what in (str(data), "me/garments"):
-        png = tmp_path / f"{len(pictures)}.png"
+    pictures = [tmp_path / "here.png", tmp_path / "there.png"]
+    for what, png in zip([str(data), "me/garments"], pictures, strict=True):
         assert main(["show", what, "--index", "3", "--png", str(png), "--endpoint", hub.endpoint]) == 0
-        pictures[what] = png.read_bytes()
-    assert pictures[str(data)] == pictures["me/garments"]
+    here, there = (png.read_bytes() for png in pictures)
+    assert here == there
 
 
 @pytest.mark.parametrize(

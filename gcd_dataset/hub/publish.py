@@ -227,14 +227,19 @@ def _repo_name(repo: str) -> str:
 def _asking_hub(repo: str) -> Iterator[None]:
     """Turn what ``huggingface_hub`` raises into a ``RemoteError``."""
     import httpx2
-    from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
+    from huggingface_hub.errors import HfHubHTTPError
 
     try:
         yield
-    except (HfHubHTTPError, httpx2.HTTPError, OfflineModeIsEnabled, ConnectionError, RuntimeError, ValueError) as error:
+    except (httpx2.TransportError, ConnectionError) as error:
+        raise _unpublished(repo, error, "see to the network and to HF_ENDPOINT") from error
+    except (HfHubHTTPError, httpx2.HTTPError, RuntimeError, ValueError) as error:
         # An upload that fails comes as a RuntimeError or ValueError.
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise RemoteError(
-            f"{repo}: cannot be published ({reason}): see to the token (hf auth login) and your rights, then run it "
-            "again: what is up is not sent again"
-        ) from error
+        raise _unpublished(repo, error, "see to the token (hf auth login) and your rights") from error
+
+
+def _unpublished(repo: str, error: Exception, remedy: str) -> RemoteError:
+    reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    return RemoteError(
+        f"{repo}: cannot be published ({reason}): {remedy}, then run it again: what is up is not sent again"
+    )

@@ -243,3 +243,9 @@ def test_a_hub_that_refuses_is_told(hub: Hub, staged: Staged, tmp_path: Path) ->
         upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
     hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]
     assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)  # sent once more
+
+
+def test_a_hub_that_is_gone_is_told(hub: Hub, staged: Staged) -> None:
+    hub.stop()
+    with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*refused.*HF_ENDPOINT"):
+        upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
