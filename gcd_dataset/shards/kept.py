@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.files import make_folder
 from gcd_dataset.shards.access import locked, reading
-from gcd_dataset.shards.layout import MEMBERS, Bytes, index_name, key_of, shard_name
+from gcd_dataset.shards.layout import MEMBERS, Bytes, index_name, key_of, shard_name, shards_in
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.single import read_single, write_single
 from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
@@ -62,9 +62,7 @@ class KeptSamples:
 
     def keep(self, index: int, members: Mapping[str, Bytes]) -> None:
         """Add a sample, or put it in the place of a damaged one; with the last of its shard the shard is written."""
-        path = self._single_path(index)
-        make_folder(path.parent)
-        write_single(path, index, members)
+        self._write_single(index, members)
         number = index // self._shard_size
         wanted = range(number * self._shard_size, min((number + 1) * self._shard_size, self._count))
         if self._shard_path(number).exists():  # else no need to read the index, which may be long
@@ -80,9 +78,9 @@ class KeptSamples:
 
     def _pack(self, number: int) -> None:
         """Write a shard, with what waits for it."""
-        with locked(self.folder / ".packing.lock", "packing", wait=True):
+        with self._alone():
             waiting = self._waiting(number)
-            self._refreshed()
+            self._refreshed(alone=True)
             if any(not self._is_whole(index) for index in waiting.keys() & self._written(number)):
                 self._take_apart(number)
                 waiting = self._waiting(number)
@@ -101,7 +99,7 @@ class KeptSamples:
             with _unless_damaged(self._shard_path(number)):
                 content = self._from_shard(index, MEMBERS)
                 assert content is not None
-                write_single(self._single_path(index), index, content)
+                self._write_single(index, content)
         self._shard_path(number).unlink()
         self._reader = self._seen = None
 
@@ -112,6 +110,17 @@ class KeptSamples:
 
     def _single_path(self, index: int) -> Path:
         return self.folder / WAITING / f"{index // self._shard_size:05d}" / f"{key_of(index)}.tar"
+
+    def _write_single(self, index: int, members: Mapping[str, Bytes]) -> None:
+        path = self._single_path(index)
+        while True:
+            make_folder(path.parent)
+            try:
+                return write_single(path, index, members)
+            except OutputError as error:
+                # Else another has packed the shard since, and removed the folder, in which nothing waited any more.
+                if not isinstance(error.__cause__, FileNotFoundError):
+                    raise
 
     def _single(self, index: int) -> Mapping[str, Bytes] | None:
         path = self._single_path(index)
@@ -149,9 +158,9 @@ class KeptSamples:
             raise
 
     def _from_shard(self, index: int, members: tuple[str, ...]) -> Mapping[str, Bytes] | None:
-        if self._reader is None and not self._refreshed():
-            return None
-        position = self._position(index)
+        if self._reader is None:
+            self._refreshed()
+        position = None if self._reader is None else self._position(index)
         return None if self._reader is None or position is None else self._reader.read(position, members)
 
     def _is_whole(self, index: int) -> bool:
@@ -175,8 +184,11 @@ class KeptSamples:
         first, last = np.searchsorted(numbers, [number * self._shard_size, (number + 1) * self._shard_size])
         return set(numbers[first:last].tolist())
 
-    def _refreshed(self) -> bool:
-        """Look at the shards as they are; whether they have changed since they were looked at."""
+    def _refreshed(self, *, alone: bool = False) -> bool:
+        """Look at the shards as they are; whether they have changed since they were looked at.
+
+        ``alone``: the lock of whoever packs is held.
+        """
         try:
             stat = (self.folder / index_name(SPLIT)).stat()
         except FileNotFoundError:
@@ -184,18 +196,24 @@ class KeptSamples:
         seen = (stat.st_ino, stat.st_mtime_ns, stat.st_size)
         if seen == self._seen:
             return False
-        self._reader, self._seen = self._opened(), seen
-        self._numbers = np.sort(self._reader.index.table.sample)
+        self._reader, self._seen = self._opened(alone), seen
+        if self._reader is not None:
+            self._numbers = np.sort(self._reader.index.table.sample)
         return True
 
-    def _opened(self) -> ShardReader:
+    def _opened(self, alone: bool) -> ShardReader | None:
+        """The shards; ``None`` where all of them were deleted."""
         try:
             return ShardReader(self.folder, SPLIT)
         except ShardError:
             # Of another's making half done, or of a shard that was deleted: a writer puts that in order.
-            with locked(self.folder / ".packing.lock", "packing", wait=True), self._writer():
+            with contextlib.nullcontext() if alone else self._alone(), self._writer():
                 pass
-            return ShardReader(self.folder, SPLIT)
+            return ShardReader(self.folder, SPLIT) if shards_in(self.folder, SPLIT) else None
+
+    def _alone(self) -> contextlib.AbstractContextManager[None]:
+        """Be the only one that packs. Whoever is must not ask again: it would wait for itself."""
+        return locked(self.folder / ".packing.lock", "packing", wait=True)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_reader": None, "_seen": None}

@@ -12,7 +12,8 @@ import pytest
 from gcd_dataset.errors import ShardError
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import encode_sample
+from gcd_dataset.shards import ShardWriter, encode_sample
+from gcd_dataset.shards import kept as kept_module
 from gcd_dataset.shards.kept import KeptSamples
 from gcd_dataset.shards.layout import MEMBERS
 from tests.shards.folders import RECIPE, SHARD_SIZE, fill
@@ -106,6 +107,24 @@ def test_a_killed_process_loses_nothing_that_was_kept(tmp_path: Path) -> None:
     assert not (tmp_path / ".waiting" / "00000").exists()
 
 
+def test_a_sample_that_two_processes_make_is_kept_by_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the making of its folder and that of its file the other packs the shard, and removes the folder."""
+    keep(tmp_path, [0, 1, 2])
+    real = kept_module.make_folder
+
+    def late(path: Path) -> Path:
+        real(path)
+        monkeypatch.setattr(kept_module, "make_folder", real)
+        keep(tmp_path, [3])
+        return path
+
+    monkeypatch.setattr(kept_module, "make_folder", late)
+    keep(tmp_path, [3])
+    assert names(tmp_path) == ["train-00000.tar"]
+    assert len(GarmentDataset(tmp_path, verify="full")) == 4
+    assert not list((tmp_path / ".waiting").iterdir())
+
+
 def test_what_waits_can_be_packed_and_added_to(tmp_path: Path) -> None:
     keep(tmp_path, [0, 2, 5])
     kept(tmp_path).pack()
@@ -136,3 +155,38 @@ def test_a_damaged_sample_is_told_and_replaced(tmp_path: Path) -> None:
     samples.keep(2, members(2))
     assert content(tmp_path) == whole
     assert all(samples.read(index) == members(index) for index in range(4))
+
+
+@pytest.mark.parametrize("there", [10, 4])  # the shard that goes is one of several, or the only one
+def test_a_shard_that_was_deleted_is_made_again(tmp_path: Path, there: int) -> None:
+    keep(tmp_path, range(there))
+    before = content(tmp_path)
+    (tmp_path / "train-00000.tar").unlink()
+    worker = CONTEXT.Process(target=keep, args=(tmp_path, range(4)), daemon=True)  # it could wait for itself for ever
+    worker.start()
+    worker.join(60)
+    assert worker.exitcode == 0
+    assert content(tmp_path) == before
+
+
+def test_a_kill_while_a_shard_is_mended_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keep(tmp_path, range(10))
+    before = content(tmp_path)
+    shard = tmp_path / "train-00001.tar"
+    damaged = bytearray(shard.read_bytes())
+    damaged[damaged.find(members(6)["box.npy"]) + 200] ^= 1
+    shard.write_bytes(damaged)
+
+    def killed(self: KeptSamples) -> ShardWriter:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(KeptSamples, "_writer", killed)
+    with pytest.raises(KeyboardInterrupt):
+        keep(tmp_path, [6])
+    monkeypatch.undo()
+    assert names(tmp_path) == ["train-00000.tar", "train-00002.tar"]
+    worker = CONTEXT.Process(target=kept(tmp_path).pack, daemon=True)
+    worker.start()
+    worker.join(60)
+    assert worker.exitcode == 0
+    assert content(tmp_path) == before
