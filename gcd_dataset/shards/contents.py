@@ -7,7 +7,7 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.foreign import SPLITS, foreign_index, foreign_shards, scan_foreign
-from gcd_dataset.shards.index import ShardIndex, known_index, members_of_shard, scan_shard, tables_of
+from gcd_dataset.shards.index import ShardIndex, known_index, members_of_shard, sizes_in, tables_of
 from gcd_dataset.shards.layout import BODIES, FOREIGN, GARMENTS, Layout, foreign_layout, index_name, shards_in
 
 __all__ = ["layout_in", "read_index", "rebuild_index", "require_splits", "splits_in", "way_out"]
@@ -26,7 +26,7 @@ def read_index(folder: Path | str, split: str = "train", layout: Layout = GARMEN
     found = _layout_in(folder, split, layout) if known is None else known.layout
     if found.kind == FOREIGN:
         return _foreign(folder, split, known)
-    return ShardIndex.of(folder, tables_of(folder, split, found, index=known), found)
+    return _ours(folder, split, found, known)
 
 
 def rebuild_index(folder: Path | str, split: str = "train", layout: Layout = GARMENTS) -> ShardIndex:
@@ -39,9 +39,7 @@ def rebuild_index(folder: Path | str, split: str = "train", layout: Layout = GAR
     if found.kind == FOREIGN:
         index = _scanned(folder, _foreign_paths(folder, split))
     else:
-        with reading(folder):
-            paths = shards_in(folder, split)
-        index = ShardIndex.of(folder, {path.name: scan_shard(path, found) for path in paths}, found)
+        index = _ours(folder, split, found, ShardIndex.of(folder, {}, found))
     index.write(folder / index_name(split))
     return index
 
@@ -99,6 +97,15 @@ def _layout_in(folder: Path, split: str, layout: Layout) -> Layout:
     if members is None and layout == GARMENTS and _foreign_paths(folder, split):
         return foreign_layout(())
     return layout.of(members) if members is not None and layout.holds(members) else layout
+
+
+def _ours(folder: Path, split: str, layout: Layout, known: ShardIndex | None) -> ShardIndex:
+    """The index of our shards: what ``known`` does not tell is read, and again where a writer was at work meanwhile."""
+    while True:
+        before = sizes_in(folder, split)
+        index = ShardIndex.of(folder, tables_of(folder, split, layout, index=known), layout)
+        if dict(zip(index.shards, index.length.tolist(), strict=True)) == before:
+            return index
 
 
 def _foreign_paths(folder: Path, split: str) -> list[Path]:

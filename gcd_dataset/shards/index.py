@@ -44,6 +44,7 @@ __all__ = [
     "known_index",
     "members_of_shard",
     "scan_shard",
+    "sizes_in",
     "tables_of",
     "whole_samples",
 ]
@@ -219,15 +220,19 @@ def tables_of(
     """
     index = known_index(folder, split, layout) if index is None else index
     known: dict[tuple[str, int], ShardTable] = {}
-    with reading(folder):
-        sizes = {path: path.stat().st_size for path in shards_in(folder, split)}
     if index is not None:
         known = dict(zip(zip(index.shards, index.length.tolist(), strict=True), index.tables().values(), strict=True))
     tables = {}
-    for shard, size in sizes.items():
-        table = known.get((shard.name, size))
-        tables[shard.name] = scan_shard(shard, layout) if table is None else table
+    for shard, size in sizes_in(folder, split).items():
+        table = known.get((shard, size))
+        tables[shard] = scan_shard(folder / shard, layout) if table is None else table
     return tables
+
+
+def sizes_in(folder: Path, split: str) -> dict[str, int]:
+    """File name to bytes of each whole shard of a split. Raises ``ShardError``."""
+    with reading(folder):
+        return {path.name: path.stat().st_size for path in shards_in(folder, split)}
 
 
 def has_settled(meta: Mapping[str, Any]) -> bool:

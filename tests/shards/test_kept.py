@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from gcd_dataset.errors import ShardError
+from gcd_dataset.files import make_folder
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardWriter, encode_sample
-from gcd_dataset.shards import kept as kept_module
 from gcd_dataset.shards.kept import KeptSamples
 from gcd_dataset.shards.layout import MEMBERS
 from tests.shards.folders import RECIPE, SHARD_SIZE, fill
@@ -110,15 +110,14 @@ def test_a_killed_process_loses_nothing_that_was_kept(tmp_path: Path) -> None:
 def test_a_sample_that_two_processes_make_is_kept_by_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between the making of its folder and that of its file the other packs the shard, and removes the folder."""
     keep(tmp_path, [0, 1, 2])
-    real = kept_module.make_folder
 
     def late(path: Path) -> Path:
-        real(path)
-        monkeypatch.setattr(kept_module, "make_folder", real)
+        make_folder(path)
+        monkeypatch.undo()
         keep(tmp_path, [3])
         return path
 
-    monkeypatch.setattr(kept_module, "make_folder", late)
+    monkeypatch.setattr("gcd_dataset.shards.kept.make_folder", late)
     keep(tmp_path, [3])
     assert names(tmp_path) == ["train-00000.tar"]
     assert len(GarmentDataset(tmp_path, verify="full")) == 4

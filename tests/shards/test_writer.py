@@ -10,6 +10,7 @@ import re
 import signal
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,7 +18,8 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, encode_sample, read_index, rebuild_index
-from gcd_dataset.shards.layout import recipe_hash
+from gcd_dataset.shards.index import ShardTable, scan_shard
+from gcd_dataset.shards.layout import Layout, recipe_hash
 from gcd_dataset.shards.manifest import read_manifest
 from gcd_dataset.shards.single import write_single
 from tests.shards.folders import RECIPE, SHARD_SIZE, contents, fill, forbidden, open_writer, public_folder
@@ -369,6 +371,25 @@ def test_the_index_comes_back_from_the_shards(whole: Path) -> None:
     assert not path.exists()
     assert rebuild_index(whole) == index
     assert path.read_bytes() == kept
+
+
+@pytest.mark.parametrize("made", [rebuild_index, read_index])
+def test_an_index_that_is_made_while_a_shard_is_replaced_is_right(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Any
+) -> None:
+    """A run that goes on fills a gap in a shard that has just been read through."""
+    folder = fill(tmp_path, [0, 2])
+    (folder / "index-train.npz").unlink()
+
+    def scanned(path: Path, layout: Layout) -> ShardTable:
+        table = scan_shard(path, layout)
+        monkeypatch.undo()
+        fill(folder, [1, 3, 4])
+        return table
+
+    monkeypatch.setattr("gcd_dataset.shards.index.scan_shard", scanned)
+    assert made(folder).table.sample.tolist() == [0, 1, 2, 3, 4]
+    assert len(ShardReader(folder, verify="full")) == 5
 
 
 def test_the_manifest_counts_why_designs_were_turned_down(tmp_path: Path) -> None:
