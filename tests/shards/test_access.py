@@ -1,0 +1,38 @@
+"""The lock that writers hold: whoever waits for it gets it."""
+
+import fcntl
+import os
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.shards.access import locked
+
+
+def test_a_process_forked_under_the_lock_keeps_it_from_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a worker of a ``DataLoader`` is, while a thread of its parent writes the cache and another process waits."""
+    first, real = locked(tmp_path / ".lock", "writing", wait=True), fcntl.flock
+    ended, end = os.pipe()
+    first.__enter__()
+    child = os.fork()
+    if child == 0:
+        os.close(end)
+        os.read(ended, 1)  # lives on
+        os._exit(0)
+
+    def waited_for(file: int, operation: int) -> None:
+        """The second has opened the file when the first lets go of it."""
+        monkeypatch.undo()
+        with pytest.raises(BlockingIOError):
+            real(file, operation | fcntl.LOCK_NB)
+        first.__exit__(None, None, None)
+        real(file, operation | fcntl.LOCK_NB)
+
+    monkeypatch.setattr(fcntl, "flock", waited_for)
+    try:
+        with locked(tmp_path / ".lock", "writing", wait=True):
+            assert (tmp_path / ".lock").exists()
+    finally:
+        os.close(end)
+        os.waitpid(child, 0)
+        os.close(ended)
