@@ -28,6 +28,17 @@ def test_what_breaks_half_way_leaves_the_old_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_two_may_write_one_file_at_once(tmp_path: Path) -> None:
+    """Threads of a process, or processes of two containers, which have the same number."""
+    path = tmp_path / "a.bin"
+    with open_whole(path) as file:
+        file.write(b"one")
+        write_whole(path, b"another")
+        assert path.read_bytes() == b"another"
+    assert path.read_bytes() == b"one"
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(OutputError, match=r"nowhere/a\.bin: cannot be written \(No such file or directory\)"):

@@ -65,7 +65,7 @@ def locked(path: Path, task: str, *, wait: bool = False) -> Iterator[None]:
         if os.getpid() == owner:  # a forked process that drops its copy frees nothing
             with contextlib.suppress(OSError):
                 path.unlink()
-            # Not by closing alone: a process that was forked meanwhile has it open too, and who waits would wait for that.
+            # Not by closing alone: a process that was forked meanwhile has it open too, and would be waited for.
             fcntl.flock(file, fcntl.LOCK_UN)
         os.close(file)
 
