@@ -108,6 +108,14 @@ def test_workers_share_a_stream_out(tmp_path: Path, count: int) -> None:
     assert sorted(item["meta"]["index"] for item in loader) == list(range(count))
 
 
+@pytest.mark.parametrize("streaming", [False, True])
+def test_a_shard_may_grow_while_it_is_read(tmp_path: Path, streaming: bool) -> None:
+    """A run of ``gcd generate`` that was stopped goes on beside the training."""
+    ds = GarmentDataset(fill(tmp_path, range(2)), streaming=streaming)
+    fill(tmp_path, range(2, COUNT))
+    assert_all_same(ds, [FakeGarments(COUNT)[i] for i in range(2)])
+
+
 def test_damage_in_a_stream_is_named(tmp_path: Path) -> None:
     folder = fill(tmp_path, range(3))
     index, shard = read_index(folder), tmp_path / "train-00000.tar"
