@@ -1,9 +1,9 @@
 """A data set in a folder of this machine."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
@@ -11,10 +11,11 @@ from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.contents import read_index, splits_in, way_out
 from gcd_dataset.shards.fetched import read_fetched
 from gcd_dataset.shards.index import ShardIndex
-from gcd_dataset.shards.layout import Layout, shard_number
+from gcd_dataset.shards.layout import FOREIGN, Layout, member_name, shard_number
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, read_manifest
 from gcd_dataset.shards.room import room_for
 from gcd_dataset.shards.store import Part, Store, runs
+from gcd_dataset.shards.tar import BLOCK
 
 __all__ = ["FolderStore", "OpenFiles", "read_parts"]
 
@@ -31,6 +32,7 @@ class FolderStore(Store):
         self.source = None if fetched is None else fetched.source
         self.remedy = REMEDY if fetched is None else "delete it, and run gcd download again"
         self._files = OpenFiles()
+        self._last: dict[str, _LastSample] = {}
         self._paths: dict[str, Path] = {}  # to join a path anew for every sample costs as much as to read a small one
 
     def place(self, name: str = "") -> str:
@@ -44,12 +46,14 @@ class FolderStore(Store):
         index = read_index(self.folder, split, layout)
         if not len(index):
             raise ShardError(f"{self.folder}: no samples of split {split}: {self._way_out(split)}")
+        self._last |= _last_samples(index)
         return index
 
     def read(self, shard: str, number: int, parts: Sequence[Part]) -> dict[int, memoryview]:
         path = self._path(shard)
         with reading(path):
-            file = self._files.open(path)  # held, so that no other thread closes it meanwhile
+            # Held, so that no other thread closes it meanwhile.
+            file = self._files.get(path) or self._opened(shard, path)
             content, end = read_parts(file.fd, parts)
         if end is not None:
             raise ShardError(f"{path}: ends at byte {end}, in a sample: {self.remedy}")
@@ -60,6 +64,17 @@ class FolderStore(Store):
         if path is None:
             path = self._paths[shard] = self.folder / shard
         return path
+
+    def _opened(self, shard: str, path: Path) -> "_OpenFile":
+        """The shard, open. Raises ``ShardError`` for one whose samples lie elsewhere than the index told."""
+        file = _OpenFile(os.open(path, os.O_RDONLY))
+        last = self._last.get(shard)
+        if last is not None and last.has_moved(file.fd):
+            raise ShardError(
+                f"{path}: samples were added between others since it was looked at: open the data set again"
+            )
+        self._files.keep(path, file)
+        return file
 
     def stream(self, shard: str) -> BinaryIO:
         with reading(self.folder / shard):
@@ -88,6 +103,38 @@ class FolderStore(Store):
         return f"there is {', '.join(whole)}" if whole else way_out(self.folder)
 
 
+class _LastSample(NamedTuple):
+    """Where the last sample of a shard stood when it was looked at."""
+
+    length: int
+    """Bytes of the shard."""
+    header: int
+    """First byte of the sample's first header."""
+    name: bytes
+    """What that begins with."""
+
+    def has_moved(self, fd: int) -> bool:
+        """Whether a shard that has grown has samples between those that were there."""
+        grown = os.fstat(fd).st_size > self.length
+        return grown and os.pread(fd, len(self.name), self.header) != self.name
+
+
+def _last_samples(index: ShardIndex) -> dict[str, _LastSample]:
+    """The last sample of each shard; nothing of foreign ones, which do not grow."""
+    if index.layout.kind == FOREIGN:
+        return {}
+    length = dict(zip(index.shards, index.length.tolist(), strict=True))
+    return {
+        shard: _LastSample(
+            length[shard],
+            int(table.offset[-1, 0]) - BLOCK,
+            member_name(int(table.sample[-1]), index.layout.members[0]).encode(),
+        )
+        for shard, table in index.tables().items()
+        if len(table)
+    }
+
+
 def read_parts(fd: int, parts: Sequence[Part]) -> tuple[dict[int, memoryview], int | None]:
     """Column to content, by one call a run; and where the file ends, if that is before the last part."""
     content: dict[int, memoryview] = {}
@@ -108,17 +155,15 @@ class OpenFiles:
     def __init__(self) -> None:
         self._files: dict[Path, _OpenFile] = {}
 
-    def open(self, path: Path) -> "_OpenFile":
-        """The file, open for reading. Raises ``OSError``."""
-        file = self._files.get(path)
-        if file is None:
-            if len(self._files) >= OPEN_FILES:
-                self._files.pop(next(iter(list(self._files))), None)
-            file = self._files[path] = _OpenFile(os.open(path, os.O_RDONLY))
-        return file
+    def get(self, path: Path) -> "_OpenFile | None":
+        """The file, if it is open."""
+        return self._files.get(path)
 
-    def __iter__(self) -> Iterator[Path]:
-        return iter(list(self._files))
+    def keep(self, path: Path, file: "_OpenFile") -> None:
+        """Hold a file open, and let go of another where there are too many."""
+        if len(self._files) >= OPEN_FILES:
+            self._files.pop(next(iter(list(self._files))), None)
+        self._files[path] = file
 
     def __getstate__(self) -> dict[str, Any]:
         return {"_files": {}}

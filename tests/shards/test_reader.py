@@ -15,6 +15,7 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_index
 from gcd_dataset.shards import folder as folders
 from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.reader import Verify
 from gcd_dataset.shards.store import Part
 from tests.shards.folders import fill, forbidden, public_folder
 
@@ -173,6 +174,24 @@ def test_missing_samples_leave_positions_dense(tmp_path: Path) -> None:
     shards = ShardReader(fill(tmp_path, [1, 7, 3]))
     for position, index in enumerate([1, 3, 7]):
         assert shards.read(position, ["meta.json"])["meta.json"] == encode_sample(fake_sample(0, index))["meta.json"]
+
+
+@pytest.mark.parametrize("verify", ["lazy", "off"])
+def test_a_shard_whose_samples_have_moved_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verify: Verify
+) -> None:
+    """What was missing in it has been put between them, after one of them was read and looked at."""
+    monkeypatch.setattr(folders, "OPEN_FILES", 1)
+    folder = fill(tmp_path, [0, 2, 4])
+    reader = ShardReader(folder, verify=verify)
+    for position in range(3):
+        reader.read(position, MEMBERS)
+    fill(folder, [1, 5])
+    for _ in range(2):
+        with pytest.raises(ShardError, match=r"train-00000\.tar: .*samples were added.*: open the data set again"):
+            reader.read(1, MEMBERS)
+    assert reader.read(2, MEMBERS) == encode_sample(fake_sample(0, 4))  # of a shard that has grown at its end
+    assert pickle.loads(pickle.dumps(reader)).read(2, MEMBERS) == encode_sample(fake_sample(0, 4))
 
 
 def test_it_may_be_pickled_forked_and_shared_by_threads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
