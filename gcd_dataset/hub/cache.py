@@ -204,8 +204,12 @@ class Cache:
     def _count(self, key: str, size: int) -> None:
         """Count ``size`` bytes more of a shard."""
         total, have = self._counted(), self._have(key)
+        # Whatever a kill comes between, the whole is no less than its parts.
+        if size > 0:
+            self._write_down(total + size)
         _set(have, 0, max(0, _held(have) + size).to_bytes(COUNTER, "little"))
-        self._write_down(max(0, total + size))
+        if size < 0:
+            self._write_down(max(0, total + size))
 
     def _write_down(self, total: int) -> None:
         draft = self.folder / "used.tmp"

@@ -151,6 +151,26 @@ def test_a_kill_leaves_nothing_that_counts(tmp_path: Path, monkeypatch: pytest.M
     assert after.read("a", MEMBERS, parts([1])) == {1: piece(1).data}
 
 
+@pytest.mark.parametrize("step", ["_set", "Cache._write_down"])
+def test_a_kill_while_bytes_are_counted_makes_no_room_beyond_the_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    cache = Cache(tmp_path, 2 * SIZE)
+    cache.keep("a", MEMBERS, [piece(0)])
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(f"gcd_dataset.hub.cache.{step}", killed)
+    with pytest.raises(KeyboardInterrupt):
+        cache.keep("a", MEMBERS, [piece(1)])
+    monkeypatch.undo()
+    after = Cache(tmp_path, 2 * SIZE)
+    after.keep("a", MEMBERS, [piece(2)])
+    assert after.read("a", MEMBERS, parts([2])) == {2: piece(2).data}
+    assert after.used <= 2 * SIZE
+
+
 def test_a_kill_while_a_shard_makes_way_gives_nobody_wrong_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
