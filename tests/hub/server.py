@@ -94,6 +94,8 @@ class Hub:
         """Files below ``/files/``, of a plain web server."""
         self.large: dict[str, bytes] = {}
         self.faults: list[Fault] = []
+        self.counting = threading.Lock()
+        """Held while it is seen whether a fault is due: several requests come at once."""
         self.log: list[Request] = []
         self.token = "hf_right"
         self._server: _Server | None = None
@@ -220,10 +222,11 @@ class _Handler(BaseHTTPRequestHandler):
         return body
 
     def _due_fault(self) -> Fault | None:
-        for fault in self.hub.faults:
-            if fault.times > 0 and fault.method == self.command and re.search(fault.pattern, unquote(self.path)):
-                fault.times -= 1
-                return fault
+        with self.hub.counting:
+            for fault in self.hub.faults:
+                if fault.times > 0 and fault.method == self.command and re.search(fault.pattern, unquote(self.path)):
+                    fault.times -= 1
+                    return fault
         return None
 
     # ----------------------------------------------------------------------------------------------------- answers
