@@ -100,7 +100,7 @@ class KeptSamples:
                 content = self._from_shard(index, MEMBERS)
                 assert content is not None
                 self._write_single(index, content)
-        self._shard_path(number).unlink()
+        self._shard_path(number).unlink(missing_ok=True)
         self._reader = self._seen = None
 
     def _writer(self) -> ShardWriter:

@@ -168,6 +168,17 @@ def test_a_shard_that_was_deleted_is_made_again(tmp_path: Path, there: int) -> N
     assert content(tmp_path) == before
 
 
+def test_a_shard_that_is_deleted_beside_a_run_is_made_again(tmp_path: Path) -> None:
+    keep(tmp_path, range(10))
+    before, samples = content(tmp_path), kept(tmp_path)
+    assert samples.read(4) == members(4)
+    (tmp_path / "train-00000.tar").unlink()
+    for index in range(4):
+        samples.keep(index, members(index))
+    assert content(tmp_path) == before
+    assert all(samples.read(index) == members(index) for index in range(10))
+
+
 def test_a_kill_while_a_shard_is_mended_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keep(tmp_path, range(10))
     before = content(tmp_path)
