@@ -142,8 +142,11 @@ def read_parts(fd: int, parts: Sequence[Part]) -> tuple[dict[int, memoryview], i
         start, end = run[0].offset, run[-1].end
         buffer = room_for(end - start).data
         read = os.preadv(fd, [buffer], start)
-        if read < len(buffer):
-            return {}, start + read
+        while read < len(buffer):  # the system gives no more than 2 GiB at once, and network file systems less at times
+            more = os.preadv(fd, [buffer[read:]], start + read)
+            if not more:
+                return {}, start + read
+            read += more
         for column, offset, size, _ in run:
             content[column] = buffer[offset - start : offset - start + size]
     return content, None

@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import os
 import pickle
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -48,6 +49,16 @@ def test_far_members_are_read_apart(folder: Path, monkeypatch: pytest.MonkeyPatc
     expected = encode_sample(fake_sample(0, 4))
     read = ShardReader(folder).read(4, ["back.jpg", "meta.json", "verts.npy"])
     assert read == {name: expected[name] for name in ("meta.json", "verts.npy", "back.jpg")}
+
+
+def test_what_the_system_gives_piece_by_piece_is_put_together(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = os.preadv
+
+    def some(fd: int, buffers: Sequence[memoryview], place: int) -> int:
+        return real(fd, [buffers[0][:1000]], place)
+
+    monkeypatch.setattr(os, "preadv", some)
+    assert ShardReader(folder).read(4, MEMBERS) == encode_sample(fake_sample(0, 4))
 
 
 @pytest.mark.parametrize("member", ["meta.json", "verts.npy", "back.jpg"])
