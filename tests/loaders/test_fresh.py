@@ -3,6 +3,8 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections import Counter
@@ -138,3 +140,30 @@ def test_different_ranks_make_different_garments() -> None:
     whole = FakeGarments(9, fields=["meta"])
     ranks = [numbers(FreshGarments(whole.select(range(rank, 9, 2)))) for rank in range(2)]
     assert np.array_equal(sorted(ranks[0] + ranks[1]), np.arange(9))
+
+
+def test_a_killed_training_leaves_no_workers() -> None:
+    """Though nobody takes what they have made, which is more than the pipe to the training holds."""
+    code = (
+        "import multiprocessing, os, signal\n"
+        "from gcd_dataset.loaders import FakeGarments, FreshGarments\n"
+        "ds = FakeGarments(99, fields=['meta'], transform=lambda item: 1_000_000 * 'a')\n"
+        "next(made := iter(FreshGarments(ds, workers=2, room=1)))\n"
+        "print(*(worker.pid for worker in multiprocessing.active_children()), flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as training:
+        assert training.stdout is not None
+        workers = [int(pid) for pid in training.stdout.readline().split()]
+    assert len(workers) == 2
+    deadline = time.monotonic() + 120
+    while any(map(is_alive, workers)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert [pid for pid in workers if is_alive(pid)] == []
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
