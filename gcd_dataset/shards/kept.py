@@ -7,16 +7,16 @@ shard. So the folder is at any moment a data set of what is in whole shards, and
 import contextlib
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.files import make_folder
 from gcd_dataset.shards.access import locked, reading
-from gcd_dataset.shards.layout import MEMBERS, Bytes, index_name, key_of, shard_name
+from gcd_dataset.shards.layout import MEMBERS, Bytes, index_name, key_of, shard_name, shards_in
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.single import read_single, write_single
 from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
@@ -45,6 +45,7 @@ class KeptSamples:
         self._count, self._seed, self._recipe, self._shard_size = count, seed, dict(recipe), shard_size
         self._seen: tuple[int, int, int] | None = None
         self._reader: ShardReader | None = None
+        self._is_alone = False
 
     def read(self, index: int, members: tuple[str, ...] = MEMBERS) -> Mapping[str, Bytes] | None:
         """At least these members of a sample; ``None`` for one that is not there.
@@ -62,9 +63,7 @@ class KeptSamples:
 
     def keep(self, index: int, members: Mapping[str, Bytes]) -> None:
         """Add a sample, or put it in the place of a damaged one; with the last of its shard the shard is written."""
-        path = self._single_path(index)
-        make_folder(path.parent)
-        write_single(path, index, members)
+        self._let_wait(index, members)
         number = index // self._shard_size
         wanted = range(number * self._shard_size, min((number + 1) * self._shard_size, self._count))
         if self._shard_path(number).exists():  # else no need to read the index, which may be long
@@ -80,7 +79,7 @@ class KeptSamples:
 
     def _pack(self, number: int) -> None:
         """Write a shard, with what waits for it."""
-        with locked(self.folder / ".packing.lock", "packing", wait=True):
+        with self._alone():
             waiting = self._waiting(number)
             self._refreshed()
             if any(not self._is_whole(index) for index in waiting.keys() & self._written(number)):
@@ -102,8 +101,21 @@ class KeptSamples:
                 content = self._from_shard(index, MEMBERS)
                 assert content is not None
                 write_single(self._single_path(index), index, content)
-        self._shard_path(number).unlink()
+        self._shard_path(number).unlink(missing_ok=True)
         self._reader = self._seen = None
+
+    @contextlib.contextmanager
+    def _alone(self) -> Iterator[None]:
+        """While nobody else changes shards; may be entered again within."""
+        if self._is_alone:
+            yield
+            return
+        with locked(self.folder / ".packing.lock", "packing", wait=True):
+            self._is_alone = True
+            try:
+                yield
+            finally:
+                self._is_alone = False
 
     def _writer(self) -> ShardWriter:
         return ShardWriter(self.folder, seed=self._seed, recipe=self._recipe, shard_size=self._shard_size)
@@ -112,6 +124,18 @@ class KeptSamples:
 
     def _single_path(self, index: int) -> Path:
         return self.folder / WAITING / f"{index // self._shard_size:05d}" / f"{key_of(index)}.tar"
+
+    def _let_wait(self, index: int, members: Mapping[str, Bytes]) -> None:
+        path = self._single_path(index)
+        while True:
+            make_folder(path.parent)
+            try:
+                write_single(path, index, members)
+                return
+            except OutputError:
+                if path.parent.exists():
+                    raise
+                # Another process has packed what waited there, and removed the folder in between.
 
     def _single(self, index: int) -> Mapping[str, Bytes] | None:
         path = self._single_path(index)
@@ -149,8 +173,8 @@ class KeptSamples:
             raise
 
     def _from_shard(self, index: int, members: tuple[str, ...]) -> Mapping[str, Bytes] | None:
-        if self._reader is None and not self._refreshed():
-            return None
+        if self._reader is None:
+            self._refreshed()
         position = self._position(index)
         return None if self._reader is None or position is None else self._reader.read(position, members)
 
@@ -162,7 +186,8 @@ class KeptSamples:
 
     def _position(self, index: int) -> int | None:
         """Where a sample stands in the reader."""
-        assert self._reader is not None
+        if self._reader is None:
+            return None
         numbers = self._numbers
         position = int(np.searchsorted(numbers, index))
         return position if position < len(numbers) and numbers[position] == index else None
@@ -185,17 +210,19 @@ class KeptSamples:
         if seen == self._seen:
             return False
         self._reader, self._seen = self._opened(), seen
-        self._numbers = np.sort(self._reader.index.table.sample)
+        if self._reader is not None:
+            self._numbers = np.sort(self._reader.index.table.sample)
         return True
 
-    def _opened(self) -> ShardReader:
+    def _opened(self) -> ShardReader | None:
+        """The shards as they are; ``None`` where all of them have been deleted."""
         try:
             return ShardReader(self.folder, SPLIT)
         except ShardError:
             # Of another's making half done, or of a shard that was deleted: a writer puts that in order.
-            with locked(self.folder / ".packing.lock", "packing", wait=True), self._writer():
+            with self._alone(), self._writer():
                 pass
-            return ShardReader(self.folder, SPLIT)
+            return ShardReader(self.folder, SPLIT) if shards_in(self.folder, SPLIT) else None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_reader": None, "_seen": None}

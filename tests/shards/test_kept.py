@@ -12,7 +12,7 @@ import pytest
 from gcd_dataset.errors import ShardError
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import encode_sample
+from gcd_dataset.shards import encode_sample, single
 from gcd_dataset.shards.kept import KeptSamples
 from gcd_dataset.shards.layout import MEMBERS
 from tests.shards.folders import RECIPE, SHARD_SIZE, fill
@@ -104,6 +104,38 @@ def test_a_killed_process_loses_nothing_that_was_kept(tmp_path: Path) -> None:
     samples.pack()
     assert names(tmp_path) == ["train-00000.tar"]
     assert not (tmp_path / ".waiting" / "00000").exists()
+
+
+@pytest.mark.parametrize("early", [False, True], ids=["by another process", "by one that had read it"])
+@pytest.mark.parametrize("count", [4, 6])
+def test_a_shard_that_was_deleted_is_made_again(tmp_path: Path, count: int, early: bool) -> None:
+    keep(tmp_path, range(count), count)
+    whole = content(tmp_path)
+    samples = kept(tmp_path, count)
+    assert not early or samples.read(0) == members(0)
+    (tmp_path / "train-00000.tar").unlink()
+    for index in range(4):
+        samples.keep(index, members(index))
+    assert content(tmp_path) == whole
+    assert all(kept(tmp_path, count).read(index) == members(index) for index in range(count))
+
+
+def test_a_folder_that_another_process_has_just_emptied_is_no_obstacle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both bring the same sample; one packs the shard, while the other is about to let it wait."""
+    keep(tmp_path, range(3))
+    write_single = single.write_single
+
+    def outrun(*options: Any) -> None:
+        monkeypatch.setattr("gcd_dataset.shards.kept.write_single", write_single)
+        keep(tmp_path, [3])
+        write_single(*options)
+
+    monkeypatch.setattr("gcd_dataset.shards.kept.write_single", outrun)
+    keep(tmp_path, [3])
+    assert names(tmp_path) == ["train-00000.tar"]
+    assert len(GarmentDataset(tmp_path, verify="full")) == 4
 
 
 def test_what_waits_can_be_packed_and_added_to(tmp_path: Path) -> None:
