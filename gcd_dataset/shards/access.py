@@ -65,6 +65,9 @@ def locked(path: Path, task: str, *, wait: bool = False) -> Iterator[None]:
         if os.getpid() == owner:  # a forked process that drops its copy frees nothing
             with contextlib.suppress(OSError):
                 path.unlink()
+            with contextlib.suppress(OSError):
+                # A process that was forked meanwhile has a copy: whoever waits here would wait until that ends too.
+                fcntl.flock(file, fcntl.LOCK_UN)
         os.close(file)
 
 

@@ -17,6 +17,7 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, encode_sample, read_index, rebuild_index
+from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.layout import recipe_hash
 from gcd_dataset.shards.manifest import read_manifest
 from gcd_dataset.shards.single import write_single
@@ -214,6 +215,21 @@ def test_a_writer_in_another_process_is_waited_for(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="another process"):
         open_writer(tmp_path)
     writer.close()
+
+
+def test_a_process_forked_under_a_lock_does_not_keep_it(tmp_path: Path) -> None:
+    with locked(tmp_path / "lock", "testing", wait=True):
+        waiting = os.open(tmp_path / "lock", os.O_RDWR)  # of somebody who waits for it
+        child = os.fork()
+        if child == 0:
+            signal.pause()
+            os._exit(0)
+    try:
+        fcntl.flock(waiting, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    finally:
+        os.close(waiting)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
 
 
 def test_what_a_kill_left_locked_is_free(tmp_path: Path) -> None:
