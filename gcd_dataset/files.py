@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -52,7 +53,8 @@ def drafted(path: Path | str) -> Iterator[Path]:
     path = Path(path)
     if not path.name or "\0" in str(path):
         raise OutputError(f"{shown(str(path))}: names no file: give a file name")
-    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
+    # By chance: processes of two containers, or threads, that write to the same folder may have the same number.
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
         with writing_to(path):
             yield draft

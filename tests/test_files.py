@@ -28,6 +28,16 @@ def test_what_breaks_half_way_leaves_the_old_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_two_that_write_the_same_file_at_once_do_not_meet(tmp_path: Path) -> None:
+    """They may have the same process number, in containers that share a folder."""
+    path = tmp_path / "a.bin"
+    with open_whole(path) as first:
+        first.write(b"the first")
+        write_whole(path, b"second")
+        assert path.read_bytes() == b"second"
+    assert path.read_bytes() == b"the first"
+
+
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(OutputError, match=r"nowhere/a\.bin: cannot be written \(No such file or directory\)"):
