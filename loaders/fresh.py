@@ -93,7 +93,8 @@ class FreshGarments(IterableDataset[Item]):
             generator=torch.Generator().manual_seed(self.seed),
             **options,
         )
-        return chain.from_iterable(designs)
+        made = chain.from_iterable(designs)
+        return map(_own, made) if self.workers else made
 
     def _changed(self, entry: "_Given") -> Item:
         if self.augment is None:
@@ -117,6 +118,13 @@ class _Given:
     times: int
     """How often it is given in all."""
     given: int = 0
+
+
+def _own(item: Any) -> Any:
+    """The item in memory of this process: a container has 64 MB that workers can share, if nobody asks for more."""
+    if not isinstance(item, dict):  # a transform has made something else of it
+        return item
+    return {name: value.clone() if isinstance(value, torch.Tensor) else value for name, value in item.items()}
 
 
 class _Share(IterableDataset[list[Item]]):

@@ -1,4 +1,8 @@
-"""How a worker process that makes garments begins."""
+"""How a worker process that makes garments begins, and that it ends with the process it works for."""
+
+import os
+import threading
+import time
 
 import threadpoolctl
 import torch
@@ -17,3 +21,12 @@ def begin_worker(worker: int) -> None:
     """
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     threadpoolctl.threadpool_limits(1)
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    """End this process, and with it its shared memory, within a second of its parent, however that has ended."""
+    # torch looks for the parent too, but then waits until somebody reads what was made, for ever and with all of it.
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)

@@ -42,10 +42,10 @@ class Place:
 
         Raises ``DrapeError`` where it cannot be started, with the reason that it gives.
         """
-        with self._starting():
+        with self._starting() as lock:
             connection = self._greeted()
             if connection is None:
-                self._start()
+                self._start(lock)
                 connection = self._greeted()
         if connection is None:
             raise DrapeError(f"the process that drapes on {self.device} ended as soon as it had begun: see above")
@@ -65,8 +65,8 @@ class Place:
         return connection
 
     @contextlib.contextmanager
-    def _starting(self) -> Iterator[None]:
-        """One process at a time, so that no two drapers are started."""
+    def _starting(self) -> Iterator[int]:
+        """One process at a time, so that no two drapers are started; the lock, as an open file."""
         try:
             file = os.open(self.folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
         except FileNotFoundError as error:
@@ -75,12 +75,12 @@ class Place:
             ) from error
         try:
             fcntl.flock(file, fcntl.LOCK_EX)
-            yield
+            yield file
         finally:
             os.close(file)
 
-    def _start(self) -> None:
-        """Begin a draper and wait until it listens."""
+    def _start(self, lock: int) -> None:
+        """Begin a draper and wait until it listens; it holds the lock until then, though this process is killed."""
         # A program of its own, not a child made by ``multiprocessing``: that would run the user's script again, and a
         # worker may have none.
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}  # noqa: PTH109
@@ -88,7 +88,7 @@ class Place:
         draper = subprocess.Popen(
             command,
             env=environment,
-            stdin=subprocess.DEVNULL,
+            stdin=lock,
             stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,
@@ -103,7 +103,7 @@ class Place:
 
 def place_for(device: str) -> Place:
     """The place of a device's draper, the same for all in this process and those forked from it; starts nothing."""
-    if device not in _places:
+    if device not in _places or not _places[device].folder.is_dir():  # that of a process that this one has outlived
         _places[device] = _made(device)
     return _places[device]
 

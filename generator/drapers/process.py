@@ -8,6 +8,7 @@ Garments of all askers share the device, and take turns there as they come. It e
 import contextlib
 import fcntl
 import os
+import resource
 import shutil
 import sys
 import threading
@@ -36,6 +37,7 @@ AT_ONCE_ON_CPU = 2  # one core drapes them: more of them would only wait for eac
 def main(folder: Path, device: str) -> None:
     """Listen, and drape until the owner of the folder has ended."""
     threading.Thread(target=_end_with_owner, args=(folder,), daemon=True).start()
+    _allow_many_files()
     try:
         device = resolve_device(device)
     except GcdError as error:
@@ -45,12 +47,12 @@ def main(folder: Path, device: str) -> None:
     socket_file(folder).unlink(missing_ok=True)  # of a draper that was killed
     listener = Listener(str(socket_file(folder)), "AF_UNIX", backlog=128)
     threading.Thread(target=_accept, args=(listener, inbox), daemon=True).start()
-    print(READY, flush=True)
-    os.dup2(2, 1)  # nobody reads on; whatever is printed goes where errors go
+    _tell_ready()
     try:
         while True:
             inbox.drape(device)
-    except (GcdError, RuntimeError, MemoryError) as error:  # of ours, of Warp, of the machine
+    except Exception as error:
+        listener.close()  # whoever calls from here on begins the next draper
         inbox.fail(" ".join(str(error).split()) or type(error).__name__)
         raise
 
@@ -76,20 +78,23 @@ class Asker:
         self._writer.join(timeout=5.0)  # one that was stopped reads nothing
 
     def _read(self) -> None:
-        # A worker that was killed while it sent leaves half an order: that is an error too.
-        with contextlib.suppress(EOFError, OSError):
-            while True:
-                self._inbox.put(self, receive_parcel(self._connection))
-        self.there = False
-        self._answers.put(None)
+        try:
+            # A worker that was killed while it sent leaves half an order: that is an error too.
+            with contextlib.suppress(EOFError, OSError):
+                while True:
+                    self._inbox.put(self, receive_parcel(self._connection))
+        finally:
+            self.there = False
+            self._answers.put(None)
+            self._writer.join()
+            # Not where answers are sent: the number of what is closed is given to the next, who would be read here.
+            self._connection.close()
 
     def _write(self) -> None:
         with contextlib.suppress(OSError):
             while (answer := self._answers.get()) is not None:
                 self._connection.send(answer)
         self.there = False
-        with contextlib.suppress(OSError):
-            self._connection.close()
 
 
 class Inbox:
@@ -168,6 +173,22 @@ def _pictures(order: Order, drape: Drape, device: str) -> "tuple | None":
     from gcd_dataset.generator.render import render_garment
 
     return render_garment(drape.vertices, order.job.box_mesh, order.job.body, size=order.picture, device=device)
+
+
+def _allow_many_files() -> None:
+    """As many as the system lets us have: each garment that waits is one, and 1024 is a common soft limit."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with contextlib.suppress(ValueError, OSError):  # macOS tells of no limit, and has one
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
+def _tell_ready() -> None:
+    """Tell whoever has begun this process, and let go of the lock that it has given along."""
+    with contextlib.suppress(BrokenPipeError):  # killed meanwhile: then the next
+        os.write(1, f"{READY}\n".encode())
+    os.dup2(2, 1)  # nobody reads on; whatever is printed goes where errors go
+    with open(os.devnull) as nothing:  # noqa: PTH123
+        os.dup2(nothing.fileno(), 0)
 
 
 def _accept(listener: Listener, inbox: Inbox) -> None:

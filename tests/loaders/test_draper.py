@@ -1,8 +1,12 @@
 """Garments that workers have draped by a process of its own: the same as if they had draped them themselves."""
 
 import importlib
+import multiprocessing
 import os
+import resource
+import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -14,6 +18,7 @@ from multiprocessing.connection import Listener
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from torch.utils.data import DataLoader
 
@@ -21,6 +26,7 @@ from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import Asking, Draped, Order, Place, make_ahead, place_for
 from gcd_dataset.generator.drapers.place import _made, socket_file
+from gcd_dataset.generator.drapers.process import Asker, Inbox
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.pipeline import prepare, sample_key
 from gcd_dataset.generator.recipe import MakeConfig
@@ -75,9 +81,9 @@ def drapers(place: Place) -> list[int]:
     return there
 
 
-def kill_drapers(place: Place) -> None:
+def kill_drapers(place: Place, how: int = signal.SIGKILL) -> None:
     for pid in drapers(place):
-        os.kill(pid, signal.SIGKILL)
+        os.kill(pid, how)
 
 
 @pytest.mark.parametrize(("workers", "context"), [(1, "spawn"), (2, "fork")])
@@ -126,9 +132,10 @@ def test_a_drape_that_fails_raises_the_attempt(monkeypatch: pytest.MonkeyPatch) 
     def failing_once(asking: Asking) -> Draped:
         answer = answered(asking)
         told[answer.number] += 1
-        if answer.number == 1 and told[1] == 1:
-            answer = replace(answer, drape=replace(answer.drape, outcome=Outcome.NOT_SETTLED))
-        return answer
+        fails = answer.number == 1 and told[1] == 1
+        # The rest settle, whatever so coarse a cloth does.
+        outcome = Outcome.NOT_SETTLED if fails else Outcome.SETTLED
+        return replace(answer, drape=replace(answer.drape, outcome=outcome))
 
     monkeypatch.setattr(Asking, "answer", failing_once)
     config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS)
@@ -147,6 +154,7 @@ def order(number: int, resolution: float = 10.0) -> Order:
 
 def test_a_killed_draper_is_told_and_the_next_is_begun(place: Place) -> None:
     with Asking(place) as asking:
+        kill_drapers(place, signal.SIGSTOP)  # it would be done, perhaps, before it is killed
         asking.ask(order(0))
         kill_drapers(place)
         with pytest.raises(DrapeError, match="drapes on cpu has ended"):
@@ -169,6 +177,94 @@ def test_a_draper_that_is_about_to_end_is_not_taken_for_one(place: Place) -> Non
         thread.join()
 
 
+def test_a_draper_whose_starter_is_killed_is_met_by_the_next(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While it loads; the next waits for it, and begins no other beside it."""
+    child = os.fork()
+    if child == 0:
+        popen = subprocess.Popen
+
+        def killed(*command: Any, **options: Any) -> None:
+            popen(*command, **options)
+            os.kill(os.getpid(), signal.SIGKILL)
+
+        monkeypatch.setattr(subprocess, "Popen", killed)
+        try:
+            place.connect()
+        finally:
+            os._exit(1)
+    os.waitpid(child, 0)
+    begun = drapers(place)
+    assert len(begun) == 1
+    with Asking(place) as asking:
+        asking.ask(order(7))
+        assert asking.answer().number == 7
+    assert drapers(place) == begun
+
+
+def test_a_draper_that_fails_says_why_and_takes_no_more_calls(place: Place) -> None:
+    """Whatever it is, and though it waits for somebody who does not read before it ends."""
+    with Asking(place) as deaf, Asking(place) as asking:
+        deaf.ask(replace(order(0), picture=400))
+        assert deaf._connection.poll(120)  # and more of it is held back
+        good = order(1)
+        torn = replace(good.job.box_mesh, labels={"strapless_top": np.array([10**6])})
+        asking.ask(replace(good, job=replace(good.job, box_mesh=torn)))
+        with pytest.raises(DrapeError, match="while draping on cpu: index 1000000 is out of bounds"):
+            asking.answer()
+        with Asking(place) as other:
+            other.ask(good)
+            assert other.answer().number == 1
+
+
+class Unreadable:
+    """What nobody can unpack."""
+
+    def __reduce__(self) -> tuple[type[int], tuple[str]]:
+        return int, ("no number",)
+
+
+def test_an_order_that_cannot_be_read_is_one_error(place: Place) -> None:
+    with Asking(place) as asking:
+        asking.ask(replace(order(0), number=Unreadable()))  # type: ignore[arg-type]
+        with pytest.raises(DrapeError, match="drapes on cpu has ended"):
+            asking.answer()
+
+
+def test_more_garments_may_wait_than_a_process_may_have_files(place: Place) -> None:
+    few, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (100, most))
+    try:
+        asking = Asking(place)  # its draper has that limit too
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (few, most))
+    with asking:
+        one = order(0)
+        for number in range(150):
+            asking.ask(replace(one, number=number))
+        assert asking.answer().number in range(150)
+
+
+def test_a_connection_is_not_closed_while_it_is_read() -> None:
+    """Its number would be given to the next connection, from which the rest of an order would be taken."""
+    ours, theirs = multiprocessing.Pipe()
+    asker = Asker(ours, Inbox())
+    os.write(theirs.fileno(), b"half")
+    with socket.socket(fileno=os.dup(theirs.fileno())) as half:
+        half.shutdown(socket.SHUT_RD)  # it takes no answers, and is not gone
+    asker.tell("an answer")
+    asker.finish()
+    assert not ours.closed
+    theirs.close()
+
+
+def test_a_process_that_outlives_the_owner_has_a_place_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.drapers.place._places", {})
+    place = place_for("cpu")
+    assert place_for("cpu") == place
+    shutil.rmtree(place.folder)
+    assert place_for("cpu").folder.is_dir()
+
+
 def test_a_draper_killed_under_a_loader_is_one_error(place: Place) -> None:
     loader = iter(DataLoader(Apart(50, place), batch_size=1, num_workers=1, collate_fn=collate_list, timeout=120))
     next(loader)
@@ -184,9 +280,11 @@ def test_a_worker_that_is_killed_holds_up_no_other(place: Place) -> None:
         asking.answer()
         child = os.fork()
         if child == 0:
-            with Asking(place) as other:
+            try:
+                other = Asking(place)
                 for number in range(20):
                     other.ask(order(number))
+            finally:
                 os.kill(os.getpid(), signal.SIGKILL)
         os.waitpid(child, 0)
         asking.ask(order(1))

@@ -3,11 +3,15 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
+import weakref
 from collections import Counter
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -74,14 +78,26 @@ def test_workers_of_the_loader_are_refused() -> None:
             fresh(**options)
 
 
-def test_what_a_worker_has_made_is_taken_without_its_answer() -> None:
+class Watched(DataLoader):
+    """One of which the test sees what its workers have sent."""
+
+    sent: ClassVar[list[Connection]] = []
+
+    def __iter__(self) -> Any:
+        made: Any = super().__iter__()
+        self.sent.append(made._worker_result_queue._reader)
+        return made
+
+
+def test_what_a_worker_has_made_is_taken_without_its_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is at work on the next garment, and would answer late: here it is stopped."""
+    monkeypatch.setattr("gcd_dataset.loaders.fresh.DataLoader", Watched)
     others = set(multiprocessing.active_children())
-    made = iter(FreshGarments(FakeGarments(9, fields=["meta", "verts"]), room=1, workers=1))
+    made = iter(FreshGarments(FakeGarments(99, fields=["meta", "verts"]), room=1, workers=1))
     next(made)
     [worker] = set(multiprocessing.active_children()) - others
     assert worker.pid is not None
-    wait_until_idle(worker.pid)  # it has made the next meanwhile
+    assert Watched.sent.pop().poll(120)  # it has made the next meanwhile
     os.kill(worker.pid, signal.SIGSTOP)
     goes_on = threading.Timer(30.0, os.kill, (worker.pid, signal.SIGCONT))
     goes_on.start()
@@ -92,30 +108,23 @@ def test_what_a_worker_has_made_is_taken_without_its_answer() -> None:
     assert item["verts"].isfinite().all()
 
 
-def test_memory_does_not_grow_with_garments_made() -> None:
-    made = iter(FreshGarments(GeneratedGarments(200, stage="pattern", fields=["meta", "panels", "edges"]), room=8))
-    for _ in range(60):
-        next(made)
-    before = resident()
-    assert sum(1 for _ in made) == 140
-    assert resident() - before < 8 << 20
+def test_no_shared_memory_is_held_by_what_waits_in_the_buffer() -> None:
+    made = list(FreshGarments(FakeGarments(4, fields=["meta", "verts"]), room=4, workers=1))
+    assert [item["verts"].is_shared() for item in made] == 4 * [False]
 
 
-def wait_until_idle(pid: int) -> None:
-    """Until a process has used no CPU time for half a second."""
-    used, still = "", 0
-    while still < 10:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        now = f"{fields[0]} {fields[11]} {fields[12]}"  # state, ticks as user, ticks in the kernel
-        still = still + 1 if now == used and fields[0] == "S" else 0
-        used = now
-        time.sleep(0.05)
+def test_what_was_given_is_forgotten() -> None:
+    tensors: list[weakref.ref] = []
 
+    def noted(item: dict[str, Any]) -> dict[str, Any]:
+        tensors.append(weakref.ref(item["panels"]))
+        return item
 
-def resident() -> int:
-    """Bytes of memory that this process holds."""
-    with open("/proc/self/statm") as file:  # noqa: PTH123
-        return int(file.read().split()[1]) * 4096
+    whole = GeneratedGarments(40, stage="pattern", fields=["meta", "panels", "edges"], transform=noted)
+    for _ in FreshGarments(whole, room=8):
+        # Those in the buffer, and the one that was made last.
+        assert sum(tensor() is not None for tensor in tensors) <= 8 + 1
+    assert len(tensors) == 40
 
 
 def test_a_design_is_made_once_for_all_its_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,3 +147,30 @@ def test_different_ranks_make_different_garments() -> None:
     whole = FakeGarments(9, fields=["meta"])
     ranks = [numbers(FreshGarments(whole.select(range(rank, 9, 2)))) for rank in range(2)]
     assert np.array_equal(sorted(ranks[0] + ranks[1]), np.arange(9))
+
+
+def test_a_killed_training_leaves_no_workers() -> None:
+    """Though nobody takes what they have made, which is more than the pipe to the training holds."""
+    code = (
+        "import multiprocessing, os, signal\n"
+        "from gcd_dataset.loaders import FakeGarments, FreshGarments\n"
+        "ds = FakeGarments(99, fields=['meta'], transform=lambda item: 1_000_000 * 'a')\n"
+        "next(made := iter(FreshGarments(ds, workers=2, room=1)))\n"
+        "print(*(worker.pid for worker in multiprocessing.active_children()), flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as training:
+        assert training.stdout is not None
+        workers = [int(pid) for pid in training.stdout.readline().split()]
+    assert len(workers) == 2
+    deadline = time.monotonic() + 120
+    while any(map(is_alive, workers)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert [pid for pid in workers if is_alive(pid)] == []
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
