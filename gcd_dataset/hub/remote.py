@@ -24,6 +24,7 @@ T = TypeVar("T")
 
 GAP = 1 << 17  # bytes: they come in about the time that one more answer takes, and requests are what servers count
 SHA256 = re.compile(r"[0-9a-f]{64}")
+REPUBLISH = "ask its publisher to run gcd index and publish it again"
 LINES = 8  # requests at a time
 
 
@@ -50,11 +51,12 @@ class RemoteStore(Store):
         if manifest is not None and split not in manifest.splits:
             raise ShardError(f"{self.place()}: no samples of split {split}: there is {', '.join(manifest.splits)}")
         try:
-            index = ShardIndex.parse(self.site.small(name), self.place(name), layout, partial=True)
+            content = self.site.small(name)
+            index = ShardIndex.parse(content, self.place(name), layout, partial=True, remedy=REPUBLISH)
             self._require_listed(index, split, manifest)
         except MissingError as error:
             if manifest is not None or layout != GARMENTS:
-                raise RemoteError(f"{error}: ask its publisher to run gcd index and publish it again") from error
+                raise RemoteError(f"{error}: {REPUBLISH}") from error
             index = foreign_site_index(self.site, split)
         except ShardError:
             self.site.forget(name)  # its publisher may be at work
@@ -146,10 +148,7 @@ class RemoteStore(Store):
         found = dict(zip(index.shards, zip(index.length.tolist(), counts, strict=True), strict=True))
         if found != listed:
             odd = sorted(name for name, _ in listed.items() ^ found.items())[0]
-            raise RemoteError(
-                f"{self.place()}: {index_name(split)} and {MANIFEST} differ in {odd}: ask its publisher to run "
-                "gcd index and publish it again"
-            )
+            raise RemoteError(f"{self.place()}: {index_name(split)} and {MANIFEST} differ in {odd}: {REPUBLISH}")
 
     def _key(self, shard: str, split: str, manifest: Manifest | None) -> str:
         """What the cache knows a shard by: its hash, so that data sets and revisions share what they share."""

@@ -49,6 +49,7 @@ __all__ = [
     "whole_samples",
 ]
 
+MADE_AGAIN = "delete it, it is made again from the shards"
 META = "meta.json"
 MOST_MEMBERS = 64  # of a sample that is looked at
 OURS = re.compile(rb"(gcd_\d{9,})\.meta\.json\0")  # how every archive of ours begins
@@ -147,9 +148,13 @@ class ShardIndex(Record):
         return cls.parse(content, str(path), layout, partial=partial)
 
     @classmethod
-    def parse(cls, content: bytes, path: str, layout: Layout = GARMENTS, *, partial: bool = False) -> Self:
-        """The index in a file's content; ``path`` names it in errors. Raises as ``read`` does."""
+    def parse(
+        cls, content: bytes, path: str, layout: Layout = GARMENTS, *, partial: bool = False, remedy: str = MADE_AGAIN
+    ) -> Self:
+        """The index in a file's content; ``path`` and ``remedy`` stand in errors. Raises as ``read`` does."""
         try:
+            if not zipfile.is_zipfile(io.BytesIO(content)):
+                raise zipfile.BadZipFile("no archive of arrays, or cut off")
             with np.load(io.BytesIO(content), allow_pickle=False) as file:
                 arrays = dict(file)
             schema, members = int(arrays["schema"]), tuple(arrays["members"].tolist())
@@ -160,9 +165,9 @@ class ShardIndex(Record):
                 found = layout.of(members)
             index = cls(tuple(arrays["shards"].tolist()), arrays["length"], arrays["shard"], table, found, keys)
         except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise ShardError(f"{path}: not an index ({error}): delete it, it is made again from the shards") from error
+            raise ShardError(f"{path}: not an index ({error}): {remedy}") from error
         if schema == SCHEMA and members == found.members and (partial or not keys):
-            return index._consistent(path)
+            return index._consistent(path, remedy)
         for other in (GARMENTS, BODIES):
             if schema == SCHEMA and members == other.members != layout.members:
                 raise ShardError(
@@ -172,14 +177,15 @@ class ShardIndex(Record):
         if schema == SCHEMA and (keys or layout.holds(members)):
             what = "foreign archives" if keys else f"samples without {_lacking(layout, members)}"
             raise ShardError(f"{path}: an index of {what}, which are only read: choose another folder")
-        raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {SCHEMA}: delete it")
+        remedy = "update gcd_dataset" if schema > SCHEMA else remedy
+        raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {SCHEMA}: {remedy}")
 
-    def _consistent(self, path: str) -> Self:
+    def _consistent(self, path: str, remedy: str) -> Self:
         """The index itself. Raises ``ShardError`` unless its columns fit together and every member is in its shard."""
         try:
             self._require_consistent()
         except ValueError as error:
-            raise ShardError(f"{path}: not an index ({error}): delete it, it is made again from the shards") from error
+            raise ShardError(f"{path}: not an index ({error}): {remedy}") from error
         return self
 
     def _require_consistent(self) -> None:

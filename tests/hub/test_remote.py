@@ -339,6 +339,15 @@ def test_a_manifest_that_is_none_is_told(hub: Hub, commit: str, tmp_path: Path) 
         GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
 
 
+@pytest.mark.parametrize("content", [b"", b"not found", b"PK"], ids=["empty", "a page", "cut off"])
+def test_a_broken_index_is_told_to_whoever_can_mend_it(hub: Hub, commit: str, tmp_path: Path, content: bytes) -> None:
+    hub.static["garments/index-train.npz"] = content
+    with pytest.raises(
+        ShardError, match=r"index-train\.npz: not an index \([^()]*\): ask its publisher to run gcd index"
+    ):
+        GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
+
+
 def test_an_index_of_other_shards_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
     manifest = hub.static["garments/manifest.json"].decode()
     size = len(hub.static["garments/train-00001.tar"])
