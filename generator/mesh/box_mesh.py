@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 import shapely
@@ -12,16 +11,13 @@ from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.lattice import lattice_size
 from gcd_dataset.generator.mesh.sample import MOST_POINTS, Border, edge_counts, sample_border
 from gcd_dataset.generator.mesh.stitch import merge_points, middles, seam_name, sew
-from gcd_dataset.generator.mesh.triangulate import triangulate
+from gcd_dataset.generator.mesh.triangulate import Filling, fill_outline
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern
 
 __all__ = ["build_box_mesh"]
 
 NARROWEST = 0.05  # spacings: mean width of a panel under which its triangles would be slivers
 TOUCH = 1e-6  # cm between an edge and the point where it is said to cross another
-
-Filling: TypeAlias = tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]
-"""Points [cm] and triangles."""
 
 
 def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
@@ -82,10 +78,8 @@ class _Cut:
 def _cut(pattern: Pattern, spacing: float) -> _Cut:
     counts = edge_counts(pattern, spacing)
     borders = tuple(sample_border(panel, counts) for panel in pattern.panels)
-    fillings: dict[bytes, Filling] = {}  # a left panel mostly has the outline of the right one, to the last bit
-    meshes = [
-        _mesh_panel(panel, border, spacing, fillings) for panel, border in zip(pattern.panels, borders, strict=True)
-    ]
+    known: dict[tuple[bytes, float], Filling] = {}
+    meshes = [_mesh_panel(panel, border, spacing, known) for panel, border in zip(pattern.panels, borders, strict=True)]
     sizes = np.array([len(points) for points, _ in meshes])
     first = np.cumsum(sizes) - sizes
     return _Cut(
@@ -100,23 +94,14 @@ def _cut(pattern: Pattern, spacing: float) -> _Cut:
     )
 
 
-def _mesh_panel(panel: Panel, border: Border, spacing: float, fillings: dict[bytes, Filling]) -> Filling:
-    """Points of a panel, the border's first, and triangles wound as its loop, which is counter-clockwise outside.
-
-    ``fillings``: seeds and triangles of the outlines that have been seen.
-    """
+def _mesh_panel(panel: Panel, border: Border, spacing: float, known: dict[tuple[bytes, float], Filling]) -> Filling:
+    """Points of a panel, the border's first, and triangles wound as its loop, which is counter-clockwise outside."""
     _require_room(panel, border, spacing)
     _require_outline(panel, border, spacing)
-    # A clockwise loop is meshed as its mirror image, so that a back has the mesh of the front it mirrors.
-    mirror = np.array([1.0 if shapely.LinearRing(border.points).is_ccw else -1.0, 1.0])
-    outline = border.points * mirror + 0.0  # no -0.0: its bytes are others
-    if outline.tobytes() not in fillings:
-        try:
-            fillings[outline.tobytes()] = triangulate(outline, spacing)
-        except MeshError as error:
-            raise MeshError(f"panel {panel.name}: {error}") from error
-    seeds, faces = fillings[outline.tobytes()]
-    return np.concatenate([border.points, seeds * mirror]), faces
+    try:
+        return fill_outline(border.points, spacing, known)
+    except MeshError as error:
+        raise MeshError(f"panel {panel.name}: {error}") from error
 
 
 def _require_room(panel: Panel, border: Border, spacing: float) -> None:

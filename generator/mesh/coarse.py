@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.triangulate import triangulate
+from gcd_dataset.generator.mesh.triangulate import Filling, fill_outline
 from gcd_dataset.records import BoxMesh
 
 __all__ = ["Coarse", "coarse_start", "coarsen"]
@@ -51,7 +51,10 @@ def coarsen(mesh: BoxMesh) -> Coarse:
     """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow for that."""
     border = _Border.of(mesh)
     thinned = _thin(mesh, border)
-    panels = [_panel(mesh, number, loop[thinned.kept[mesh.uv_vertex[loop]]]) for number, loop in border.loops.items()]
+    known: dict[tuple[bytes, float], Filling] = {}
+    panels = [
+        _panel(mesh, number, loop[thinned.kept[mesh.uv_vertex[loop]]], known) for number, loop in border.loops.items()
+    ]
     return _join(mesh, thinned, panels)
 
 
@@ -186,14 +189,14 @@ class _Panel:
     faces: Int[np.ndarray, "f 3"]
 
 
-def _panel(mesh: BoxMesh, number: int, rows: Int[np.ndarray, " n"]) -> _Panel:
+def _panel(
+    mesh: BoxMesh, number: int, rows: Int[np.ndarray, " n"], known: dict[tuple[bytes, float], Filling]
+) -> _Panel:
     border = mesh.uv[rows]
     if len(rows) < 3 or not shapely.Polygon(border).is_valid:
         raise MeshError(f"panel {mesh.panel_names[number]} is too narrow for half its points")
     spacing = float(np.percentile(np.linalg.norm(np.roll(border, -1, axis=0) - border, axis=1), 75))
-    mirror = np.array([1.0 if shapely.LinearRing(border).is_ccw else -1.0, 1.0])
-    seeds, faces = triangulate(border * mirror, spacing)
-    return _Panel(number, rows, np.concatenate([border, seeds * mirror]), faces)
+    return _Panel(number, rows, *fill_outline(border, spacing, known))
 
 
 def _join(mesh: BoxMesh, thinned: _Thinned, panels: list[_Panel]) -> Coarse:

@@ -8,6 +8,7 @@ points already.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 import shapely
@@ -18,7 +19,7 @@ from scipy.spatial.distance import cdist
 from gcd_dataset.generator.mesh.flips import has_segments, restore_segments
 from gcd_dataset.generator.mesh.lattice import Lattice, build_lattice
 
-__all__ = ["triangulate"]
+__all__ = ["Filling", "fill_outline", "triangulate"]
 
 LONGEST = 1.43  # spacings: the bound on an edge of GarmentCode's boxmeshgen.py
 SHARPEST = np.radians(25.0)  # the angle refinement aims at; it is sure to end up to 20.7° (Ruppert)
@@ -29,9 +30,29 @@ SAME_AREA = 1e-9  # relative: triangles of which none is missing or covers anoth
 NUDGE = 1e-6  # spacings by which points stand aside while Qhull looks at them
 
 
-def triangulate(
-    border: Float[np.ndarray, "n 2"], spacing: float
-) -> tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]:
+Filling: TypeAlias = tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]
+"""Points [cm] and triangles."""
+
+
+def fill_outline(
+    border: Float[np.ndarray, "n 2"], spacing: float, known: dict[tuple[bytes, float], Filling]
+) -> Filling:
+    """Points of a closed loop, then seeds inside it [cm], and triangles that run round as the loop does.
+
+    A clockwise loop is filled as its mirror image, so that a back has the mesh of the front it mirrors; ``known``: the
+    outlines that have been filled, since a left panel mostly is the right one's mirror image to the last bit. Raises
+    ``MeshError`` as ``triangulate`` does.
+    """
+    mirror = np.array([1.0 if shapely.LinearRing(border).is_ccw else -1.0, 1.0])
+    outline = border * mirror + 0.0  # no -0.0: its bytes are others
+    key = (outline.tobytes(), spacing)
+    if key not in known:
+        known[key] = triangulate(outline, spacing)
+    seeds, faces = known[key]
+    return np.concatenate([border, seeds * mirror]), faces
+
+
+def triangulate(border: Float[np.ndarray, "n 2"], spacing: float) -> Filling:
     """Seeds [cm] inside a closed counter-clockwise loop of points, and the triangles over border and seeds.
 
     The points of the loop are at most ``spacing`` [cm] apart and keep the numbers 0 … n-1; the seeds follow. Triangles
