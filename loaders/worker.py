@@ -18,6 +18,8 @@ def begin_worker(worker: int) -> None:
 
     Linear algebra keeps to one thread, as torch does in a worker: threads of all workers wait for each other otherwise,
     which on two cores costs a quarter more CPU time with eight threads.
+
+    The worker ends within a second of the process it works for, even if that is killed.
     """
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     threadpoolctl.threadpool_limits(1)

@@ -11,7 +11,7 @@ from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.lattice import lattice_size
 from gcd_dataset.generator.mesh.sample import MOST_POINTS, Border, edge_counts, sample_border
 from gcd_dataset.generator.mesh.stitch import merge_points, middles, seam_name, sew
-from gcd_dataset.generator.mesh.triangulate import Filling, fill_outline
+from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern
 
 __all__ = ["build_box_mesh"]
@@ -78,7 +78,7 @@ class _Cut:
 def _cut(pattern: Pattern, spacing: float) -> _Cut:
     counts = edge_counts(pattern, spacing)
     borders = tuple(sample_border(panel, counts) for panel in pattern.panels)
-    known: dict[tuple[bytes, float], Filling] = {}
+    known: Fillings = {}
     meshes = [_mesh_panel(panel, border, spacing, known) for panel, border in zip(pattern.panels, borders, strict=True)]
     sizes = np.array([len(points) for points, _ in meshes])
     first = np.cumsum(sizes) - sizes
@@ -94,7 +94,7 @@ def _cut(pattern: Pattern, spacing: float) -> _Cut:
     )
 
 
-def _mesh_panel(panel: Panel, border: Border, spacing: float, known: dict[tuple[bytes, float], Filling]) -> Filling:
+def _mesh_panel(panel: Panel, border: Border, spacing: float, known: Fillings) -> Filling:
     """Points of a panel, the border's first, and triangles wound as its loop, which is counter-clockwise outside."""
     _require_room(panel, border, spacing)
     _require_outline(panel, border, spacing)

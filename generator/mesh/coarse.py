@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.triangulate import Filling, fill_outline
+from gcd_dataset.generator.mesh.triangulate import Fillings, fill_outline
 from gcd_dataset.records import BoxMesh
 
 __all__ = ["Coarse", "coarse_start", "coarsen"]
@@ -51,7 +51,7 @@ def coarsen(mesh: BoxMesh) -> Coarse:
     """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow for that."""
     border = _Border.of(mesh)
     thinned = _thin(mesh, border)
-    known: dict[tuple[bytes, float], Filling] = {}
+    known: Fillings = {}
     panels = [
         _panel(mesh, number, loop[thinned.kept[mesh.uv_vertex[loop]]], known) for number, loop in border.loops.items()
     ]
@@ -189,9 +189,7 @@ class _Panel:
     faces: Int[np.ndarray, "f 3"]
 
 
-def _panel(
-    mesh: BoxMesh, number: int, rows: Int[np.ndarray, " n"], known: dict[tuple[bytes, float], Filling]
-) -> _Panel:
+def _panel(mesh: BoxMesh, number: int, rows: Int[np.ndarray, " n"], known: Fillings) -> _Panel:
     border = mesh.uv[rows]
     if len(rows) < 3 or not shapely.Polygon(border).is_valid:
         raise MeshError(f"panel {mesh.panel_names[number]} is too narrow for half its points")

@@ -19,7 +19,7 @@ from scipy.spatial.distance import cdist
 from gcd_dataset.generator.mesh.flips import has_segments, restore_segments
 from gcd_dataset.generator.mesh.lattice import Lattice, build_lattice
 
-__all__ = ["Filling", "fill_outline", "triangulate"]
+__all__ = ["Filling", "Fillings", "fill_outline", "triangulate"]
 
 LONGEST = 1.43  # spacings: the bound on an edge of GarmentCode's boxmeshgen.py
 SHARPEST = np.radians(25.0)  # the angle refinement aims at; it is sure to end up to 20.7° (Ruppert)
@@ -33,14 +33,15 @@ NUDGE = 1e-6  # spacings by which points stand aside while Qhull looks at them
 Filling: TypeAlias = tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]
 """Points [cm] and triangles."""
 
+Fillings: TypeAlias = dict[tuple[bytes, float], Filling]
+"""Seeds and triangles of outlines, by the bytes of their points and the spacing."""
 
-def fill_outline(
-    border: Float[np.ndarray, "n 2"], spacing: float, known: dict[tuple[bytes, float], Filling]
-) -> Filling:
+
+def fill_outline(border: Float[np.ndarray, "n 2"], spacing: float, known: Fillings) -> Filling:
     """Points of a closed loop, then seeds inside it [cm], and triangles that run round as the loop does.
 
     A clockwise loop is filled as its mirror image, so that a back has the mesh of the front it mirrors; ``known``: the
-    outlines that have been filled, since a left panel mostly is the right one's mirror image to the last bit. Raises
+    outlines that have been filled, since a left panel often is the right one's mirror image to the last bit. Raises
     ``MeshError`` as ``triangulate`` does.
     """
     mirror = np.array([1.0 if shapely.LinearRing(border).is_ccw else -1.0, 1.0])
