@@ -9,6 +9,7 @@ from torch import Tensor
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Item
+from gcd_dataset.loaders.one_thread import pinned
 from gcd_dataset.tensors import EdgeColumn, StitchColumn
 
 __all__ = ["POINTS_TO", "RAGGED", "WHOLE", "PackedBatch", "PaddedBatch", "starts_of"]
@@ -74,7 +75,7 @@ class _Batch(dict[str, Any]):
 
     def pin_memory(self) -> Self:
         """The batch with its tensors in memory that a GPU copies from by itself."""
-        return self._each(lambda tensor: tensor.pin_memory())
+        return self._each(pinned)
 
     def _each(self, change: Callable[[Tensor], Tensor]) -> Self:
         changed = {name: change(value) if isinstance(value, Tensor) else value for name, value in self.items()}

@@ -12,6 +12,7 @@ from torch import Tensor
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, WHOLE, PackedBatch, PaddedBatch, starts_of
+from gcd_dataset.loaders.one_thread import add, fill, join
 from gcd_dataset.shards.room import room_for
 
 __all__ = ["collate_list", "collate_packed", "collate_padded"]
@@ -96,9 +97,9 @@ def _packed(values: list[Tensor], counts: list[int], batch: PackedBatch, field: 
     rows = _room((sum(counts), *values[0].shape[1:]), values[0])
     if starts and starts[0][0] == WHOLE:  # in one go: these are the largest
         for value, start, part in zip(values, starts[0][1].tolist(), torch.split(rows, counts), strict=False):
-            _add(value, start, part)
+            add(value, start, part)
         return rows
-    _join(values, rows)
+    join(values, rows)
     for column, start in starts:
         raised = start[:-1].to(rows.dtype).repeat_interleave(torch.tensor(counts), output_size=len(rows))
         part = rows[:, column]
@@ -117,10 +118,10 @@ def _padded(values: list[Tensor], field: str, count: int | None) -> tuple[Tensor
     rows = _room((len(values), longest, *values[0].shape[1:]), values[0])
     nothing = 0 if values[0].is_floating_point() else -1
     for value, place in zip(values, rows, strict=True):
-        place[: len(value)] = value
-        place[len(value) :] = nothing
-    mask = torch.arange(longest) < torch.tensor(lengths)[:, None]
-    return rows, mask.to(values[0].device)
+        join([value], place[: len(value)])
+        fill(place[len(value) :], nothing)
+    mask = np.arange(longest) < np.array(lengths)[:, None]
+    return rows, torch.from_numpy(mask).to(values[0].device)
 
 
 def _together(values: list[Any]) -> Any:
@@ -128,33 +129,9 @@ def _together(values: list[Any]) -> Any:
     first = values[0]
     if all(isinstance(value, Tensor) and value.shape == first.shape for value in values):
         batch = _room((len(values), *first.shape), first)
-        _join([value[None] for value in values], batch)
+        join([value[None] for value in values], batch)
         return batch
     return values
-
-
-# By numpy, which has one thread: those of torch keep on turning for a while after each call, in the way of workers that
-# make garments.
-
-
-def _join(values: Sequence[Tensor], out: Tensor) -> None:
-    """Put values of one type one below the other."""
-    if _in_numpy(out):
-        np.concatenate([value.detach().numpy() for value in values], out=out.numpy())
-    else:
-        torch.cat(list(values), out=out)
-
-
-def _add(value: Tensor, start: int, out: Tensor) -> None:
-    """Put whole numbers raised by ``start`` there."""
-    if _in_numpy(out):
-        np.add(value.numpy(), start, out=out.numpy())
-    else:
-        torch.add(value, start, out=out)
-
-
-def _in_numpy(out: Tensor) -> bool:
-    return out.device.type == "cpu" and out.dtype is not torch.bfloat16
 
 
 def _room(shape: Sequence[int], like: Tensor) -> Tensor:

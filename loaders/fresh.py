@@ -12,6 +12,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, Item, natural
+from gcd_dataset.loaders.one_thread import copied
 from gcd_dataset.loaders.transforms import Augment
 from gcd_dataset.loaders.worker import begin_worker
 from gcd_dataset.seeding import Stage, rng
@@ -124,7 +125,7 @@ def _own(item: Any) -> Any:
     """The item in memory of this process: a container has 64 MB that workers can share, if nobody asks for more."""
     if not isinstance(item, dict):  # a transform has made something else of it
         return item
-    return {name: value.clone() if isinstance(value, torch.Tensor) else value for name, value in item.items()}
+    return {name: copied(value) if isinstance(value, torch.Tensor) else value for name, value in item.items()}
 
 
 class _Share(IterableDataset[list[Item]]):

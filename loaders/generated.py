@@ -18,6 +18,7 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.last_design import LastDesign
 from gcd_dataset.generator.pipeline import make_many
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
+from gcd_dataset.loaders.ahead import made_ahead
 from gcd_dataset.loaders.base import Garments, Transform, natural
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
@@ -30,7 +31,11 @@ Stage = Literal["pattern", "mesh", "drape"]
 
 logger = logging.getLogger("gcd_dataset")
 
-AHEAD = 16  # garments of a stream that are made at a time, in each process
+# Of a stream, in each process. One that fails is draped again: those after it go on meanwhile, or the draper would
+# stand idle. More at once would wait there for each other.
+AT_ONCE = 8  # designs that are draped
+AHEAD = 48  # garments that may be begun before the first of them is done
+READY = 16  # garments that may be done before the first of them is taken
 
 
 class GeneratedGarments(Garments):
@@ -140,11 +145,11 @@ class GeneratedGarments(Garments):
         positions = (self._position(index) for index in indices)
         if self._place is None:
             return (self._item(self._several([position])[0]) for position in positions)
-        return (self._item(members) for members in self._by_draper(positions, AHEAD))
+        return map(self._item, made_ahead(self._by_draper(positions, AHEAD, AT_ONCE), READY))
 
     def _several(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
         if self._apart:
-            return list(self._by_draper(positions, len(positions)))
+            return list(self._by_draper(positions, len(positions), len(positions)))
         there = {position: self._known(position) for position in positions}
         missing = [position for position, members in there.items() if members is None]
         made = (
@@ -154,7 +159,7 @@ class GeneratedGarments(Garments):
         )
         return [there[position] or made[position] for position in positions]
 
-    def _by_draper(self, positions: Iterable[int], ahead: int) -> Iterator[Mapping[str, Bytes]]:
+    def _by_draper(self, positions: Iterable[int], ahead: int, at_once: int) -> Iterator[Mapping[str, Bytes]]:
         assert self._place is not None
         return make_ahead(
             self._seed,
@@ -162,6 +167,7 @@ class GeneratedGarments(Garments):
             self.config,
             self._place,
             ahead=ahead,
+            at_once=at_once,
             known=self._known,
             finished=self._encoded,
             last=self._last,

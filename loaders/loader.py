@@ -1,8 +1,6 @@
 """Batches of garments that a training run, stopped at any moment, goes on with: nothing lost, nothing repeated."""
 
-from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sized
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, nullcontext
 from functools import partial
 from typing import Any, cast
@@ -11,6 +9,7 @@ import torch
 from torch.utils.data import Dataset, IterableDataset
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.loaders.ahead import made_ahead
 from gcd_dataset.loaders.base import Garments, natural
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
@@ -21,7 +20,6 @@ __all__ = ["GarmentLoader"]
 Collate = Callable[[list[Any]], Any]
 
 AHEAD = 2  # batches
-END = object()
 
 
 class GarmentLoader:
@@ -143,11 +141,4 @@ def _ahead(batches: Iterator[Any]) -> Generator[Any]:
     """The same, made by a thread while the caller is at work."""
     # A thread starts on the first GPU, and pinning memory there would take some of it from another rank.
     gpu = torch.cuda.current_device() if torch.cuda.is_initialized() else None  # type: ignore[no-untyped-call]
-    thread = ThreadPoolExecutor(1, initializer=None if gpu is None else partial(torch.cuda.set_device, gpu))
-    try:
-        waiting: deque[Future[Any]] = deque(thread.submit(next, batches, END) for _ in range(AHEAD))
-        while (batch := waiting.popleft().result()) is not END:
-            waiting.append(thread.submit(next, batches, END))
-            yield batch
-    finally:
-        thread.shutdown(cancel_futures=True)
+    return made_ahead(batches, AHEAD, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True)

@@ -102,7 +102,7 @@ def _own_rate(garments: GeneratedGarments, options: argparse.Namespace) -> float
     jobs = [DrapeJob(worn.box_mesh, worn.body, worn.size, coarse=worn.coarse) for worn in prepared if worn.box_mesh]
     with Asking(place_for(config.device)) as asking:
         orders = (Order(number, _on_another(job, number)) for number, job in enumerate(cycle(jobs)))
-        for order in islice(orders, 256):  # twice what it drapes at a time
+        for order in islice(orders, 256):  # more than it drapes at a time
             asking.ask(order)
         for order in islice(orders, options.warm):
             asking.answer()

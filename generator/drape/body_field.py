@@ -8,6 +8,7 @@ import hashlib
 import threading
 import weakref
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Self
@@ -18,10 +19,10 @@ import warp as wp
 from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.generator.body.holes import Skin
-from gcd_dataset.generator.drape.kernels.field import fill_field
+from gcd_dataset.generator.drape.kernels.field import BLOCK, Voxels, fill_fields, measure_blocks
 from gcd_dataset.records import Body, BodyPart
 
-__all__ = ["AXES", "FOREARM", "BodyField", "HostField", "body_field"]
+__all__ = ["AXES", "FOREARM", "BodyField", "HostField", "body_field", "body_fields"]
 
 CELL = 1.0  # cm; the field's error is about cell² / (8 × radius): 0.04 cm on a wrist
 BAND = 4.0  # cm outside the skin in which distances are exact
@@ -63,18 +64,29 @@ class BodyField:
     """The skin without what is internal, in cm."""
 
 
-def body_field(body: Body, device: str, host: "HostField | None" = None) -> BodyField:
-    """The field of a body on a device; made once for each body, from ``host`` if given, and kept while it is in use."""
-    skin, shape = _digests(body)
-    key = (device, skin + shape)
-    field = _in_use.get(key)
-    if field is None:
-        field = _in_use[key] = _make_field(host or HostField.of(body), device)
-    _kept[key] = field
-    _kept.move_to_end(key)
-    if len(_kept) > KEPT:
+def body_field(body: Body, device: str) -> BodyField:
+    """The field of a body on a device."""
+    return body_fields([body], device)[0]
+
+
+def body_fields(
+    bodies: Sequence[Body], device: str, hosts: "Sequence[HostField | None] | None" = None
+) -> tuple[BodyField, ...]:
+    """The fields of bodies on a device: made once for each body, from ``hosts`` where given, and kept while in use."""
+    keys = [(device, b"".join(_digests(body))) for body in bodies]
+    fields = {key: field for key in keys if (field := _in_use.get(key)) is not None}
+    missing = {
+        key: host or HostField.of(body)
+        for key, body, host in zip(keys, bodies, hosts or [None] * len(bodies), strict=True)
+        if key not in fields
+    }
+    fields |= zip(missing, _make_fields(list(missing.values()), device), strict=True)
+    for key in keys:
+        _in_use[key] = _kept[key] = fields[key]
+        _kept.move_to_end(key)
+    while len(_kept) > KEPT:
         _kept.popitem(last=False)
-    return field
+    return tuple(fields[key] for key in keys)
 
 
 @dataclass(frozen=True)
@@ -168,24 +180,29 @@ def _skin(digest: bytes, body: Body) -> _KnownSkin:
         return _skins[digest]
 
 
-def _make_field(host: HostField, device: str) -> BodyField:
-    mesh = wp.Mesh(
-        points=wp.array(host.points, dtype=wp.vec3, device=device),
-        indices=wp.array(host.triangles, dtype=int, device=device),
-        support_winding_number=True,
-    )
-    distance = wp.empty(host.shape, dtype=float, device=device)
-    part = wp.zeros(host.shape, dtype=wp.uint8, device=device)
-    parts = wp.array(host.parts, dtype=wp.uint8, device=device)
-    wp.launch(
-        fill_field,
-        dim=host.shape,
-        inputs=[mesh.id, parts, wp.vec3(*host.low), CELL, BAND, host.patched],
-        outputs=[distance, part],
-        device=device,
-    )
-    x, y, z = host.low.tolist()
-    return BodyField(distance, part, (x, y, z), CELL, host.axes, mesh)
+def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
+    """All in one launch each of two kernels."""
+    if not hosts:
+        return []
+    triangles = {id(host.triangles): wp.array(host.triangles, dtype=int, device=device) for host in hosts}
+    voxels, made = [], []
+    for host in hosts:
+        points = wp.array(host.points, dtype=wp.vec3, device=device)
+        mesh = wp.Mesh(points=points, indices=triangles[id(host.triangles)], support_winding_number=True)
+        entry = Voxels()
+        entry.mesh, entry.low, entry.patched_above = mesh.id, wp.vec3(*host.low), host.patched
+        entry.face_parts = wp.array(host.parts, dtype=wp.uint8, device=device)
+        entry.blocks = wp.empty([-(-size // int(BLOCK)) for size in host.shape], dtype=wp.vec4, device=device)
+        entry.distance = wp.empty(host.shape, dtype=float, device=device)
+        entry.part = wp.zeros(host.shape, dtype=wp.uint8, device=device)
+        voxels.append(entry)
+        x, y, z = host.low.tolist()
+        made.append(BodyField(entry.distance, entry.part, (x, y, z), CELL, host.axes, mesh))
+    bodies = wp.array(voxels, dtype=Voxels, device=device)
+    most = max(entry.blocks.size for entry in voxels)
+    for kernel, threads in ((measure_blocks, most), (fill_fields, most * int(BLOCK) ** 3)):
+        wp.launch(kernel, dim=(len(hosts), threads), inputs=[bodies, CELL, BAND], device=device)
+    return made
 
 
 def _axes(points: Float[np.ndarray, "w 3"], known: _KnownSkin) -> Float[np.ndarray, "2 axes 3"]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from gcd_dataset.generator.drape.body_field import BodyField, HostField, body_field
+from gcd_dataset.generator.drape.body_field import BodyField, HostField, body_fields
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.holds import Wear
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
@@ -74,8 +74,7 @@ def build_model(
     jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
     worn = worn or [Wear.of(job) for job in jobs]
     topology = build_topology(jobs, [wear.keepers for wear in worn], device)
-    hosts = fields or [None] * len(jobs)
-    bodies = tuple(body_field(job.body, device, host) for job, host in zip(jobs, hosts, strict=True))
+    bodies = body_fields([job.body for job in jobs], device, fields)
     field, offsets, parts = _join_fields(bodies, device)
     steps = _time_steps(topology)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0) for k, job in enumerate(jobs)]

@@ -26,18 +26,21 @@ def make_ahead(
     *,
     ahead: int,
     finished: Callable[[Sample], Made],
+    at_once: int | None = None,
     known: Callable[[int], Made | None] = lambda index: None,
     last: LastDesign | None = None,
     pictured: bool = True,
 ) -> Iterator[Made]:
     """What ``finished`` makes of the samples of ``indices``, which may be endless, in order: those of ``make_many``.
 
-    Up to ``ahead`` of them are in work at a time. ``known``: what there is already of an index, which is not made then.
-    ``last`` and ``pictured``: as for ``make_many``.
-    ``place`` belongs to ``config.device``. Raises ``PatternError`` as ``make_many`` does, ``DrapeError`` where the
-    draper is no more.
+    Up to ``ahead`` of them are begun before the first is handed out, up to ``at_once`` designs draped at a time.
+    ``known``: what there is already of an index, which is not made then. ``last`` and ``pictured``: as for
+    ``make_many``. ``place`` belongs to ``config.device``. Raises ``PatternError`` as ``make_many`` does, ``DrapeError``
+    where the draper is no more.
     """
-    in_work = _InWork(seed, iter(indices), config, ahead, finished, known, last or LastDesign(), pictured)
+    in_work = _InWork(
+        seed, iter(indices), config, ahead, at_once or ahead, finished, known, last or LastDesign(), pictured
+    )
     with Asking(place) as asking:
         yield from in_work.all(asking)
 
@@ -51,36 +54,45 @@ class _InWork(Generic[Made]):
         indices: Iterator[int],
         config: MakeConfig,
         ahead: int,
+        at_once: int,
         finished: Callable[[Sample], Made],
         known: Callable[[int], Made | None],
         last: LastDesign,
         pictured: bool,
     ) -> None:
-        self._seed, self._indices, self._config, self._ahead = seed, indices, config, ahead
+        self._seed, self._indices, self._config = seed, indices, config
+        self._ahead, self._at_once = ahead, at_once
         self._finished, self._known, self._last, self._pictured = finished, known, last, pictured
         self._order: deque[int] = deque()
         self._asked: Counter[int] = Counter()
         self._designs: dict[int, DressedDesign] = {}
         self._draped: dict[int, dict[int, Draped]] = {}
         self._done: dict[int, Made] = {}
+        self._ended = False
 
     def all(self, asking: Asking) -> Iterator[Made]:
         """All of them, in order."""
-        ended = False
         while True:
-            while self._order and self._order[0] in self._done:
-                yield self._handed_out()
-            if not ended and len(self._order) < self._ahead:
-                index = next(self._indices, None)
-                ended = index is None
-                if index is not None:
-                    self._begin(index, asking)
-            elif not self._order:
-                return
-            else:
-                self._take(asking.answer(), asking)
             while self._designs and asking.answered():
                 self._take(asking.answer(), asking)
+            # Before one is handed out: nothing goes on here until the next is asked for.
+            begun = self._begin_next(asking)
+            if self._order and self._order[0] in self._done:
+                yield self._handed_out()
+            elif not self._order:
+                return
+            elif not begun:
+                self._take(asking.answer(), asking)
+
+    def _begin_next(self, asking: Asking) -> bool:
+        """Begin one more if there is room for it; whether that was done."""
+        if self._ended or len(self._order) >= self._ahead or len(self._designs) >= self._at_once:
+            return False
+        index = next(self._indices, None)
+        self._ended = index is None
+        if index is not None:
+            self._begin(index, asking)
+        return index is not None
 
     def _begin(self, index: int, asking: Asking) -> None:
         """Have a sample's design draped, unless that is under way or done."""
@@ -97,7 +109,7 @@ class _InWork(Generic[Made]):
         else:
             self._send(prepare(self._seed, number, self._config), asking)
 
-    def _send(self, design: DressedDesign, asking: Asking) -> None:
+    def _send(self, design: DressedDesign, asking: Asking, *, again: bool = False) -> None:
         from gcd_dataset.generator.drape import DrapeJob, fabric_named
 
         fabric = fabric_named(self._config.fabric)
@@ -105,7 +117,7 @@ class _InWork(Generic[Made]):
         for worn in design.dressed:
             assert worn.box_mesh is not None  # the stage is "drape"
             job = DrapeJob(worn.box_mesh, worn.body, worn.size, fabric, worn.coarse)
-            asking.ask(Order(worn.index, job, self._config.picture if self._pictured else 0))
+            asking.ask(Order(worn.index, job, self._config.picture if self._pictured else 0, again))
 
     def _take(self, answer: Draped, asking: Asking) -> None:
         """Finish the samples of a design when all of its wearers are draped, or try the next design."""
@@ -117,7 +129,7 @@ class _InWork(Generic[Made]):
         del self._designs[number], self._draped[number]
         failed = turned_down(design, [draped[worn.index].drape for worn in design.dressed], self._config)
         if failed is not None:
-            self._send(prepare(self._seed, number, self._config, failed.rejects), asking)
+            self._send(prepare(self._seed, number, self._config, failed.rejects), asking, again=True)
             return
         made = MadeDesign(number, partial(_sample, design, draped, self._config, self._pictured))
         for worn in design.dressed:

@@ -28,6 +28,8 @@ class Order:
     job: "DrapeJob"
     picture: int = 0
     """Side of the pictures to be taken [pixels]; 0 for none."""
+    again: bool = False
+    """Another try, for which those after it wait: it comes before all that are no other try."""
 
 
 @dataclass(frozen=True)

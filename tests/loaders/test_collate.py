@@ -1,5 +1,8 @@
 """Ragged garments in one batch: every row number still means what it meant alone."""
 
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -8,6 +11,7 @@ from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import FakeGarments, PackedBatch, PaddedBatch, collate_list, collate_packed, collate_padded
+from gcd_dataset.loaders.one_thread import copied
 from gcd_dataset.tensors import EdgeColumn
 
 B = 5
@@ -197,3 +201,38 @@ def test_what_a_transform_adds_comes_along() -> None:
         assert batch["name"] == B * ["x"]
         assert batch["weight"].tolist() == B * [2.0]
         assert [len(mask) for mask in batch["mask"]] == [len(item["verts"]) for item in items]
+
+
+ONE_THREAD = """
+import os, torch
+from gcd_dataset.loaders import collate_packed, collate_padded
+from gcd_dataset.loaders.one_thread import copied
+
+def threads():
+    return len(os.listdir("/proc/self/task"))
+
+torch.set_num_threads(4)
+rows = [10**6, 10**5]
+items = [{"verts": torch.empty(n, 3), "faces": torch.empty(n, 3, dtype=torch.int32)} for n in rows]
+more, before = [{"points": torch.empty(10**6, 6)}] * 2, threads()
+collate_packed([{name: copied(value) for name, value in item.items()} for item in items])
+collate_packed(more), collate_padded(items)
+assert threads() == before, "others have helped"
+more[0]["points"].clone()
+assert threads() > before, "torch has no other threads: nothing was tested"
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the system does not tell of threads")
+def test_large_arrays_are_put_together_by_one_thread() -> None:
+    """Those of torch stay awake for a while after each call, in the way of workers that make garments."""
+    done = subprocess.run([sys.executable, "-c", ONE_THREAD], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_copies_have_memory_of_their_own() -> None:
+    for value in (torch.rand(3, 4), torch.rand(3, 4).T, torch.rand(3).bfloat16(), torch.zeros(0, 3, dtype=torch.int32)):
+        copy = copied(value)
+        assert same(copy, value)
+        assert copy.dtype == value.dtype
+        assert not len(value) or copy.data_ptr() != value.data_ptr()

@@ -145,6 +145,72 @@ def test_a_drape_that_fails_raises_the_attempt(monkeypatch: pytest.MonkeyPatch) 
     assert told == {number: 1 + len(reasons) for number, reasons in enumerate(rejects)}
 
 
+def test_while_one_is_draped_for_long_those_after_it_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many at once, and as far ahead, as was asked for; the first is answered when nothing else is under way."""
+    asked, answered, most = set[int](), set[int](), []
+    ask, answer = Asking.ask, Asking.answer
+    slow: list[Draped] = []
+
+    def noted(asking: Asking, order: Order) -> None:
+        asked.add(order.number)
+        most.append(len(asked - answered))
+        ask(asking, order)
+
+    def first_last(asking: Asking) -> Draped:
+        if slow and asked - answered == {0}:
+            given = slow.pop()
+        else:
+            given = answer(asking)
+            if given.number == 0 and asked - answered != {0}:
+                slow.append(given)
+                return first_last(asking)
+        answered.add(given.number)
+        if given.number == 0:
+            assert asked == {0, 1, 2, 3, 4}
+        return given
+
+    monkeypatch.setattr(Asking, "ask", noted)
+    monkeypatch.setattr(Asking, "answer", first_last)
+    monkeypatch.setattr(Asking, "answered", lambda asking: False)
+    config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS, on_fail="keep")
+    made = make_ahead(5, range(8), config, place_for("cpu"), ahead=5, at_once=3, finished=lambda sample: sample.key)
+    assert list(made) == [sample_key(index) for index in range(8)]
+    assert max(most) == 3
+
+
+def test_the_draper_has_something_to_do_while_one_is_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though all that was asked for has been answered before."""
+    under_way, ask, answer = set[int](), Asking.ask, Asking.answer
+
+    def noted(asking: Asking, order: Order) -> None:
+        under_way.add(order.number)
+        ask(asking, order)
+
+    def taken(asking: Asking) -> Draped:
+        given = answer(asking)
+        under_way.discard(given.number)
+        return given
+
+    monkeypatch.setattr(Asking, "ask", noted)
+    monkeypatch.setattr(Asking, "answer", taken)
+    monkeypatch.setattr(Asking, "answered", lambda asking: bool(under_way))
+    config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS, on_fail="keep")
+    made = make_ahead(5, range(4), config, place_for("cpu"), ahead=3, finished=lambda sample: sample.key)
+    assert [bool(under_way) for _ in made] == [True, True, True, False]
+
+
+def test_what_fails_is_draped_again_before_others() -> None:
+    """Those after it wait for it."""
+    inbox, (ours, theirs) = Inbox(), multiprocessing.Pipe()
+    asker = Asker(ours, inbox)
+    one = order(0)
+    for number, again in enumerate([False, False, True, False]):
+        inbox.put(asker, replace(one, number=number, again=again))
+    taken = [inbox._taken() for _ in range(4)]
+    assert [entry and entry[1].number for entry in taken] == [2, 0, 1, 3]
+    theirs.close()
+
+
 def order(number: int, resolution: float = 10.0) -> Order:
     config = MakeConfig(resolution=resolution, device="cpu", design=SKIRTS)
     [worn] = prepare(5, 0, config).dressed

@@ -1,41 +1,112 @@
-"""Fill a body's signed-distance field, and the part of the body nearest to every voxel."""
+"""Fill the signed-distance fields of bodies, and the part of the body nearest to every voxel.
+
+All bodies in one launch: a body alone is waited for longer than it is worked at, on a GPU.
+"""
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+BLOCK = wp.constant(4)  # voxels along a side
+HALF_BLOCK = wp.constant(2.6)  # voxels from the centre of a block to that of its furthest voxel, and a trifle
+ANYWHERE = wp.constant(1.0e3)  # cm
+TRIFLE = wp.constant(1.0e-3)  # cm
+NEAR, INSIDE, OUTSIDE = wp.constant(0.0), wp.constant(1.0), wp.constant(2.0)
+
+
+@wp.struct
+class Voxels:
+    """The voxels of one body."""
+
+    mesh: wp.uint64
+    face_parts: wp.array(dtype=wp.uint8)
+    low: wp.vec3
+    """Centre of the first [cm]."""
+    patched_above: float
+    """Height above which openings of the skin were closed [cm]."""
+    blocks: wp.array3d(dtype=wp.vec4)
+    """The skin nearest to the centre of each block of voxels [cm], than which none of these need search further.
+
+    Then ``NEAR``, or where in a block no voxel is within the band of the skin ``INSIDE`` or ``OUTSIDE``.
+    """
+    distance: wp.array3d(dtype=float)
+    """From the skin to the centre of each voxel [cm], negative inside."""
+    part: wp.array3d(dtype=wp.uint8)
+    """Of the nearest skin."""
+
+
+@wp.func
+def in_body(mesh: wp.uint64, p: wp.vec3):
+    """Whether the skin above a point is seen from behind."""
+    up = wp.vec3(0.0, 1.0, 0.0)
+    skin = wp.mesh_query_ray(mesh, p, up, 1.0e4)
+    return skin.result and wp.dot(skin.normal, up) >= 0.0
+
+
+@wp.func
+def place(number: int, rows: int, columns: int):
+    """Of an entry of an array with so many rows and columns."""
+    return wp.vec3i(number // (rows * columns), (number // columns) % rows, number % columns)
+
 
 @wp.kernel
-def fill_field(
-    mesh: wp.uint64,
-    face_parts: wp.array(dtype=wp.uint8),
-    origin: wp.vec3,
-    cell: float,
-    band: float,
-    patched_above: float,
-    # out
-    distance: wp.array3d(dtype=float),
-    part: wp.array3d(dtype=wp.uint8),
-):
-    """Signed distance [cm] of every voxel's centre: exact inside and up to ``band`` outside, ``band`` beyond.
-
-    Above ``patched_above`` openings of the skin were closed.
-    """
-    i, j, k = wp.tid()
-    p = origin + cell * wp.vec3(float(i), float(j), float(k))
-    near = wp.mesh_query_point_sign_normal(mesh, p, band)
-    sign = near.sign
-    if near.result and p[1] > patched_above:
-        # Behind lips, where patched skin folds back on itself, normals tell the wrong side; winding numbers cost more.
-        winding = wp.mesh_query_point_sign_winding_number(mesh, p, band)
-        sign = winding.sign
+def measure_blocks(bodies: wp.array(dtype=Voxels), cell: float, band: float):
+    """Fill ``blocks``."""
+    b, number = wp.tid()
+    body = bodies[b]
+    at = place(number, body.blocks.shape[1], body.blocks.shape[2])
+    if at[0] >= body.blocks.shape[0]:
+        return
+    middle = wp.vec3(float(at[0]), float(at[1]), float(at[2])) + wp.vec3(0.5 - 0.5 / float(BLOCK))
+    p = body.low + (cell * float(BLOCK)) * middle
+    near = wp.mesh_query_point_no_sign(body.mesh, p, band + HALF_BLOCK * cell)
+    where = NEAR
     if not near.result:
-        upwards = wp.mesh_query_ray(mesh, p, wp.vec3(0.0, 1.0, 0.0), 1.0e4)
-        if not upwards.result or wp.dot(upwards.normal, wp.vec3(0.0, 1.0, 0.0)) < 0.0:
-            distance[i, j, k] = band
+        if not in_body(body.mesh, p):
+            body.blocks[at[0], at[1], at[2]] = wp.vec4(0.0, 0.0, 0.0, OUTSIDE)
             return
-        near = wp.mesh_query_point_no_sign(mesh, p, 1.0e3)
-        sign = -1.0
-    skin = wp.mesh_eval_position(mesh, near.face, near.u, near.v)
-    distance[i, j, k] = sign * wp.length(p - skin)
-    part[i, j, k] = face_parts[near.face]
+        near = wp.mesh_query_point_no_sign(body.mesh, p, ANYWHERE)
+        where = INSIDE
+    skin = wp.mesh_eval_position(body.mesh, near.face, near.u, near.v)
+    body.blocks[at[0], at[1], at[2]] = wp.vec4(skin[0], skin[1], skin[2], where)
+
+
+@wp.kernel
+def fill_fields(bodies: wp.array(dtype=Voxels), cell: float, band: float):
+    """Fill ``distance``, exact inside and up to ``band`` outside, ``band`` beyond, and ``part`` where it is exact.
+
+    ``number`` counts the voxels of a block, then the blocks: threads side by side search the same skin.
+    """
+    b, number = wp.tid()
+    body = bodies[b]
+    in_block = place(number % (BLOCK * BLOCK * BLOCK), BLOCK, BLOCK)
+    block_at = place(number // (BLOCK * BLOCK * BLOCK), body.blocks.shape[1], body.blocks.shape[2])
+    at = BLOCK * block_at + in_block
+    if at[0] >= body.distance.shape[0] or at[1] >= body.distance.shape[1] or at[2] >= body.distance.shape[2]:
+        return
+    block = body.blocks[block_at[0], block_at[1], block_at[2]]
+    if block[3] == OUTSIDE:
+        body.distance[at[0], at[1], at[2]] = band
+        return
+    p = body.low + cell * wp.vec3(float(at[0]), float(at[1]), float(at[2]))
+    reach = wp.length(p - wp.vec3(block[0], block[1], block[2])) + TRIFLE
+    sign = -1.0
+    if block[3] == INSIDE:
+        near = wp.mesh_query_point_no_sign(body.mesh, p, reach)
+    else:
+        near = wp.mesh_query_point_sign_normal(body.mesh, p, wp.min(reach, band))
+        sign = near.sign
+        if near.result and p[1] > body.patched_above:
+            # Behind lips, where patched skin folds back on itself, normals tell the wrong side; winding numbers cost
+            # more.
+            winding = wp.mesh_query_point_sign_winding_number(body.mesh, p, wp.min(reach, band))
+            sign = winding.sign
+        if not near.result:
+            if not in_body(body.mesh, p):
+                body.distance[at[0], at[1], at[2]] = band
+                return
+            near = wp.mesh_query_point_no_sign(body.mesh, p, reach)
+            sign = -1.0
+    skin = wp.mesh_eval_position(body.mesh, near.face, near.u, near.v)
+    body.distance[at[0], at[1], at[2]] = sign * wp.length(p - skin)
+    body.part[at[0], at[1], at[2]] = body.face_parts[near.face]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gcd_dataset.generator.body import build_body, neutral_shape, read_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.body_field import body_field
+from gcd_dataset.generator.drape.body_field import body_field, body_fields
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
 from gcd_dataset.generator.drape.solver import Solver
@@ -55,6 +55,25 @@ def test_the_field_of_a_ball_is_the_distance_to_it(radius: float) -> None:
     near = expected < 3.0
     assert np.abs(values - expected)[near].max() < 0.02 * radius
     assert (values[~near] > 2.5).all()
+
+
+def test_fields_made_together_are_those_made_alone() -> None:
+    """The long, the flat and the round, of which one comes twice."""
+    extents = ((3.0, 70.0, 4.0), (41.0, 2.3, 23.0), (31.0, 30.0, 29.0))
+    bodies = [body_from(trimesh.creation.box(extents).subdivide().subdivide()) for extents in extents]
+    together = body_fields([*bodies, bodies[0]], "cpu")
+    assert together[3] is together[0]
+    for body, field in zip(bodies, together, strict=False):
+        same = replace(body, vertices=body.vertices.copy())
+        assert body_field(same, "cpu") is field
+        low, high = field.origin, np.add(field.origin, np.subtract(field.distance.shape, 1))
+        assert (low < body.vertices.min(axis=0) - 4.0).all()
+        assert (high > body.vertices.max(axis=0) + 4.0).all()
+        # Of a box that is known at every voxel.
+        at = np.stack(np.meshgrid(*(np.arange(n) for n in field.distance.shape), indexing="ij"), axis=-1) + low
+        off = np.abs(at) - np.ptp(body.vertices, axis=0) / 2
+        expected = np.linalg.norm(np.maximum(off, 0.0), axis=-1) + np.minimum(off.max(axis=-1), 0.0)
+        assert np.abs(field.distance.numpy() - np.minimum(expected, 4.0)).max() < 1e-3
 
 
 def test_what_lies_inside_a_body_changes_nothing_of_its_field() -> None:

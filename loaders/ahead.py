@@ -1,0 +1,47 @@
+"""Items made by a thread before they are asked for."""
+
+import threading
+from collections.abc import Callable, Generator, Iterator
+from queue import SimpleQueue
+from typing import TypeVar
+
+__all__ = ["made_ahead"]
+
+Made = TypeVar("Made")
+
+
+def made_ahead(
+    items: Iterator[Made], count: int, *, begin: Callable[[], None] | None = None, wait: bool = False
+) -> Generator[Made]:
+    """The same items, up to ``count`` of them made by a thread while the caller is at work.
+
+    ``begin`` is called first in the thread. Closed before its end, the thread ends after the item that it is making,
+    which is waited for with ``wait``. An error of ``items`` comes after those before it.
+    """
+    room, made, closed = threading.Semaphore(count), SimpleQueue[tuple[Made | None, Exception | None]](), False
+
+    def make() -> None:
+        try:
+            if begin is not None:
+                begin()
+            while room.acquire() and not closed:
+                made.put((next(items), None))
+        except Exception as error:  # noqa: BLE001 - raised where the items are taken
+            made.put((None, error))
+
+    thread = threading.Thread(target=make, daemon=True)
+    thread.start()
+    try:
+        while True:
+            item, error = made.get()
+            if isinstance(error, StopIteration):
+                return
+            if error is not None:
+                raise error
+            room.release()
+            yield item  # type: ignore[misc]
+    finally:
+        closed = True
+        room.release()
+        if wait:
+            thread.join()

@@ -1,0 +1,76 @@
+"""Items that a thread makes before they are taken."""
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from gcd_dataset.loaders.ahead import made_ahead
+
+
+def test_no_more_are_made_than_asked_for() -> None:
+    taken, ahead = 0, []
+
+    def items() -> Iterator[int]:
+        for number in range(50):
+            ahead.append(number + 1 - taken)
+            yield number
+
+    for number, item in enumerate(made_ahead(items(), 3)):
+        assert item == number
+        taken = number + 1
+    assert taken == 50
+    assert max(ahead) <= 3 + 1  # the one that is taken has made room
+
+
+def test_they_are_made_before_they_are_taken() -> None:
+    third = threading.Event()
+
+    def items() -> Iterator[int]:
+        yield from (0, 1)
+        third.set()
+        yield 2
+
+    ahead = made_ahead(items(), 3)
+    assert next(ahead) == 0
+    assert third.wait(60)
+    assert list(ahead) == [1, 2]
+
+
+def test_an_error_comes_after_those_before_it() -> None:
+    def items() -> Iterator[int]:
+        yield from (0, 1)
+        raise ValueError("the third")
+
+    ahead = made_ahead(items(), 8)
+    assert [next(ahead), next(ahead)] == [0, 1]
+    with pytest.raises(ValueError, match="the third"):
+        next(ahead)
+
+
+@pytest.mark.parametrize("wait", [False, True])
+def test_the_thread_ends_when_nobody_takes_more(wait: bool) -> None:
+    threads: list[threading.Thread] = []
+
+    def items() -> Iterator[int]:
+        threads.append(threading.current_thread())
+        while True:
+            yield 0
+
+    ahead = made_ahead(items(), 2, wait=wait)
+    next(ahead)
+    ahead.close()
+    if not wait:
+        threads[0].join(60)
+    assert not threads[0].is_alive()
+
+
+def test_what_comes_first_is_done_by_the_thread() -> None:
+    begun = []
+    assert list(made_ahead(iter("ab"), 1, begin=lambda: begun.append(threading.current_thread()))) == ["a", "b"]
+    assert begun != [threading.current_thread()]
+
+
+def test_an_error_at_the_beginning_is_told() -> None:
+    with pytest.raises(ZeroDivisionError):
+        next(made_ahead(iter("ab"), 1, begin=lambda: 1 / 0))  # type: ignore[arg-type]
