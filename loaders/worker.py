@@ -1,13 +1,17 @@
 """How a worker process that makes garments begins, and that it ends with the process it works for."""
 
+import multiprocessing
 import os
 import threading
 import time
+from multiprocessing.synchronize import Event
 
 import threadpoolctl
 import torch
 
 __all__ = ["begin_worker"]
+
+WAIT = 1.0  # s
 
 
 def begin_worker(worker: int) -> None:
@@ -19,16 +23,28 @@ def begin_worker(worker: int) -> None:
     Linear algebra keeps to one thread, as torch does in a worker: threads of all workers wait for each other otherwise,
     which on two cores costs a quarter more CPU time with eight threads.
 
-    The worker ends within a second of the process it works for, even if that is killed.
+    The worker ends within seconds of the process it works for, even if that is killed, and of a loader that nobody
+    takes garments from any more: it leaves those that it is making.
     """
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     threadpoolctl.threadpool_limits(1)
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_end_with, args=(os.getppid(), _ended()), daemon=True).start()
 
 
-def _end_with(parent: int) -> None:
-    """End this process, and with it its shared memory, within a second of its parent, however that has ended."""
-    # torch looks for the parent too, but then waits until somebody reads what was made, for ever and with all of it.
+def _ended() -> Event | None:
+    """What torch tells its workers by that nobody takes what they make any more, an argument of theirs."""
+    arguments = getattr(multiprocessing.current_process(), "_args", ())
+    return next((value for value in arguments if isinstance(value, Event)), None)
+
+
+def _end_with(parent: int, ended: Event | None) -> None:
+    """End this process, and with it its shared memory, soon after its parent or the loader, however that has ended."""
+    # torch looks for the parent too, but then waits until somebody reads what was made, for ever and with all of it. At
+    # the end of a loader it waits five seconds for each worker in turn.
     while os.getppid() == parent:
-        time.sleep(1.0)
+        if ended is None:
+            time.sleep(WAIT)
+        elif ended.wait(WAIT):
+            time.sleep(WAIT)  # one that has nothing to do ends by itself
+            os._exit(0)
     os._exit(1)

@@ -1,5 +1,6 @@
 """Garments made ahead of a training, and given several times."""
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -10,6 +11,7 @@ import time
 import weakref
 from collections import Counter
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -167,6 +169,32 @@ def test_a_killed_training_leaves_no_workers() -> None:
     while any(map(is_alive, workers)) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert [pid for pid in workers if is_alive(pid)] == []
+
+
+class Endless(FakeGarments):
+    """Of which all but the first few take for ever."""
+
+    def __getitem__(self, index: Any) -> Any:
+        if index >= 4:
+            threading.Event().wait()
+        return super().__getitem__(index)
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_workers_leave_what_nobody_takes(ahead: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By themselves: torch gives each in turn five seconds before it ends them."""
+    monkeypatch.setattr(BaseProcess, "terminate", lambda worker: pytest.fail("it has waited for them"))
+    ds = Endless(99, fields=["meta"])
+    if ahead:
+        loader = GarmentLoader(FreshGarments(ds, workers=2, room=1), 2, shuffle=False)
+    else:
+        loader = GarmentLoader(ds, 2, shuffle=False, num_workers=2)
+    next(batches := iter(loader))
+    workers = multiprocessing.active_children()
+    assert len(workers) == 2
+    del batches, loader
+    gc.collect()
+    assert [worker.exitcode for worker in workers] == [0, 0]
 
 
 def is_alive(pid: int) -> bool:
