@@ -42,9 +42,9 @@ def _end_with(parent: int, ended: Event | None) -> None:
     # torch looks for the parent too, but then waits until somebody reads what was made, for ever and with all of it. At
     # the end of a loader it waits five seconds for each worker in turn.
     while os.getppid() == parent:
-        if ended is None:
-            time.sleep(WAIT)
-        elif ended.wait(WAIT):
+        time.sleep(WAIT)
+        # Not ``wait``: whoever sets the event waits for all who wait for it, and for ever for one that ended meanwhile.
+        if ended is not None and ended.is_set():
             time.sleep(WAIT)  # one that has nothing to do ends by itself
             os._exit(0)
     os._exit(1)

@@ -197,6 +197,39 @@ def test_workers_leave_what_nobody_takes(ahead: bool, monkeypatch: pytest.Monkey
     assert [worker.exitcode for worker in workers] == [0, 0]
 
 
+class Uneven(FakeGarments):
+    """Of which the last is made when its worker is told to, the others at once."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__(count, fields=["meta"])
+        self.last = multiprocessing.Event()
+
+    def __getitem__(self, index: Any) -> Any:
+        if index == len(self) - 1:
+            self.last.wait()
+        return super().__getitem__(index)
+
+
+def test_a_worker_that_has_ended_before_others_keeps_nobody_waiting() -> None:
+    ds = Uneven(4)
+    made = iter(FreshGarments(ds, workers=2, room=1))
+    given: list[int] = []
+
+    def take() -> None:
+        given.extend(item["meta"]["index"] for item in made)
+
+    thread = threading.Thread(target=take, daemon=True)
+    given.append(next(made)["meta"]["index"])
+    first, _ = sorted(multiprocessing.active_children(), key=lambda worker: worker.pid or 0)
+    thread.start()
+    first.join(60)
+    assert first.exitcode == 0
+    ds.last.set()
+    thread.join(60)
+    assert not thread.is_alive()
+    assert given == [0, 1, 2, 3]
+
+
 def is_alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
