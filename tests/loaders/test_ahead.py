@@ -1,6 +1,11 @@
 """Items that a thread makes before they are taken."""
 
+import contextlib
+import gc
+import subprocess
+import sys
 import threading
+import weakref
 from collections.abc import Iterator
 
 import pytest
@@ -63,6 +68,68 @@ def test_the_thread_ends_when_nobody_takes_more(wait: bool) -> None:
     if not wait:
         threads[0].join(60)
     assert not threads[0].is_alive()
+
+
+def test_an_end_of_the_thread_is_told() -> None:
+    """An exception, though no error."""
+
+    def items() -> Iterator[int]:
+        yield 0
+        raise SystemExit("the second")
+
+    ended: list[BaseException] = []
+
+    def take() -> None:
+        try:
+            list(made_ahead(items(), 2))
+        except SystemExit as end:
+            ended.append(end)
+
+    thread = threading.Thread(target=take, daemon=True)
+    thread.start()
+    thread.join(60)
+    assert [str(end) for end in ended] == ["the second"]
+
+
+def test_an_error_that_was_caught_keeps_nothing() -> None:
+    """Of those that it came through, such as loaders with their workers."""
+
+    class Held:
+        pass
+
+    def failing(held: Held) -> None:
+        assert held
+        for _ in made_ahead(map(int, ["no number"]), 1):
+            pass
+
+    held = Held()
+    kept = weakref.ref(held)
+    gc.disable()
+    try:
+        with contextlib.suppress(ValueError):
+            failing(held)
+        del held
+        assert kept() is None
+    finally:
+        gc.enable()
+
+
+AT_THE_END = """
+import torch
+from gcd_dataset.loaders.ahead import made_ahead
+
+def items():
+    while True:
+        yield torch.ones(1500, 1500) @ torch.ones(1500, 1500)
+
+made = made_ahead(items(), 99, wait=True)
+next(made)
+"""
+
+
+def test_a_program_may_end_while_items_are_made() -> None:
+    done = subprocess.run([sys.executable, "-c", AT_THE_END], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
 
 
 def test_what_comes_first_is_done_by_the_thread() -> None:
