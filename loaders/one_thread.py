@@ -5,6 +5,7 @@ on 16 cores a loop that copied box meshes with them got half as many.
 """
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import torch
@@ -52,4 +53,15 @@ def fill(out: Tensor, value: int) -> None:
 
 
 def _in_numpy(value: Tensor) -> bool:
-    return value.device.type == "cpu" and value.layout is torch.strided and value.dtype is not torch.bfloat16
+    plain = value.device.type == "cpu" and value.layout is torch.strided and not (value.is_conj() or value.is_neg())
+    return plain and _is_of_numpy(value.dtype)
+
+
+@cache
+def _is_of_numpy(dtype: torch.dtype) -> bool:
+    """Not brain floats, nor those of 8 bits."""
+    try:
+        torch.empty(0, dtype=dtype).numpy()
+    except TypeError:
+        return False
+    return True

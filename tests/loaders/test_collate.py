@@ -236,3 +236,12 @@ def test_copies_have_memory_of_their_own() -> None:
         assert same(copy, value)
         assert copy.dtype == value.dtype
         assert not len(value) or copy.data_ptr() != value.data_ptr()
+
+
+@pytest.mark.parametrize("value", [torch.ones(3).to(torch.float8_e4m3fn), torch.tensor([1 + 2j, 3 - 1j]).conj()])
+def test_what_numpy_has_not_is_copied_too(value: torch.Tensor) -> None:
+    """A transform may add it."""
+    copy = copied(value)
+    assert copy.dtype == value.dtype
+    assert copy.data_ptr() != value.data_ptr()
+    assert copy.to(torch.complex64).tolist() == value.to(torch.complex64).tolist()
