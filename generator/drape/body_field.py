@@ -75,11 +75,8 @@ def body_fields(
     """The fields of bodies on a device: made once for each body, from ``hosts`` where given, and kept while in use."""
     keys = [(device, b"".join(_digests(body))) for body in bodies]
     fields = {key: field for key in keys if (field := _in_use.get(key)) is not None}
-    missing = {
-        key: host or HostField.of(body)
-        for key, body, host in zip(keys, bodies, hosts or [None] * len(bodies), strict=True)
-        if key not in fields
-    }
+    given = dict(zip(keys, zip(bodies, hosts or [None] * len(bodies), strict=True), strict=True))
+    missing = {key: host or HostField.of(body) for key, (body, host) in given.items() if key not in fields}
     fields |= zip(missing, _make_fields(list(missing.values()), device), strict=True)
     for key in keys:
         _in_use[key] = _kept[key] = fields[key]

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from gcd_dataset.generator.body import build_body, neutral_shape, read_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
-from gcd_dataset.generator.drape.body_field import body_field, body_fields
+from gcd_dataset.generator.drape.body_field import HostField, body_field, body_fields
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.reference import closest_on_triangle, segment_crosses_triangle
 from gcd_dataset.generator.drape.solver import Solver
@@ -74,6 +75,13 @@ def test_fields_made_together_are_those_made_alone() -> None:
         off = np.abs(at) - np.ptp(body.vertices, axis=0) / 2
         expected = np.linalg.norm(np.maximum(off, 0.0), axis=-1) + np.minimum(off.max(axis=-1), 0.0)
         assert np.abs(field.distance.numpy() - np.minimum(expected, 4.0)).max() < 1e-3
+
+
+def test_what_many_wear_alike_is_worked_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = body_from(trimesh.creation.icosphere(subdivisions=2, radius=7.7))
+    monkeypatch.setattr(HostField, "of", of := Mock(wraps=HostField.of))
+    body_fields([body] * 3, "cpu")
+    of.assert_called_once()
 
 
 def test_what_lies_inside_a_body_changes_nothing_of_its_field() -> None:
