@@ -32,9 +32,10 @@ class FreshGarments(IterableDataset[Item]):
 
     A model that takes more garments a second than can be made sees each of them ``replay`` times, at random moments
     out of the ``room`` garments in the buffer; 2.5 is 2 times for one and 3 for the next. A garment that was given as
-    often gives its place to the next that was made, so that memory is bounded: ``room`` items here, and in each worker
-    those that it makes at a time. Training begins when the buffer is full. The order is a function of ``seed`` and of
-    the data set's: of neither workers nor time.
+    often gives its place to the next that was made, so that memory is bounded: ``room`` items here, and those of eight
+    designs in each worker; where another process drapes for the workers, 64 garments more in each, of 1 MB at 1 cm.
+    Training begins when the buffer is full. The order is a function of ``seed`` and of the data set's: of neither
+    workers nor time.
 
     ``augment`` changes an item each time it is given, with a random stream of its own: see
     ``gcd_dataset.loaders.transforms``. It gets the item in the buffer, which it must not change in place.

@@ -18,8 +18,8 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.last_design import LastDesign
 from gcd_dataset.generator.pipeline import make_many
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
-from gcd_dataset.loaders.ahead import made_ahead
 from gcd_dataset.loaders.base import Garments, Transform, natural
+from gcd_dataset.loaders.by_thread import by_thread
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.kept import KeptSamples
@@ -145,7 +145,7 @@ class GeneratedGarments(Garments):
         positions = (self._position(index) for index in indices)
         if self._place is None:
             return (self._item(self._several([position])[0]) for position in positions)
-        return map(self._item, made_ahead(self._by_draper(positions, AHEAD, AT_ONCE), READY))
+        return map(self._item, by_thread(self._by_draper(positions, AHEAD, AT_ONCE), READY))
 
     def _several(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
         if self._apart:

@@ -9,8 +9,8 @@ import torch
 from torch.utils.data import Dataset, IterableDataset
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.ahead import made_ahead
 from gcd_dataset.loaders.base import Garments, natural
+from gcd_dataset.loaders.by_thread import by_thread
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
 from gcd_dataset.loaders.plan import ByNumber, Plan, Streamed
@@ -141,4 +141,4 @@ def _ahead(batches: Iterator[Any]) -> Generator[Any]:
     """The same, made by a thread while the caller is at work."""
     # A thread starts on the first GPU, and pinning memory there would take some of it from another rank.
     gpu = torch.cuda.current_device() if torch.cuda.is_initialized() else None  # type: ignore[no-untyped-call]
-    return made_ahead(batches, AHEAD, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True)
+    return by_thread(batches, AHEAD, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True)

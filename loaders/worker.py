@@ -8,6 +8,7 @@ from multiprocessing.synchronize import Event
 
 import threadpoolctl
 import torch
+from torch.utils.data import get_worker_info
 
 __all__ = ["begin_worker"]
 
@@ -33,7 +34,7 @@ def begin_worker(worker: int) -> None:
 
 def _ended() -> Event | None:
     """What torch tells its workers by that nobody takes what they make any more, an argument of theirs."""
-    arguments = getattr(multiprocessing.current_process(), "_args", ())
+    arguments = getattr(multiprocessing.current_process(), "_args", ()) if get_worker_info() else ()
     return next((value for value in arguments if isinstance(value, Event)), None)
 
 

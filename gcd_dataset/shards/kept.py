@@ -8,10 +8,12 @@ import contextlib
 import logging
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from jaxtyping import Int
 
 from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.files import make_folder
@@ -30,6 +32,37 @@ WAITING = ".waiting"
 SINGLE = re.compile(r"gcd_(\d{9,})\.tar")
 
 
+@dataclass(frozen=True)
+class _Shards:
+    """The shards as they were looked at: replaced as a whole, since a thread may read while another looks again."""
+
+    reader: ShardReader | None = None
+    """``None`` where there are none."""
+    numbers: Int[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0, np.int64))
+    """Indices of the samples in them, in the order of the reader."""
+    index_file: tuple[int, int, int] | None = None
+    """What tells their index from others: inode, time of change [ns], size [bytes]."""
+
+    @classmethod
+    def of(cls, reader: ShardReader | None, index_file: tuple[int, int, int]) -> Self:
+        if reader is None:
+            return cls(index_file=index_file)
+        return cls(reader, np.sort(reader.index.table.sample), index_file)
+
+    def read(self, index: int, members: tuple[str, ...]) -> Mapping[str, Bytes] | None:
+        position = int(np.searchsorted(self.numbers, index))
+        is_there = position < len(self.numbers) and self.numbers[position] == index
+        return self.reader.read(position, members) if self.reader is not None and is_there else None
+
+    def between(self, first: int, end: int) -> set[int]:
+        """The samples that are there."""
+        start, stop = np.searchsorted(self.numbers, [first, end])
+        return set(self.numbers[start:stop].tolist())
+
+
+NONE = _Shards()
+
+
 class KeptSamples:
     """Samples 0 … ``count`` - 1 of a recipe in ``folder``, as far as they have been made; may be pickled and forked.
 
@@ -43,15 +76,14 @@ class KeptSamples:
     ) -> None:
         self.folder = folder
         self._count, self._seed, self._recipe, self._shard_size = count, seed, dict(recipe), shard_size
-        self._seen: tuple[int, int, int] | None = None
-        self._reader: ShardReader | None = None
+        self._shards = NONE
 
     def read(self, index: int, members: tuple[str, ...] = MEMBERS) -> Mapping[str, Bytes] | None:
         """At least these members of a sample; ``None`` for one that is not there.
 
         Raises ``ShardError`` for a damaged one.
         """
-        content = None if self._reader is None else self._in_shard(index, members)
+        content = None if self._shards.reader is None else self._in_shard(index, members)
         if content is None:
             content = self._single(index)
         if content is None and self._shard_path(index // self._shard_size).exists():
@@ -101,7 +133,7 @@ class KeptSamples:
                 assert content is not None
                 self._write_single(index, content)
         self._shard_path(number).unlink(missing_ok=True)
-        self._reader = self._seen = None
+        self._shards = NONE
 
     def _writer(self) -> ShardWriter:
         return ShardWriter(self.folder, seed=self._seed, recipe=self._recipe, shard_size=self._shard_size)
@@ -158,10 +190,9 @@ class KeptSamples:
             raise
 
     def _from_shard(self, index: int, members: tuple[str, ...]) -> Mapping[str, Bytes] | None:
-        if self._reader is None:
+        if self._shards.reader is None:
             self._refreshed()
-        position = None if self._reader is None else self._position(index)
-        return None if self._reader is None or position is None else self._reader.read(position, members)
+        return self._shards.read(index, members)
 
     def _is_whole(self, index: int) -> bool:
         try:
@@ -169,20 +200,9 @@ class KeptSamples:
         except ShardError:
             return False
 
-    def _position(self, index: int) -> int | None:
-        """Where a sample stands in the reader."""
-        assert self._reader is not None
-        numbers = self._numbers
-        position = int(np.searchsorted(numbers, index))
-        return position if position < len(numbers) and numbers[position] == index else None
-
     def _written(self, number: int) -> set[int]:
         """Indices of the samples in a shard."""
-        if self._reader is None:
-            return set()
-        numbers = self._numbers
-        first, last = np.searchsorted(numbers, [number * self._shard_size, (number + 1) * self._shard_size])
-        return set(numbers[first:last].tolist())
+        return self._shards.between(number * self._shard_size, (number + 1) * self._shard_size)
 
     def _refreshed(self, *, alone: bool = False) -> bool:
         """Look at the shards as they are; whether they have changed since they were looked at.
@@ -193,12 +213,10 @@ class KeptSamples:
             stat = (self.folder / index_name(SPLIT)).stat()
         except FileNotFoundError:
             return False
-        seen = (stat.st_ino, stat.st_mtime_ns, stat.st_size)
-        if seen == self._seen:
+        index_file = (stat.st_ino, stat.st_mtime_ns, stat.st_size)
+        if index_file == self._shards.index_file:
             return False
-        self._reader, self._seen = self._opened(alone), seen
-        if self._reader is not None:
-            self._numbers = np.sort(self._reader.index.table.sample)
+        self._shards = _Shards.of(self._opened(alone), index_file)
         return True
 
     def _opened(self, alone: bool) -> ShardReader | None:
@@ -216,7 +234,7 @@ class KeptSamples:
         return locked(self.folder / ".packing.lock", "packing", wait=True)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_reader": None, "_seen": None}
+        return {**self.__dict__, "_shards": NONE}
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gcd_dataset.errors import ShardError
@@ -84,6 +85,23 @@ def test_what_another_process_has_packed_is_found(tmp_path: Path) -> None:
         assert early.read(index) == members(index)
     keep(tmp_path, [4, 5, 6, 7])
     assert early.read(6) == members(6)
+
+
+def test_a_thread_may_read_while_another_looks_for_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    samples = kept(tmp_path)
+    keep(tmp_path, range(4, 8))
+    assert samples.read(5) == members(5)
+    keep(tmp_path, range(4))  # in front of those that are known
+    sort, meanwhile = np.sort, []
+
+    def sort_and_read(numbers: Any) -> Any:
+        monkeypatch.undo()
+        meanwhile.append(samples.read(5))
+        return sort(numbers)
+
+    monkeypatch.setattr(np, "sort", sort_and_read)
+    assert samples.read(0) == members(0)
+    assert meanwhile == [members(5)]
 
 
 def test_a_killed_process_loses_nothing_that_was_kept(tmp_path: Path) -> None:

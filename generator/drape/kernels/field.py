@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 BLOCK = wp.constant(4)  # voxels along a side
 HALF_BLOCK = wp.constant(2.6)  # voxels from the centre of a block to that of its furthest voxel, and a trifle
 ANYWHERE = wp.constant(1.0e3)  # cm
-TRIFLE = wp.constant(1.0e-3)  # cm
+TRIFLE = wp.constant(1.0e-2)  # cm; single precision holds that 200 m from the origin
 NEAR, INSIDE, OUTSIDE = wp.constant(0.0), wp.constant(1.0), wp.constant(2.0)
 
 

@@ -6,12 +6,12 @@ from collections.abc import Callable, Generator, Iterator
 from queue import SimpleQueue
 from typing import TypeVar
 
-__all__ = ["made_ahead"]
+__all__ = ["by_thread"]
 
 Made = TypeVar("Made")
 
 
-def made_ahead(
+def by_thread(
     items: Iterator[Made], count: int, *, begin: Callable[[], None] | None = None, wait: bool = False
 ) -> Generator[Made]:
     """The same items, up to ``count`` of them made by a thread while the caller is at work.
