@@ -31,8 +31,8 @@ Stage = Literal["pattern", "mesh", "drape"]
 
 logger = logging.getLogger("gcd_dataset")
 
-# Of a stream, in each process. One that fails is draped again: those after it go on meanwhile, or the draper would
-# stand idle. More at once would wait there for each other.
+# Of a stream, in each process. A garment that fails is made and draped again: those after it go on meanwhile, or the
+# draper would stand idle. If more were draped at once, they would only wait there for each other.
 AT_ONCE = 8  # designs that are draped
 AHEAD = 48  # garments that may be begun before the first of them is done
 READY = 16  # garments that may be done before the first of them is taken
@@ -149,7 +149,7 @@ class GeneratedGarments(Garments):
 
     def _several(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
         if self._apart:
-            return list(self._by_draper(positions, len(positions), len(positions)))
+            return list(self._by_draper(positions, len(positions)))
         there = {position: self._known(position) for position in positions}
         missing = [position for position, members in there.items() if members is None]
         made = (
@@ -159,7 +159,9 @@ class GeneratedGarments(Garments):
         )
         return [there[position] or made[position] for position in positions]
 
-    def _by_draper(self, positions: Iterable[int], ahead: int, at_once: int) -> Iterator[Mapping[str, Bytes]]:
+    def _by_draper(
+        self, positions: Iterable[int], ahead: int, at_once: int | None = None
+    ) -> Iterator[Mapping[str, Bytes]]:
         assert self._place is not None
         return make_ahead(
             self._seed,

@@ -29,7 +29,7 @@ class Order:
     picture: int = 0
     """Side of the pictures to be taken [pixels]; 0 for none."""
     again: bool = False
-    """Another try, for which those after it wait: it comes before all that are no other try."""
+    """Another try, for which those after it wait already: it comes before whatever waits."""
 
 
 @dataclass(frozen=True)
