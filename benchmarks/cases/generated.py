@@ -28,7 +28,7 @@ from torch import nn
 from benchmarks.cases.figures import Figure, Measured
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeJob
-from gcd_dataset.generator.drapers import Asking, Order, place_for
+from gcd_dataset.generator.drapers import Order, SharedDraper, place_for
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.loaders import FreshGarments, GarmentLoader, GeneratedGarments
 
@@ -100,18 +100,18 @@ def _own_rate(garments: GeneratedGarments, options: argparse.Namespace) -> float
     config, counted = garments.config, 0
     prepared = [worn for number in range(options.prepared) for worn in prepare(1, number, config).dressed]
     jobs = [DrapeJob(worn.box_mesh, worn.body, worn.size, coarse=worn.coarse) for worn in prepared if worn.box_mesh]
-    with Asking(place_for(config.device)) as asking:
+    with SharedDraper(place_for(config.device)) as draper:
         orders = (Order(number, _on_another(job, number)) for number, job in enumerate(cycle(jobs)))
         for order in islice(orders, 256):  # more than it drapes at a time
-            asking.ask(order)
+            draper.ask(order)
         for order in islice(orders, options.warm):
-            asking.answer()
-            asking.ask(order)
+            draper.answer()
+            draper.ask(order)
         begun = time.perf_counter()
         while time.perf_counter() - begun < options.seconds:
-            asking.answer()
+            draper.answer()
             counted += 1
-            asking.ask(next(orders))
+            draper.ask(next(orders))
         return counted / (time.perf_counter() - begun)
 
 

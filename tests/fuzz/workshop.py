@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.pipeline import make
+from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardWriter
