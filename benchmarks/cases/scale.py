@@ -4,9 +4,9 @@
 
 Garments with pictures, as ``gcd generate --bodies both`` makes them, into a folder that is deleted afterwards. The
 clock of ``garments_per_s`` starts with the first garment written, when kernels are loaded and every worker is at work,
-and ends with the last. ``own_per_s``: the draping process alone, whose orders never run out, without pictures; ``share``:
-the one divided by the other; ``gpu_waits``: the share of time in which nvidia-smi finds no kernel running; ``cpu_*``:
-CPU seconds a garment of each step, in this process, over ``--staged`` designs.
+and ends with the last. ``own_per_s``: the draping process alone, whose orders never run out, without pictures;
+``share``: the one divided by the other; ``gpu_waits``: the share of time in which nvidia-smi finds no kernel running;
+``cpu_*``: CPU seconds a garment of each step, in this process, over ``--staged`` designs.
 """
 
 import argparse
