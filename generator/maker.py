@@ -25,6 +25,7 @@ __all__ = ["LastDesign", "make", "produce"]
 
 DEFAULT = MakeConfig()
 AHEAD = 48  # samples that a worker may have begun before the first of them is done
+DRAPERS = 2  # processes on each GPU: one prepares its next batch, or takes pictures, while another simulates
 READY = 16  # samples that a worker may have done before the first of them is taken
 
 Made = TypeVar("Made")
@@ -244,7 +245,7 @@ def _by_workers(
 ) -> Iterator[Any]:
     """The results of workers that have the designs by turns."""
     devices = devices_of(config) if config.stage == "drape" else ("cpu",)
-    places = [None if device == "cpu" else place_for(device) for device in devices]
+    places = [None if device == "cpu" else place_for(device, number) for number in range(DRAPERS) for device in devices]
     shares = [
         _Share(seed, indices, config, k, workers, places[k % len(places)], finished, pictured) for k in range(workers)
     ]

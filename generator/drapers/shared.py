@@ -11,7 +11,7 @@ from gcd_dataset.generator.drapers.place import Place
 
 __all__ = ["SharedDraper"]
 
-AT_ONCE = 8  # garments of each caller: with more of them, one that is draped again waits long for its turn
+AT_ONCE = 24  # garments of each caller: fifteen of them keep two draping processes of a GPU busy
 
 
 class SharedDraper:
