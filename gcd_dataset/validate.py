@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
+from itertools import islice
 from math import dist, isclose, log
 
 import numpy as np
@@ -22,6 +23,11 @@ __all__ = ["Fault", "Rule", "Severity", "check_pattern", "require_valid"]
 
 SHORTEST_EDGE = 0.5  # cm: an edge under it has defeated cloth simulators (a fifth of published patterns hold one)
 LARGEST = 1000.0  # cm: no piece of a garment is ten metres across; a pattern in the wrong unit is
+LONGEST_OUTLINE = 10_000.0  # cm: an outline of 100 m is a scribble; that of a ruffle of 8 m has 20
+MOST_NAMES = 40  # in a message
+MOST_EDGES = (
+    2000  # of a panel: an outline of 10 m in steps of half a centimetre; published and sampled panels have up to 36
+)
 WIDE = 400.0  # cm: a ruffle may be wider, though not a garment of which most edges are LONG, too
 LONG = 60.0  # cm: the median edge of a garment is shorter, and that of one ten times too large longer
 HIGH = 400.0  # cm: nobody is so tall that a panel would hang there
@@ -49,6 +55,7 @@ class Rule(Enum):
     NO_PANEL = "no panels"
     PANEL_NAME = "name that tells no panel"
     FEW_EDGES = "too few edges"
+    MANY_EDGES = "too many edges"
     VERTEX_RANGE = "vertex out of range"
     OPEN_LOOP = "open loop"
     NO_LENGTH = "edge without length"
@@ -110,6 +117,10 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     shaped = {number: pattern.panels[number].edge_lengths() for number in drawn}
     for number, edges in shaped.items():
         faults[number] += _short_edges(pattern.panels[number], edges)
+        if (outline := sum(edges)) > LONGEST_OUTLINE:
+            figure = f"its outline has {outline / 100:.0f} m: check units_in_meter, and how its curves bend"
+            faults[number].append(Fault(Rule.TOO_LARGE, pattern.panels[number].name, None, figure))
+            del drawn[number]
     for number, fault in _crossings(pattern.panels, drawn, shaped):
         faults[number].append(fault)
     lengths = {
@@ -156,6 +167,10 @@ def _loop_faults(panel: Panel) -> Iterator[Fault]:
     if count < (3 if straight else 2):
         kind = "straight" if straight else "curved"
         yield Fault(Rule.FEW_EDGES, panel.name, None, f"{count} {kind}: close the outline")
+    if count > MOST_EDGES:
+        figure = f"{count}, more than {MOST_EDGES}: draw curves instead of many lines"
+        yield Fault(Rule.MANY_EDGES, panel.name, None, figure)
+        return
     for index, edge in enumerate(panel.edges):
         outside = [vertex for vertex in (edge.start, edge.end) if not 0 <= vertex < corners]
         if outside:
@@ -259,7 +274,7 @@ def _crossings(
     """Where an edge crosses or touches itself or another, other than in a corner they share."""
     numbers = list(hulls)
     drawn = [panels[number] for number in numbers]
-    for place, crossing in find_crossings(drawn, list(hulls.values()), list(lengths.values())):
+    for place, crossing in find_crossings(drawn, list(hulls.values()), [lengths[number] for number in numbers]):
         x, y = crossing.place
         figure = f"it meets edge {crossing.other} at ({x:.2f}, {y:.2f}) cm: part them"
         if crossing.edge == crossing.other:
@@ -294,10 +309,16 @@ def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fa
 
 def _no_such_edge(number: int, side: EdgeRef, edges_of: dict[str, int]) -> Fault:
     if side.panel not in edges_of:
-        figure = f"stitch {number}: there is no panel of that name: known are {', '.join(map(shown, edges_of))}"
+        figure = f"stitch {number}: there is no panel of that name: known are {_listed(edges_of)}"
     else:
         figure = f"stitch {number}: the panel has {edges_of[side.panel]} edges, numbered from 0: mend the stitch"
     return Fault(Rule.NO_SUCH_EDGE, side.panel, side.edge, figure)
+
+
+def _listed(names: Collection[str]) -> str:
+    """Names as a message has them: the first few."""
+    first = ", ".join(shown(name) for name in islice(names, MOST_NAMES))
+    return first if len(names) <= MOST_NAMES else f"{first} and {len(names) - MOST_NAMES} more"
 
 
 def _unlike_sides(

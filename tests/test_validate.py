@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from math import cos, sin
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,12 @@ BROKEN: dict[Rule, tuple[Callable[[], Pattern], str, int | None, str]] = {
     Rule.PANEL_NAME: (lambda: Pattern("p", (square("front"), square("")), ()), "", None, "panel 1 of 2 has no name"),
     Rule.TOO_LARGE: (lambda: alone(square(side=1000.1)), "front", None, "1000.1 cm across"),
     Rule.FEW_EDGES: (lambda: alone(polygon((0, 0), (9, 0))), "front", None, "2 straight"),
+    Rule.MANY_EDGES: (
+        lambda: alone(polygon(*((50 * cos(i / 400), 50 * sin(i / 400)) for i in range(2001)))),
+        "front",
+        None,
+        "2001, more than 2000: draw curves",
+    ),
     Rule.VERTEX_RANGE: (lambda: alone(with_edge(square(), 1, Edge(1, 7))), "front", 1, "vertex 7 of 4"),
     Rule.OPEN_LOOP: (lambda: alone(without_edge(square(), 2)), "front", 2, "edge 1 ends at 2"),
     Rule.NO_LENGTH: (lambda: alone(polygon((0, 0), (9, 0), (9, 0), (0, 9))), "front", 1, "one point"),
@@ -236,6 +243,21 @@ def test_a_stitch_turned_round_is_told_where_the_panels_hang(drawn: list[Pattern
 
 def test_panels_on_one_sheet_tell_nothing_of_how_they_are_sewn() -> None:
     assert check_pattern(sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 1)))) == ()
+
+
+def test_an_outline_of_kilometres_in_a_small_panel_is_not_searched() -> None:
+    """Curves that run out a metre and back, four hundred times: they would be sampled 500,000 times."""
+    there_and_back: dict[int, Curve] = {i: Cubic((100.0, 0.0), (-100.0, 0.0)) for i in range(400)}
+    corners = [(20 * cos(i / 64), 20 * sin(i / 64)) for i in range(400)]
+    faults = check_pattern(alone(polygon(*corners, curves=there_and_back)))
+    assert {fault.rule for fault in faults if fault.severity is Severity.ERROR} == {Rule.TOO_LARGE}
+    assert "its outline has" in next(fault.figure for fault in faults if fault.rule is Rule.TOO_LARGE)
+
+
+def test_stitches_to_nothing_name_some_of_a_thousand_panels() -> None:
+    panels = tuple(square(f"p{i}") for i in range(1000))
+    (fault,) = check_pattern(Pattern("p", panels, (Seam(EdgeRef("p0", 0), EdgeRef("q", 0)),)))
+    assert "p39 and 960 more" in fault.figure
 
 
 def test_a_flat_arc_of_a_great_circle_is_not_large() -> None:
