@@ -7,7 +7,7 @@ and searched. Points are complex numbers here, since a turn is then a product.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import chain
+from itertools import islice
 
 import numpy as np
 import shapely
@@ -20,6 +20,9 @@ __all__ = ["Crossing", "edge_hulls", "find_crossings"]
 
 TOUCH = 0.01  # cm: how far from a corner two edges of it may still touch; further off they cross
 SAMPLING = 0.15  # cm between the points that stand for a curve when crossings are looked for, on the average
+FEW = 64  # edges of a panel up to which all pairs are compared at once, the quickest way; more are swept
+AT_ONCE = 1 << 19  # pairs of edges that are compared at once: 30 MB
+MOST_TOLD = 100  # crossings of one panel; nobody reads more
 APART = 1e-6  # cm between two boxes, rad between two sectors: more than rounding
 
 
@@ -48,22 +51,32 @@ def find_crossings(
     panels: Sequence[Panel], hulls: Sequence[Complex[np.ndarray, "e 4"]], lengths: Sequence[Sequence[float]]
 ) -> Iterator[tuple[int, Crossing]]:
     """For each panel, by its number: edges that cross or touch themselves; then pairs that do, other than in a corner
-    they share.
+    they share. Of one panel no more than ``MOST_TOLD``.
 
     ``hulls`` are the panels' ``edge_hulls``, ``lengths`` those of their edges [cm]. All panels are proved innocent
     together; only what is left is looked at one by one.
     """
     for number, alone, pairs in _suspects(hulls):
-        panel = panels[number]
-        lines = {index: _polyline(panel, index, lengths[number]) for index in {*alone, *chain.from_iterable(pairs)}}
-        for index in alone:
-            if not lines[index].is_simple:
-                yield number, Crossing(index, index, panel.edge_ends(index)[0])
-        for i, j in pairs:
-            points = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
-            far = points[_distance_to(points, _shared_corners(panel, i, j)) > TOUCH]
-            if len(far):
-                yield number, Crossing(i, j, (float(far[0, 0]), float(far[0, 1])))
+        for crossing in islice(_searched(panels[number], alone, pairs, lengths[number]), MOST_TOLD):
+            yield number, crossing
+
+
+def _searched(
+    panel: Panel, alone: Int[np.ndarray, " a"], pairs: Int[np.ndarray, "p 2"], lengths: Sequence[float]
+) -> Iterator[Crossing]:
+    """The suspects that cross or touch themselves, then the pairs that do, other than in a corner they share."""
+    indices = np.unique(np.concatenate([alone, pairs.ravel()])).tolist()
+    lines = dict(zip(indices, (_polyline(panel, index, lengths) for index in indices), strict=True))
+    for index in alone.tolist():
+        if not lines[index].is_simple:
+            yield Crossing(index, index, panel.edge_ends(index)[0])
+    table = np.array([lines.get(index) for index in range(len(panel.edges))], object)
+    met = pairs[shapely.intersects(table[pairs[:, 0]], table[pairs[:, 1]])]
+    for i, j in met.tolist():
+        points = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
+        far = points[_distance_to(points, _shared_corners(panel, i, j)) > TOUCH]
+        if len(far):
+            yield Crossing(i, j, (float(far[0, 0]), float(far[0, 1])))
 
 
 # --------------------------------------------------------------------------------------------------------------- proofs
@@ -87,41 +100,83 @@ def _hull(start: complex, end: complex, curve: Curve) -> tuple[complex, complex,
             return start, start + chord / 3, end - chord / 3, end
 
 
-def _suspects(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Iterator[tuple[int, list[int], list[tuple[int, int]]]]:
+def _suspects(
+    hulls: Sequence[Complex[np.ndarray, "e 4"]],
+) -> Iterator[tuple[int, Int[np.ndarray, " a"], Int[np.ndarray, "p 2"]]]:
     """The panels that are not proved innocent: number, edges that may meet themselves, pairs that may meet."""
     if not hulls:
         return
     edges, sizes = np.concatenate(hulls), [len(panel) for panel in hulls]
-    first = np.cumsum([0, *sizes[:-1]])
+    first = np.cumsum([0, *sizes])
     alone = np.flatnonzero(~_monotone(edges))
-    one, other = (np.concatenate(side) for side in zip(*map(_pairs, sizes, first.tolist()), strict=True))
-    follower = np.concatenate([start + np.roll(np.arange(size), -1) for start, size in zip(first, sizes, strict=True)])
-    meet = ~_boxes_apart(edges, one, other)
+    one, other = _near_pairs(edges, sizes, first[:-1].tolist())
+    follower = np.concatenate(
+        [start + np.roll(np.arange(size), -1) for start, size in zip(first[:-1], sizes, strict=True)]
+    )
     apart = _sectors_apart(edges, edges[follower])
-    meet &= ~((follower[one] == other) & apart[one]) & ~((follower[other] == one) & apart[other])
-    number_of = np.repeat(np.arange(len(sizes)), sizes)
-    suspects: dict[int, tuple[list[int], list[tuple[int, int]]]] = {}
-    for index in alone.tolist():
-        number = int(number_of[index])
-        suspects.setdefault(number, ([], []))[0].append(index - int(first[number]))
-    for i, j in zip(one[meet].tolist(), other[meet].tolist(), strict=True):
-        number = int(number_of[i])
-        start = int(first[number])
-        suspects.setdefault(number, ([], []))[1].append((i - start, j - start))
-    for number in sorted(suspects):
-        yield number, *suspects[number]
+    meet = ~((follower[one] == other) & apart[one]) & ~((follower[other] == one) & apart[other])
+    of_panel = np.searchsorted(first, one[meet], side="right") - 1
+    order = np.argsort(of_panel, kind="stable")
+    pairs = np.stack([one[meet], other[meet]], axis=1)[order]
+    cuts = np.searchsorted(of_panel[order], np.arange(len(sizes) + 1))
+    ends = np.searchsorted(alone, first)
+    for number in np.flatnonzero((np.diff(cuts) > 0) | (np.diff(ends) > 0)).tolist():
+        own = slice(*cuts[number : number + 2])
+        yield number, alone[slice(*ends[number : number + 2])] - first[number], pairs[own] - first[number]
 
 
-def _pairs(size: int, first: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """All pairs of the edges of a panel of ``size``, numbered from ``first`` on."""
-    one, other = _pairs_of(size)
-    return one + first, other + first
-
-
-@lru_cache(maxsize=256)
-def _pairs_of(size: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    one, other = np.triu_indices(size, k=1)
+def _near_pairs(
+    hulls: Complex[np.ndarray, "e 4"], sizes: Sequence[int], first: Sequence[int]
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """All pairs of edges of one panel whose bounding boxes touch, in order; panels begin at ``first``."""
+    found, few, count = [], [np.empty((2, 0), int)], 0
+    for size, start in zip(sizes, first, strict=True):
+        if size > FEW:
+            found.append(_swept(hulls[start : start + size]) + start)
+            continue
+        few.append(_pairs_of(size) + start)
+        count += few[-1].shape[1]
+        if count > AT_ONCE:
+            found.append(_touching(hulls, np.concatenate(few, axis=1)))
+            few, count = [np.empty((2, 0), int)], 0
+    one, other = np.concatenate([*found, _touching(hulls, np.concatenate(few, axis=1))], axis=1)
     return one, other
+
+
+def _touching(hulls: Complex[np.ndarray, "e 4"], pairs: Int[np.ndarray, "2 n"]) -> Int[np.ndarray, "2 m"]:
+    return pairs[:, ~_boxes_apart(hulls, pairs[0], pairs[1])]
+
+
+@lru_cache(maxsize=FEW)
+def _pairs_of(size: int) -> Int[np.ndarray, "2 n"]:
+    """All pairs of ``size`` edges."""
+    return np.stack(np.triu_indices(size, k=1))
+
+
+def _swept(hulls: Complex[np.ndarray, "e 4"]) -> Int[np.ndarray, "2 n"]:
+    """The pairs of edges of a panel whose bounding boxes touch, in order: a sweep along that axis which parts more."""
+    low = [part.min(axis=1) for part in (hulls.real, hulls.imag)]
+    high = [part.max(axis=1) for part in (hulls.real, hulls.imag)]
+    orders = [np.argsort(part, kind="stable") for part in low]
+    ahead = [
+        np.searchsorted(low[axis][order], high[axis][order] + APART, side="right") - 1 - np.arange(len(hulls))
+        for axis, order in enumerate(orders)
+    ]
+    axis = int(ahead[1].sum() < ahead[0].sum())
+    order, counts = orders[axis], ahead[axis]
+    found = []
+    for rows in np.split(np.arange(len(hulls)), _cuts(counts)):
+        row = np.repeat(rows, counts[rows])
+        step = np.arange(len(row)) - np.repeat(np.cumsum(counts[rows]) - counts[rows], counts[rows])
+        one, other = order[row], order[row + 1 + step]
+        found.append(np.sort(_touching(hulls, np.stack([one, other])), axis=0))
+    pairs = np.concatenate(found, axis=1)
+    return pairs[:, np.lexsort(pairs[::-1])]
+
+
+def _cuts(counts: Int[np.ndarray, " e"]) -> Int[np.ndarray, " c"]:
+    """Where to cut a sweep so that its pieces have about ``AT_ONCE`` pairs."""
+    return np.flatnonzero(np.diff(np.cumsum(counts) // AT_ONCE)) + 1
 
 
 def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from gcd_dataset.errors import OutputError, shown
+from gcd_dataset.errors import GcdError, OutputError, shown
 
-__all__ = ["drafted", "make_folder", "open_whole", "user_path", "write_whole", "writing_to"]
+__all__ = ["drafted", "make_folder", "open_whole", "read_whole", "user_path", "write_whole", "writing_to"]
 
 REMEDIES = {
     "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
@@ -26,6 +26,24 @@ REMEDIES = {
     "make its folder first": (errno.ENOENT,),
 }
 REMEDY_OF = {code: remedy for remedy, codes in REMEDIES.items() for code in codes}
+
+
+def read_whole(path: Path | str, kind: str, *, limit: int, error: type[GcdError]) -> bytes:
+    """All bytes of a file. Raises ``error``, which asks for a ``kind``, where it is missing or over ``limit`` bytes."""
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(limit + 1)  # a device has no size to ask for
+    except FileNotFoundError as cause:
+        raise error(f"{path}: no such file: give the path of a {kind}") from cause
+    except PermissionError as cause:
+        raise error(f"{path}: cannot be read ({cause.strerror}): ask for the right to read it") from cause
+    except OSError as cause:
+        raise error(f"{path}: cannot be read ({cause.strerror}): give the path of a {kind}") from cause
+    except ValueError as cause:  # a null byte in the path
+        raise error(f"{shown(str(path))}: names no file: give the path of a {kind}") from cause
+    if len(content) > limit:
+        raise error(f"{path}: more than {limit >> 20} MB: give the path of a {kind}")
+    return content
 
 
 def write_whole(path: Path | str, content: bytes) -> None:

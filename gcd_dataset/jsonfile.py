@@ -1,37 +1,65 @@
-"""JSON files by people and by other programs: read and checked, with errors that name the file and the place in it."""
+"""JSON by people and by other programs: read and checked, with errors that name the file and the place in it."""
 
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.errors import SpecError
+from gcd_dataset.errors import GcdError, SpecError, shown
+from gcd_dataset.files import read_whole
 
-__all__ = ["Place", "found", "read_json"]
+__all__ = ["LARGEST_JSON", "Place", "found", "parse_json", "read_json"]
 
+LARGEST_JSON = 32 << 20  # bytes; a published pattern has 60 kB, and a parsed file takes up to twenty times its size
 LARGEST_NUMBER = 1e12  # no length, angle or count comes near; its square is a number still
 DEEPEST = 64  # levels of lists and objects; a pattern has nine
 
 TOO_DEEP = f"more than {DEEPEST} levels deep: flatten it"
+NOT_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 
-def read_json(path: Path, kind: str) -> Any:
-    """What is in the file. Raises ``SpecError``, which asks for a ``kind``, where it is missing or broken."""
+def parse_json(
+    content: str | bytes | bytearray | memoryview,
+    *,
+    source: str,
+    remedy: str = "mend the JSON",
+    error: type[GcdError] = SpecError,
+    limit: int = LARGEST_JSON,
+) -> Any:
+    """The value that a JSON text of at most ``limit`` bytes holds.
+
+    Raises ``error``, whose message begins with ``source`` and ends with ``remedy``, for what is no JSON in UTF-8, and
+    for what JSON allows and no reader takes: more than 64 levels, numbers beyond float64 or of thousands of digits,
+    a key twice in one object, half a surrogate pair.
+    """
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_constant)
-    except FileNotFoundError as error:
-        raise SpecError(f"{path}: no such file: give the path of a {kind}") from error
-    except PermissionError as error:
-        raise SpecError(f"{path}: cannot be read ({error.strerror}): ask for the right to read it") from error
-    except OSError as error:
-        raise SpecError(f"{path}: cannot be read ({error.strerror}): give the path of a {kind}") from error
-    except RecursionError as error:
-        raise SpecError(f"{path}: {TOO_DEEP}") from error
-    except json.JSONDecodeError as error:
-        raise SpecError(f"{path}: line {error.lineno}, column {error.colno}: {error.msg}: mend the JSON") from error
-    except ValueError as error:
-        raise SpecError(f"{path}: {error}: mend the JSON") from error
+        encoded = content.encode() if isinstance(content, str) else bytes(content)
+        if len(encoded) > limit:
+            raise ValueError(f"{len(encoded)} bytes, more than {limit}")
+        flat = _surely_flat(encoded)
+        value = DECODER.decode(str(encoded, "utf-8"))
+        if not flat and not _is_flat(value):
+            raise RecursionError
+        if b"\\u" in encoded:
+            json.dumps(value, ensure_ascii=False).encode()
+    except RecursionError as cause:
+        raise error(f"{source}: {TOO_DEEP}") from cause
+    except json.JSONDecodeError as cause:
+        place = f"line {cause.lineno}, column {cause.colno}"
+        raise error(f"{source}: {place}: {cause.msg}: {remedy}") from cause
+    except UnicodeError as cause:
+        raise error(f"{source}: not UTF-8 ({cause.reason}): {remedy}") from cause  # type: ignore[attr-defined]
+    except ValueError as cause:
+        raise error(f"{source}: {_first_sentence(cause)}: {remedy}") from cause
+    return value
+
+
+def read_json(path: Path, kind: str, *, error: type[GcdError] = SpecError) -> Any:
+    """What is in the file. Raises ``error``, which asks for a ``kind``, where it is missing, broken or too large."""
+    content = read_whole(path, kind, limit=LARGEST_JSON, error=error)
+    return parse_json(content, source=str(path), error=error)
 
 
 @dataclass(frozen=True)
@@ -80,22 +108,65 @@ class Place:
 
     def require_flat(self, value: Any) -> None:
         """Raise ``SpecError`` for what is nested so deep that it could not be written again."""
-        level = [value]
-        for _ in range(DEEPEST):
-            lists = [inner.values() if isinstance(inner, Mapping) else inner for inner in level if _holds(inner)]
-            level = [inner for values in lists for inner in values]
-        if level:
+        if not _is_flat(value):
             raise self.error(TOO_DEEP)
 
 
 def found(value: Any) -> str:
     """A value as errors show it: cut where it is long."""
-    text = json.dumps(value, default=str) if value is not None else "nothing"
+    try:
+        text = json.dumps(value, default=str) if value is not None else "nothing"
+    except (RecursionError, TypeError, ValueError):  # too deep, an odd key, a number of thousands of digits
+        text = f"a {type(value).__name__}"
     return text if len(text) < 60 else text[:57] + "..."
+
+
+# ------------------------------------------------------------------------------------------------------------- parsing
 
 
 def _no_constant(text: str) -> float:
     raise ValueError(f"{text} is no number")
+
+
+def _finite(text: str) -> float:
+    if not isfinite(value := float(text)):
+        raise ValueError(f"the number {text[:20]} is too large")
+    return value
+
+
+def _unique(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(items)
+    if len(table) < len(items):
+        keys = [key for key, _ in items]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"key {shown(twice[:40])} stands twice in one object")
+    return table
+
+
+DECODER = json.JSONDecoder(object_pairs_hook=_unique, parse_float=_finite, parse_constant=_no_constant)
+
+
+def _surely_flat(content: bytes) -> bool:
+    """Whether the brackets alone say that there are no more than ``DEEPEST`` levels; those in strings confuse it."""
+    brackets = content.translate(None, NOT_BRACKETS)
+    for _ in range(DEEPEST):
+        if not brackets:
+            break
+        brackets = brackets.replace(b"[]", b"").replace(b"{}", b"")
+    return not brackets
+
+
+def _is_flat(value: Any) -> bool:
+    level = [value]
+    for _ in range(DEEPEST):
+        lists = [inner.values() if isinstance(inner, Mapping) else inner for inner in level if _holds(inner)]
+        level = [inner for values in lists for inner in values]
+    return not level
+
+
+def _first_sentence(error: ValueError) -> str:
+    """What Python says of an integer of thousands of digits, without its advice to programmers."""
+    return str(error).partition(";")[0]
 
 
 def _holds(value: Any) -> bool:

@@ -301,7 +301,9 @@ class Seam:
     """Two edges sewn together.
 
     By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
-    starts meet. Unequal lengths are gathered.
+    starts meet. Unequal lengths are gathered. The direction of an edge is that of its panel's loop, and nothing but
+    this rule says which ends meet: where the panels hang does not turn a seam round (``validate`` warns where the ends
+    that meet hang far apart and the others near each other).
     """
 
     left: EdgeRef

@@ -32,6 +32,7 @@ UNITS_IN_METER = 100  # ours: centimetres
 NEIGHBOURS = 10.0  # cm: panels that close in x, or in y, stand in one row of the panel order (pattern-format)
 UNPLACED = [0.0, 0.0, 0.0]  # the translation and rotation of a panel that is given none
 LARGEST_UNIT = 1e6  # units in a metre, and metres in a unit
+MOST_NAMES = 40  # in a message
 NAMELESS = frozenset({"specification", "template", "prediction"})  # file names that leave the name to the folder
 
 
@@ -228,7 +229,7 @@ def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: Place
     order = tuple(at.text(name, "a name in panel_order") for name in at.list_of(body, "panel_order"))
     odd = sorted(set(order) ^ set(panels))
     if odd or len(order) != len(panels):
-        named = f": look at {', '.join(map(shown, odd))}" if odd else ""
+        named = f": look at {', '.join(map(shown, odd[:MOST_NAMES]))}" if odd else ""
         raise at.error(f"panel_order must name each of the {len(panels)} panels once{named}")
     return order
 

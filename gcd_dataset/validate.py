@@ -5,10 +5,11 @@ meant (gathers), but is what broken patterns are found by.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
-from math import dist
+from itertools import islice
+from math import dist, isclose, log
 
 import numpy as np
 from jaxtyping import Complex
@@ -22,6 +23,21 @@ __all__ = ["Fault", "Rule", "Severity", "check_pattern", "require_valid"]
 
 SHORTEST_EDGE = 0.5  # cm: an edge under it has defeated cloth simulators (a fifth of published patterns hold one)
 LARGEST = 1000.0  # cm: no piece of a garment is ten metres across; a pattern in the wrong unit is
+LONGEST_OUTLINE = 10_000.0  # cm: an outline of 100 m is a scribble; that of a ruffle of 8 m has 20
+MOST_NAMES = 40  # in a message
+MOST_EDGES = (
+    2000  # of a panel: an outline of 10 m in steps of half a centimetre; published and sampled panels have up to 36
+)
+WIDE = 400.0  # cm: a ruffle may be wider, though not a garment of which most edges are LONG, too
+LONG = 60.0  # cm: the median edge of a garment is shorter, and that of one ten times too large longer
+HIGH = 400.0  # cm: nobody is so tall that a panel would hang there
+LOW = 25.0  # cm: nothing but shoes ends as low, and what is ten times too small
+TINY = 10.0  # cm: the largest panel of a garment, even of a belt, is larger
+USUAL = 90.0  # cm: the largest panel of a usual garment, by which a unit is guessed
+USUAL_TOP = 130.0  # cm: as high hangs a usual garment, which tells more where it was placed
+UNITS = {"millimetres": 1000, "centimetres": 100, "inches": 39.37, "metres": 1}  # in a metre
+CROSSWISE = 0.85  # of the distance of the ends that a stitch joins; where the other way takes less, it is drawn so
+APART = 2.0  # cm by which that way must be shorter; of the published and our own stitches none takes 0.9
 GATHER = 1.05  # ratio of two lengths sewn together, from which cloth gathers visibly
 SLACK = 0.5  # cm: a difference of two lengths that any seam takes
 
@@ -39,22 +55,28 @@ class Rule(Enum):
     NO_PANEL = "no panels"
     PANEL_NAME = "name that tells no panel"
     FEW_EDGES = "too few edges"
+    MANY_EDGES = "too many edges"
     VERTEX_RANGE = "vertex out of range"
     OPEN_LOOP = "open loop"
     NO_LENGTH = "edge without length"
     ARC_RADIUS = "arc radius under half its chord"
     TOO_LARGE = "panel over 10 m"
+    UNLIKELY_SIZE = "size that fits nobody"
     SELF_CROSSING = "outline crosses itself"
     NO_SUCH_EDGE = "stitch to nothing"
     STITCHED_TWICE = "edge stitched twice"
     LABELS_DIFFER = "stitched edges have different labels"
     SHORT_EDGE = "edge under 0.5 cm"
     SEAM_LENGTHS = "seam lengths differ"
+    SEWN_CROSSWISE = "stitch joins the far ends"
 
     @property
     def severity(self) -> Severity:
         """Warning for what can be sewn all the same."""
-        return Severity.WARNING if self in (Rule.SHORT_EDGE, Rule.SEAM_LENGTHS) else Severity.ERROR
+        return Severity.WARNING if self in SEWABLE else Severity.ERROR
+
+
+SEWABLE = frozenset({Rule.UNLIKELY_SIZE, Rule.SHORT_EDGE, Rule.SEAM_LENGTHS, Rule.SEWN_CROSSWISE})
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,15 +107,20 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     if not pattern.panels:
         return (Fault(Rule.NO_PANEL, "", None, "there is nothing to sew: draw one"),)
     faults = {number: list(_loop_faults(panel)) for number, panel in enumerate(pattern.panels)}
+    units = _units(pattern)
     drawn = {number: edge_hulls(panel) for number, panel in enumerate(pattern.panels) if not faults[number]}
     for number in _may_be_large(drawn):
         # Asked before anything is sampled: there is no room for what is huge.
-        if huge := list(_size_faults(pattern.panels[number], drawn[number])):
+        if huge := list(_size_faults(pattern.panels[number], drawn[number], units)):
             faults[number] += huge
             del drawn[number]
     shaped = {number: pattern.panels[number].edge_lengths() for number in drawn}
     for number, edges in shaped.items():
         faults[number] += _short_edges(pattern.panels[number], edges)
+        if (outline := sum(edges)) > LONGEST_OUTLINE:
+            figure = f"its outline has {outline / 100:.0f} m: check units_in_meter, and how its curves bend"
+            faults[number].append(Fault(Rule.TOO_LARGE, pattern.panels[number].name, None, figure))
+            del drawn[number]
     for number, fault in _crossings(pattern.panels, drawn, shaped):
         faults[number].append(fault)
     lengths = {
@@ -102,7 +129,8 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
         for index, length in enumerate(edges)
     }
     of_panels = (fault for number in sorted(faults) for fault in faults[number])
-    return (*_name_faults(pattern.panels), *of_panels, *_seam_faults(pattern, lengths))
+    of_all = _unlikely_size(pattern, list(drawn.values()), lengths.values(), units) if len(drawn) == len(faults) else ()
+    return (*of_all, *_name_faults(pattern.panels), *of_panels, *_seam_faults(pattern, lengths))
 
 
 def require_valid(pattern: Pattern, source: str = "") -> Pattern:
@@ -139,6 +167,10 @@ def _loop_faults(panel: Panel) -> Iterator[Fault]:
     if count < (3 if straight else 2):
         kind = "straight" if straight else "curved"
         yield Fault(Rule.FEW_EDGES, panel.name, None, f"{count} {kind}: close the outline")
+    if count > MOST_EDGES:
+        figure = f"{count}, more than {MOST_EDGES}: draw curves instead of many lines"
+        yield Fault(Rule.MANY_EDGES, panel.name, None, figure)
+        return
     for index, edge in enumerate(panel.edges):
         outside = [vertex for vertex in (edge.start, edge.end) if not 0 <= vertex < corners]
         if outside:
@@ -167,15 +199,65 @@ def _may_be_large(drawn: Mapping[int, Complex[np.ndarray, "e 4"]]) -> list[int]:
     return list(drawn)
 
 
-def _size_faults(panel: Panel, hulls: Complex[np.ndarray, "e 4"]) -> Iterator[Fault]:
+def _size_faults(panel: Panel, hulls: Complex[np.ndarray, "e 4"], units: float) -> Iterator[Fault]:
     """Whether the outline, or a point that bends it, reaches too far."""
     rings = [edge.curve.radius if isinstance(edge.curve, Arc) and edge.curve.large else 0.0 for edge in panel.edges]
     # The tangents of more than a half circle meet far outside of it: its diameter says more.
     near = np.where(np.array(rings)[:, None] > 0, hulls[:, :1], hulls)
     across = float(max(np.ptp(near.real), np.ptp(near.imag), 2 * max(rings)))
     if not across <= LARGEST:
-        figure = f"{across:.6g} cm across with its control points: check units_in_meter"
+        figure = f"{across:.6g} cm across with its control points: {_probable_unit(across, units, USUAL / across)}"
         yield Fault(Rule.TOO_LARGE, panel.name, None, figure)
+
+
+def _unlikely_size(
+    pattern: Pattern, hulls: Sequence[Complex[np.ndarray, "e 4"]], lengths: Collection[float], units: float
+) -> Iterator[Fault]:
+    """Whether the garment is too large or too small for a person, as one in another unit than it says is."""
+    corners, first = np.concatenate(hulls)[:, 0], np.cumsum([0, *map(len, hulls[:-1])])
+    largest = max(
+        float((np.maximum.reduceat(part, first) - np.minimum.reduceat(part, first)).max())
+        for part in (corners.real, corners.imag)
+    )
+    highest = max(float(panel.placement.translation[1]) for panel in pattern.panels)
+    if TINY <= largest <= WIDE and LOW <= highest <= HIGH:
+        return
+    top = _top(pattern.panels)
+    if top is not None and top > HIGH:
+        figure = f"it hangs up to {top:.4g} cm high, its largest panel is {largest:.4g} cm"
+    elif largest > WIDE and np.median(list(lengths)) > LONG:
+        figure = f"its largest panel is {largest:.4g} cm, and half of its edges are over {LONG:.0f} cm"
+    elif largest < TINY or (top is not None and top < LOW):
+        figure = f"its largest panel is {largest:.4g} cm"
+    else:
+        return
+    scale = USUAL / largest if top is None else USUAL_TOP / top if top > 0 else None
+    yield Fault(Rule.UNLIKELY_SIZE, "", None, f"{figure}: {_probable_unit(largest, units, scale)}")
+
+
+def _top(panels: Sequence[Panel]) -> float | None:
+    """How high a garment hangs that was placed [cm]."""
+    if not any(panel.placement.translation.any() for panel in panels):
+        return None
+    return max(float(panel.placement.apply(panel.vertices)[:, 1].max()) for panel in panels)
+
+
+def _units(pattern: Pattern) -> float:
+    """Length units in a metre, as the pattern's file says."""
+    properties = pattern.extra.get("properties", {})
+    told = properties.get("original_units_in_meter", properties.get("units_in_meter"))
+    return float(told) if isinstance(told, int | float) and told > 0 else float(UNITS["centimetres"])
+
+
+def _probable_unit(size: float, units: float, scale: float | None) -> str:
+    """The unit in which a garment is about ``scale`` times as large as it is read; ``size`` [cm] is as it is read."""
+    if scale is not None:
+        off = {unit: abs(log(units / per_metre / scale)) for unit, per_metre in UNITS.items()}
+        likely = min(off, key=lambda unit: off[unit])
+        if off[likely] < log(10) and not isclose(units, UNITS[likely]):
+            drawn = size * units / UNITS[likely]
+            return f"drawn in {likely} it has {drawn:.3g} cm: set properties.units_in_meter to {UNITS[likely]:g}"
+    return f"check properties.units_in_meter, which is {units:g}"
 
 
 def _short_edges(panel: Panel, lengths: list[float]) -> Iterator[Fault]:
@@ -192,7 +274,7 @@ def _crossings(
     """Where an edge crosses or touches itself or another, other than in a corner they share."""
     numbers = list(hulls)
     drawn = [panels[number] for number in numbers]
-    for place, crossing in find_crossings(drawn, list(hulls.values()), list(lengths.values())):
+    for place, crossing in find_crossings(drawn, list(hulls.values()), [lengths[number] for number in numbers]):
         x, y = crossing.place
         figure = f"it meets edge {crossing.other} at ({x:.2f}, {y:.2f}) cm: part them"
         if crossing.edge == crossing.other:
@@ -207,6 +289,8 @@ def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fa
     labels = {EdgeRef(p.name, i): edge.label for p in pattern.panels for i, edge in enumerate(p.edges)}
     edges_of = {panel.name: len(panel.edges) for panel in pattern.panels}
     uses = Counter(side for seam in pattern.seams for side in (seam.left, seam.right))
+    panels = {panel.name: panel for panel in pattern.panels}
+    places = {panel.name: panel.placement.apply(panel.vertices).tolist() for panel in pattern.panels}
     told: set[EdgeRef] = set()
     for number, seam in enumerate(pattern.seams):
         missing = [side for side in (seam.left, seam.right) if side not in labels]
@@ -219,14 +303,22 @@ def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fa
                 yield Fault(Rule.STITCHED_TWICE, side.panel, side.edge, figure)
         if not missing:
             yield from _unlike_sides(number, seam, labels, lengths)
+        if seam.left in lengths and seam.right in lengths:
+            yield from _crosswise(number, seam, panels, places)
 
 
 def _no_such_edge(number: int, side: EdgeRef, edges_of: dict[str, int]) -> Fault:
     if side.panel not in edges_of:
-        figure = f"stitch {number}: there is no panel of that name: known are {', '.join(map(shown, edges_of))}"
+        figure = f"stitch {number}: there is no panel of that name: known are {_listed(edges_of)}"
     else:
         figure = f"stitch {number}: the panel has {edges_of[side.panel]} edges, numbered from 0: mend the stitch"
     return Fault(Rule.NO_SUCH_EDGE, side.panel, side.edge, figure)
+
+
+def _listed(names: Collection[str]) -> str:
+    """Names as a message has them: the first few."""
+    first = ", ".join(shown(name) for name in islice(names, MOST_NAMES))
+    return first if len(names) <= MOST_NAMES else f"{first} and {len(names) - MOST_NAMES} more"
 
 
 def _unlike_sides(
@@ -242,3 +334,29 @@ def _unlike_sides(
         if longer > GATHER * shorter and longer - shorter > SLACK:
             figure = f"{partner}: {lengths[left]:.2f} and {lengths[right]:.2f} cm, ratio {longer / shorter:.3f}"
             yield Fault(Rule.SEAM_LENGTHS, left.panel, left.edge, figure)
+
+
+def _crosswise(
+    number: int, seam: Seam, panels: Mapping[str, Panel], places: Mapping[str, list[list[float]]]
+) -> Iterator[Fault]:
+    """Whether the ends that a stitch joins lie far apart as the panels hang, and those that it does not join near."""
+    (a, b), (c, d) = (_ends(panels[side.panel], side.edge, places[side.panel]) for side in (seam.left, seam.right))
+    if not seam.right_wrong:
+        c, d = d, c
+    joined, other = dist(a, c) + dist(b, d), dist(a, d) + dist(b, c)
+    if not (other < CROSSWISE * joined and joined - other > APART):
+        return
+    left, right = panels[seam.left.panel], panels[seam.right.panel]
+    if left is not right and left.placement == right.placement:
+        return  # drawn on one sheet and never placed: how they lie there tells nothing
+    starts = "the starts of both meet" if seam.right_wrong else "the start of one meets the end of the other"
+    figure = (
+        f"stitch {number} with panel {shown(right.name)}, edge {seam.right.edge}: {starts}, {joined / 2:.1f} cm apart "
+        f"as the panels hang, and {other / 2:.1f} cm the other way: draw one loop the other way round"
+    )
+    yield Fault(Rule.SEWN_CROSSWISE, left.name, seam.left.edge, figure)
+
+
+def _ends(panel: Panel, edge: int, places: list[list[float]]) -> tuple[list[float], list[float]]:
+    """Where an edge starts and ends, of the places of its panel's corners."""
+    return places[panel.edges[edge].start], places[panel.edges[edge].end]

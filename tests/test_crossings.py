@@ -1,12 +1,13 @@
 """What is proved apart is apart, and what is innocent is proved so without a search."""
 
+import tracemalloc
 from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
 import pytest
 import shapely
-from hypothesis import assume, example, given
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from gcd_dataset import crossings
@@ -66,7 +67,7 @@ def test_what_is_proved_apart_is_apart(loop: list[tuple[float, float, Curve]]) -
     hulls = edge_hulls(shape)
     lines = [shapely.LineString(sampled(shape, index)) for index in range(len(loop))]
     assert all(lines[index].is_simple for index in np.flatnonzero(crossings._monotone(hulls)))
-    suspects = {pair for _, _, pairs in crossings._suspects([hulls]) for pair in pairs}
+    suspects = {(i, j) for _, _, pairs in crossings._suspects([hulls]) for i, j in pairs.tolist()}
     for i, j in set(combinations(range(len(loop)), 2)) - suspects:
         met = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
         corner = shape.vertices[sorted({i, (i + 1) % len(loop)} & {j, (j + 1) % len(loop)})]
@@ -114,6 +115,46 @@ def test_a_line_has_a_hull_of_its_own_points() -> None:
 def test_panels_are_judged_together_as_they_are_alone(drawn_loops: list[list[tuple[float, float, Curve]]]) -> None:
     shapes = [drawn(loop) for loop in drawn_loops]
     hulls = [edge_hulls(shape) for shape in shapes]
-    alone = [next(((a, p) for _, a, p in crossings._suspects([hull])), ([], [])) for hull in hulls]
-    together = {number: (a, p) for number, a, p in crossings._suspects(hulls)}
+    alone = [suspects([hull]).get(0, ([], [])) for hull in hulls]
+    together = suspects(hulls)
     assert [together.get(number, ([], [])) for number in range(len(shapes))] == alone
+
+
+def suspects(hulls: list[np.ndarray]) -> dict[int, tuple[list[int], list[list[int]]]]:
+    return {number: (alone.tolist(), pairs.tolist()) for number, alone, pairs in crossings._suspects(hulls)}
+
+
+@settings(max_examples=30)
+@given(st.lists(loops, min_size=1, max_size=3), st.sampled_from([1, 12]))
+def test_a_sweep_finds_the_pairs_that_a_search_of_all_finds(
+    drawn_loops: list[list[tuple[float, float, Curve]]], copies: int
+) -> None:
+    """Every outline once, and twelve times in one loop, so that edges lie on each other; in pieces of a few pairs."""
+    hulls = [edge_hulls(drawn(loop * copies)) for loop in drawn_loops]
+    at_once = suspects(hulls)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(crossings, "AT_ONCE", 50)
+        patch.setattr(crossings, "FEW", 0)
+        assert suspects(hulls) == at_once
+        patch.setattr(crossings, "FEW", 10**6)
+        assert suspects(hulls) == at_once
+    for hull in hulls:
+        one, other = np.triu_indices(len(hull), k=1)
+        near = ~crossings._boxes_apart(hull, one, other)
+        assert crossings._swept(hull).T.tolist() == np.stack([one[near], other[near]], axis=1).tolist()
+
+
+def test_two_thousand_edges_take_little_memory() -> None:
+    """A comb, whose teeth all lie side by side and whose slanting edges have boxes that overlap two by two."""
+    count = 1000
+    top = [(0.5 * i, 100.0 * (i % 2) + 50.0) for i in range(count)]
+    comb = panel([*top, (0.5 * count, 0.0), (0.0, 0.0)])
+    tracemalloc.start()
+    assert found(comb) == []
+    assert tracemalloc.get_traced_memory()[1] < 30e6
+    tracemalloc.stop()
+
+
+def test_a_scribble_is_told_by_its_first_crossings() -> None:
+    scribble = panel([(float(x), float(y)) for x, y in np.random.default_rng(0).uniform(0, 100, (300, 2))])
+    assert len(found(scribble)) == crossings.MOST_TOLD

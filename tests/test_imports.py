@@ -70,7 +70,7 @@ def test_warp_is_imported_by_drape_and_render_alone() -> None:
 
 LAYERS = {
     "records": {"errors", "curves"},
-    "jsonfile": {"errors"},
+    "jsonfile": {"errors", "files"},
     "spec": {"errors", "curves", "records", "files", "jsonfile"},
     "crossings": {"curves", "records"},
     "validate": {"errors", "curves", "records", "crossings"},

@@ -272,10 +272,10 @@ def test_a_file_that_cannot_be_read_is_named_with_a_remedy(tmp_path: Path, monke
     with pytest.raises(SpecError, match=r"mine\.json/x: cannot be read \(Not a directory\): give the path"):
         read_pattern(tmp_path / "mine.json" / "x")
 
-    def forbidden(*_: object, **__: object) -> str:
+    def forbidden(*_: object, **__: object) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
-    monkeypatch.setattr(Path, "read_text", forbidden)  # the superuser, who runs many a test, may read everything
+    monkeypatch.setattr(Path, "open", forbidden)  # the superuser, who runs many a test, may read everything
     with pytest.raises(SpecError, match=r"cannot be read \(Permission denied\): ask for the right to read it"):
         read_pattern(tmp_path / "mine.json")
 

@@ -167,6 +167,7 @@ def _measure(options: argparse.Namespace) -> int:
         print(text, end="")
     else:
         write_whole(options.out, text.encode())
+        print(*(line for line in text.splitlines() if line.startswith("#")), sep="\n", file=sys.stderr)
         print(options.out)
     return 0
 

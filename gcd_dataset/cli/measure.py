@@ -30,7 +30,7 @@ def measured_text(body: str, landmarks: Path | None = None, segmentation: Path |
 def _border_remarks(taken: Taken) -> list[str]:
     """One line a girth whose search ended on its border."""
     return [
-        f"{girth}: taken at {taken.levels[girth]:.1f} cm, {abs(by):.0f} cm {'above' if by > 0 else 'below'} where it "
+        f"{girth}: taken at {taken.levels[girth]:.1f} cm, {abs(by):.1f} cm {'above' if by > 0 else 'below'} where it "
         f"was looked for, {'where the legs part' if girth == 'leg_circ' else 'at the end of the search'}"
         for girth, by in taken.at_border.items()
     ]

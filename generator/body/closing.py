@@ -74,10 +74,15 @@ def _pieces(faces: Int[np.ndarray, "f 3"], size: int) -> Int[np.ndarray, " v"]:
 
 
 def _joined(vertices: np.ndarray, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "g 3"]:
-    """The faces with one vertex for all at the same place, where they do not hang together as they are."""
-    if (sides_of(faces)[1] == 2).all():
+    """The faces with one vertex for all at the same place on the rims, where they do not hang together as they are.
+
+    Only rims: skins that touch elsewhere, such as closed lips, are no seam.
+    """
+    sides, times = sides_of(faces)
+    rims = np.unique(sides[times == 1])
+    if not len(rims):
         return faces
-    joined = same_places(vertices, np.unique(faces))[faces]
+    joined = same_places(vertices, rims)[faces]
     return joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
 
 

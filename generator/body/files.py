@@ -17,7 +17,7 @@ from gcd_dataset.generator.body.closing import ClosedSkin
 from gcd_dataset.generator.body.marks import read_marks
 from gcd_dataset.generator.body.measuring import Fitted, fit_tape, take_own
 from gcd_dataset.generator.body.pose import stand
-from gcd_dataset.generator.body.tailor import Taken
+from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, Taken
 from gcd_dataset.generator.body.upright import UNITS, unit_of
 from gcd_dataset.records import Body, Measurements, Record
 
@@ -31,6 +31,10 @@ SURE = 0.96  # of a shoulder's confidence, over which arms laid down are as good
 BESIDE_ARMS = ("shoulder_left", "shoulder_right", "underarm_right")
 HANGING_ON_ARMS = ("shoulder_w", "shoulder_incl", "armscye_depth", "arm_length", "bust_points", "waist_over_bust_line")
 UNDERBUST_OFF = 0.5  # cm
+COARSE = 0.7  # cm that a girth may be off, over which a mesh is told to be coarse; 6,890 vertices make 0.6
+GIRTH_OFF = 16.0  # times the sagitta; a tape drawn over flat triangles is 2 pi short, and of a merged mesh more
+WRIST_OFF = 3 * GIRTH_OFF  # the wrist is more bent than the rest of the skin
+DEGREES_OFF = 1.0  # a centimetre of edge, on the shoulder's slope
 UNSURE = 0.5  # of a landmark's confidence, under which it is named
 
 
@@ -152,6 +156,7 @@ def _remarks(raw: _Mesh, fitted: Fitted) -> list[str]:
             f"{len(fitted.holes)} holes in the skin, up to {fitted.holes.max():.1f} cm across, bridged where a tape "
             "runs over less than 3 cm of them"
         )
+    remarks += _coarse(fitted)
     remarks.append(f"landmarks found {fitted.misfit:.2f} cm from the nearest body of our shape space on average")
     if fitted.misfit > UNLIKE:
         remarks.append("doubtful: unlike any adult of our shape space: check the measures")
@@ -165,6 +170,18 @@ def _remarks(raw: _Mesh, fitted: Fitted) -> list[str]:
             f"doubtful: unsure landmarks (1 is sure): {', '.join(unsure)}: check the measures that hang on them"
         )
     return remarks
+
+
+def _coarse(fitted: Fitted) -> list[str]:
+    """By how much the measures of a coarse mesh may be off: figures that decimated bodies stay within."""
+    girth = GIRTH_OFF * fitted.sagitta
+    if girth < COARSE * fitted.taken.measurements.height / USUAL_HEIGHT:
+        return []
+    return [
+        f"doubtful: a coarse mesh, its edges {fitted.edge:.1f} cm long on average: height and girths may be up to "
+        f"{girth:.1f} cm off, wrist and leg_circ {WRIST_OFF * fitted.sagitta:.1f} cm, what lies between landmarks "
+        f"{fitted.edge:.1f} cm and {DEGREES_OFF * fitted.edge:.0f}°: give a finer mesh"
+    ]
 
 
 def _arms(turn: float) -> list[str]:

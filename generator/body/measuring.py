@@ -75,6 +75,10 @@ class Fitted(Record):
     """Distance across each hole in the skin [cm]."""
     underbust_off: float
     """By how much the underbust may be off, as its level is not sure [cm]."""
+    edge: float
+    """Mean length of the mesh's edges [cm]."""
+    sagitta: float
+    """How far its triangles lie under a smooth skin on average [cm]."""
 
 
 def fit_tape(
@@ -122,6 +126,8 @@ def fit_tape(
         arms=lowered.turn,
         holes=scan.holes,
         underbust_off=underbust_doubt(lowered.scan, sites, taken, registration.guess.misfit),
+        edge=scan.edge,
+        sagitta=scan.sagitta,
     )
 
 

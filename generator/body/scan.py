@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import trimesh
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
@@ -11,12 +12,14 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.holes import Holes
+from gcd_dataset.generator.body.surface import divided
 from gcd_dataset.records import Record
 
 __all__ = ["Scan", "same_places"]
 
 FEWEST_FACES = 500  # with fewer a body's girths are off by more than a centimetre: see the case `measures`
 BODY_SHARE = 0.8  # of all area: the least by which the largest piece is taken for the body
+LONGEST = 0.02  # of the mesh's size: longer edges are halved, so that a tape's band has triangles that lie in it whole
 WELD = 1e-5  # of the mesh's size: positions nearer than this are one
 
 
@@ -25,7 +28,7 @@ class Scan(Record):
     """Triangles of one closed skin, and what of them is patches over holes."""
 
     vertices: Float[np.ndarray, "v 3"]
-    """[cm]; the last ones are the middles of patches."""
+    """[cm]; the middles of patches and of divided edges come last."""
     faces: Int[np.ndarray, "f 3"]
     patched: Bool[np.ndarray, " f"]
     """Faces that are patches."""
@@ -35,6 +38,10 @@ class Scan(Record):
     """Vertices of the mesh as it came that are of pieces left out: eyes, scraps."""
     holes: Float[np.ndarray, " h"]
     """Distance across each hole that is patched [cm of the mesh as it came]."""
+    edge: float
+    """Mean length of an edge [cm of the mesh as it came]."""
+    sagitta: float
+    """How far triangles lie under a smooth skin on average, as their neighbours are turned [cm, likewise]."""
 
     @classmethod
     def of(cls, vertices: Float[np.ndarray, "u 3"], faces: Int[np.ndarray, "g 3"], name: str) -> Self:
@@ -54,14 +61,17 @@ class Scan(Record):
             )
         welded, faces, source, loose = _largest_piece(welded, faces, source)
         holes = Holes.of(welded, faces)
-        patches = holes.patches(len(welded))
+        patched = np.concatenate([faces, holes.patches(len(welded))])
+        longest = LONGEST * float(np.ptp(welded, axis=0).max())
+        fine, pieces, owners = divided(np.concatenate([welded, holes.middles]), patched, longest)
         return cls(
-            np.concatenate([welded, holes.middles]),
-            np.concatenate([faces, patches]),
-            np.arange(len(faces) + len(patches)) >= len(faces),
+            fine,
+            pieces,
+            owners >= len(faces),
             source,
             loose & np.isin(np.arange(len(vertices)), used),
             holes.widths,
+            *_coarseness(welded, faces),
         )
 
 
@@ -107,3 +117,14 @@ def _largest_piece(
     number[own] = np.arange(own.sum())
     number[~own] = cKDTree(vertices[own]).query(vertices[~own])[1]
     return vertices[own], number[faces[own[faces[:, 0]]]], number[source], ~own[source]
+
+
+def _coarseness(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, float]:
+    """Mean edge, and mean sagitta of arcs laid through neighbouring triangles, weighed by their areas."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    ends = vertices[mesh.face_adjacency_edges]
+    edges = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    areas = mesh.area_faces[mesh.face_adjacency].sum(axis=1)
+    turn = np.minimum(mesh.face_adjacency_angles, np.pi - mesh.face_adjacency_angles)  # faces may look either way
+    sagitta = areas / edges * turn / 8  # the triangles' mean height, an eighth of the turn: an arc over a chord
+    return float(edges.mean()), float(sagitta @ areas / areas.sum())

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.records import Record
 
-__all__ = ["Nearest", "Surface", "nearest_on_triangles"]
+__all__ = ["Nearest", "Surface", "divided", "nearest_on_triangles"]
 
 LONGEST = 6.0  # cm: longer edges are halved first, so that a near triangle has a near middle
 MOST = 300_000  # triangles that a mesh may be divided into for that; slivers of a metre would be millions
@@ -52,11 +52,8 @@ class Surface(Record):
         patched: Bool[np.ndarray, " f"] | None = None,
     ) -> Self:
         """The surface of a mesh, of which some faces are patches; triangles without area are left out."""
-        corners, owners = vertices[faces], np.arange(len(faces))
-        longest = _longest_edge(corners)
-        if np.ptp(corners, axis=1).max(initial=0.0) > longest:
-            fine, pieces, owners = trimesh.remesh.subdivide_to_size(vertices, faces, longest, return_index=True)
-            corners = fine[pieces]
+        fine, pieces, owners = divided(vertices, faces, LONGEST)
+        corners = fine[pieces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         double_area = np.linalg.norm(across, axis=1)
         solid = double_area > 1e-12
@@ -77,13 +74,21 @@ class Surface(Record):
         )
 
 
-def _longest_edge(corners: Float[np.ndarray, "f 3 3"]) -> float:
-    """``LONGEST``, or as many times its double as it takes to have no more than ``MOST`` triangles [cm]."""
+def divided(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], longest: float
+) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], Int[np.ndarray, " g"]]:
+    """The mesh with edges of at most ``longest`` [cm], halved where they were longer, and the face each piece is of.
+
+    Old vertices keep their numbers. Edges may be longer where there would be more than ``MOST`` triangles.
+    """
+    corners = vertices[faces]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0.0)
-    longest = LONGEST
-    while (4.0 ** np.ceil(np.log2(np.maximum(sides / longest, 1.0)))).sum() > max(MOST, len(corners)):
+    while (4.0 ** np.ceil(np.log2(np.maximum(sides / longest, 1.0)))).sum() > max(MOST, len(faces)):
         longest *= 2
-    return longest
+    if sides.max(initial=0.0) <= longest:
+        return vertices, faces, np.arange(len(faces))
+    fine, pieces, owners = trimesh.remesh.subdivide_to_size(vertices, faces, longest, return_index=True)
+    return fine, pieces, owners
 
 
 def nearest_on_triangles(

@@ -23,7 +23,18 @@ from gcd_dataset.generator.body.section import clipped, girth, rough_girths, sec
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.records import BodyPart, Measurements, Record
 
-__all__ = ["Sites", "Taken", "arm_net", "find_sites", "own_sites", "room", "sites_of", "take", "take_measures"]
+__all__ = [
+    "USUAL_HEIGHT",
+    "Sites",
+    "Taken",
+    "arm_net",
+    "find_sites",
+    "own_sites",
+    "room",
+    "sites_of",
+    "take",
+    "take_measures",
+]
 
 GIRTHS = ("bust", "underbust", "waist", "hips")
 BESIDE = {
@@ -37,6 +48,7 @@ XZ = slice(0, 3, 2)
 SEARCH = np.arange(-4, 5) * 0.5  # cm about the ring's mean height, GarmentCodeData; on a body of USUAL_HEIGHT
 LEG_STEP = 0.5  # cm by which the thigh's section is lowered until the legs part
 LEG_STEPS = 30
+LEG_LOWERED = 0.75  # cm of lowering from which the thigh may be more than half a centimetre thinner
 USUAL_HEIGHT = 172.0  # cm; that of the bodies the widths of sites are for
 MIDDLES = np.array([0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0])  # cm beside the crotch
 NECK_CLEARANCE = 1.4  # cm that the plane over the bust keeps outside the side of the neck, as on the published bodies
@@ -52,7 +64,7 @@ class Taken:
     at_border: Mapping[str, float]
     """Girths that go on growing (bust, hips) or shrinking (waist) where the search ends: by the end reached [cm].
 
-    Also the leg's, where it was lowered as far or further, until the legs parted.
+    Also the leg's, where it was lowered by a centimetre and more until the legs parted.
     """
 
 
@@ -111,7 +123,7 @@ def take(vertices: Float[np.ndarray, "v 3"], marks: Marks, sites: "Sites") -> Ta
         crotch_hip_diff=float(m.crotch_hip_diff(at["hips_side_right"], at["crotch_point"])),
     )
     levels = {name: float(points[0, Y]) for name, points in found.items()} | {"leg_circ": leg_level}
-    return Taken(measurements, levels, _at_border(levels, marks, SEARCH[-1] * wide))
+    return Taken(measurements, levels, _at_border(levels, marks, wide))
 
 
 def room(vertices: Float[np.ndarray, "v 3"]) -> float:
@@ -125,11 +137,12 @@ def _ends(heights: Float[np.ndarray, " v"]) -> list[np.intp]:
     return [heights.argmin(), heights.argmax()]
 
 
-def _at_border(levels: Mapping[str, float], marks: Marks, reach: float) -> dict[str, float]:
+def _at_border(levels: Mapping[str, float], marks: Marks, wide: float) -> dict[str, float]:
     """Girths whose search ended on its border, and on which."""
+    reach = dict.fromkeys(("bust", "waist", "hips"), SEARCH[-1] * wide - 1e-6) | {"leg_circ": LEG_LOWERED * wide}
     looked_for = {**marks.levels, "leg_circ": marks.levels["leg_right"]}
-    off = {name: levels[name] - looked_for[name] for name in ("bust", "waist", "hips", "leg_circ")}
-    return {name: round(by, 3) for name, by in off.items() if abs(by) > reach - 1e-6}
+    off = {name: levels[name] - looked_for[name] for name in reach}
+    return {name: round(by, 3) for name, by in off.items() if abs(by) > reach[name]}
 
 
 # --------------------------------------------------------------------------------------------------------------- sites

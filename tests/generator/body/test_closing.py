@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from gcd_dataset.bodyfiles import read_parts
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, female_shape, read_body
 from gcd_dataset.generator.body.closing import WIDEST_HOLE, ClosedSkin
@@ -71,6 +72,29 @@ def test_faces_that_look_anywhere_are_turned_outward(damage: str) -> None:
     skin = closed(body, faces)
     assert is_whole(skin)
     assert not len(skin.closed)
+
+
+def test_skins_that_touch_are_not_joined_for_a_hole_elsewhere() -> None:
+    """Two boxes that meet along an edge, each with its own vertices there, and a triangle missing on the far side."""
+    one = trimesh.creation.box((10.0, 10.0, 10.0)).subdivide()
+    two = one.copy().apply_translation([10.0, 10.0, 0.0])
+    both = trimesh.util.concatenate([one, two])
+    far = int(both.triangles_center.sum(axis=1).argmin())
+    skin = closed(body_from(both), np.delete(both.faces, far, axis=0))
+    assert is_whole(skin)
+    assert len(skin.closed) == 1
+
+
+def test_a_published_body_that_lacks_a_triangle_is_closed(examples: Path) -> None:
+    """Its lips touch, and 28 sides there would be shared by three if they were joined."""
+    folder = examples / "bodies"
+    mesh = trimesh.load(folder / "mean_all.obj", process=False, maintain_order=True)
+    parts = read_parts(folder / "ggg_body_segmentation.json", len(mesh.vertices), folder / "mean_all.obj")
+    vertices = 100.0 * np.asarray(mesh.vertices)
+    for lost in (0, 17_000, 47_499):
+        skin = ClosedSkin.of(vertices, np.delete(mesh.faces, lost, axis=0), parts, "mean")
+        assert is_whole(skin)
+        assert len(skin.closed) == 1
 
 
 def test_a_wide_hole_is_told_with_its_size_and_place() -> None:
