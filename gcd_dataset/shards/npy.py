@@ -18,7 +18,7 @@ import numpy as np
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.layout import Bytes
 
-__all__ = ["read_npy", "write_npy"]
+__all__ = ["npy_header", "read_npy", "write_npy"]
 
 MAGIC = b"\x93NUMPY\x01\x00"
 ALIGNMENT = 64
@@ -32,11 +32,16 @@ def write_npy(array: np.ndarray) -> bytes:
     if array.dtype.kind not in KINDS:
         raise ShardError(f"an array of {array.dtype} cannot be stored: only numbers can")
     dtype = array.dtype.newbyteorder("<")
-    shape = ", ".join(str(n) for n in array.shape) + ("," if array.ndim == 1 else "")
-    text = f"{{'descr': '{dtype.str}', 'fortran_order': False, 'shape': ({shape}), }}".encode()
+    return npy_header(dtype, array.shape) + np.ascontiguousarray(array, dtype).tobytes()
+
+
+def npy_header(dtype: np.dtype, shape: tuple[int, ...]) -> bytes:
+    """How the ``.npy`` file of an array of little-endian numbers begins."""
+    axes = ", ".join(str(n) for n in shape) + ("," if len(shape) == 1 else "")
+    text = f"{{'descr': '{dtype.str}', 'fortran_order': False, 'shape': ({axes}), }}".encode()
     padding = -(len(MAGIC) + 2 + len(text) + 1) % ALIGNMENT
     header = text + b" " * padding + b"\n"
-    return MAGIC + struct.pack("<H", len(header)) + header + np.ascontiguousarray(array, dtype).tobytes()
+    return MAGIC + struct.pack("<H", len(header)) + header
 
 
 def read_npy(file: Bytes) -> np.ndarray:

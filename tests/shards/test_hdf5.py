@@ -1,8 +1,12 @@
 """One HDF5 file holds what the shards hold, byte for byte."""
 
+import os
 import pickle
+import struct
 import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -10,14 +14,17 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from gcd_dataset.errors import ConfigError, OutputError, ShardError
+from gcd_dataset.errors import ConfigError, GcdError, OutputError, ShardError
+from gcd_dataset.generator import make
+from gcd_dataset.generator.pipeline import MakeConfig
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, Hdf5Garments, collate_list
 from gcd_dataset.loaders.base import Item
-from gcd_dataset.shards import MEMBERS, ShardReader
+from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, hdf5
 from gcd_dataset.shards.hdf5 import Hdf5Reader, write_hdf5
 from tests.shards.folders import fill
 
 COUNT = 6
+GARMENTS = 3  # generated ones
 
 
 @pytest.fixture(scope="module")
@@ -144,3 +151,229 @@ def test_a_file_has_its_name_once_it_is_whole(folder: Path, tmp_path: Path) -> N
     assert [file.name for file in tmp_path.iterdir()] == ["train.h5"]
     with pytest.raises(OutputError, match="cannot be written"):
         list(write_hdf5(ShardReader(folder), tmp_path / "no" / "train.h5"))
+
+
+# ---------------------------------------------------------------------------------------------------------- damage
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Generated garments, meshed, with their points, in an HDF5 file."""
+    folder = tmp_path_factory.mktemp("generated")
+    config = MakeConfig(stage="mesh", resolution=4.0, points=256)
+    with ShardWriter(folder, split="train", seed=3, recipe={"stage": "mesh"}) as writer:
+        for index in range(GARMENTS):
+            writer.write(make(3, index, config))
+    list(write_hdf5(ShardReader(folder), folder / "train.h5"))
+    return folder / "train.h5"
+
+
+@pytest.fixture
+def spoiled(generated: Path, tmp_path: Path) -> Callable[[Callable[[h5py.File], Any]], Path]:
+    """Copies of the file, changed through h5py."""
+
+    def spoil(change: Callable[[h5py.File], Any]) -> Path:
+        path = tmp_path / "spoiled.h5"
+        path.write_bytes(generated.read_bytes())
+        with h5py.File(path, "r+") as file:
+            change(file)
+        return path
+
+    return spoil
+
+
+def read_all(path: Path) -> list[dict[str, bytes]]:
+    reader = Hdf5Reader(path)
+    return [{m: bytes(d) for m, d in reader.read(i, MEMBERS).items()} for i in range(len(reader))]
+
+
+def test_no_flipped_bit_comes_back_as_another_number(generated: Path, tmp_path: Path) -> None:
+    """Each bit that is flipped is told when its member is read, or changes nothing."""
+    reader, path = Hdf5Reader(generated), tmp_path / "flipped.h5"
+    raw = generated.read_bytes()
+    before = read_all(generated)
+    random = np.random.default_rng(0)
+    told = 0
+    # The layout is found once: of the file as it was, so that each bit takes milliseconds.
+    for place in random.integers(0, len(raw), 200).tolist():
+        flipped = bytearray(raw)
+        flipped[place] ^= 1 << int(random.integers(8))
+        path.write_bytes(flipped)
+        state = reader.__getstate__() | {"path": path, "_stamp": None}
+        damaged = Hdf5Reader.__new__(Hdf5Reader)
+        damaged.__setstate__(state)
+        for position in range(GARMENTS):
+            try:
+                content = damaged.read(position, MEMBERS)
+            except ShardError as error:
+                assert str(path) in str(error)
+                told += 1
+            else:
+                assert {member: bytes(data) for member, data in content.items()} == before[position]
+    assert told > 150
+
+
+def test_a_member_is_checked_once_and_again_on_demand(generated: Path, tmp_path: Path) -> None:
+    path = tmp_path / "train.h5"
+    path.write_bytes(generated.read_bytes())
+    reader = Hdf5Reader(path)
+    verts = reader.read(1, ["box.npy"])["box.npy"]
+    place = path.read_bytes().index(bytes(verts)[-400:])
+    with path.open("r+b") as file:  # changed on the medium, after it was read and found whole
+        file.seek(place)
+        file.write(b"\1\2\3")
+    reader.read(1, ["box.npy"])
+    with pytest.raises(ShardError, match=r"sample 1, member box\.npy: bytes differ"):
+        reader.check(1)
+    with pytest.raises(ShardError, match=r"sample 1, member box\.npy: bytes differ"):
+        reader.read(1, ["box.npy"])
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "value"), [("ptr/box", 1, 3), ("ptr/front", 2, 0), ("bytes/panels", 0, 2), ("bytes/faces", 1, 4)]
+)
+def test_numbers_that_lead_to_other_rows_are_told(
+    spoiled: Callable[[Callable[[h5py.File], Any]], Path], name: str, row: int, value: int
+) -> None:
+    path = spoiled(lambda file: file[name].__setitem__(row, value))
+    with pytest.raises(ShardError, match=r"spoiled\.h5: .*: copy it again, or make it again with gcd export"):
+        read_all(path)
+
+
+def replaced(name: str, **given: Any) -> Callable[[h5py.File], Any]:
+    def change(file: h5py.File) -> None:
+        del file[name]
+        file.create_dataset(name, **given)
+
+    return change
+
+
+def to_elsewhere(file: h5py.File) -> None:
+    del file["verts"]
+    file["verts"] = h5py.ExternalLink("other.h5", "verts")
+
+
+def from_another_file(file: h5py.File) -> None:
+    shape, dtype = file["box"].shape, file["box"].dtype
+    del file["box"]
+    size = int(np.prod(shape)) * dtype.itemsize
+    file.create_dataset("box", shape, dtype, external=[("/dev/zero", 0, size)])
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda file: file.attrs.__delitem__("schema"), "of schema nothing"),
+        (lambda file: file.attrs.__setitem__("count", float("nan")), "its count is NaN"),
+        (lambda file: file.attrs.__setitem__("count", -1), "its count is -1"),
+        (lambda file: file.attrs.__setitem__("count", 2), "for 2 samples"),
+        (lambda file: file.attrs.__setitem__("count", 1 << 40), f"its count is {1 << 40}"),
+        (lambda file: file.attrs.__setitem__("format", [1, 2]), "not a file that gcd export has made"),
+        (replaced("spec", data=np.zeros(GARMENTS)), "spec is <f8"),
+        (replaced("panels", data=np.zeros((9, 14), ">f8")), "panels is >f8"),
+        (replaced("panels", data="text"), "panels is text of shape"),
+        (replaced("ptr/box", data=np.zeros(GARMENTS, np.int64)), "ptr/box is <i8"),
+        (replaced("box", data=np.zeros((99, 3)), chunks=(9, 3), compression="gzip"), "box does not lie in one piece"),
+        (lambda file: file.__delitem__("panels") or file.create_group("panels"), "panels is a group"),
+        (lambda file: file.__delitem__("edges"), "no edges"),
+        (lambda file: file.__delitem__("ptr"), "no ptr/"),
+        (to_elsewhere, "verts is elsewhere"),
+        (from_another_file, "box does not lie in one piece of this file"),
+        (lambda file: file["bytes/panels"].__setitem__(0, 255), "numbers of 255 bytes in panels of sample 0"),
+        (lambda file: file["spec"].__setitem__(0, "[" * 100_000), r"sample 0, member spec\.\w+: bytes differ"),
+        (lambda file: file["meta"].__setitem__(0, "[" * 100_000), r"sample 0, member meta\.json: bytes differ"),
+    ],
+)
+def test_a_file_of_another_form_is_one_line(
+    spoiled: Callable[[Callable[[h5py.File], Any]], Path], change: Callable[[h5py.File], Any], told: str
+) -> None:
+    path = spoiled(change)
+    with pytest.raises(ShardError, match=told) as caught:
+        read_all(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_without_checks_of_its_metadata_is_read_with_a_remark(
+    spoiled: Callable[[Callable[[h5py.File], Any]], Path], generated: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = spoiled(lambda file: file.__delitem__("crc32"))
+    assert read_all(path) == read_all(generated)
+    (message,) = [record.getMessage() for record in caplog.records]
+    assert "spoiled.h5" in message
+    assert "changed bytes of meta.json are not found: make it again with gcd export" in message
+    with h5py.File(path, "r+") as file:
+        file["meta"][0] = "[" * 100_000
+    with pytest.raises(ShardError, match=r"meta\.json of sample 0 holds no CRC-32"):
+        read_all(path)
+
+
+def collections_in(content: bytes) -> list[int]:
+    """Where the collections of texts begin."""
+    places = [content.find(b"GCOL")]
+    while places[-1] >= 0:
+        places.append(content.find(b"GCOL", places[-1] + 1))
+    return places[:-1]
+
+
+def test_collections_of_texts_that_libhdf5_never_leaves_are_told(
+    generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An entry of no size, or of nearly 2⁶⁴ bytes, leads libhdf5 back to the same entry for ever."""
+    path = tmp_path / "endless.h5"
+    whole = generated.read_bytes()
+    for size in (0, (1 << 64) - 16, (1 << 64) - 1, 1 << 40):
+        content = bytearray(whole)
+        for place in collections_in(whole)[1:]:  # the first holds the attributes
+            struct.pack_into("<Q", content, place + 24, size)
+        path.write_bytes(content)
+        with pytest.raises(ShardError, match=r"is not where the file says|it ends before"):
+            read_all(path)
+    content = bytearray(whole)
+    place = collections_in(whole)[0]
+    struct.pack_into("<Q", content, place + 24, (1 << 64) - 16)
+    path.write_bytes(content)
+    with pytest.raises(ShardError, match=r"endless\.h5: not HDF5, or damaged \("):
+        Hdf5Reader(path)
+
+
+def test_headers_that_take_too_long_are_given_up(
+    generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forever = tmp_path / "forever.py"
+    forever.write_text("import time\ntime.sleep(60)\n")
+    monkeypatch.setattr(hdf5, "LAYOUT_PROGRAM", forever)
+    monkeypatch.setattr(hdf5, "WALL_SECONDS", 0.2)
+    with pytest.raises(ShardError, match=r"its headers are not read in 0\.2 s"):
+        Hdf5Reader(generated)
+    forever.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
+    monkeypatch.setattr(hdf5, "WALL_SECONDS", 60)
+    with pytest.raises(ShardError, match="its headers end libhdf5 with signal 9"):
+        Hdf5Reader(generated)
+
+
+def test_a_pipe_and_a_file_put_in_its_place_are_told(file: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.h5")
+    with pytest.raises(ShardError, match="not a file: give one that gcd export --hdf5 has made"):
+        Hdf5Reader(tmp_path / "pipe.h5")
+    reader = Hdf5Reader(file)
+    reader.close()
+    file.write_bytes(file.read_bytes() + b"\0")
+    with pytest.raises(ShardError, match="changed since it was opened: open it anew"):
+        reader.read(0, MEMBERS)
+
+
+def test_mutated_files_are_told_or_read_as_they_were(generated: Path, tmp_path: Path) -> None:
+    """Headers too: here libhdf5 itself meets the damage, in its own process."""
+    before, whole = read_all(generated), generated.read_bytes()
+    random = np.random.default_rng(1)
+    path = tmp_path / "mutated.h5"
+    for _ in range(3):
+        content = bytearray(whole)
+        for place in random.integers(0, 12_000, 3).tolist():
+            content[place] = int(random.integers(256))
+        path.write_bytes(content)
+        try:
+            assert read_all(path) == before
+        except GcdError as error:
+            assert str(error).startswith(str(path))
