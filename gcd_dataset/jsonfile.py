@@ -6,12 +6,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gcd_dataset.errors import SpecError
 
-__all__ = ["Place", "found", "read_json"]
+__all__ = ["Place", "found", "parse_json", "read_json"]
 
 LARGEST_NUMBER = 1e12  # no length, angle or count comes near; its square is a number still
 DEEPEST = 64  # levels of lists and objects; a pattern has nine
+
+SQUARE = bytes.maketrans(b"{}", b"[]")
+OTHERS = bytes(sorted(set(range(256)) - set(b"[]{}")))
 
 TOO_DEEP = f"more than {DEEPEST} levels deep: flatten it"
 
@@ -19,19 +24,37 @@ TOO_DEEP = f"more than {DEEPEST} levels deep: flatten it"
 def read_json(path: Path, kind: str) -> Any:
     """What is in the file. Raises ``SpecError``, which asks for a ``kind``, where it is missing or broken."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_constant)
+        return parse_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise SpecError(f"{path}: no such file: give the path of a {kind}") from error
     except PermissionError as error:
         raise SpecError(f"{path}: cannot be read ({error.strerror}): ask for the right to read it") from error
     except OSError as error:
         raise SpecError(f"{path}: cannot be read ({error.strerror}): give the path of a {kind}") from error
-    except RecursionError as error:
-        raise SpecError(f"{path}: {TOO_DEEP}") from error
     except json.JSONDecodeError as error:
         raise SpecError(f"{path}: line {error.lineno}, column {error.colno}: {error.msg}: mend the JSON") from error
     except ValueError as error:
         raise SpecError(f"{path}: {error}: mend the JSON") from error
+
+
+def parse_json(text: str) -> Any:
+    """What is in the text. Raises ``ValueError``: for broken JSON, numbers that are none, and nesting without end."""
+    try:
+        value = json.loads(text, parse_constant=_no_constant)
+    except RecursionError as error:
+        raise ValueError(TOO_DEEP) from error
+    # The brackets of strings count too here: only where there are many is the value itself looked at.
+    if _most_open(text) > DEEPEST and _is_deep(value):
+        raise ValueError(TOO_DEEP)
+    return value
+
+
+def _most_open(text: str) -> int:
+    """Brackets that are open at once, at most."""
+    if text.count("[") + text.count("{") <= DEEPEST:
+        return 0
+    brackets = np.frombuffer(text.encode(errors="replace").translate(SQUARE, OTHERS), np.int8)
+    return int(np.cumsum((ord("[") + ord("]")) // 2 - brackets, dtype=np.int32).max())
 
 
 @dataclass(frozen=True)
@@ -80,11 +103,7 @@ class Place:
 
     def require_flat(self, value: Any) -> None:
         """Raise ``SpecError`` for what is nested so deep that it could not be written again."""
-        level = [value]
-        for _ in range(DEEPEST):
-            lists = [inner.values() if isinstance(inner, Mapping) else inner for inner in level if _holds(inner)]
-            level = [inner for values in lists for inner in values]
-        if level:
+        if _is_deep(value):
             raise self.error(TOO_DEEP)
 
 
@@ -96,6 +115,15 @@ def found(value: Any) -> str:
 
 def _no_constant(text: str) -> float:
     raise ValueError(f"{text} is no number")
+
+
+def _is_deep(value: Any) -> bool:
+    """Whether anything is nested deeper than ``DEEPEST``."""
+    level = [value]
+    for _ in range(DEEPEST):
+        lists = [inner.values() if isinstance(inner, Mapping) else inner for inner in level if _holds(inner)]
+        level = [inner for values in lists for inner in values]
+    return bool(level)
 
 
 def _holds(value: Any) -> bool:

@@ -18,8 +18,8 @@ from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.base import Garments, Transform, made_with, naming, tensor_of
 from gcd_dataset.loaders.splits import parse_splits
-from gcd_dataset.shards.codec import read_json
-from gcd_dataset.shards.layout import FIELDS, FOREIGN, MEMBERS, Bytes
+from gcd_dataset.shards.codec import read_meta
+from gcd_dataset.shards.layout import FOREIGN, MEMBERS, Bytes, fields_of, key_of, members_of
 from gcd_dataset.shards.plain import decode_member
 from gcd_dataset.shards.reader import ShardReader, Verify
 
@@ -151,7 +151,9 @@ class GarmentDataset(Garments):
 
     @property
     def _wanted(self) -> tuple[str, ...]:
-        return tuple(self._member_of[field] for field in self.fields)
+        if self._foreign:
+            return self.fields
+        return members_of(self.fields, self._member_of)
 
     def _place(self, position: int) -> tuple["_Part", int]:
         """The part that holds a garment, and its position in the part's reader."""
@@ -186,7 +188,7 @@ def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
     shared = [member for member in layouts[0].members if all(member in layout.members for layout in layouts)]
     if layouts[0].kind == FOREIGN:
         return {member: member for member in shared}
-    return {field: member for field, member in FIELDS.items() if member in shared}
+    return fields_of(shared)
 
 
 class StreamedGarments(GarmentDataset, IterableDataset):
@@ -255,9 +257,15 @@ def _samples(reader: ShardReader, shard: str, wanted: Container[str] | None) -> 
 
 def _check(place: str, sample: Mapping[str, Any], remedy: str) -> None:
     """Raise ``ShardError`` if a member differs from the CRC-32 in the sample's meta.json."""
-    written = read_json(sample[META])["crc32"]
-    for member in written.keys() & sample.keys():
-        if zlib.crc32(sample[member]) != written[member]:
+    try:
+        meta = read_meta(sample[META])
+    except ShardError as error:
+        raise ShardError(f"{place}: sample {sample['__key__']}, member {META}: {error}: {remedy}") from error
+    if key_of(meta["index"]) != sample["__key__"]:
+        raise ShardError(f"{place}: sample {sample['__key__']} says that it is {key_of(meta['index'])}: {remedy}")
+    written = meta.get("crc32", {})
+    for member in sample.keys() - {META, "__key__", "__url__"}:
+        if zlib.crc32(sample[member]) != written.get(member):
             raise ShardError(
                 f"{place}: sample {sample['__key__']}, member {member}: bytes differ from those that were written: "
                 f"{remedy}"

@@ -31,8 +31,8 @@ from jaxtyping import Int, UInt8
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import drafted, user_path
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.codec import read_json
-from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMA, Bytes
+from gcd_dataset.shards.codec import read_meta
+from gcd_dataset.shards.layout import FIELDS, FIRST_NAMES, MEMBERS, SCHEMAS, Bytes, content_of
 from gcd_dataset.shards.npy import read_npy, write_npy
 from gcd_dataset.shards.reader import ShardReader
 
@@ -42,7 +42,7 @@ REMEDY = "copy it again, or make it again with gcd export"
 FORMAT = "gcd_dataset garments"
 META, META_CRC = MEMBERS[0], "crc32"
 ARRAYS = tuple(field for field, member in FIELDS.items() if member.endswith(".npy"))
-TEXTS = tuple(field for field, member in FIELDS.items() if member.endswith(".json"))
+TEXTS = tuple(field for field, member in FIELDS.items() if member.endswith((".json", ".txt")))
 PICTURES = tuple(field for field, member in FIELDS.items() if member.endswith(".jpg"))
 RAGGED = ARRAYS + PICTURES
 
@@ -58,9 +58,9 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     with drafted(user_path(path)) as draft, h5py.File(draft, "w") as file:
         _lay_out(file, reader, columns)
         for position in range(len(reader)):
-            members = reader.read(position, MEMBERS)
+            members = reader.read(position, reader.layout.members)
             for field in TEXTS:
-                file[field][position] = bytes(members[FIELDS[field]]).decode()
+                file[field][position] = bytes(content_of(field, members)).decode()
             file[META_CRC][position] = zlib.crc32(members[META])
             for field, column in columns.items():
                 start, end = column.ptr[position : position + 2].tolist()
@@ -83,8 +83,8 @@ class Hdf5Reader:
             attributes = dict(file.handle.attrs)
         if attributes.get("format") != FORMAT:
             raise ShardError(f"{self.path}: not a file that gcd export has made: choose another")
-        if attributes["schema"] != SCHEMA:
-            there = f"of schema {attributes['schema']}, and this reader knows {SCHEMA}"
+        if attributes["schema"] not in SCHEMAS:
+            there = f"of schema {attributes['schema']}, and this reader knows {' and '.join(map(str, SCHEMAS))}"
             raise ShardError(f"{self.path}: {there}: install the version of gcd_dataset that wrote it")
         self._count, self.split = int(attributes["count"]), str(attributes["split"])
         self.close()  # so that a process forked from here opens the file for itself
@@ -102,8 +102,9 @@ class Hdf5Reader:
         members = self.read(position, MEMBERS)
         with self._opened() as file:
             self._require_same(position, META, members[META], file.meta_crc(position))
-        for member, crc in read_json(members[META])["crc32"].items():
-            self._require_same(position, member, members[member], crc)
+        names = {old: new for new, old in FIRST_NAMES.items()}
+        for member, crc in read_meta(members[META])["crc32"].items():
+            self._require_same(position, member, members[names.get(member, member)], crc)
 
     def _require_same(self, position: int, member: str, data: Bytes, crc: int) -> None:
         if zlib.crc32(data) != crc:
@@ -211,7 +212,13 @@ def _lay_out(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Column
     """Room for everything, and what is known of it."""
     record = reader.manifest.splits.get(reader.split) if reader.manifest else None
     recipe = json.dumps(dict(record.recipe) if record else {}, sort_keys=True)
-    given = {"format": FORMAT, "schema": SCHEMA, "split": reader.split, "count": len(reader), "recipe": recipe}
+    given = {
+        "format": FORMAT,
+        "schema": reader.layout.schema,
+        "split": reader.split,
+        "count": len(reader),
+        "recipe": recipe,
+    }
     file.attrs.update(given)
     for field in TEXTS:
         file.create_dataset(field, (len(reader),), h5py.string_dtype(), track_times=False)

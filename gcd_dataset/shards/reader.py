@@ -11,10 +11,12 @@ from jaxtyping import Bool, Int
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Layout
+from gcd_dataset.shards.meta import index_told
 from gcd_dataset.shards.store import Part, Store
 
 __all__ = ["ShardReader", "Verify"]
 
+META = 0  # every layout of ours begins with meta.json
 Verify = Literal["lazy", "full", "off"]
 Rows: TypeAlias = Int[np.ndarray, " n"]
 Wanted: TypeAlias = tuple[str, int, list[Part]]
@@ -89,6 +91,8 @@ class ShardReader:
         rows = self._row[[position]]
         for column, data in self.store.read(*self._parts(rows, self._columns(self.layout.members))[0]).items():
             self._require_same(int(rows[0]), column, data)
+            if column == META:
+                self._require_own(int(rows[0]), data)
 
     def _columns(self, members: tuple[str, ...]) -> list[int]:
         """Columns of members, in the order of the file. Raises ``ConfigError`` for one that the samples lack."""
@@ -136,6 +140,17 @@ class ShardReader:
                 if zlib.crc32(content[part.column]) != part.crc:
                     content[part.column] = self.store.mend(shard, number, part) or content[part.column]
                 self._require_same(row, part.column, content[part.column])
+                if part.column == META:
+                    self._require_own(row, content[part.column])
+
+    def _require_own(self, row: int, meta: memoryview) -> None:
+        """Raise ``ShardError`` for a ``meta.json`` of another sample than the index tells."""
+        if self.layout.kind != FOREIGN and index_told(meta) != self.index.table.sample[row]:
+            shard = self.index.shards[self.index.shard[row]]
+            raise ShardError(
+                f"{self.store.place(shard)}: sample {index_told(meta)} where the index has {self.index.key(row)}: "
+                "delete the index, it is made again from the shards"
+            )
 
     def _require_same(self, row: int, column: int, data: memoryview) -> None:
         if zlib.crc32(data) != self.index.table.crc[row, column]:

@@ -89,9 +89,11 @@ def _parse(header: bytes, position: int) -> tuple[str, int]:
     """Name and size of a member."""
     require_header(header, position)
     try:
-        name, size = header[:LONGEST_NAME].rstrip(b"\0").decode("ascii"), int(header[124:135], 8)
+        name, size = header[:LONGEST_NAME].rstrip(b"\0").decode("ascii"), _octal(header[124:135])
     except ValueError as error:
         raise ShardError(f"no tar header of ours at byte {position}") from error
+    if size < 0:
+        raise ShardError(f"no tar header of ours at byte {position}")
     if header[KIND] != PLAIN:
         raise ShardError(f"member {name} at byte {position} is no plain file")
     return name, size

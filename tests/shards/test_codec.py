@@ -52,7 +52,7 @@ def test_decoding_gives_the_record_back_to_the_stored_precision(sample: Sample) 
             uv=sample.box_mesh.uv.astype(np.float32),
         ),
         drape=replace(sample.drape, vertices=sample.drape.vertices.astype(np.float32)),
-        points=sample.points.astype(np.float16),
+        points=decode_fields(encode_sample(sample), ["points"])["points"].astype(float),
     )
     for stage in stages(exact):
         again = decode_sample(encode_sample(stage))
@@ -89,7 +89,12 @@ def test_arrays_are_what_numpy_reads(sample: Sample) -> None:
     loaded = decode_fields(members)
     for field, member in FIELDS.items():
         if member.endswith(".npy"):
-            assert np.array_equal(np.load(io.BytesIO(members[member]), allow_pickle=False), loaded[field])
+            array = np.load(io.BytesIO(members[member]), allow_pickle=False)
+            frame = loaded["meta"]["points"]
+            if field == "points":
+                array = array * np.repeat([frame["scale"], frame["normal_scale"]], 3)
+                array = array + np.array([*frame["centre"], 0, 0, 0])
+            assert np.allclose(array, loaded[field], rtol=0, atol=1e-4 if field == "points" else 0)
 
 
 def test_faces_take_two_bytes_below_65536_vertices() -> None:

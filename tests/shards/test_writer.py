@@ -21,6 +21,7 @@ from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, encode_sample,
 from gcd_dataset.shards.index import ShardTable, scan_shard
 from gcd_dataset.shards.layout import Layout, recipe_hash
 from gcd_dataset.shards.manifest import read_manifest
+from gcd_dataset.shards.meta import sealed
 from gcd_dataset.shards.single import write_single
 from tests.shards.folders import RECIPE, SHARD_SIZE, contents, fill, forbidden, open_writer, public_folder
 
@@ -311,11 +312,11 @@ def test_shards_of_another_kind_are_told(tmp_path: Path) -> None:
     folder = fill(tmp_path, [0])
     members = encode_sample(fake_sample(0, 0))
     meta = json.loads(members["meta.json"])
-    del meta["seed"]
-    write_single(folder / "train-00000.tar", 0, {**members, "meta.json": json.dumps(meta).encode()})
+    del meta["seed"], meta["crc32_before"]
+    write_single(folder / "train-00000.tar", 0, {**members, "meta.json": sealed(meta)})
     for name in ("manifest.json", "index-train.npz"):
         (folder / name).unlink()
-    with pytest.raises(ShardError, match=r"train-00000\.tar: .*does not say .*seed"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: .*no seed"):
         open_writer(folder)
 
 
@@ -348,7 +349,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 def test_the_manifest_lists_each_shard(whole: Path) -> None:
     manifest = json.loads((whole / "manifest.json").read_text())
     split = manifest["splits"]["train"]
-    assert (manifest["schema"], split["seed"], split["recipe"]) == (1, 0, RECIPE)
+    assert (manifest["schema"], split["seed"], split["recipe"]) == (2, 0, RECIPE)
     for shard in split["shards"]:
         content = (whole / shard["name"]).read_bytes()
         assert (shard["size"], shard["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
