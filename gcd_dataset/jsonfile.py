@@ -37,10 +37,13 @@ def read_json(path: Path, kind: str) -> Any:
         raise SpecError(f"{path}: {error}: mend the JSON") from error
 
 
-def parse_json(text: str) -> Any:
-    """What is in the text. Raises ``ValueError``: for broken JSON, numbers that are none, and nesting without end."""
+def parse_json(text: str, *, constants: bool = False) -> Any:
+    """What is in the text; ``constants``: NaN and infinities too, which Python writes and JSON lacks.
+
+    Raises ``ValueError``: for broken JSON, numbers of thousands of digits, and nesting without end.
+    """
     try:
-        value = json.loads(text, parse_constant=_no_constant)
+        value = json.loads(text, parse_constant=float if constants else _no_constant)
     except RecursionError as error:
         raise ValueError(TOO_DEEP) from error
     # The brackets of strings count too here: only where there are many is the value itself looked at.

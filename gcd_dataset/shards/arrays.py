@@ -46,7 +46,7 @@ def read_arrays(content: bytes, columns: Mapping[str, Column]) -> dict[str, np.n
     except KeyError as error:
         raise ShardError(f"no column {error.args[0]}") from error
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as error:
-        raise ShardError(f"no archive of arrays, or cut off ({error})") from error
+        raise ShardError("no archive of arrays, or cut off") from error
 
 
 def _column(name: str, data: bytes, column: Column) -> np.ndarray:

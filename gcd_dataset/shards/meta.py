@@ -156,12 +156,12 @@ STORED: Mapping[str, Callable[[Any], Any]] = {
 # ------------------------------------------------------------------------------------------------------------- reading
 
 
-def read_json(data: Bytes) -> Any:
-    """Parsed JSON. Raises ``ShardError``."""
+def read_json(data: Bytes, *, constants: bool = False) -> Any:
+    """Parsed JSON; ``constants``: NaN and infinities too. Raises ``ShardError``."""
     if len(data) > LARGEST_JSON:
         raise ShardError(f"{len(data)} bytes of JSON, where {LARGEST_JSON} are read")
     try:
-        return parse_json(str(data, "utf-8"))
+        return parse_json(str(data, "utf-8"), constants=constants)
     except ValueError as error:
         raise ShardError(f"not JSON ({error})") from error
 

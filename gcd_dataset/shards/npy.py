@@ -13,6 +13,7 @@ import math
 import re
 import struct
 from functools import lru_cache
+from tokenize import TokenError
 
 import numpy as np
 
@@ -30,6 +31,11 @@ HEADER = re.compile(
     rb"\{'descr': '(\|[biu]1|<[iu][248]|<f[248])', 'fortran_order': False, 'shape': \((|%b,|%b(?:, %b)+)\), \} *\n"
     % (3 * (COUNT,))
 )
+
+
+READ = {"U": "texts", "b": "booleans", "iu": "whole numbers"}
+BROKEN = (ValueError, SyntaxError, TypeError, EOFError, OverflowError, MemoryError, RecursionError, TokenError)
+"""What NumPy and Python's parser raise at headers of all kinds."""
 
 
 def write_npy(array: np.ndarray) -> bytes:
@@ -61,7 +67,8 @@ def read_npy(file: Bytes) -> np.ndarray:
 def read_any_npy(file: Bytes, kinds: str) -> np.ndarray:
     """The array in a ``.npy`` file by any writer, in this machine's byte order.
 
-    ``kinds``: NumPy's letters for the types that are read. The size that it declares is compared with its bytes before anything is allocated. Raises ``ShardError``.
+    ``kinds``: NumPy's letters for the types that are read. The size that it declares is compared with its bytes before
+    anything is allocated. Raises ``ShardError``.
     """
     stream = io.BytesIO(file)
     try:
@@ -71,13 +78,13 @@ def read_any_npy(file: Bytes, kinds: str) -> np.ndarray:
         header = getattr(np.lib.format, f"read_array_header_{version[0]}_0")
         shape, is_fortran, dtype = header(stream)
         if dtype.kind not in kinds or dtype.hasobject:
-            raise ShardError(f"{dtype}, where numbers are read")
+            raise ShardError(f"{dtype}, where {READ.get(kinds, 'numbers')} are read")
         size = dtype.itemsize * math.prod(shape)
         if min(shape, default=0) < 0 or len(file) - stream.tell() != size:
             raise ShardError(f"a .npy file of {len(file) - stream.tell()} bytes for {dtype} of shape {shape}")
         flat = np.frombuffer(file, dtype, math.prod(shape), stream.tell()) if size else np.empty(shape, dtype)
         array = flat.reshape(shape, order="F" if is_fortran else "C")
-    except (ValueError, SyntaxError, TypeError, EOFError, OverflowError, MemoryError, RecursionError) as error:
+    except BROKEN as error:
         raise ShardError(f"not a .npy file ({error})") from error
     return array.astype(dtype.newbyteorder("="), copy=False)
 

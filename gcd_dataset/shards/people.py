@@ -20,7 +20,6 @@ whoever reads the shards would need the body model of the very version that wrot
 
 import contextlib
 import io
-import zipfile
 import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -34,9 +33,11 @@ from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import BodyShape, Measurements
-from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.shards.access import REMEDY, read_small, reading
+from gcd_dataset.shards.arrays import Column, read_arrays
 from gcd_dataset.shards.codec import measures_json, read_measures
 from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
+from gcd_dataset.shards.limits import LARGEST_SAMPLE
 from gcd_dataset.shards.meta import read_meta, write_meta
 from gcd_dataset.shards.npy import read_npy, write_npy
 from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
@@ -188,10 +189,12 @@ def read_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
     """The mesh of a split. Raises ``ShardError`` for a missing or broken file, or a mesh of another hash."""
     path = folder / mesh_name(split)
     try:
-        with reading(path), np.load(path, allow_pickle=False) as file:
-            faces, parts = file["faces"].astype(np.int32), file["parts"]
+        file = read_arrays(read_small(path, LARGEST_SAMPLE), {"faces": Column("iu", 2), "parts": Column("u", 1)})
+        faces, parts = file["faces"].astype(np.int32), file["parts"].astype(np.uint8)
         mesh = BodyMesh(faces, parts if len(parts) else None)
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (ShardError, ValueError) as error:
+        if str(error).startswith(str(path)):
+            raise
         raise ShardError(f"{path}: not the mesh of a body set ({error}): {REMEDY}") from error
     if mesh.sha256 != sha256:
         raise ShardError(f"{path}: not the mesh of these bodies: {REMEDY}")

@@ -38,7 +38,7 @@ def decode_member(member: str, data: Bytes) -> Any:
         if ending == "npy":
             return read_any_npy(data, NUMBERS)
         if ending == "json":
-            return read_json(data)
+            return read_json(data, constants=True)
         if ending == "txt":
             return bytes(data).decode()
         if ending in ("cls", "index"):
