@@ -6,7 +6,7 @@ A sample is named by ``(seed, index)`` and comes out the same alone, in a batch,
 import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import chain, islice
 
@@ -19,7 +19,18 @@ from gcd_dataset.generator.last_design import LastDesign, MadeDesign
 from gcd_dataset.generator.mesh import Coarse, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of, versions
-from gcd_dataset.records import Body, BodyShape, BoxMesh, Drape, Measurements, Outcome, Pattern, Provenance, Sample
+from gcd_dataset.records import (
+    Body,
+    BodyShape,
+    BoxMesh,
+    Drape,
+    Measurements,
+    NamedFabric,
+    Outcome,
+    Pattern,
+    Provenance,
+    Sample,
+)
 from gcd_dataset.seeding import Stage, rng
 
 __all__ = [
@@ -248,6 +259,14 @@ def _drape(load: Sequence[DressedDesign], config: MakeConfig) -> Iterator[tuple[
     return (tuple(islice(drapes, len(design.dressed))) for design in load)
 
 
+def _fabric(name: str) -> NamedFabric:
+    """A fabric as samples hold it."""
+    from gcd_dataset.generator.drape import fabric_named
+
+    parameters = asdict(fabric_named(name)).items()
+    return NamedFabric(name, {key: list(value) if isinstance(value, tuple) else value for key, value in parameters})
+
+
 def turned_down(design: DressedDesign, drapes: Sequence[Drape | None], config: MakeConfig) -> DressedDesign | None:
     """The design with the reason why the next is tried instead, if one of its drapes asks for that."""
     failed = next((drape.outcome for drape in drapes if drape and drape.outcome is not Outcome.SETTLED), None)
@@ -295,6 +314,7 @@ def finish(
         box_mesh=mesh,
         drape=drape,
         points=points,
+        fabric=None if drape is None else _fabric(config.fabric),
     )
     if drape is None or not (config.picture and pictured):
         return sample

@@ -16,7 +16,7 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import open_whole
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.index import ShardTable, has_settled, whole_samples
-from gcd_dataset.shards.layout import Bytes, Layout, key_of, member_name, part_path
+from gcd_dataset.shards.layout import Bytes, Layout, is_extra, key_of, member_name, part_path
 from gcd_dataset.shards.manifest import ShardRecord
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.tar import BLOCK, END, padded, tar_entry
@@ -154,9 +154,7 @@ def _require_members(index: int, members: Mapping[str, Bytes], layout: Layout) -
     for member in layout.members:
         if member not in members:
             raise ShardError(f"{key_of(index)} has no {member}, as all samples of this data set: give it one")
-    if more := [
-        member for member in members if member not in layout.members and layout.holds([*layout.members, member])
-    ]:
+    if more := [member for member in members if member not in layout.members and is_extra(member)]:
         raise ShardError(f"{key_of(index)} has {more[0]}, as no other sample of this data set: leave it out")
 
 

@@ -38,6 +38,7 @@ __all__ = [
     "foreign_layout",
     "garments_layout",
     "index_name",
+    "is_extra",
     "key_of",
     "known_fields",
     "layout_of",
@@ -122,6 +123,11 @@ def garments_layout(*, caption: bool = False, views: int = 0) -> Layout:
 GARMENTS = garments_layout()
 FOREIGN = "foreign"
 BODIES = Layout("bodies", ("meta.json", "measures.json", "body.npy", "straight.npy", "apart.npy"), "BodyDataset")
+
+
+def is_extra(member: str) -> bool:
+    """Whether a member is one that a data set need not have."""
+    return member == CAPTION or VIEW.fullmatch(member) is not None
 
 
 def layout_of(layout: Layout, schema: int, members: Sequence[str]) -> Layout | None:
