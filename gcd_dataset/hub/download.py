@@ -82,10 +82,10 @@ def download(
             raise ShardError(f"{site.source}: tells of a shard {name!r}, which is no name for one: tell its publisher")
     layout = reader.layout
     if fields is not None:
-        there = fields_of(layout.members)
-        if missing := sorted(names - there.keys()):
-            raise ConfigError(f"{site.source}: its garments have no {missing[0]}: there are {', '.join(there)}")
-        layout = layout.of([member for field, member in there.items() if field in names])
+        held = fields_of(layout.members)
+        if missing := sorted(names - held.keys()):
+            raise ConfigError(f"{site.source}: its garments have no {missing[0]}: there are {', '.join(held)}")
+        layout = layout.of([member for field, member in held.items() if field in names])
     make_folder(folder)
     with locked(folder / lock_name(split), f"writing split {split}", wait=True):
         if there := what_is_there(folder, place, split, layout):

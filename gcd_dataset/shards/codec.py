@@ -326,7 +326,7 @@ def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str] | None = N
     decode ``points`` takes ``meta.json`` too. Raises ``ConfigError`` for a field that does not exist, ``ShardError``
     with the member's name for content that is not what it should be.
     """
-    there = fields_of(members)
+    there = fields_of(member for member in members if not member.startswith("__"))  # as webdataset has them
     return {field: decode_field(field, members) for field in known_fields(fields, there)}
 
 

@@ -2,7 +2,7 @@
 
 import contextlib
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from PIL import Image, ImageFile
 
@@ -16,7 +16,7 @@ BROKEN = (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombErr
 
 
 @contextlib.contextmanager
-def opened_picture(data: Bytes, formats: Sequence[str]) -> Iterator[ImageFile.ImageFile]:
+def opened_picture(data: Bytes, formats: tuple[str, ...]) -> Iterator[ImageFile.ImageFile]:
     """The picture in a member, whose pixels are decoded in the block; ``formats``: Pillow's names of those allowed.
 
     Raises ``ShardError`` for one that is broken, in another format, or has more than ``MOST_PIXELS``.
