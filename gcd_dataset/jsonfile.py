@@ -1,7 +1,7 @@
 """JSON by people and by other programs: read and checked, with errors that name the file and the place in it."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
@@ -10,13 +10,13 @@ from typing import Any
 from gcd_dataset.errors import GcdError, SpecError, shown
 from gcd_dataset.files import read_whole
 
-__all__ = ["LARGEST_JSON", "Place", "found", "parse_json", "read_json"]
+__all__ = ["LARGEST_JSON", "Place", "found", "loads", "parse_json", "read_json"]
 
 LARGEST_JSON = 32 << 20  # bytes; a published pattern has 60 kB, and a parsed file takes up to twenty times its size
 LARGEST_NUMBER = 1e12  # no length, angle or count comes near; its square is a number still
 DEEPEST = 64  # levels of lists and objects; a pattern has nine
 
-TOO_DEEP = f"more than {DEEPEST} levels deep: flatten it"
+TOO_DEEP = f"more than {DEEPEST} levels deep"
 NOT_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 
@@ -38,14 +38,9 @@ def parse_json(
         encoded = content.encode() if isinstance(content, str) else bytes(content)
         if len(encoded) > limit:
             raise ValueError(f"{len(encoded)} bytes, more than {limit}")
-        flat = _surely_flat(encoded)
-        value = DECODER.decode(str(encoded, "utf-8"))
-        if not flat and not _is_flat(value):
-            raise RecursionError
+        value = loads(str(encoded, "utf-8"), decode=DECODER.decode)
         if b"\\u" in encoded:
             json.dumps(value, ensure_ascii=False).encode()
-    except RecursionError as cause:
-        raise error(f"{source}: {TOO_DEEP}") from cause
     except json.JSONDecodeError as cause:
         place = f"line {cause.lineno}, column {cause.colno}"
         raise error(f"{source}: {place}: {cause.msg}: {remedy}") from cause
@@ -53,6 +48,20 @@ def parse_json(
         raise error(f"{source}: not UTF-8 ({cause.reason}): {remedy}") from cause  # type: ignore[attr-defined]
     except ValueError as cause:
         raise error(f"{source}: {_first_sentence(cause)}: {remedy}") from cause
+    return value
+
+
+def loads(text: str, *, decode: Callable[[str], Any] = json.loads) -> Any:
+    """The value of a JSON text, as ``decode`` parses it.
+
+    Raises ``ValueError`` for broken JSON, numbers of thousands of digits, and more than 64 levels.
+    """
+    try:
+        value = decode(text)
+    except RecursionError as error:
+        raise ValueError(TOO_DEEP) from error
+    if not _surely_flat(text.encode("utf-8", "replace")) and not _is_flat(value):
+        raise ValueError(TOO_DEEP)
     return value
 
 
@@ -109,7 +118,7 @@ class Place:
     def require_flat(self, value: Any) -> None:
         """Raise ``SpecError`` for what is nested so deep that it could not be written again."""
         if not _is_flat(value):
-            raise self.error(TOO_DEEP)
+            raise self.error(f"{TOO_DEEP}: flatten it")
 
 
 def found(value: Any) -> str:
@@ -148,6 +157,8 @@ DECODER = json.JSONDecoder(object_pairs_hook=_unique, parse_float=_finite, parse
 
 def _surely_flat(content: bytes) -> bool:
     """Whether the brackets alone say that there are no more than ``DEEPEST`` levels; those in strings confuse it."""
+    if content.count(b"[") + content.count(b"{") <= DEEPEST:
+        return True
     brackets = content.translate(None, NOT_BRACKETS)
     for _ in range(DEEPEST):
         if not brackets:

@@ -26,7 +26,9 @@ __all__ = [
     "Drape",
     "Edge",
     "EdgeRef",
+    "Grade",
     "Measurements",
+    "NamedFabric",
     "Outcome",
     "Panel",
     "Pattern",
@@ -35,6 +37,8 @@ __all__ = [
     "Record",
     "Sample",
     "Seam",
+    "Strain",
+    "View",
 ]
 
 
@@ -382,6 +386,26 @@ class Outcome(Enum):
     DIVERGED = "positions stopped being numbers: the mesh holds a degenerate triangle, or the time step is too long"
 
 
+class Grade(Enum):
+    """How good a draped garment is; the value is the word in files."""
+
+    CLEAN = "clean"
+    """At rest, without a crossing."""
+    PAPER = "paper"
+    """Within the limits of GarmentCodeData's own quality control."""
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Strain:
+    """How far the cloth is stretched and compressed: principal stretches, 1 is unstretched."""
+
+    principal: tuple[float, float]
+    """Of the whole garment: the largest and the smallest, without outliers."""
+    panels: tuple[tuple[float, float], ...]
+    """The same of each panel."""
+
+
 @dataclass(frozen=True, eq=False)
 class Drape(Record):
     """A garment at rest on a body."""
@@ -399,6 +423,8 @@ class Drape(Record):
     """Median over the edges of length against flat length; 1 is unstretched."""
     stretch_p99: float
     """99th percentile of the same."""
+    strain: Strain | None = None
+    """Principal stretches; ``None`` where they were not measured."""
 
 
 # -------------------------------------------------------------------------------------------------------------- sample
@@ -413,12 +439,33 @@ class Provenance(Record):
     attempts: int = 1
     rejects: tuple[str, ...] = ()
     """Why earlier attempts at this index were turned down, in order."""
+    redraws: Mapping[str, int] = field(default_factory=dict)
+    """Rule to the number of times that a part of the design was drawn again for it."""
     versions: Mapping[str, str] = field(default_factory=dict)
     recipe: Mapping[str, Any] = field(default_factory=dict)
     """The options it was made with."""
     body_name: str = ""
     source: str = ""
     """Where a garment that others have made was published; empty for our own."""
+
+
+@dataclass(frozen=True)
+class NamedFabric:
+    """The cloth a garment is made of."""
+
+    name: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Its mechanics, in SI but for the thickness [cm]."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A picture of a garment, and how it was taken."""
+
+    picture: bytes
+    """JPEG."""
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """Camera, light and materials."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -440,3 +487,14 @@ class Sample(Record):
     """JPEG of the front."""
     back: bytes | None = None
     """JPEG of the back."""
+    grade: Grade | None = None
+    """``None`` for a garment that nobody has graded."""
+    fabric: NamedFabric | None = None
+    gathers: tuple[float, ...] = ()
+    """Length of the left edge over that of the right, for each seam; empty where nobody has measured it."""
+    tags: tuple[str, ...] = ()
+    """Words for the kind of garment."""
+    caption: str | None = None
+    """The garment in a sentence; every sample of a data set has one, or none has."""
+    views: tuple[View, ...] = ()
+    """As many for every sample of a data set."""

@@ -6,7 +6,7 @@ A sample is named by ``(seed, index)`` and comes out the same alone, in a batch,
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from gcd_dataset.errors import MeshError, PatternError
@@ -18,7 +18,18 @@ from gcd_dataset.generator.garments.design import Bottom
 from gcd_dataset.generator.mesh import Coarse, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
-from gcd_dataset.records import Body, BodyShape, BoxMesh, Drape, Measurements, Outcome, Pattern, Provenance, Sample
+from gcd_dataset.records import (
+    Body,
+    BodyShape,
+    BoxMesh,
+    Drape,
+    Measurements,
+    NamedFabric,
+    Outcome,
+    Pattern,
+    Provenance,
+    Sample,
+)
 from gcd_dataset.seeding import Stage, rng
 
 if TYPE_CHECKING:
@@ -229,4 +240,13 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, draped: "Drape
         points=points,
         front=front,
         back=back,
+        fabric=None if draped is None else _fabric(config.fabric),
     )
+
+
+def _fabric(name: str) -> NamedFabric:
+    """A fabric as samples hold it."""
+    from gcd_dataset.generator.drape import fabric_named
+
+    parameters = asdict(fabric_named(name)).items()
+    return NamedFabric(name, {key: list(value) if isinstance(value, tuple) else value for key, value in parameters})

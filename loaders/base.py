@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import Dataset
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.codec import decode_field, read_json
+from gcd_dataset.shards.codec import decode_field, read_meta
 from gcd_dataset.shards.layout import FIELDS, Bytes, known_fields
 
 __all__ = [
@@ -183,7 +183,7 @@ def _item_of(dataset: Any, index: int) -> Any:
 
 def made_with(meta: Bytes) -> dict[str, Any]:
     """Seed, index, options and versions in the ``meta.json`` of a sample. Raises ``ShardError`` for a damaged one."""
-    content = read_json(meta)
+    content = read_meta(meta)
     return {name: content[name] for name in ("seed", "index", "recipe", "versions")}
 
 
@@ -206,7 +206,7 @@ def as_item(members: Mapping[str, Bytes], fields: Iterable[str]) -> Item:
     """Encoded members as tensors, parsed JSON and pictures."""
     item = {}
     for field in fields:
-        value = decode_field(field, members[FIELDS[field]])
+        value = decode_field(field, members)
         item[field] = tensor_of(value) if isinstance(value, np.ndarray) else value
     return item
 

@@ -23,7 +23,7 @@ from gcd_dataset.loaders.base import Garments, Transform, natural
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.kept import KeptSamples
-from gcd_dataset.shards.layout import FIELDS, Bytes, key_of, recipe_hash
+from gcd_dataset.shards.layout import SCHEMA, Bytes, key_of, members_of, recipe_hash
 
 __all__ = ["GeneratedGarments", "Stage"]
 
@@ -188,15 +188,15 @@ class GeneratedGarments(Garments):
         if self._kept is None:
             return None
         try:
-            return self._kept.read(position, tuple(FIELDS[field] for field in self.fields))
+            return self._kept.read(position, members_of(self.fields))
         except ShardError as error:
             logger.warning("%s; it is made again", error)
             return None
 
     @property
     def _cache_name(self) -> str:
-        """The cache's folder for this seed, recipe and version: no garment is ever taken for one of another."""
-        return f"{__version__}-seed{self._seed}-{recipe_hash(self._recipe)[:16]}"
+        """The cache's folder for this seed, recipe, version and schema: no garment is ever taken for one of another."""
+        return f"{__version__}-{SCHEMA}-seed{self._seed}-{recipe_hash(self._recipe)[:16]}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -8,7 +8,7 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.loaders.base import Garments, Transform, made_with
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.shards.layout import FIELDS, Bytes
 
 __all__ = ["Hdf5Garments"]
 
@@ -52,7 +52,8 @@ class Hdf5Garments(Garments):
         self._reader.check(self._position(index))
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        return self._reader.read(position, members)
+        # Scale and centre of the points are there.
+        return self._reader.read(position, dict.fromkeys((*members, FIELDS["meta"])))
 
 
 def _require_file(path: Path) -> None:

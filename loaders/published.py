@@ -31,8 +31,8 @@ MESH = ("spec", "sim", "box", "segmentation", "vertex_labels")
 DRAPE = ("sim", "segmentation")
 FILES: Mapping[str, tuple[str, ...]] = {
     META: (*MESH, "measures"),
-    "spec.json": ("spec",), "panels.npy": ("spec",), "edges.npy": ("spec",), "stitches.npy": ("spec",),
-    "design.json": ("design",), "measures.json": ("measures",), "body.npy": (),
+    "spec.txt": ("spec",), "panels.npy": ("spec",), "edges.npy": ("spec",), "stitches.npy": ("spec",),
+    "design.txt": ("design",), "measures.json": ("measures",), "body.npy": (),
     "faces.npy": MESH, "uv.npy": MESH, "panel_id.npy": MESH, "labels.npy": MESH, "seams.npy": MESH,
     "corners.npy": MESH, "uv_vertex.npy": MESH, "box.npy": MESH,
     "verts.npy": DRAPE, "points.npy": DRAPE, "front.jpg": ("front",), "back.jpg": ("back",),

@@ -3,7 +3,8 @@
 import bisect
 import tarfile
 import zlib
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,10 +19,11 @@ from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.base import Garments, Transform, made_with, naming, tensor_of
 from gcd_dataset.loaders.splits import parse_splits
-from gcd_dataset.shards.codec import read_json
-from gcd_dataset.shards.layout import FIELDS, FOREIGN, MEMBERS, Bytes
+from gcd_dataset.shards.codec import read_meta
+from gcd_dataset.shards.layout import FOREIGN, MEMBERS, Bytes, fields_of, key_of, members_of
 from gcd_dataset.shards.plain import decode_member
-from gcd_dataset.shards.reader import ShardReader, Verify
+from gcd_dataset.shards.reader import ShardReader, Verify, naming_place
+from gcd_dataset.shards.tar import stream_samples
 
 __all__ = ["GarmentDataset", "StreamedGarments"]
 
@@ -107,21 +109,23 @@ class GarmentDataset(Garments):
     def __getitem__(self, index: int | slice) -> Any:
         if isinstance(index, slice):
             return self.select(range(len(self))[index])
-        return self._item(self._members(self._position(index), self._wanted))
+        part, position = self._place(self._position(index))
+        with part.reader.naming(position):
+            return self._item(part.reader.read(position, self._wanted))
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments, as a ``DataLoader`` asks for a batch of them: of a server all at once."""
         asked: dict[ShardReader, list[int]] = {}
-        readers = []
+        places = []
         for index in indices:
             part, position = self._place(self._position(index))
             asked.setdefault(part.reader, []).append(position)
-            readers.append(part.reader)
+            places.append((part.reader, position))
         content = {reader: reader.read_many(positions, self._wanted) for reader, positions in asked.items()}
         items = []
-        for index, reader in zip(indices, readers, strict=True):
+        for index, (reader, position) in zip(indices, places, strict=True):
             members = next(content[reader])
-            with naming(self, index):
+            with naming(self, index), reader.naming(position):
                 items.append(self._item(members))
         return items
 
@@ -151,7 +155,9 @@ class GarmentDataset(Garments):
 
     @property
     def _wanted(self) -> tuple[str, ...]:
-        return tuple(self._member_of[field] for field in self.fields)
+        if self._foreign:
+            return self.fields
+        return members_of(self.fields, self._member_of)
 
     def _place(self, position: int) -> tuple["_Part", int]:
         """The part that holds a garment, and its position in the part's reader."""
@@ -186,7 +192,7 @@ def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
     shared = [member for member in layouts[0].members if all(member in layout.members for layout in layouts)]
     if layouts[0].kind == FOREIGN:
         return {member: member for member in shared}
-    return {field: member for field, member in FIELDS.items() if member in shared}
+    return fields_of(shared)
 
 
 class StreamedGarments(GarmentDataset, IterableDataset):
@@ -211,7 +217,8 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         there = {index.key(row) for row in np.flatnonzero(index.shard == shard).tolist()}
         store, members = part.reader.store, self._streamed
         place = store.place(name)
-        for sample in _samples(part.reader, name, None if self._foreign else members):
+        samples = _foreign_samples(part.reader, name) if self._foreign else _samples(part.reader, name, members)
+        for sample in samples:
             count += sample["__key__"] in there  # no fault: a shard may have grown since
             if sample["__key__"] not in chosen:
                 continue
@@ -220,7 +227,9 @@ class StreamedGarments(GarmentDataset, IterableDataset):
                     raise ShardError(f"{place}: sample {sample['__key__']} has no {missing[0]}: {store.remedy}")
                 if self._check_stream:
                     _check(place, sample, store.remedy)
-            yield self._item(sample)
+            with naming_place(partial(_named, place, sample)):
+                item = self._item(sample)
+            yield item
         # A damaged header looks like the end of an archive to ``tarfile``, which then leaves out the rest of it.
         if count != len(there):
             raise ShardError(f"{place}: {count} samples of {len(there)} read: {store.remedy}")
@@ -236,28 +245,45 @@ def _shards_of(part: _Part) -> list[int]:
     return np.unique(part.reader.index.shard[part.reader.rows(part.positions)]).tolist()
 
 
-def _among(wanted: Container[str]) -> Callable[[str], bool]:
-    return lambda name: name.partition(".")[2] in wanted
+def _samples(reader: ShardReader, shard: str, wanted: Container[str]) -> Iterator[Mapping[str, Any]]:
+    """The samples of a shard of ours. Raises ``ShardError`` for a damaged archive."""
+    try:
+        with reader.store.stream(shard) as stream:
+            for key, members in stream_samples(stream, wanted):
+                yield {"__key__": key, **members}
+    except ShardError as error:
+        place = reader.store.place(shard)
+        if str(error).startswith(place):
+            raise
+        raise ShardError(f"{place}: a damaged archive ({error}): {reader.store.remedy}") from error
 
 
-def _samples(reader: ShardReader, shard: str, wanted: Container[str] | None) -> Iterator[Mapping[str, Any]]:
+def _foreign_samples(reader: ShardReader, shard: str) -> Iterator[Mapping[str, Any]]:
     """The samples of a shard as ``webdataset`` gives them. Raises ``ShardError`` for a damaged archive."""
     place = reader.store.place(shard)
     try:
         # Opened here, since WDS_SECURE=1 forbids ``webdataset`` to open files.
         with reader.store.stream(shard) as stream:
-            opened = [{"url": place, "stream": stream}]
-            files = tar_file_expander(opened, select_files=None if wanted is None else _among(wanted))
-            yield from group_by_keys(files)
-    except tarfile.TarError as error:
+            yield from group_by_keys(tar_file_expander([{"url": place, "stream": stream}]))
+    except (tarfile.TarError, ValueError) as error:
         raise ShardError(f"{place}: a damaged archive ({error.args[0]}): {reader.store.remedy}") from error
+
+
+def _named(place: str, sample: Mapping[str, Any]) -> str:
+    return f"{place}: sample {sample['__key__']}"
 
 
 def _check(place: str, sample: Mapping[str, Any], remedy: str) -> None:
     """Raise ``ShardError`` if a member differs from the CRC-32 in the sample's meta.json."""
-    written = read_json(sample[META])["crc32"]
-    for member in written.keys() & sample.keys():
-        if zlib.crc32(sample[member]) != written[member]:
+    try:
+        meta = read_meta(sample[META])
+    except ShardError as error:
+        raise ShardError(f"{place}: sample {sample['__key__']}, member {META}: {error}: {remedy}") from error
+    if key_of(meta["index"]) != sample["__key__"]:
+        raise ShardError(f"{place}: sample {sample['__key__']} says that it is {key_of(meta['index'])}: {remedy}")
+    written = meta.get("crc32", {})
+    for member in sample.keys() - {META, "__key__", "__url__"}:
+        if zlib.crc32(sample[member]) != written.get(member):
             raise ShardError(
                 f"{place}: sample {sample['__key__']}, member {member}: bytes differ from those that were written: "
                 f"{remedy}"

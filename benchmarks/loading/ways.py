@@ -16,7 +16,7 @@ from gcd_dataset.loaders.base import Item
 from gcd_dataset.loaders.order import Permutation
 from gcd_dataset.shards import read_index
 from gcd_dataset.shards.codec import decode_fields
-from gcd_dataset.shards.layout import FIELDS
+from gcd_dataset.shards.layout import FIELDS, members_of
 
 __all__ = ["BATCH", "WAYS", "Way"]
 
@@ -34,7 +34,7 @@ def by_webdataset(folder: Path, fields: Sequence[str], workers: int) -> Iterable
     """``webdataset`` over the same shards, in their order; members that are not asked for are passed over."""
     import webdataset
 
-    wanted = {FIELDS[field] for field in fields}
+    wanted = members_of(fields)
     shards = sorted(map(str, folder.glob("*.tar")))
     stream = webdataset.WebDataset(
         shards, shardshuffle=False, select_files=lambda name: name.partition(".")[2] in wanted, empty_check=False

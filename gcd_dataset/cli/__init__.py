@@ -324,12 +324,12 @@ def _pattern(options: argparse.Namespace) -> "Pattern":
 
 def _sample(options: argparse.Namespace) -> "Sample":
     """The sample of that index in a data set, wherever it is."""
-    from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
+    from gcd_dataset.shards import ShardReader
 
     reader = ShardReader(open_anywhere(options.what, options.endpoint), options.split)
     if options.index >= len(reader):
         raise ConfigError(f"{options.what}: sample {options.index} of {len(reader)}, counted from 0")
-    return decode_sample(reader.read(options.index, MEMBERS))
+    return reader.sample(options.index)
 
 
 def _is_folder(path: Path) -> bool:

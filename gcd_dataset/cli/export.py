@@ -27,7 +27,7 @@ from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.release.draft import ReleaseDraft, release_draft
 from gcd_dataset.release.layout import BODY_FOLDERS, DEFAULT_BODY, SPLIT_NAMES, properties_name
 from gcd_dataset.release.write import FAIL_CLASSES, Drawn, garment_files, yaml_bytes
-from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample
+from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.contents import splits_in
 
 __all__ = ["export_published", "exported_splits"]
@@ -111,7 +111,7 @@ def _written(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> Iterato
         listed = splits.setdefault(SPLIT_NAMES[split][0], {})
         last = 0
         for position in range(len(reader)):
-            sample = decode_sample(reader.read(position, MEMBERS))
+            sample = reader.sample(position)
             place = _place(sample, split, first_batch)
             last = max(last, _design_number(sample))
             _write(sample, place, draft, batches.setdefault((place.batch, place.body_folder), _Batch()))

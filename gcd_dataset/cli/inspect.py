@@ -12,10 +12,11 @@ import numpy as np
 from gcd_dataset.errors import GcdError, ShardError
 from gcd_dataset.hub.partition import BODY, DESIGN, leaks
 from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.shards.codec import decode_field, read_meta
 from gcd_dataset.shards.contents import layout_in, require_splits
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.index import ShardTable, known_index, scan_shard
-from gcd_dataset.shards.layout import FOREIGN, GARMENTS, index_name
+from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Bytes, fields_of, index_name
 from gcd_dataset.shards.manifest import MANIFEST, SplitRecord
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.store import Store
@@ -76,16 +77,17 @@ def _bytes_by_member(reader: ShardReader) -> dict[str, int]:
 
 def _content_lines(reader: ShardReader) -> Iterator[str]:
     """Outcomes, wearers and kinds of garments, of some samples that lie evenly."""
-    members = [member for member in ("meta.json", DESIGN) if member in reader.layout.members]
+    there = fields_of(reader.layout.members)
+    members = [there[field] for field in ("meta", "design") if field in there]
     chosen = np.unique(np.linspace(0, len(reader) - 1, min(len(reader), LOOKED_AT)).astype(int)).tolist()
     counts: dict[str, Counter[str]] = {name: Counter() for name in ("outcome", "wearer", "upper", "bottom")}
     panels = []
     for content in reader.read_many(chosen, members):
-        meta = json.loads(bytes(content["meta.json"]))
+        meta = read_meta(content["meta.json"])
         counts["outcome"][meta["drape"]["outcome"] if meta["drape"] else "not draped"] += 1
         counts["wearer"][str(meta["body"]).partition(":")[0] or "unnamed"] += 1
         panels.append(len(meta["panel_names"]))
-        kinds = json.loads(bytes(content[DESIGN])).get("meta", {}) if DESIGN in content else {}
+        kinds = _kinds(content)
         for name in ("upper", "bottom"):
             if name in kinds:
                 counts[name][str(_value(kinds[name]))] += 1
@@ -95,6 +97,12 @@ def _content_lines(reader: ShardReader) -> Iterator[str]:
             yield from _bars(f"{name}{looked}", dict(counter.most_common()))
     low, middle, high = np.percentile(panels, [0, 50, 100])
     yield f"  panels: {low:.0f} to {high:.0f}, median {middle:.0f}{looked}"
+
+
+def _kinds(content: Mapping[str, Bytes]) -> Mapping[str, Any]:
+    """The parts a garment is chosen from; nothing where the data set does not hold its design."""
+    kinds = decode_field("design", content).get("meta") if "design" in fields_of(content) else None
+    return kinds if isinstance(kinds, Mapping) else {}
 
 
 def _value(entry: Any) -> Any:
@@ -136,7 +144,7 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
     for split in sorted(set(listed.splits) - set(splits) if listed is not None else ()):
         if listed is not None and listed.splits[split].shards:
             yield f"{folder}: split {split} of {MANIFEST} has no shards: copy them again"
-    if all({DESIGN, BODY} <= set(reader.layout.members) for reader in readers.values()):
+    if all({DESIGN, BODY} <= fields_of(reader.layout.members).keys() for reader in readers.values()):
         yield from (f"{folder}: {told}: a model trained on one knows what it is tested on" for told in leaks(readers))
 
 

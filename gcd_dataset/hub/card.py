@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from gcd_dataset.shards.layout import FIELDS
+from gcd_dataset.shards.layout import fields_of
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 
 __all__ = ["Release", "card", "croissant"]
@@ -17,8 +17,9 @@ TAGS = ["webdataset", "garments", "sewing-patterns", "cloth-simulation", "synthe
 
 FIELD_TEXTS: Mapping[str, str] = {
     "meta": "seed, index, versions, recipe; names that the arrays refer to; outcome and figures of the drape; hashes",
-    "spec": "the sewing pattern as a GarmentCode specification [cm]",
-    "design": "the design's parameters",
+    "spec": "the sewing pattern as a GarmentCode specification [cm]; JSON",
+    "design": "the design's parameters; JSON",
+    "caption": "the garment in a sentence",
     "measures": "the wearer's tailor's measures [cm, degrees]",
     "panels": "the pattern as arrays: one row a panel",
     "edges": "one row an edge",
@@ -33,7 +34,7 @@ FIELD_TEXTS: Mapping[str, str] = {
     "uv_vertex": "the vertex of each row of uv",
     "box": "vertex positions before sewing [cm]",
     "verts": "vertex positions at rest on the body [cm]",
-    "points": "surface points [cm] and normals",
+    "points": "surface points and normals as 16-bit integers; scale and centre [cm] stand in meta",
     "front": "picture from the front",
     "back": "picture from behind",
 }
@@ -126,13 +127,18 @@ def card(release: Release) -> str:
         splits="\n".join(_split_rows(release)),
         promise=_promise(release),
         fields="\n".join(
-            f"| {field} | `{member}` | {FIELD_TEXTS[field]} |"
-            for field, member in FIELDS.items()
-            if member in release.members
+            f"| {field} | `{member}` | {_words(field)} |" for field, member in fields_of(release.members).items()
         ),
         made="\n".join(_made(release.manifest)),
     )
     return f"---\n{yaml.safe_dump(facts, sort_keys=False, allow_unicode=True)}---\n{words}"
+
+
+def _words(field: str) -> str:
+    """What a field holds."""
+    if field.startswith("view_"):
+        return "camera, light and materials of that view" if field.endswith("_json") else "picture from any side"
+    return FIELD_TEXTS[field]
 
 
 def _split_rows(release: Release) -> list[str]:
@@ -204,8 +210,7 @@ def _file_set(split: str, record: SplitRecord) -> dict[str, Any]:
 
 def _records(split: str, release: Release) -> dict[str, Any]:
     """The files of a split, by name; the words say which file holds what."""
-    there = [(field, member) for field, member in FIELDS.items() if member in release.members]
-    words = "; ".join(f"{member}: {FIELD_TEXTS[field]}" for field, member in there)
+    words = "; ".join(f"{member}: {_words(field)}" for field, member in fields_of(release.members).items())
     return {
         "@type": "cr:RecordSet",
         "@id": split,

@@ -21,10 +21,12 @@ from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.fetched import Fetched
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import (
-    FIELDS,
     FOREIGN,
     GARMENTS,
+    MOST_VIEWS,
     Layout,
+    fields_of,
+    garments_layout,
     index_name,
     known_fields,
     lock_name,
@@ -36,7 +38,7 @@ from gcd_dataset.shards.reader import ShardReader
 
 __all__ = ["download", "remote_splits"]
 
-META = GARMENTS.members[0]
+META = "meta"
 LINES = 4  # shards that come at a time
 
 Told = Callable[[int, int], None]
@@ -63,8 +65,10 @@ def download(
     be written.
     """
     remote = remote or Remote()
-    members = tuple(FIELDS[field] for field in known_fields(fields))
-    wanted = GARMENTS.of([member for member in GARMENTS.members if member in {META, *members}])
+    views = MOST_VIEWS if any(field.startswith("view_") for field in fields or ()) else 0
+    everything = GARMENTS if fields is None else garments_layout(caption=True, views=views)
+    names = {META, *known_fields(fields, fields_of(everything.members))}
+    wanted = everything.of([member for field, member in fields_of(everything.members).items() if field in names])
     if there := what_is_there(folder, place, split, wanted):
         return there
     site = Site(place, remote)
@@ -76,7 +80,12 @@ def download(
     for name in reader.index.shards:  # the manifest's too: they have been compared
         if shard_number(name, split) is None:
             raise ShardError(f"{site.source}: tells of a shard {name!r}, which is no name for one: tell its publisher")
-    layout = reader.layout.of([member for member in reader.layout.members if member in wanted.members])
+    layout = reader.layout
+    if fields is not None:
+        held = fields_of(layout.members)
+        if missing := sorted(names - held.keys()):
+            raise ConfigError(f"{site.source}: its garments have no {missing[0]}: there are {', '.join(held)}")
+        layout = layout.of([member for field, member in held.items() if field in names])
     make_folder(folder)
     with locked(folder / lock_name(split), f"writing split {split}", wait=True):
         if there := what_is_there(folder, place, split, layout):

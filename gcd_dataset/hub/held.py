@@ -9,7 +9,7 @@ from gcd_dataset.hub.place import MAIN, Repo, Url
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.fetched import Fetched, FetchedSplit, changing_fetched, read_fetched
-from gcd_dataset.shards.layout import Layout, shards_in
+from gcd_dataset.shards.layout import Layout, fields_of, shards_in
 from gcd_dataset.shards.manifest import Manifest, SplitRecord, read_manifest
 
 __all__ = ["begin", "end", "require_from", "what_is_there"]
@@ -24,7 +24,12 @@ def what_is_there(folder: Path, place: Repo | Url, split: str, wanted: Layout) -
     """
     there = read_fetched(folder) if folder.is_dir() else None
     known = None if there is None else there.splits.get(split)
-    if there is None or known is None or not known.whole or not set(wanted.members) <= set(known.members):
+    if (
+        there is None
+        or known is None
+        or not known.whole
+        or not fields_of(wanted.members).keys() <= fields_of(known.members).keys()
+    ):
         return None
     return there if _is_from(there, place) and _has_shards(folder, split) else None
 

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Int
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.codec import read_json
-from gcd_dataset.shards.layout import MEMBERS, Bytes
+from gcd_dataset.shards.codec import read_meta
+from gcd_dataset.shards.layout import FIELDS, Bytes, fields_of
 from gcd_dataset.shards.npy import read_npy
 from gcd_dataset.shards.reader import ShardReader
 
@@ -17,7 +17,7 @@ __all__ = ["BODY", "DESIGN", "SHARES", "as_shares", "families", "leaks", "partit
 SHARES: Mapping[str, float] = {"train": 0.90, "validation": 0.05, "test": 0.05}
 """Shares of the garments, nearly those of GarmentCodeData's official split."""
 
-META, DESIGN, BODY = MEMBERS[0], "design.json", "body.npy"
+META, DESIGN, BODY = "meta", "design", "body"  # fields
 NEUTRAL = "neutral"  # what a sample calls the body that is nobody's
 
 
@@ -74,19 +74,20 @@ def leaks(readers: Mapping[str, ShardReader]) -> list[str]:
     return told
 
 
-def _same(reader: ShardReader, member: str) -> Int[np.ndarray, " n"]:
-    """A number for each sample, the same where the member is the same, by hash and size."""
-    return np.unique(_hashes(reader, member), return_inverse=True)[1]
+def _same(reader: ShardReader, field: str) -> Int[np.ndarray, " n"]:
+    """A number for each sample, the same where the field's member is the same, by hash and size."""
+    return np.unique(_hashes(reader, field), return_inverse=True)[1]
 
 
-def _hashes(reader: ShardReader, member: str) -> Int[np.ndarray, " n"]:
-    rows, column = reader.rows(range(len(reader))), reader.layout.members.index(member)
+def _hashes(reader: ShardReader, field: str) -> Int[np.ndarray, " n"]:
+    members = reader.layout.members
+    rows, column = reader.rows(range(len(reader))), members.index(fields_of(members)[field])
     table = reader.index.table
     return table.crc[rows, column].astype(np.int64) << 20 ^ table.size[rows, column].astype(np.int64)
 
 
-def _marks(reader: ShardReader, member: str) -> set[int]:
-    return set(_hashes(reader, member).tolist())
+def _marks(reader: ShardReader, field: str) -> set[int]:
+    return set(_hashes(reader, field).tolist())
 
 
 def _nobodies(reader: ShardReader, design: np.ndarray, body: np.ndarray) -> list[int]:
@@ -94,11 +95,11 @@ def _nobodies(reader: ShardReader, design: np.ndarray, body: np.ndarray) -> list
     pairs = np.unique(np.stack([body, design]), axis=1)[0]
     shared = np.flatnonzero(np.bincount(pairs) > 1)
     first = {int(number): int(np.flatnonzero(body == number)[0]) for number in shared}
-    return [number for number, place in first.items() if _is_nobody(reader.read(place, [META, BODY]))]
+    return [number for number, place in first.items() if _is_nobody(reader.read(place, [FIELDS[META], FIELDS[BODY]]))]
 
 
 def _is_nobody(members: Mapping[str, Bytes]) -> bool:
-    return read_json(members[META])["body"] == NEUTRAL or not len(read_npy(members[BODY]))
+    return read_meta(members[FIELDS[META]])["body"] == NEUTRAL or not len(read_npy(members[FIELDS[BODY]]))
 
 
 def _chances(reader: ShardReader, family: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gcd_dataset.errors import OutputError, ShardError
 
-__all__ = ["REMEDY", "locked", "reading", "writing"]
+__all__ = ["REMEDY", "locked", "read_small", "reading", "writing"]
 
 REMEDY = "copy it again, or delete it and run gcd generate again"
 """What to do about a damaged shard: the next writer makes again what is missing."""
@@ -29,6 +29,15 @@ class reading:  # noqa: N801 -- a context manager, named as functions are
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, OSError):
             raise ShardError(f"{self._path}: cannot be read ({error.strerror}): {_way_out(error)}") from error
+
+
+def read_small(path: Path, most: int) -> bytes:
+    """The content of a file of no more than ``most`` bytes. Raises ``ShardError``."""
+    with reading(path), path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise ShardError(f"{path}: {size} bytes, where {most} are read: {REMEDY}")
+        return file.read()
 
 
 def _way_out(error: OSError) -> str:

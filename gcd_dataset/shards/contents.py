@@ -7,8 +7,18 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.foreign import SPLITS, foreign_index, foreign_shards, scan_foreign
-from gcd_dataset.shards.index import ShardIndex, known_index, members_of_shard, sizes_in, tables_of
-from gcd_dataset.shards.layout import BODIES, FOREIGN, GARMENTS, Layout, foreign_layout, index_name, shards_in
+from gcd_dataset.shards.index import ShardIndex, first_sample, known_index, sizes_in, tables_of
+from gcd_dataset.shards.layout import (
+    BODIES,
+    FOREIGN,
+    GARMENTS,
+    SCHEMA,
+    Layout,
+    foreign_layout,
+    index_name,
+    layout_of,
+    shards_in,
+)
 
 __all__ = ["layout_in", "read_index", "rebuild_index", "require_splits", "splits_in", "way_out"]
 
@@ -75,7 +85,8 @@ def layout_in(folder: Path | str, split: str) -> Layout:
     """``BODIES`` for a set of bodies, else ``GARMENTS``. Raises ``ShardError``."""
     with reading(Path(folder)):
         shards = shards_in(Path(folder), split)
-    return BODIES if shards and members_of_shard(shards[0]) == BODIES.members else GARMENTS
+    first = first_sample(shards[0]) if shards else None
+    return BODIES if first is not None and first[1] == BODIES.members else GARMENTS
 
 
 def _by_maker(folder: Path) -> tuple[set[str], list[str]]:
@@ -84,7 +95,7 @@ def _by_maker(folder: Path) -> tuple[set[str], list[str]]:
         names = sorted(path.name for path in folder.iterdir() if path.name.endswith(".tar"))
     begun = {name.rpartition("-")[0] for name in names} - {""}
     whole = {split: shards for split in begun if (shards := shards_in(folder, split))}
-    ours = {split for split, shards in whole.items() if members_of_shard(shards[0]) is not None}
+    ours = {split for split, shards in whole.items() if first_sample(shards[0]) is not None}
     known = {path.name for split in ours for path in whole[split]}
     return ours, [name for name in names if name not in known]
 
@@ -93,10 +104,11 @@ def _layout_in(folder: Path, split: str, layout: Layout) -> Layout:
     """The layout of the first shard of a split."""
     with reading(folder):
         shards = shards_in(folder, split)
-    members = members_of_shard(shards[0]) if shards else None
-    if members is None and layout == GARMENTS and _foreign_paths(folder, split):
+    first = first_sample(shards[0]) if shards else None
+    if first is None and layout == GARMENTS and _foreign_paths(folder, split):
         return foreign_layout(())
-    return layout.of(members) if members is not None and layout.holds(members) else layout
+    schema, members = first or (SCHEMA, ())
+    return layout_of(layout, schema, members) or layout
 
 
 def _ours(folder: Path, split: str, layout: Layout, known: ShardIndex | None) -> ShardIndex:

@@ -8,7 +8,9 @@ from pathlib import Path
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
-from gcd_dataset.shards.access import locked, reading
+from gcd_dataset.shards.access import locked, read_small, reading
+from gcd_dataset.shards.limits import LARGEST_JSON
+from gcd_dataset.shards.meta import read_json
 
 __all__ = ["FETCHED", "Fetched", "FetchedSplit", "changing_fetched", "read_fetched"]
 
@@ -58,14 +60,15 @@ def read_fetched(folder: Path) -> Fetched | None:
     """The record of a folder; ``None`` for one that was not downloaded. Raises ``ShardError`` for a broken one."""
     path = folder / FETCHED
     with reading(path):
-        content = path.read_bytes() if path.exists() else None
-    if content is None:
+        is_there = path.exists()
+    if not is_there:
         return None
+    content = read_small(path, LARGEST_JSON)
     try:
-        entry = json.loads(content)
+        entry = read_json(content)
         splits = {
             name: FetchedSplit(tuple(split["members"]), split["whole"]) for name, split in entry["splits"].items()
         }
         return Fetched(entry["source"], splits)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ShardError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ShardError(f"{path}: not the record of a download ({error}): delete it, and download again") from error

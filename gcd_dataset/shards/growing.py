@@ -2,7 +2,6 @@
 
 import contextlib
 import hashlib
-import json
 import os
 import zlib
 from collections import Counter
@@ -13,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import open_whole
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.index import ShardTable, has_settled, whole_samples
-from gcd_dataset.shards.layout import Bytes, Layout, key_of, member_name, part_path
+from gcd_dataset.shards.layout import Bytes, Layout, is_extra, key_of, member_name, part_path
 from gcd_dataset.shards.manifest import ShardRecord
+from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.tar import BLOCK, END, padded, tar_entry
 
 __all__ = ["GrowingShard", "shard_record"]
@@ -58,6 +58,7 @@ class GrowingShard:
         """Add a sample. Raises as ``ShardWriter.add`` does."""
         if any(row.sample[0] == index for row in self.rows):
             raise ConfigError(f"{self.path}: {key_of(index)} is there already: write what is not in .done")
+        _require_members(index, members, self._layout)
         data = [members[member] for member in self._layout.members]
         entries = [
             tar_entry(member_name(index, member), content)
@@ -69,7 +70,7 @@ class GrowingShard:
             offset=(headers[None] + BLOCK).astype(np.int64),
             size=np.array([[len(content) for content in data]], np.uint32),
             crc=np.array([[zlib.crc32(content) for content in data]], np.uint32),
-            settled=np.array([has_settled(json.loads(bytes(data[META])))]),
+            settled=np.array([has_settled(read_meta(data[META]))]),
         )
         self._write(b"".join(entries))
         self.rows.append(row)
@@ -143,9 +144,18 @@ def shard_record(path: Path, table: ShardTable) -> ShardRecord:
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         for offset, size in zip(table.offset[:, META].tolist(), table.size[:, META].tolist(), strict=True):
-            meta = json.loads(os.pread(file.fileno(), size, offset))
-            rejects.update(reason.partition(":")[0] for reason in meta.get("rejects", ()))
+            meta = read_meta(os.pread(file.fileno(), size, offset))
+            rejects.update(reason.partition(":")[0] for reason in meta.get("rejects", ()))  # a person has none
     return ShardRecord(path.name, len(table), path.stat().st_size, digest, dict(sorted(rejects.items())))
+
+
+def _require_members(index: int, members: Mapping[str, Bytes], layout: Layout) -> None:
+    """Raise ``ShardError`` for a sample that lacks a member of the layout, or has a caption or views that it lacks."""
+    for member in layout.members:
+        if member not in members:
+            raise ShardError(f"{key_of(index)} has no {member}, as all samples of this data set: give it one")
+    if more := [member for member in members if member not in layout.members and is_extra(member)]:
+        raise ShardError(f"{key_of(index)} has {more[0]}, as no other sample of this data set: leave it out")
 
 
 def _span(row: ShardTable) -> tuple[int, int]:

@@ -41,8 +41,8 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import drafted, user_path
 from gcd_dataset.jsonfile import found
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.codec import read_json
-from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMA, Bytes
+from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMAS, Bytes, content_of
+from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.npy import npy_header, read_npy, write_npy
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.room import room_for
@@ -106,9 +106,9 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     with drafted(user_path(path)) as draft, h5py.File(draft, "w") as file:
         _lay_out(file, reader, columns)
         for position in range(len(reader)):
-            members = reader.read(position, MEMBERS)
+            members = reader.read(position, reader.layout.members)
             for field in TEXTS:
-                file[field][position] = bytes(members[FIELDS[field]]).decode()
+                file[field][position] = bytes(content_of(field, members)).decode()
             file[META_CRC][position] = zlib.crc32(members[META])
             for field, column in columns.items():
                 start, end = column.ptr[position : position + 2].tolist()
@@ -136,8 +136,9 @@ class Hdf5Reader:
         attributes, self._columns = self._layout()
         if attributes.get("format") != FORMAT:
             raise ShardError(f"{self.path}: not a file that gcd export has made: choose another")
-        if attributes.get("schema") != SCHEMA:
-            there = f"of schema {found(attributes.get('schema'))}, and this reader knows {SCHEMA}"
+        if attributes.get("schema") not in SCHEMAS:
+            known = " and ".join(map(str, SCHEMAS))
+            there = f"of schema {found(attributes.get('schema'))}, and this reader knows {known}"
             raise ShardError(f"{self.path}: {there}: install the version of gcd_dataset that wrote it")
         self._count, self.split = self._counted(attributes.get("count")), str(attributes.get("split"))
         self._has_meta_crc = META_CRC in self._columns
@@ -302,7 +303,7 @@ class Hdf5Reader:
     def _crc_of_members(self, position: int, meta: Bytes) -> Mapping[str, object]:
         """Field to the CRC-32 of its member."""
         try:
-            return {member.split(".")[0]: crc for member, crc in read_json(meta)["crc32"].items()}
+            return {member.split(".")[0]: crc for member, crc in read_meta(meta)["crc32"].items()}
         except (ShardError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise self._broken(f"{META} of sample {position} holds no CRC-32 of its other members") from error
 
@@ -428,7 +429,13 @@ def _lay_out(file: "h5py.File", reader: ShardReader, columns: Mapping[str, _Colu
 
     record = reader.manifest.splits.get(reader.split) if reader.manifest else None
     recipe = json.dumps(dict(record.recipe) if record else {}, sort_keys=True)
-    given = {"format": FORMAT, "schema": SCHEMA, "split": reader.split, "count": len(reader), "recipe": recipe}
+    given = {
+        "format": FORMAT,
+        "schema": reader.layout.schema,
+        "split": reader.split,
+        "count": len(reader),
+        "recipe": recipe,
+    }
     file.attrs.update(given)
     for field in TEXTS:
         file.create_dataset(field, (len(reader),), h5py.string_dtype(), track_times=False)

@@ -5,14 +5,13 @@ length, is read anew.
 """
 
 import contextlib
+import hashlib
 import io
-import json
 import os
 import re
-import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, Self
@@ -23,26 +22,31 @@ from jaxtyping import Bool, Int, UInt32
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import Outcome, Record
-from gcd_dataset.shards.access import REMEDY, reading
+from gcd_dataset.shards.access import REMEDY, read_small, reading
+from gcd_dataset.shards.arrays import Column, read_arrays
 from gcd_dataset.shards.layout import (
     BODIES,
+    FOREIGN,
     GARMENTS,
-    SCHEMA,
+    SCHEMAS,
     Layout,
     foreign_layout,
     index_name,
     key_of,
+    layout_of,
     member_name,
     shards_in,
 )
+from gcd_dataset.shards.limits import LARGEST_FILE, LARGEST_JSON, LARGEST_SAMPLE
+from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.tar import BLOCK, Entry, tar_entries
 
 __all__ = [
     "ShardIndex",
     "ShardTable",
+    "first_sample",
     "has_settled",
     "known_index",
-    "members_of_shard",
     "scan_shard",
     "sizes_in",
     "tables_of",
@@ -51,7 +55,8 @@ __all__ = [
 
 MADE_AGAIN = "delete it, it is made again from the shards"
 META = "meta.json"
-MOST_MEMBERS = 64  # of a sample that is looked at
+MOST_MEMBERS = 256  # of a sample that is looked at
+SCHEMA_TOLD = re.compile(rb'\{\s*"schema":\s*(\d{1,9})\D')
 OURS = re.compile(rb"(gcd_\d{9,})\.meta\.json\0")  # how every archive of ours begins
 
 
@@ -84,6 +89,13 @@ class ShardTable(Record):
 
 
 _COLUMNS = ("sample", "offset", "size", "crc", "settled")
+_ARRAYS: Mapping[str, Column] = {
+    "schema": Column("iu", 0), "members": Column("U", 1), "shards": Column("U", 1), "length": Column("iu", 1),
+    "shard": Column("iu", 1), "sample": Column("iu", 1), "offset": Column("iu", 2), "size": Column("iu", 2),
+    "crc": Column("iu", 2), "settled": Column("b", 1), "keys": Column("U", 1, needed=False),
+    "digest": Column("U", 0, needed=False),
+}  # fmt: skip
+"""What an index file holds; ``keys`` for foreign archives, ``digest`` since schema 2."""
 
 
 def empty_table(layout: Layout = GARMENTS) -> ShardTable:
@@ -134,18 +146,20 @@ class ShardIndex(Record):
         arrays |= {"shards": np.array(self.shards, np.str_), "length": self.length, "shard": self.shard}
         if self.keys:
             arrays["keys"] = np.array(self.keys, np.str_)
-        np.savez(file, schema=np.array(SCHEMA), members=np.array(self.layout.members), **arrays)
+        arrays |= {"schema": np.array(self.layout.schema), "members": np.array(self.layout.members)}
+        if self.layout.schema > 1:
+            arrays["digest"] = np.array(_digest(arrays))
+        np.savez(file, **arrays)
         return file.getvalue()
 
     @classmethod
     def read(cls, path: Path, layout: Layout = GARMENTS, *, partial: bool = False) -> Self:
-        """The index in ``path``; ``partial``: one of some of the layout's members, or of foreign archives, will do too.
+        """The index in ``path``; ``partial``: one of some of the layout's members, of an earlier schema, or of foreign
+        archives, will do too.
 
         Raises ``ShardError`` for a file that is broken, of another schema or layout.
         """
-        with reading(path):
-            content = path.read_bytes()
-        return cls.parse(content, str(path), layout, partial=partial)
+        return cls.parse(read_small(path, LARGEST_FILE), str(path), layout, partial=partial)
 
     @classmethod
     def parse(
@@ -153,61 +167,119 @@ class ShardIndex(Record):
     ) -> Self:
         """The index in a file's content; ``path`` and ``remedy`` stand in errors. Raises as ``read`` does."""
         try:
-            if not zipfile.is_zipfile(io.BytesIO(content)):
-                raise zipfile.BadZipFile("no archive of arrays, or cut off")
-            with np.load(io.BytesIO(content), allow_pickle=False) as file:
-                arrays = dict(file)
+            arrays = read_arrays(content, {"schema": _ARRAYS["schema"]})
+            _require_known(int(arrays["schema"]), path)
+            arrays = read_arrays(content, _ARRAYS)
             schema, members = int(arrays["schema"]), tuple(arrays["members"].tolist())
-            table = ShardTable(*(arrays[name] for name in _COLUMNS))
             keys = tuple(arrays["keys"].tolist()) if "keys" in arrays else ()
-            found = foreign_layout(members) if keys else layout
-            if partial and schema == SCHEMA and not keys and layout.holds(members):
-                found = layout.of(members)
-            index = cls(tuple(arrays["shards"].tolist()), arrays["length"], arrays["shard"], table, found, keys)
-        except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            found = replace(foreign_layout(members), schema=schema) if keys else layout_of(layout, schema, members)
+            if found is None or (found != layout and not partial):
+                raise _other_layout(path, layout, schema, members, bool(keys))
+            if schema > 1 and arrays.get("digest", "") != _digest(arrays):
+                raise ShardError("its columns are not those that were written")
+            _require_consistent(arrays, found)
+        except ShardError as error:
+            if str(error).startswith(path):
+                raise
             raise ShardError(f"{path}: not an index ({error}): {remedy}") from error
-        if schema == SCHEMA and members == found.members and (partial or not keys):
-            return index._consistent(path, remedy)
-        for other in (GARMENTS, BODIES):
-            if schema == SCHEMA and members == other.members != layout.members:
-                raise ShardError(
-                    f"{path}: an index of {other.kind}, not of {layout.kind}: read them with {other.reader}, or choose "
-                    "another folder"
-                )
-        if schema == SCHEMA and (keys or layout.holds(members)):
-            what = "foreign archives" if keys else f"samples without {_lacking(layout, members)}"
-            raise ShardError(f"{path}: an index of {what}, which are only read: choose another folder")
-        remedy = "update gcd_dataset" if schema > SCHEMA else remedy
-        raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {SCHEMA}: {remedy}")
-
-    def _consistent(self, path: str, remedy: str) -> Self:
-        """The index itself. Raises ``ShardError`` unless its columns fit together and every member is in its shard."""
-        try:
-            self._require_consistent()
-        except ValueError as error:
-            raise ShardError(f"{path}: not an index ({error}): {remedy}") from error
-        return self
-
-    def _require_consistent(self) -> None:
-        n, m, k = len(self.table), len(self.layout.members), len(self.shards)
-        shapes = {name: getattr(self.table, name).shape for name in _COLUMNS} | {"shard": self.shard.shape}
-        if any(shape != ((n, m) if name in ("offset", "size", "crc") else (n,)) for name, shape in shapes.items()):
-            raise ValueError(f"columns of {sorted(set(shapes.values()))} rows and members")
-        if len(self.length) != k or (self.keys and len(self.keys) != n):
-            raise ValueError(f"{len(self.length)} lengths and {len(self.keys)} keys for {k} shards of {n} samples")
-        if n and (not 0 <= self.shard.min() <= self.shard.max() < k or (np.diff(self.shard) < 0).any()):
-            raise ValueError(f"rows of shards beyond {k}, or out of order")
-        there = self.table.offset >= 0
-        ends = np.where(there, self.table.offset + self.table.size.astype(np.int64), 0)
-        if n and (ends > self.length[self.shard][:, None]).any():
-            raise ValueError("a member beyond the end of its shard")
-        if any("/" in name or name in ("", ".", "..") for name in self.shards):
-            raise ValueError("a shard outside the folder")
+        return cls(
+            shards=tuple(arrays["shards"].tolist()),
+            length=arrays["length"].astype(np.int64),
+            shard=arrays["shard"].astype(np.int32),
+            table=ShardTable(
+                sample=arrays["sample"].astype(np.int64),
+                offset=arrays["offset"].astype(np.int64),
+                size=arrays["size"].astype(np.uint32),
+                crc=arrays["crc"].astype(np.uint32),
+                settled=arrays["settled"],
+            ),
+            layout=found,
+            keys=keys,
+        )
 
     def tables(self) -> dict[str, ShardTable]:
         """File name to contents."""
         first = np.searchsorted(self.shard, np.arange(len(self.shards) + 1))
         return {name: self.table[first[i] : first[i + 1]] for i, name in enumerate(self.shards)}
+
+
+def _digest(arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of everything in an index, so that an edited column is found."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays.keys() - {"digest"}):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(array.data if array.dtype.kind != "U" else array.tobytes())
+    return digest.hexdigest()
+
+
+def _require_known(schema: int, path: str) -> None:
+    """Raise ``ShardError`` for an index of a schema that is not read."""
+    if schema not in SCHEMAS:
+        known = " and ".join(map(str, SCHEMAS))
+        raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {known}: update gcd_dataset")
+
+
+def _other_layout(path: str, layout: Layout, schema: int, members: tuple[str, ...], is_foreign: bool) -> ShardError:
+    """Why an index cannot be taken for one of ``layout``."""
+    for other in (GARMENTS, BODIES):
+        if other.kind != layout.kind and not is_foreign and layout_of(other, schema, members) is not None:
+            return ShardError(
+                f"{path}: an index of {other.kind}, not of {layout.kind}: read them with {other.reader}, or choose "
+                "another folder"
+            )
+    if is_foreign or layout_of(layout, schema, members) is not None:
+        lacking = ", ".join(member for member in layout.members if member not in members)
+        what = f"schema {schema}, and schema {layout.schema} is written"
+        if schema == layout.schema:
+            what = f"samples without {lacking}" if lacking else "samples with a caption or views"
+        what = "foreign archives" if is_foreign else what
+        return ShardError(f"{path}: an index of {what}: these are only read: choose another folder")
+    return ShardError(f"{path}: not an index of {layout.kind} (members {', '.join(members)[:60]}): {MADE_AGAIN}")
+
+
+def _require_consistent(arrays: Mapping[str, np.ndarray], layout: Layout) -> None:
+    """Raise ``ShardError`` unless the columns fit together and every member is in its shard."""
+    n, m, k = len(arrays["sample"]), len(layout.members), len(arrays["shards"])
+    for name in (*_COLUMNS, "shard"):
+        if arrays[name].shape != ((n, m) if name in ("offset", "size", "crc") else (n,)):
+            raise ShardError(f"column {name} of shape {arrays[name].shape}, for {n} samples of {m} members")
+    if len(arrays["length"]) != k or len(arrays.get("keys", arrays["sample"])) != n:
+        raise ShardError(f"{len(arrays['length'])} lengths for {k} shards, or keys for other than {n} samples")
+    for name in ("sample", "shard", "size", "crc", "length"):
+        # Compared as whole numbers of Python: an unsigned column holds more than a signed one.
+        low, high = (int(arrays[name].min()), int(arrays[name].max())) if arrays[name].size else (0, 0)
+        most = {"shard": max(k - 1, 0), "size": LARGEST_SAMPLE, "crc": 2**32 - 1}.get(name, LONGEST)
+        if low < 0 or high > most:
+            raise ShardError(f"column {name} from {low} to {high}, where 0 to {most} are read")
+    if any("/" in name or name in ("", ".", "..") for name in arrays["shards"].tolist()):
+        raise ShardError("a shard outside the folder")
+    if not n:
+        return
+    if (np.diff(arrays["shard"].astype(np.int64)) < 0).any():
+        raise ShardError("shards out of order")
+    if layout.kind != FOREIGN and len(np.unique(arrays["sample"])) != n:
+        raise ShardError("a sample that is there twice")
+    _require_inside(arrays, layout)
+
+
+LONGEST = 1 << 62
+
+
+def _require_inside(arrays: Mapping[str, np.ndarray], layout: Layout) -> None:
+    """Raise ``ShardError`` for a member beyond the end of its shard, or a sample larger than is read."""
+    least = -1 if layout.kind == FOREIGN else 0  # of foreign samples a member may be missing
+    length = arrays["length"].astype(np.int64)[arrays["shard"].astype(np.int64)][:, None]
+    if int(arrays["offset"].min()) < least or (arrays["offset"] > length).any():
+        raise ShardError("a member beyond the end of its shard")
+    offset, size = arrays["offset"].astype(np.int64), arrays["size"].astype(np.int64)
+    if (np.where(offset >= 0, offset + size, 0) > length).any():
+        raise ShardError("a member beyond the end of its shard")
+    if layout.kind != FOREIGN:
+        if (size.sum(axis=1) > LARGEST_SAMPLE).any():
+            raise ShardError(f"a sample of more than {LARGEST_SAMPLE} bytes")
+        if (size[:, 0] > LARGEST_JSON).any():
+            raise ShardError(f"a {META} of more than {LARGEST_JSON} bytes")
 
 
 def known_index(folder: Path, split: str, layout: Layout = GARMENTS, *, partial: bool = False) -> ShardIndex | None:
@@ -250,7 +322,7 @@ def has_settled(meta: Mapping[str, Any]) -> bool:
 def scan_shard(path: Path, layout: Layout = GARMENTS) -> ShardTable:
     """The contents of a shard, read from its tar headers and the hashes in each sample's ``meta.json``.
 
-    Raises ``ShardError`` for a damaged archive, or samples that are not of this schema and layout.
+    Raises ``ShardError`` for a damaged archive, or samples that are not of this layout and its schema.
     """
     with _opened(path) as file:
         try:
@@ -260,9 +332,13 @@ def scan_shard(path: Path, layout: Layout = GARMENTS) -> ShardTable:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
 
 
-def members_of_shard(path: Path) -> tuple[str, ...] | None:
-    """The members of the first sample of a shard; ``None`` for an archive that is not ours."""
+def first_sample(path: Path) -> tuple[int, tuple[str, ...]] | None:
+    """Schema and members of the first sample of a shard; ``None`` for an archive that is not ours.
+
+    Schema 0 where the sample does not tell it. Raises ``ShardError`` for a file that cannot be read.
+    """
     members: list[str] = []
+    schema = 0
     with _opened(path) as file:
         match = OURS.match(os.pread(file, BLOCK, 0))
         if match is None:
@@ -273,8 +349,10 @@ def members_of_shard(path: Path) -> tuple[str, ...] | None:
                 key, _, member = entry.name.partition(".")
                 if key != match[1].decode():
                     break
+                if not members and (told := SCHEMA_TOLD.match(os.pread(file, 64, entry.offset))):
+                    schema = int(told[1])
                 members.append(member)
-    return tuple(members)
+    return schema, tuple(members)
 
 
 def whole_samples(path: Path, layout: Layout = GARMENTS) -> ShardTable:
@@ -303,38 +381,45 @@ def _by_sample(entries: Iterator[Entry], layout: Layout) -> Iterator[list[Entry]
         yield sample
 
 
-def _lacking(layout: Layout, members: Sequence[str]) -> str:
-    return ", ".join(member for member in layout.members if member not in members)
-
-
 def _row(file: int, entries: list[Entry], layout: Layout) -> ShardTable:
     """The table of one sample."""
     key = entries[0].name.partition(".")[0]
+    if sum(entry.size for entry in entries) > LARGEST_SAMPLE:
+        raise ShardError(f"sample {key} has more than {LARGEST_SAMPLE} bytes")
     meta = _read_meta(file, entries[0], key, layout)
     if [entry.name for entry in entries] != [member_name(meta["index"], member) for member in layout.members]:
-        raise ShardError(f"sample {key} does not have the members of schema {SCHEMA} for {layout.kind}")
+        raise ShardError(f"sample {key} does not have the members of schema {layout.schema} for {layout.kind}")
     crc = [_crc(file, entries[0])] + [meta["crc32"][member] for member in layout.members[1:]]
     return ShardTable(
         sample=np.array([meta["index"]], np.int64),
         offset=np.array([[entry.offset for entry in entries]], np.int64),
         size=np.array([[entry.size for entry in entries]], np.uint32),
         crc=np.array([crc], np.uint32),
-        settled=np.array([meta["settled"]]),
+        settled=np.array([has_settled(meta)]),
     )
 
 
 def _read_meta(file: int, entry: Entry, key: str, layout: Layout) -> dict[str, Any]:
+    if entry.size > LARGEST_JSON:
+        raise ShardError(f"sample {key} begins with {entry.size} bytes, where {META} has {LARGEST_JSON} at most")
     try:
-        meta = json.loads(_content(file, entry))
-        if meta["schema"] != SCHEMA:
-            raise ShardError(f"sample {key} is of schema {meta['schema']}, and this reader knows schema {SCHEMA}")
-        return {
-            "index": int(meta["index"]),
-            "crc32": {member: int(meta["crc32"][member]) for member in layout.members[1:]},
-            "settled": has_settled(meta),
-        }
-    except (ValueError, KeyError, TypeError) as error:
-        raise ShardError(f"sample {key} does not begin with a {META} of a data set of {layout.kind}") from error
+        meta = read_meta(_content(file, entry))
+    except ShardError as error:
+        raise ShardError(
+            f"sample {key} does not begin with a {META} of a data set of {layout.kind}: {error}"
+        ) from error
+    if meta["schema"] != layout.schema:
+        raise ShardError(f"sample {key} is of schema {meta['schema']}, among those of schema {layout.schema}")
+    if unchecked := [member for member in layout.members[1:] if not _is_crc(meta.get("crc32"), member)]:
+        raise ShardError(
+            f"sample {key} does not begin with a {META} of a data set of {layout.kind}: no CRC-32 of {unchecked[0]}"
+        )
+    return meta
+
+
+def _is_crc(crc: Any, member: str) -> bool:
+    value = crc.get(member) if isinstance(crc, Mapping) else None
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 32
 
 
 def _content(file: int, entry: Entry) -> bytes:

@@ -22,19 +22,29 @@ from gcd_dataset.errors import ConfigError
 
 __all__ = [
     "BODIES",
+    "CAPTION",
     "FIELDS",
+    "FIRST_NAMES",
     "FOREIGN",
     "GARMENTS",
     "MEMBERS",
+    "MOST_VIEWS",
     "SCHEMA",
+    "SCHEMAS",
     "Bytes",
     "Layout",
+    "content_of",
+    "fields_of",
     "foreign_layout",
+    "garments_layout",
     "index_name",
+    "is_extra",
     "key_of",
     "known_fields",
+    "layout_of",
     "lock_name",
     "member_name",
+    "members_of",
     "mesh_name",
     "part_path",
     "recipe_hash",
@@ -45,18 +55,28 @@ __all__ = [
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
-SCHEMA = 1
-"""Raised by one whenever a reader of today's shards would misread tomorrow's."""
+SCHEMA = 2
+"""Of what is written. Raised by one whenever a reader of today's shards would misread tomorrow's."""
+
+SCHEMAS = (1, SCHEMA)
+"""What is read. In schema 1 specification and design were members of JSON, and points absolute 16-bit floats."""
 
 MEMBERS: tuple[str, ...] = (
-    "meta.json", "spec.json", "design.json", "measures.json", "panels.npy", "edges.npy", "stitches.npy", "body.npy",
+    "meta.json", "spec.txt", "design.txt", "measures.json", "panels.npy", "edges.npy", "stitches.npy", "body.npy",
     "faces.npy", "uv.npy", "panel_id.npy", "labels.npy", "seams.npy", "corners.npy", "uv_vertex.npy", "box.npy",
     "verts.npy", "points.npy", "front.jpg", "back.jpg",
 )  # fmt: skip
 """The members of every sample, in the order of the file: what is small, or read together, stands together."""
 
+FIRST_NAMES: Mapping[str, str] = {"spec.txt": "spec.json", "design.txt": "design.json"}
+"""Member to its name in schema 1, where that differed."""
+
+CAPTION = "caption.txt"
+MOST_VIEWS = 100
+VIEW = re.compile(r"view_(0|[1-9]\d?)\.(jpg|json)")
+
 FIELDS: Mapping[str, str] = {member.split(".")[0]: member for member in MEMBERS}
-"""Field of a loaded sample to the member it comes from."""
+"""Field of a loaded sample to the member it comes from; ``fields_of`` adds those that a data set need not have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,21 +89,88 @@ class Layout:
     """The files of a sample in their order; the first is ``meta.json``, which holds the CRC-32 of the others."""
     reader: str
     """The data set to read them with."""
+    schema: int = SCHEMA
+    """The version of the format."""
 
     def holds(self, members: Sequence[str]) -> bool:
-        """Whether these are members of the layout, in its order, the first among them."""
-        return list(members) == [m for m in self.members if m in members] and list(members[:1]) == list(
-            self.members[:1]
-        )
+        """Whether these are members of the layout, in its order, the first among them.
+
+        Garments may have a caption and views besides.
+        """
+        known = self.members
+        if self.kind == "garments" and self.schema > 1:
+            views = [int(match[1]) for member in members if (match := VIEW.fullmatch(member))]
+            known = garments_layout(caption=CAPTION in members, views=max(views, default=-1) + 1).members
+        return list(members) == [m for m in known if m in members] and list(members[:1]) == list(known[:1])
 
     def of(self, members: Sequence[str]) -> "Layout":
         """The layout with these members and no others."""
         return replace(self, members=tuple(members))
 
 
-GARMENTS = Layout("garments", MEMBERS, "GarmentDataset")
+def garments_layout(*, caption: bool = False, views: int = 0) -> Layout:
+    """Garments; with a caption, or so many views, in every sample.
+
+    >>> garments_layout(caption=True, views=1).members[4:6], garments_layout(views=1).members[-3:]
+    (('caption.txt', 'panels.npy'), ('back.jpg', 'view_0.jpg', 'view_0.json'))
+    """
+    small = MEMBERS.index("panels.npy")
+    pictures = [f"view_{number}.{ending}" for number in range(views) for ending in ("jpg", "json")]
+    members = (*MEMBERS[:small], *([CAPTION] if caption else []), *MEMBERS[small:], *pictures)
+    return Layout("garments", members, "GarmentDataset")
+
+
+GARMENTS = garments_layout()
 FOREIGN = "foreign"
 BODIES = Layout("bodies", ("meta.json", "measures.json", "body.npy", "straight.npy", "apart.npy"), "BodyDataset")
+
+
+def is_extra(member: str) -> bool:
+    """Whether a member is one that a data set need not have."""
+    return member == CAPTION or VIEW.fullmatch(member) is not None
+
+
+def layout_of(layout: Layout, schema: int, members: Sequence[str]) -> Layout | None:
+    """The layout of samples of ``layout``'s kind with these members, in an earlier schema too; ``None`` if they are
+    none of it."""
+    if schema == layout.schema:
+        there = layout
+    elif schema in SCHEMAS:
+        there = replace(layout, schema=schema, members=tuple(FIRST_NAMES.get(m, m) for m in layout.members))
+    else:
+        return None
+    return there.of(members) if there.holds(members) else None
+
+
+def fields_of(members: Iterable[str]) -> dict[str, str]:
+    """Field to member, of garments with these members.
+
+    >>> fields_of(["spec.json", "verts.npy", "view_0.jpg", "view_0.json"])
+    {'spec': 'spec.json', 'verts': 'verts.npy', 'view_0': 'view_0.jpg', 'view_0_json': 'view_0.json'}
+    """
+    return {
+        member.replace(".", "_")
+        if VIEW.fullmatch(member) and member.endswith(".json")
+        else member.split(".")[0]: member
+        for member in members
+    }
+
+
+def members_of(fields: Iterable[str], there: Mapping[str, str] = FIELDS) -> tuple[str, ...]:
+    """The members that fields are decoded from; ``there``: field to member."""
+    wanted = dict.fromkeys(there[field] for field in fields)
+    if "points" in there and there["points"] in wanted:  # whose scale and centre are there
+        wanted[there["meta"]] = None
+    return tuple(wanted)
+
+
+def content_of(field: str, members: Mapping[str, Bytes]) -> Bytes:
+    """The member that a field comes from, under its name in any schema. Raises ``KeyError``."""
+    member = FIELDS.get(field)
+    if member is None:
+        member = field.removesuffix("_json") + ".json" if field.endswith("_json") else f"{field}.jpg"
+        member = CAPTION if field == "caption" else member
+    return members[member] if member in members else members[FIRST_NAMES[member]]
 
 
 def foreign_layout(members: Sequence[str]) -> Layout:

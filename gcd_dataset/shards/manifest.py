@@ -1,17 +1,21 @@
 """What a data set is made of: the recipe and the shards of each split, kept in ``manifest.json``."""
 
 import json
+import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
 import gcd_dataset
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.files import write_whole
-from gcd_dataset.shards.access import locked, reading
-from gcd_dataset.shards.layout import SCHEMA
+from gcd_dataset.jsonfile import found
+from gcd_dataset.shards.access import locked, read_small, reading
+from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, shard_number
+from gcd_dataset.shards.limits import LARGEST_JSON
+from gcd_dataset.shards.meta import read_json
 
 __all__ = ["MANIFEST", "Manifest", "ShardRecord", "SplitRecord", "keep_split", "parse_manifest", "read_manifest"]
 
@@ -54,9 +58,16 @@ class SplitRecord:
         return dict(total.most_common())
 
     @classmethod
-    def from_json(cls, entry: Mapping[str, Any]) -> Self:
-        """From an entry of the file. Raises ``KeyError`` or ``TypeError`` for one that is not whole."""
-        return cls(**{**entry, "shards": tuple(ShardRecord(**shard) for shard in entry["shards"])})
+    def from_json(cls, name: str, entry: Any) -> Self:
+        """Split ``name`` from its entry in the file. Raises ``ShardError`` for one that is not as it should be."""
+        values = _checked(entry, f"split {name}", SPLIT_TYPES, {"kind": "garments"})
+        shards = [_checked(shard, f"split {name}, shard", SHARD_TYPES, {"rejects": {}}) for shard in values["shards"]]
+        for shard in shards:
+            if shard_number(shard["name"], name) is None:
+                raise ShardError(f"split {name}, shard {found(shard['name'])}: no name of a shard")
+            if not all(map(_is_count, shard["rejects"].values())):
+                raise ShardError(f"split {name}, shard {shard['name']}: rejects is {found(shard['rejects'])}")
+        return cls(**{**values, "shards": tuple(ShardRecord(**shard) for shard in shards)})
 
 
 @dataclass(frozen=True)
@@ -84,23 +95,79 @@ def read_manifest(folder: Path) -> Manifest | None:
     """
     path = folder / MANIFEST
     with reading(path):
-        content = path.read_bytes() if path.exists() else None
+        is_there = path.exists()
+    content = read_small(path, LARGEST_JSON) if is_there else None
     return None if content is None else parse_manifest(content, str(path))
 
 
 def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
     """The manifest in a file's content; ``path`` and ``remedy`` stand in errors. Raises as ``read_manifest`` does."""
     try:
-        entry = json.loads(content)
-        if (schema := entry["schema"]) != SCHEMA:
+        entry = read_json(content)
+        if not isinstance(entry, Mapping) or not _is_count(schema := entry.get("schema")):
+            raise ShardError("no schema")
+        if schema not in SCHEMAS:
             raise ShardError(
-                f"{path}: written as schema {schema} by gcd_dataset {entry.get('generator')}; gcd_dataset "
-                f"{gcd_dataset.__version__} reads schema {SCHEMA}: install the version that wrote it"
+                f"{path}: written as schema {schema} by gcd_dataset {shown(str(entry.get('generator')))}; gcd_dataset "
+                f"{gcd_dataset.__version__} reads schema {' and '.join(map(str, SCHEMAS))}: install the version that "
+                "wrote it"
             )
-        splits = {name: SplitRecord.from_json(split) for name, split in entry["splits"].items()}
-        return Manifest(splits, entry["generator"], schema)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        values = _checked(entry, "the file", {"generator": _is_text, "splits": _is_mapping, "schema": _is_count}, {})
+        for name in values["splits"]:
+            if SPLIT.fullmatch(name) is None:
+                raise ShardError(f"split {found(name)}: no name of a split")
+        splits = {name: SplitRecord.from_json(name, split) for name, split in values["splits"].items()}
+        return Manifest(splits, values["generator"], schema)
+    except ShardError as error:
+        if str(error).startswith(path):
+            raise
         raise ShardError(f"{path}: not a manifest ({error}): {remedy}") from error
+
+
+SPLIT = re.compile(r"\w[\w.-]{0,99}")
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 62
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_mapping(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+SPLIT_TYPES: Mapping[str, Callable[[Any], bool]] = {
+    "seed": lambda value: isinstance(value, int) and not isinstance(value, bool) and value >= 0,
+    "recipe": _is_mapping,
+    "shard_size": lambda value: _is_count(value) and value > 0,
+    "shards": lambda value: isinstance(value, list),
+    "kind": _is_text,
+}
+SHARD_TYPES: Mapping[str, Callable[[Any], bool]] = {
+    "name": _is_text,
+    "count": _is_count,
+    "size": _is_count,
+    "sha256": _is_text,
+    "rejects": _is_mapping,
+}
+
+
+def _checked(
+    entry: Any, place: str, types: Mapping[str, Callable[[Any], bool]], usual: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The entries named in ``types``, ``usual`` for those left out. Raises ``ShardError``."""
+    if not isinstance(entry, Mapping):
+        raise ShardError(f"{place} is {found(entry)}, where an object is read")
+    values = {**usual, **entry}
+    for name, is_fit in types.items():
+        if name not in values:
+            raise ShardError(f"{place}: no {name}")
+        if not is_fit(values[name]):
+            raise ShardError(f"{place}: {name} is {found(values[name])}")
+    return {name: values[name] for name in types}
 
 
 def keep_split(folder: Path, split: str, record: SplitRecord) -> None:

@@ -8,23 +8,34 @@ array([[1, 2],
        [3, 4]], dtype=uint16)
 """
 
+import io
 import math
 import re
 import struct
 from functools import lru_cache
+from tokenize import TokenError
 
 import numpy as np
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.shards.layout import Bytes
 
-__all__ = ["npy_header", "read_npy", "write_npy"]
+__all__ = ["npy_header", "read_any_npy", "read_npy", "write_npy"]
 
 MAGIC = b"\x93NUMPY\x01\x00"
 ALIGNMENT = 64
 USUAL = 2 * ALIGNMENT  # bytes of a header, unless it has many numbers
 KINDS = "biuf"  # NumPy's letters for booleans, integers and floats: never objects, which would need pickle
-HEADER = re.compile(rb"\{'descr': '([<|][biuf]\d)', 'fortran_order': False, 'shape': \(([\d, ]*)\), \} *\n")
+COUNT = rb"\d{1,18}"
+HEADER = re.compile(
+    rb"\{'descr': '(\|[biu]1|<[iu][248]|<f[248])', 'fortran_order': False, 'shape': \((|%b,|%b(?:, %b)+)\), \} *\n"
+    % (3 * (COUNT,))
+)
+
+
+READ = {"U": "texts", "b": "booleans", "iu": "whole numbers"}
+BROKEN = (ValueError, SyntaxError, TypeError, EOFError, OverflowError, MemoryError, RecursionError, TokenError)
+"""What NumPy and Python's parser raise at headers of all kinds."""
 
 
 def write_npy(array: np.ndarray) -> bytes:
@@ -52,7 +63,35 @@ def read_npy(file: Bytes) -> np.ndarray:
         start, dtype, shape, size = _parsed(bytes(data[:start]))
     if len(data) - start != size:
         raise ShardError(f"a .npy file of {len(data) - start} bytes for {dtype} of shape {shape}")
-    return np.ndarray(shape, dtype, data, start)
+    try:
+        return np.ndarray(shape, dtype, data, start)
+    except ValueError as error:  # more axes than NumPy has
+        raise ShardError(f"a .npy file of shape {shape} ({error})") from error
+
+
+def read_any_npy(file: Bytes, kinds: str) -> np.ndarray:
+    """The array in a ``.npy`` file by any writer, in this machine's byte order.
+
+    ``kinds``: NumPy's letters for the types that are read. The size that it declares is compared with its bytes before
+    anything is allocated. Raises ``ShardError``.
+    """
+    stream = io.BytesIO(file)
+    try:
+        version = np.lib.format.read_magic(stream)
+        if version not in ((1, 0), (2, 0)):
+            raise ShardError(f"a .npy file of version {version[0]}.{version[1]}, where numbers need 1.0")
+        header = getattr(np.lib.format, f"read_array_header_{version[0]}_0")
+        shape, is_fortran, dtype = header(stream)
+        if dtype.kind not in kinds or dtype.hasobject:
+            raise ShardError(f"{dtype}, where {READ.get(kinds, 'numbers')} are read")
+        size = dtype.itemsize * math.prod(shape)
+        if min(shape, default=0) < 0 or len(file) - stream.tell() != size:
+            raise ShardError(f"a .npy file of {len(file) - stream.tell()} bytes for {dtype} of shape {shape}")
+        flat = np.frombuffer(file, dtype, math.prod(shape), stream.tell()) if size else np.empty(shape, dtype)
+        array = flat.reshape(shape, order="F" if is_fortran else "C")
+    except BROKEN as error:
+        raise ShardError(f"not a .npy file ({error})") from error
+    return array.astype(dtype.newbyteorder("="), copy=False)
 
 
 @lru_cache(maxsize=4096)

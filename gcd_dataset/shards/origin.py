@@ -1,6 +1,5 @@
 """How a split was begun, so that only samples of its own kind are added to it."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,13 +8,32 @@ from typing import Any
 import gcd_dataset
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.index import ShardTable, whole_samples
-from gcd_dataset.shards.layout import GARMENTS, Layout, recipe_hash, shard_number
+from gcd_dataset.shards.index import ShardTable, first_sample, whole_samples
+from gcd_dataset.shards.layout import GARMENTS, SCHEMAS, Layout, recipe_hash, shard_number, shards_in
 from gcd_dataset.shards.manifest import MANIFEST, SplitRecord, read_manifest
+from gcd_dataset.shards.meta import read_meta
 
-__all__ = ["agreed"]
+__all__ = ["agreed", "require_schema"]
 
 META = 0  # every layout begins with meta.json
+
+
+def require_schema(folder: Path, split: str, layout: Layout) -> None:
+    """Raise ``ConfigError`` for a folder whose samples were written in an earlier schema: they are only read."""
+    manifest = read_manifest(folder)
+    told = {} if manifest is None else {folder / MANIFEST: manifest.schema}
+    with reading(folder):
+        parts = [path for path in folder.glob("*.tar.part") if _number(path, split) is not None]
+        shards = [*shards_in(folder, split), *sorted(parts)]
+    for path in shards[:1]:
+        if (first := first_sample(path)) is not None and first[0] in SCHEMAS:
+            told[path] = first[0]
+    for path, schema in told.items():
+        if schema != layout.schema:
+            raise ConfigError(
+                f"{path}: of schema {schema}, and gcd_dataset {gcd_dataset.__version__} writes schema {layout.schema}: "
+                "what is there can be read; make more in another folder"
+            )
 
 
 def agreed(
@@ -84,10 +102,10 @@ def _told_by(path: Path, table: ShardTable, asked: SplitRecord) -> SplitRecord:
         file.seek(int(table.offset[0, META]))
         content = file.read(int(table.size[0, META]))
     try:
-        meta = json.loads(content)
+        meta = read_meta(content)
         there = replace(asked, seed=meta["seed"], recipe=dict(meta["recipe"]))
         version = meta["versions"]["gcd_dataset"]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ShardError, KeyError) as error:
         raise ShardError(
             f"{path}: its first sample does not say how it was made ({error}): choose another folder"
         ) from error

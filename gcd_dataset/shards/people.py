@@ -2,8 +2,10 @@
 
 =================  =====================================================================================================
 ``meta.json``      schema, key, index, seed, versions, recipe and its hash; name of the person; arm_angle: how far both
-                   arms are raised from the A-pose [rad]; CRC-32 of every other member
-``measures.json``  the tailor's measures: cm, inclinations in degrees, as in a GarmentCode measurement file
+                   arms are raised from the A-pose [rad]; CRC-32 of every other member and its own; see
+                   ``gcd_dataset.shards.meta``
+``measures.json``  the tailor's measures: cm, inclinations in degrees, as in a GarmentCode measurement file; -1.0 for
+                   one that nobody took
 ``body.npy``       f64 [k]: weights of the body's shape components [standard deviations]
 ``straight.npy``   f32 [v, 3]: vertex positions with the legs straight [cm]
 ``apart.npy``      f32 [v, 3]: the same vertices with the legs apart
@@ -18,8 +20,6 @@ whoever reads the shards would need the body model of the very version that wrot
 
 import contextlib
 import io
-import json
-import zipfile
 import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -33,9 +33,12 @@ from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import BodyShape, Measurements
-from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.codec import read_json
+from gcd_dataset.shards.access import REMEDY, read_small, reading
+from gcd_dataset.shards.arrays import Column, read_arrays
+from gcd_dataset.shards.codec import measures_json, read_measures
 from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
+from gcd_dataset.shards.limits import LARGEST_SAMPLE
+from gcd_dataset.shards.meta import read_meta, write_meta
 from gcd_dataset.shards.npy import read_npy, write_npy
 from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
 
@@ -50,6 +53,7 @@ MEMBER_OF: Mapping[str, str] = {
     "apart": "apart.npy",
 }
 """Field of a loaded person to the member it comes from."""
+WORDS = {"meta.json": read_meta, "measures.json": read_measures}
 
 
 # -------------------------------------------------------------------------------------------------------------- writing
@@ -122,10 +126,10 @@ def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]
             **origin,
             "recipe_sha256": recipe_hash(origin["recipe"]),
             "name": person.name,
-            "arm_angle": person.shape.arm_angle,
+            "arm_angle": float(person.shape.arm_angle),
             "crc32": {member: zlib.crc32(data) for member, data in content.items()},
         }
-        return {"meta.json": _json(meta), **content}
+        return {"meta.json": write_meta(meta), **content}
     except (ShardError, ValueError) as error:
         raise ShardError(f"person {person.name} cannot be stored: {error}") from error
 
@@ -138,7 +142,7 @@ def _content(person: Person) -> dict[str, bytes]:
         if not np.isfinite(array).all():
             raise ShardError(f"{name} holds what is no number")
     content = {f"{name}.npy": write_npy(array) for name, array in arrays.items()}
-    return {"measures.json": _json(person.measurements.to_file_values()), **content}
+    return {"measures.json": measures_json(person.measurements), **content}
 
 
 def _keep_mesh(path: Path, mesh: BodyMesh) -> None:
@@ -150,10 +154,6 @@ def _keep_mesh(path: Path, mesh: BodyMesh) -> None:
         there = path.read_bytes() if path.exists() else b""
     if there != file.getvalue():
         write_whole(path, file.getvalue())
-
-
-def _json(value: Any) -> bytes:
-    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
 
 
 # -------------------------------------------------------------------------------------------------------------- reading
@@ -189,10 +189,12 @@ def read_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
     """The mesh of a split. Raises ``ShardError`` for a missing or broken file, or a mesh of another hash."""
     path = folder / mesh_name(split)
     try:
-        with reading(path), np.load(path, allow_pickle=False) as file:
-            faces, parts = file["faces"].astype(np.int32), file["parts"]
+        file = read_arrays(read_small(path, LARGEST_SAMPLE), {"faces": Column("iu", 2), "parts": Column("u", 1)})
+        faces, parts = file["faces"].astype(np.int32), file["parts"].astype(np.uint8)
         mesh = BodyMesh(faces, parts if len(parts) else None)
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (ShardError, ValueError) as error:
+        if str(error).startswith(str(path)):
+            raise
         raise ShardError(f"{path}: not the mesh of a body set ({error}): {REMEDY}") from error
     if mesh.sha256 != sha256:
         raise ShardError(f"{path}: not the mesh of these bodies: {REMEDY}")
@@ -201,6 +203,6 @@ def read_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
 
 def _decoded(member: str, data: Bytes) -> Any:
     try:
-        return read_json(data) if member.endswith(".json") else read_npy(data)
+        return WORDS[member](data) if member in WORDS else read_npy(data)
     except ShardError as error:
         raise ShardError(f"member {member}: {error}: {REMEDY}") from error

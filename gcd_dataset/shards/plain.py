@@ -1,18 +1,21 @@
 """Members of foreign samples as values: by the ending of their names, and never as code."""
 
-import io
-import json
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageFile
+from PIL import ImageFile
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.shards.meta import read_json
+from gcd_dataset.shards.npy import read_any_npy
+from gcd_dataset.shards.picture import opened_picture
 
 __all__ = ["decode_member"]
 
 PICTURES = ("jpg", "jpeg", "png", "webp", "ppm", "pgm", "tif", "tiff", "bmp")
+FORMATS = ("JPEG", "PNG", "WEBP", "PPM", "TIFF", "BMP")  # as Pillow calls those
+LONGEST_NUMBER = 20  # characters of a class
 NUMBERS = "biufc"  # NumPy's letters
 DEEP_GREY = {"I": np.int32, "F": np.float32}  # Pillow's modes, up to a semicolon, and what holds their values
 PICKLES = ("pkl", "pickle", "pyd", "pth", "pt", "joblib", "dill")
@@ -33,29 +36,33 @@ def decode_member(member: str, data: Bytes) -> Any:
         raise ShardError(f"member {member} is a pickle, which could run code, and is not read: leave it out of fields")
     try:
         if ending == "npy":
-            return _numbers(np.load(io.BytesIO(data), allow_pickle=False))
+            return read_any_npy(data, NUMBERS)
         if ending == "json":
-            return json.loads(bytes(data))
+            return read_json(data, constants=True)
         if ending == "txt":
             return bytes(data).decode()
         if ending in ("cls", "index"):
-            return int(bytes(data))
+            return _class(data)
         if ending in PICTURES:
-            with Image.open(io.BytesIO(data)) as image:
-                return _pixels(member, image)
-    except (ValueError, OSError, EOFError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ShardError(f"member {member}: not what its name says ({error}): get it anew from its maker") from error
+            with opened_picture(data, FORMATS) as image:
+                return _pixels(image)
+    except (ShardError, ValueError) as error:
+        name = shown(member)
+        raise ShardError(f"member {name}: not what its name says ({error}): get it anew from its maker") from error
     return bytes(data)
 
 
-def _pixels(member: str, image: ImageFile.ImageFile) -> np.ndarray:
+def _class(data: Bytes) -> int:
+    if len(data) > LONGEST_NUMBER:
+        raise ShardError(f"{len(data)} bytes, where a number is read")
+    return int(bytes(data))
+
+
+def _pixels(image: ImageFile.ImageFile) -> np.ndarray:
     """The picture, no value changed. Raises ``ShardError`` for one that would come with fewer bits than it has."""
     deep = DEEP_GREY.get(image.mode.partition(";")[0])
     if _is_scaled(image, deep is not None):
-        raise ShardError(
-            f"member {member}: a picture of more than 8 bits a channel, which would be lost: store it as .npy, or "
-            "leave it out of fields"
-        )
+        raise ShardError("a picture of more than 8 bits a channel, which would be lost: store it as .npy")
     if deep is not None:
         return np.asarray(image).astype(deep)[None]
     return np.ascontiguousarray(np.asarray(image.convert("RGB")).transpose(2, 0, 1))
@@ -68,10 +75,3 @@ def _is_scaled(image: ImageFile.ImageFile, is_grey: bool) -> bool:
         levels = [given[-1] for given in arguments if isinstance(given, tuple)]
         return any(most > 255 and not (is_grey and most == 65535) for most in levels)
     return not is_grey and any(";16" in str(given) for given in arguments)
-
-
-def _numbers(array: Any) -> np.ndarray:
-    """The array in this machine's byte order. Raises ``ValueError`` for anything but numbers."""
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in NUMBERS:
-        raise ValueError(f"{getattr(array, 'dtype', 'several arrays')}, where numbers are read")
-    return array.astype(array.dtype.newbyteorder("="), copy=False)

@@ -1,7 +1,7 @@
 """Samples of a data set by number: the members asked for and no others, checked as they come."""
 
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -9,16 +9,37 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.records import Sample
+from gcd_dataset.shards.codec import decode_sample
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Layout
+from gcd_dataset.shards.layout import FIRST_NAMES, FOREIGN, GARMENTS, MEMBERS, Layout
+from gcd_dataset.shards.meta import index_told
 from gcd_dataset.shards.store import Part, Store
 
-__all__ = ["ShardReader", "Verify"]
+__all__ = ["ShardReader", "Verify", "naming_place"]
 
+META = 0  # every layout of ours begins with meta.json
 Verify = Literal["lazy", "full", "off"]
 Rows: TypeAlias = Int[np.ndarray, " n"]
 Wanted: TypeAlias = tuple[str, int, list[Part]]
 """Shard, number in it, and members of a sample."""
+
+
+class naming_place:  # noqa: N801 -- a context manager, named as functions are
+    """Add shard and sample to errors about a member."""
+
+    # A class: entered for every garment, where a generator would take several times as long.
+    __slots__ = ("_place",)
+
+    def __init__(self, place: Callable[[], str]) -> None:
+        self._place = place
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, ShardError) and str(error).startswith("member "):
+            raise ShardError(f"{self._place()}, {error}") from error
 
 
 class ShardReader:
@@ -84,11 +105,30 @@ class ShardReader:
         """The index that a sample was written under."""
         return int(self.index.table.sample[self._row[position]])
 
+    def naming(self, position: int) -> "naming_place":
+        """A context in which errors about a member of a sample name shard and sample too."""
+        return naming_place(lambda: self._named(int(self._row[position])))
+
+    def sample(self, position: int) -> Sample:
+        """A garment with everything that is stored of it.
+
+        Raises ``ShardError`` with shard and key for a damaged one, ``ConfigError`` where some members are not there.
+        """
+        first = FIRST_NAMES if self.layout.schema == 1 else {}
+        members = dict.fromkeys([*(first.get(member, member) for member in MEMBERS), *self.layout.members])
+        with self.naming(position):
+            return decode_sample(self.read(position, members))
+
+    def _named(self, row: int) -> str:
+        return f"{self.store.place(self.index.shards[self.index.shard[row]])}: sample {self.index.key(row)}"
+
     def check(self, position: int) -> None:
         """Raise ``ShardError`` if any byte of a sample is not what was written."""
         rows = self._row[[position]]
         for column, data in self.store.read(*self._parts(rows, self._columns(self.layout.members))[0]).items():
             self._require_same(int(rows[0]), column, data)
+            if column == META:
+                self._require_own(int(rows[0]), data)
 
     def _columns(self, members: tuple[str, ...]) -> list[int]:
         """Columns of members, in the order of the file. Raises ``ConfigError`` for one that the samples lack."""
@@ -136,13 +176,23 @@ class ShardReader:
                 if zlib.crc32(content[part.column]) != part.crc:
                     content[part.column] = self.store.mend(shard, number, part) or content[part.column]
                 self._require_same(row, part.column, content[part.column])
+                if part.column == META:
+                    self._require_own(row, content[part.column])
+
+    def _require_own(self, row: int, meta: memoryview) -> None:
+        """Raise ``ShardError`` for a ``meta.json`` of another sample than the index tells."""
+        if self.layout.kind != FOREIGN and index_told(meta) != self.index.table.sample[row]:
+            shard = self.index.shards[self.index.shard[row]]
+            raise ShardError(
+                f"{self.store.place(shard)}: sample {index_told(meta)} where the index has {self.index.key(row)}: "
+                "delete the index, it is made again from the shards"
+            )
 
     def _require_same(self, row: int, column: int, data: memoryview) -> None:
         if zlib.crc32(data) != self.index.table.crc[row, column]:
-            shard = self.index.shards[self.index.shard[row]]
             raise ShardError(
-                f"{self.store.place(shard)}: sample {self.index.key(row)}, member {self.layout.members[column]}: bytes "
-                f"differ from those that were written: {self.store.remedy}"
+                f"{self._named(row)}, member {self.layout.members[column]}: bytes differ from those that were written: "
+                f"{self.store.remedy}"
             )
         self._unchecked[row, column] = False
 

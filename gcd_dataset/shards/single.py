@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
+from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.index import scan_shard
 from gcd_dataset.shards.layout import MEMBERS, Bytes, member_name
 from gcd_dataset.shards.tar import END, tar_entry
@@ -24,7 +25,8 @@ def read_single(path: Path) -> dict[str, memoryview]:
     table = scan_shard(path)
     if len(table) != 1:
         raise ShardError(f"{path}: {len(table)} samples where there should be one")
-    data = memoryview(bytearray(path.read_bytes()))
+    with reading(path):
+        data = memoryview(bytearray(path.read_bytes()))
     places = zip(MEMBERS, table.offset[0].tolist(), table.size[0].tolist(), table.crc[0].tolist(), strict=True)
     members = {}
     for member, offset, size, crc in places:

@@ -1,13 +1,14 @@
 """USTAR archives (POSIX.1-1988): the same members give the same bytes, on any machine and on any day."""
 
 import os
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Container, Iterator
+from typing import BinaryIO, NamedTuple
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.shards.limits import LARGEST_SAMPLE
 
-__all__ = ["BLOCK", "END", "Entry", "padded", "require_header", "tar_entries", "tar_entry"]
+__all__ = ["BLOCK", "END", "Entry", "padded", "require_header", "stream_samples", "tar_entries", "tar_entry"]
 
 BLOCK = 512
 END = 2 * BLOCK  # zeros that end an archive
@@ -69,6 +70,48 @@ def tar_entries(file: int) -> Iterator[Entry]:
         position += BLOCK + padded(size)
 
 
+def stream_samples(file: BinaryIO, wanted: Container[str]) -> Iterator[tuple[str, dict[str, bytearray]]]:
+    """Key and wanted members of each sample of an archive of ours that is read from its beginning.
+
+    Raises ``ShardError`` where a header is damaged, a member is cut off, there twice or too large, or a sample is there
+    twice.
+    """
+    key, members, names, before, position = "", dict[str, bytearray](), set[str](), set[str](), 0
+    while (header := file.read(BLOCK)) not in (b"", bytes(BLOCK)):
+        name, size = _parse(header, position)
+        if size > LARGEST_SAMPLE:
+            raise ShardError(f"member {shown(name)} has {size} bytes, where {LARGEST_SAMPLE} are read")
+        own, _, member = name.partition(".")
+        if own != key:
+            if key:
+                yield key, members
+            before.add(key)
+            key, members, names = own, {}, set()
+        if member in names or key in before:
+            raise ShardError(f"member {shown(name)} is there twice, at byte {position}")
+        names.add(member)
+        content = _taken(file, size, member in wanted, name)
+        if member in wanted:
+            members[member] = content
+        position += BLOCK + padded(size)
+    if key:
+        yield key, members
+
+
+def _taken(file: BinaryIO, size: int, is_wanted: bool, name: str) -> bytearray:
+    """The content of the next member, or nothing, when it has been passed over. Raises ``ShardError``."""
+    if not is_wanted and file.seekable():
+        file.seek(padded(size), os.SEEK_CUR)
+        return bytearray()
+    content, got = bytearray(padded(size)), 0
+    while got < len(content) and (count := file.readinto(memoryview(content)[got:])):  # type: ignore[attr-defined]
+        got += count
+    if got < size:
+        raise ShardError(f"member {shown(name)} is cut off: {got} of its {size} bytes are there")
+    del content[size:]
+    return content
+
+
 def _signed(header: bytes) -> bytes:
     return header[: CHECKSUM.start] + b"%06o\0 " % sum(header) + header[CHECKSUM.stop :]
 
@@ -89,9 +132,11 @@ def _parse(header: bytes, position: int) -> tuple[str, int]:
     """Name and size of a member."""
     require_header(header, position)
     try:
-        name, size = header[:LONGEST_NAME].rstrip(b"\0").decode("ascii"), int(header[124:135], 8)
+        name, size = header[:LONGEST_NAME].rstrip(b"\0").decode("ascii"), _octal(header[124:135])
     except ValueError as error:
         raise ShardError(f"no tar header of ours at byte {position}") from error
+    if size < 0:
+        raise ShardError(f"no tar header of ours at byte {position}")
     if header[KIND] != PLAIN:
         raise ShardError(f"member {name} at byte {position} is no plain file")
     return name, size

@@ -25,7 +25,7 @@ from gcd_dataset.shards.layout import (
     shard_number,
 )
 from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_split
-from gcd_dataset.shards.origin import agreed
+from gcd_dataset.shards.origin import agreed, require_schema
 
 __all__ = ["ShardWriter"]
 
@@ -42,8 +42,8 @@ class ShardWriter:
 
     From its making to its close it is the only writer of the split; other splits may be written at the same time.
 
-    ``layout``: what a sample is made of; garments by default.
-    Raises ``ConfigError`` for a folder made with another recipe, seed, shard size or version of this package,
+    ``layout``: what a sample is made of; by default a garment without caption and views, see ``garments_layout``.
+    Raises ``ConfigError`` for a folder made with another recipe, seed, shard size, schema or version of this package,
     ``ShardError`` for one with a broken shard, ``OutputError`` with file and remedy for a place that cannot be written
     or locked, or where another writer is at work.
     """
@@ -65,6 +65,7 @@ class ShardWriter:
         with contextlib.ExitStack() as held:
             held.enter_context(locked(self._folder / lock_name(split), f"writing split {split}"))
             held.callback(_release, self._open)
+            require_schema(self._folder, split, layout)
             tables = tables_of(self._folder, split, layout)
             asked = SplitRecord(seed, dict(recipe), shard_size, kind=layout.kind)
             self._record = agreed(self._folder, split, tables, asked, layout)

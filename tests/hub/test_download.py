@@ -311,18 +311,16 @@ def test_a_folder_that_holds_something_else_is_left_alone(hub: Hub, commit: str,
 
 
 @pytest.mark.parametrize("fields", [None, ["verts"]])
-@pytest.mark.parametrize(
-    ("name", "told"), [("../escaped.tar", "a shard outside the folder"), ("escaped", "tells of a")]
-)
+@pytest.mark.parametrize("name", ["../escaped.tar", "escaped"])
 def test_a_name_cannot_lead_outside(
-    hub: Hub, commit: str, folder: Path, tmp_path: Path, fields: Any, name: str, told: str
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, fields: Any, name: str
 ) -> None:
     index = read_index(folder)
     evil = replace(index, shards=(name, *index.shards[1:]))
     text = hub.static["garments/manifest.json"].decode().replace("train-00000.tar", name)
     hub.static |= {"evil/manifest.json": text.encode(), "evil/index-train.npz": evil.to_bytes()}
     hub.static |= {f"evil/{shard}": hub.static[f"garments/{shard}"] for shard in index.shards}
-    with pytest.raises(ShardError, match=told):
+    with pytest.raises(ShardError, match="no name of a shard"):
         bring(hub, tmp_path, Url(f"{hub.endpoint}/files/evil"), fields=fields)
     assert not list(tmp_path.rglob("*escaped*"))
 

@@ -125,12 +125,10 @@ def test_damage_in_a_stream_is_named(tmp_path: Path) -> None:
     shard.write_bytes(content)
     with pytest.raises(ShardError, match=r"gcd_000000001, member verts\.npy"):
         list(GarmentDataset(folder, fields=["verts"], streaming=True))
-    content[place - 500] ^= 1  # the header: to ``tarfile`` the archive ends here
+    content[place - 500] ^= 1  # the header
     shard.write_bytes(content)
-    with pytest.raises(ShardError, match=r"train-00000\.tar: 2 samples of 3 read: copy"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: a damaged archive \(no tar header at byte \d+\): copy"):
         list(GarmentDataset(folder, fields=["faces"], streaming=True))
-    with pytest.raises(ShardError, match=r"gcd_000000001 has no verts\.npy"):
-        list(GarmentDataset(folder, fields=["verts"], streaming=True))
 
 
 def test_a_stream_that_breaks_off_is_named(tmp_path: Path) -> None:

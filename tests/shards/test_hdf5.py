@@ -80,7 +80,7 @@ def test_other_programs_find_arrays_and_texts(folder: Path, file: Path) -> None:
     with h5py.File(file) as data:
         start, end = data["ptr/verts"][3:5]
         assert np.array_equal(data["verts"][start:end], item["verts"].numpy())
-        assert data["meta"].asstr()[3].startswith('{"schema":1')
+        assert data["meta"].asstr()[3].startswith('{"schema":2')
         assert data.attrs["count"] == COUNT
         assert data["verts"].chunks is None
 
@@ -135,7 +135,7 @@ def test_files_that_are_not_ours_are_told(file: Path, tmp_path: Path) -> None:
         Hdf5Garments(tmp_path / "other.h5")
     with h5py.File(file, "r+") as newer:
         newer.attrs["schema"] = 99
-    with pytest.raises(ShardError, match="of schema 99, and this reader knows 1"):
+    with pytest.raises(ShardError, match="of schema 99, and this reader knows 1 and 2"):
         Hdf5Garments(file)
     with pytest.raises(ConfigError, match="no field"):
         Hdf5Garments(file, fields="vertices")

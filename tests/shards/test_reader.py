@@ -108,7 +108,7 @@ def test_an_unknown_schema_is_told_with_both_versions(folder: Path) -> None:
     path = folder / "manifest.json"
     manifest = json.loads(path.read_text())
     path.write_text(json.dumps({**manifest, "schema": 99, "generator": "7.2.0"}))
-    with pytest.raises(ShardError, match=r"schema 99 by gcd_dataset 7\.2\.0.*reads schema 1"):
+    with pytest.raises(ShardError, match=r"schema 99 by gcd_dataset 7\.2\.0.*reads schema 1 and 2"):
         ShardReader(folder)
 
 

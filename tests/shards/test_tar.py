@@ -6,7 +6,9 @@ import os
 import subprocess
 import sys
 import tarfile
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import datasets
 import numpy as np
@@ -14,10 +16,17 @@ import pytest
 import webdataset as wds
 
 from gcd_dataset.errors import ShardError
+from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import MEMBERS, encode_sample
-from gcd_dataset.shards.tar import BLOCK, END, tar_entries, tar_entry
+from gcd_dataset.records import Grade, NamedFabric, Sample
+from gcd_dataset.shards import MEMBERS, ShardIndex, ShardReader, ShardWriter, encode_sample
+from gcd_dataset.shards.index import scan_shard
+from gcd_dataset.shards.layout import key_of
+from gcd_dataset.shards.tar import BLOCK, END, stream_samples, tar_entries, tar_entry
+from gcd_dataset.spec import spec_from_pattern
+from gcd_dataset.tensors import encode_pattern
 from tests.shards.folders import fill
+from tests.shards.real import first_schema, patterns
 
 
 @pytest.fixture
@@ -102,12 +111,137 @@ def test_names_that_no_header_holds_are_refused() -> None:
         tar_entry("x" * 101, b"")
 
 
-def test_datasets_reads_it(shard: Path, tmp_path: Path) -> None:
-    options = {"data_files": {"train": str(shard)}, "split": "train"}
-    for streaming in (False, True):
-        samples = list(
-            datasets.load_dataset("webdataset", streaming=streaming, cache_dir=str(tmp_path / "cache"), **options)
+def barest_first() -> list[Sample]:
+    """Real garments, the first five with as little to tell as there can be, those behind them with everything."""
+    bare = sorted(patterns(16), key=lambda sample: len(sample.pattern.panels))
+    rich = [
+        replace(
+            sample,
+            provenance=replace(
+                sample.provenance,
+                attempts=3,
+                rejects=("self_crossing: sleeve", "drape: not_settled"),
+                redraws={"too_long": 2, "narrow": 1},
+                recipe={**sample.provenance.recipe, "design": {"meta": {"bottom": ["Pants", None, 1.5]}}},
+                source="GarmentCodeData_v2/garments_5000_0/default_body/rand_0",
+            ),
+            measurements=replace(sample.measurements, bust=np.nan),
+            grade=Grade.CLEAN,
+            fabric=NamedFabric("denim", {"density": 0.4, "tensile": [90.0, 80.0, 30.0]}),
+            gathers=tuple(1.5 for _ in sample.pattern.seams),
+            tags=("dress", "long"),
         )
-        assert [sample["__key__"] for sample in samples] == [f"gcd_{i:09d}" for i in range(3)]
-        assert np.asarray(samples[1]["verts.npy"]).shape == fake_sample(0, 1).drape.vertices.shape  # type: ignore[union-attr]
-        assert samples[2]["meta.json"]["index"] == 2
+        for sample in bare[8:]
+    ]
+    return bare[:5] + rich
+
+
+def loaded(shard: Path, cache: Path, streaming: bool) -> list[Any]:
+    options = {"data_files": {"train": str(shard)}, "split": "train", "cache_dir": str(cache)}
+    return list(datasets.load_dataset("webdataset", streaming=streaming, **options))
+
+
+@pytest.mark.parametrize("streaming", [False, True])
+def test_datasets_reads_real_garments_of_every_kind(tmp_path: Path, streaming: bool) -> None:
+    """It infers types from the first five."""
+    samples = barest_first()
+    entries = [
+        tar_entry(f"{sample.key}.{member}", data)
+        for sample in samples
+        for member, data in encode_sample(sample).items()
+    ]
+    (tmp_path / "train-00000.tar").write_bytes(b"".join([*entries, bytes(END)]))
+    rows = loaded(tmp_path / "train-00000.tar", tmp_path / "cache", streaming)
+    assert [row["__key__"] for row in rows] == [sample.key for sample in samples]
+    for row, sample in zip(rows, samples, strict=True):
+        assert isinstance(row["spec.txt"], str)
+        assert json.loads(row["spec.txt"]) == json.loads(json.dumps(spec_from_pattern(sample.pattern)))
+        assert json.loads(row["design.txt"]) == dict(sample.design)
+        assert row["meta.json"]["index"] == sample.provenance.index
+        assert json.loads(row["meta.json"]["recipe"]) == dict(sample.provenance.recipe)
+        assert row["meta.json"]["rejects"] == (list(sample.provenance.rejects) or [""])
+        assert row["measures.json"]["waist"] == sample.measurements.to_file_values()["waist"]
+        assert np.array_equal(np.asarray(row["panels.npy"]), encode_pattern(sample.pattern).panels)
+    assert rows[-1]["meta.json"]["grade"] == "clean"
+    assert rows[-1]["meta.json"]["redraws"] == [{"rule": "too_long", "count": 2}, {"rule": "narrow", "count": 1}]
+    assert (rows[-1]["measures.json"]["bust"], rows[0]["meta.json"]["tags"]) == (-1.0, [""])
+
+
+@pytest.mark.parametrize("streaming", [False, True])
+def test_datasets_reads_words_of_patterns_and_then_of_drapes(tmp_path: Path, streaming: bool) -> None:
+    """What is text or JSON has one type at every stage; arrays without rows have none to these readers."""
+    drape = ShardReader(first_schema(tmp_path) / "drapes").sample(0)
+    members = [encode_sample(sample) for sample in (*patterns(16)[:6], drape)]
+    entries = [
+        tar_entry(f"gcd_{number:09d}.{member}", data)
+        for number, sample in enumerate(members)
+        for member, data in sample.items()
+        if member.endswith((".json", ".txt"))
+    ]
+    (tmp_path / "a.tar").write_bytes(b"".join([*entries, bytes(END)]))
+    rows = loaded(tmp_path / "a.tar", tmp_path / "cache", streaming)
+    assert [row["meta.json"]["drape"]["outcome"] for row in rows] == 6 * [""] + ["SETTLED"]
+    assert [row["meta.json"]["holds"]["mesh"] for row in rows] == 6 * [False] + [True]
+    assert rows[-1]["meta.json"]["vertex_labels"] == list(drape.box_mesh.labels) if drape.box_mesh else False
+
+
+@pytest.mark.parametrize("streaming", [False, True])
+def test_datasets_reads_drapes(tmp_path: Path, streaming: bool) -> None:
+    drape = ShardReader(first_schema(tmp_path) / "drapes").sample(0)
+    with ShardWriter(tmp_path / "new", seed=0, recipe={}) as writer:
+        for index in range(6):
+            writer.write(replace(drape, key=key_of(index), provenance=replace(drape.provenance, index=index)))
+    rows = loaded(tmp_path / "new" / "train-00000.tar", tmp_path / "cache", streaming)
+    assert drape.drape is not None
+    assert np.array_equal(np.asarray(rows[5]["verts.npy"]), drape.drape.vertices)
+    frame, points = rows[5]["meta.json"]["points"], np.asarray(rows[5]["points.npy"])
+    there = points[:, :3] * frame["scale"] + frame["centre"]
+    assert drape.points is not None
+    assert np.abs(there - drape.points[:, :3]).max() < 0.005
+
+
+def test_a_member_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    folder = fill(tmp_path, range(2))
+    content = bytearray((folder / "train-00000.tar").read_bytes())
+    size = int(content[124:135], 8)
+    second = BLOCK + -(-size // BLOCK) * BLOCK
+    header = content[second : second + BLOCK]
+    header[:100] = content[:100]
+    header[148:156] = 8 * b" "
+    header[148:156] = b"%06o\0 " % sum(header)
+    content[second : second + BLOCK] = header
+    (folder / "train-00000.tar").write_bytes(content)
+    with pytest.raises(ShardError, match=r"train-00000\.tar: .*gcd_000000000\.meta\.json is there twice"):
+        list(GarmentDataset(folder, streaming=True))
+
+
+def test_a_sample_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    folder = fill(tmp_path, range(2))
+    content = (folder / "train-00000.tar").read_bytes()[:-END]
+    (folder / "train-00000.tar").write_bytes(content + content + bytes(END))
+    index = ShardIndex.of(folder, {"train-00000.tar": scan_shard(folder / "train-00000.tar")[:2]})
+    index.write(folder / "index-train.npz")
+    with pytest.raises(ShardError, match="is there twice"):
+        list(GarmentDataset(folder, streaming=True))
+
+
+@pytest.mark.parametrize("field", [b"-0000000777", b"0000000-777", b"00000000_77", b"           ", b"7777777777x"])
+def test_a_size_that_is_no_number_is_told(tmp_path: Path, field: bytes) -> None:
+    header = bytearray(tar_entry("first", b"x"))
+    header[124:135] = field
+    header[148:156] = 8 * b" "
+    header[148:156] = b"%06o\0 " % sum(header[:BLOCK])
+    (tmp_path / "a.tar").write_bytes(header)
+    with (tmp_path / "a.tar").open("rb") as file, pytest.raises(ShardError, match="no tar header of ours at byte 0"):
+        list(tar_entries(file.fileno()))
+    with pytest.raises(ShardError, match="no tar header of ours at byte 0"):
+        list(stream_samples(io.BytesIO(header), ()))
+
+
+def test_a_member_of_gigabytes_is_refused_before_it_is_read() -> None:
+    header = bytearray(tar_entry("gcd_000000000.meta.json", b""))
+    header[124:135] = b"%011o" % (8**11 - 1)
+    header[148:156] = 8 * b" "
+    header[148:156] = b"%06o\0 " % sum(header[:BLOCK])
+    with pytest.raises(ShardError, match=r"meta\.json has 8589934591 bytes, where 536870912 are read"):
+        list(stream_samples(io.BytesIO(header), ("meta.json",)))

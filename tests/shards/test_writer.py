@@ -16,11 +16,22 @@ import pytest
 
 from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, OutputError, ShardError
+from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, encode_sample, read_index, rebuild_index
+from gcd_dataset.records import Sample, View
+from gcd_dataset.shards import (
+    MEMBERS,
+    ShardReader,
+    ShardWriter,
+    decode_sample,
+    encode_sample,
+    read_index,
+    rebuild_index,
+)
 from gcd_dataset.shards.index import ShardTable, scan_shard
-from gcd_dataset.shards.layout import Layout, recipe_hash
+from gcd_dataset.shards.layout import Layout, garments_layout, recipe_hash
 from gcd_dataset.shards.manifest import read_manifest
+from gcd_dataset.shards.meta import sealed
 from gcd_dataset.shards.single import write_single
 from tests.shards.folders import RECIPE, SHARD_SIZE, contents, fill, forbidden, open_writer, public_folder
 
@@ -311,11 +322,11 @@ def test_shards_of_another_kind_are_told(tmp_path: Path) -> None:
     folder = fill(tmp_path, [0])
     members = encode_sample(fake_sample(0, 0))
     meta = json.loads(members["meta.json"])
-    del meta["seed"]
-    write_single(folder / "train-00000.tar", 0, {**members, "meta.json": json.dumps(meta).encode()})
+    del meta["seed"], meta["crc32_before"]
+    write_single(folder / "train-00000.tar", 0, {**members, "meta.json": sealed(meta)})
     for name in ("manifest.json", "index-train.npz"):
         (folder / name).unlink()
-    with pytest.raises(ShardError, match=r"train-00000\.tar: .*does not say .*seed"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: .*no seed"):
         open_writer(folder)
 
 
@@ -348,7 +359,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 def test_the_manifest_lists_each_shard(whole: Path) -> None:
     manifest = json.loads((whole / "manifest.json").read_text())
     split = manifest["splits"]["train"]
-    assert (manifest["schema"], split["seed"], split["recipe"]) == (1, 0, RECIPE)
+    assert (manifest["schema"], split["seed"], split["recipe"]) == (2, 0, RECIPE)
     for shard in split["shards"]:
         content = (whole / shard["name"]).read_bytes()
         assert (shard["size"], shard["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
@@ -401,3 +412,38 @@ def test_the_manifest_counts_why_designs_were_turned_down(tmp_path: Path) -> Non
     split = read_manifest(tmp_path).splits["train"]  # type: ignore[union-attr]
     assert [dict(shard.rejects) for shard in split.shards] == [{"self_crossing": 1, "too_long": 3}]
     assert list(split.rejects.items()) == [("too_long", 3), ("self_crossing", 1)]
+
+
+def test_captions_and_views_are_in_every_sample_or_in_none(tmp_path: Path) -> None:
+    layout = garments_layout(caption=True, views=1)
+    picture = fake_sample(0, 0).front
+    assert picture is not None
+
+    def captioned(index: int) -> Sample:
+        return replace(fake_sample(0, index), caption=f"skirt {index}", views=(View(picture, {"fov": 40.0}),))
+
+    for indices in (range(3), range(3, 6)):
+        with ShardWriter(tmp_path, seed=0, recipe=RECIPE, shard_size=4, layout=layout) as writer:
+            for index in indices:
+                writer.write(captioned(index))
+            with pytest.raises(ShardError, match=r"gcd_000000009 has no caption\.txt, as all samples of this data set"):
+                writer.write(fake_sample(0, 9))
+    for streaming in (False, True):
+        for index, item in enumerate(GarmentDataset(tmp_path, streaming=streaming)):
+            assert (item["caption"], item["view_0_json"]) == (f"skirt {index}", {"fov": 40.0})
+            assert item["view_0"].shape == (3, 16, 16)
+    only = GarmentDataset(tmp_path, fields=["caption", "points"])[5]
+    assert set(only) == {"caption", "points"}
+    assert ShardReader(tmp_path).sample(2) == decode_sample(encode_sample(captioned(2)))
+    before = read_index(tmp_path)
+    (tmp_path / "index-train.npz").unlink()
+    assert rebuild_index(tmp_path) == before
+    with pytest.raises(ShardError, match="an index of samples with a caption or views"):
+        ShardWriter(tmp_path, seed=0, recipe=RECIPE, shard_size=4)
+    plain = tmp_path / "plain"
+    with ShardWriter(plain, seed=0, recipe=RECIPE) as writer:
+        writer.write(fake_sample(0, 0))
+        with pytest.raises(ShardError, match=r"gcd_000000001 has caption\.txt, as no other sample"):
+            writer.write(captioned(1))
+    with pytest.raises(ConfigError, match="no field caption"):
+        GarmentDataset(plain, fields=["caption"])

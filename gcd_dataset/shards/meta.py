@@ -1,0 +1,382 @@
+"""What a sample says of itself: ``meta.json``, as it is stored and as items hold it.
+
+Stored, every key has the same type in every sample, so that readers which infer types from the first samples, such as
+``datasets``, read all others too. What has free structure is JSON text. Where there is nothing to say a neutral value
+stands: ``""``, ``-1``, ``-1.0``, or in a list one such entry. Items hold ``None`` or an empty list there, and JSON
+parsed.
+
+====================  =========  ===============================================================  =====================
+garments              JSON type  holds                                                            where there is none
+====================  =========  ===============================================================  =====================
+``schema``            int        version of the format: 2
+``key``               text       name of the sample in its shard
+``index``             int        number of the sample
+``points``            object     ``scale`` [cm] of ``points.npy``, ``normal_scale``, both         scale 1.0
+                                 floats, and ``centre`` [cm], 3 floats
+``seed``              int
+``attempts``          int        designs that were tried, this one among them
+``rejects``           texts      why earlier ones were turned down                                ``[""]``
+``redraws``           objects    ``rule`` (text), ``count`` (int): parts drawn again  (*)         one of ``""``, 0
+``versions``          JSON text  package to version, of all that decides the bytes
+``recipe``            JSON text  the options it was made with
+``recipe_sha256``     text
+``pattern``           text       name of the pattern
+``body``              text       who wears it
+``holds``             object     ``shape``, ``mesh``, ``drape`` (bools): what there is of it
+``pose``              object     ``arm_angle`` [rad], float; ``legs_apart``, bool                 0.0, false
+``panel_names``       texts      rows of ``panels.npy``
+``panel_labels``      texts      words for its column ``LABEL``
+``edge_labels``       texts      words for that of ``edges.npy``
+``vertex_labels``     texts      labels that vertices have                                        ``[""]``
+``drape``             object     ``outcome`` (text), ``frames``, ``self_crossings``,              ``""``, 0, -1, -1.0
+                                 ``body_crossings`` (cloth edges through the body),
+                                 ``body_through`` (body edges through the cloth) (ints),
+                                 ``stretch_median``, ``stretch_p99`` (floats)
+``strain``            object     ``principal``, 2 floats; ``panels``, 2 floats a panel  (*)       -1.0
+``grade``             text       ``clean``, ``paper`` or ``failed``  (*)                          ``""``
+``fabric``            object     ``name`` (text), ``parameters`` (JSON text)                      ``""``, ``"{}"``
+``gathers``           floats     left edge over right edge, a seam  (*)                           ``[-1.0]``
+``tags``              texts      words for the kind of garment  (*)                               ``[""]``
+``source``            text       where others have published it                                   ``""``
+``crc32``             object     CRC-32 of every other member, ints
+``crc32_before``      int        CRC-32 of the bytes of this file before this key
+====================  =========  ===============================================================  =====================
+
+(*) neutral until a later step of the generator fills it.
+
+A person (``people``) has ``schema``, ``key``, ``index``, ``seed``, ``versions``, ``recipe``, ``recipe_sha256``,
+``crc32``, ``crc32_before`` as above, ``name`` (text) and ``arm_angle`` (float). In schema 1 there was no
+``crc32_before``, and what was not known was null or left out.
+"""
+
+import json
+import math
+import re
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from gcd_dataset.errors import ShardError
+from gcd_dataset.jsonfile import found, loads
+from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, Bytes
+from gcd_dataset.shards.limits import LARGEST_JSON
+
+__all__ = [
+    "NO_FRAME",
+    "Frame",
+    "frame_of",
+    "index_told",
+    "json_bytes",
+    "read_json",
+    "read_meta",
+    "sealed",
+    "write_meta",
+]
+
+
+def _no_constant(text: str) -> float:
+    raise ValueError(f"{text} is no number")
+
+
+STRICT = json.JSONDecoder(parse_constant=_no_constant)
+
+SEAL = "crc32_before"
+SEALED = re.compile(rb',"crc32_before":(\d{1,10})\}')
+NUMBER = rb"\s*(-?\d[\d.eE+-]{0,30})\s*"
+HEAD = re.compile(rb'\{\s*"schema":\s*\d+,\s*"key":\s*"[^"\\]*",\s*"index":\s*(\d{1,18})\s*,')
+FRAME = re.compile(
+    HEAD.pattern
+    + rb'\s*"points":\s*\{\s*"scale":%b,\s*"normal_scale":%b,\s*"centre":\s*\[%b,%b,%b\]\s*\}' % (5 * (NUMBER,))
+)
+LONGEST = 1 << 62  # above all numbers of samples and bytes that an index can hold
+
+
+class Frame(NamedTuple):
+    """How ``points.npy`` writes numbers: position = ``centre`` + ``scale`` * integer, normal = ``normal`` * integer."""
+
+    scale: float
+    """[cm]"""
+    normal: float
+    centre: tuple[float, float, float]
+    """[cm]"""
+
+
+NO_FRAME = Frame(1.0, 1.0, (0.0, 0.0, 0.0))
+"""Of no points."""
+
+
+# ------------------------------------------------------------------------------------------------------------- writing
+
+
+def write_meta(meta: Mapping[str, Any]) -> bytes:
+    """The file of a ``meta`` as items hold it, sealed with its own CRC-32."""
+    return sealed({name: STORED[name](value) if name in STORED else value for name, value in meta.items()})
+
+
+def sealed(stored: Mapping[str, Any]) -> bytes:
+    """A ``meta.json`` of these entries, which ends with the CRC-32 of what stands before it."""
+    body = json_bytes(stored)[:-1]
+    return body + b',"%b":%d}' % (SEAL.encode(), zlib.crc32(body))
+
+
+def json_bytes(value: Any) -> bytes:
+    """Compact JSON; keys stay in their order, which the records define; floats keep all their digits."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
+
+
+def _text(value: Any) -> str:
+    return json_bytes(value).decode()
+
+
+def _stored_drape(drape: Mapping[str, Any] | None) -> dict[str, Any]:
+    neutral = {"outcome": "", "frames": 0} | dict.fromkeys(COUNTS, -1) | dict.fromkeys(STRETCHES, -1.0)
+    return neutral | {name: value for name, value in (drape or {}).items() if value is not None}
+
+
+def _stored_fabric(fabric: Mapping[str, Any] | None) -> dict[str, Any]:
+    fabric = fabric or {"name": "", "parameters": {}}
+    return {"name": fabric["name"], "parameters": _text(fabric["parameters"])}
+
+
+COUNTS = ("self_crossings", "body_crossings", "body_through")
+STRETCHES = ("stretch_median", "stretch_p99")
+NO_STRAIN: Mapping[str, Any] = {"principal": [-1.0, -1.0], "panels": [[-1.0, -1.0]]}
+NO_POSE: Mapping[str, Any] = {"arm_angle": 0.0, "legs_apart": False}
+
+STORED: Mapping[str, Callable[[Any], Any]] = {
+    "rejects": lambda words: list(words) or [""],
+    "redraws": lambda rules: [{"rule": rule, "count": count} for rule, count in (rules or {"": 0}).items()],
+    "versions": _text,
+    "recipe": _text,
+    "pose": lambda pose: pose or NO_POSE,
+    "vertex_labels": lambda words: list(words or ()) or [""],
+    "drape": _stored_drape,
+    "strain": lambda strain: strain or NO_STRAIN,
+    "grade": lambda grade: grade or "",
+    "fabric": _stored_fabric,
+    "gathers": lambda ratios: list(ratios) or [-1.0],
+    "tags": lambda words: list(words) or [""],
+}
+"""Key to how it is stored."""
+
+
+# ------------------------------------------------------------------------------------------------------------- reading
+
+
+def read_json(data: Bytes, *, constants: bool = False) -> Any:
+    """Parsed JSON; ``constants``: NaN and infinities too. Raises ``ShardError``."""
+    if len(data) > LARGEST_JSON:
+        raise ShardError(f"{len(data)} bytes of JSON, where {LARGEST_JSON} are read")
+    try:
+        return loads(str(data, "utf-8"), decode=json.loads if constants else STRICT.decode)
+    except ValueError as error:
+        raise ShardError(f"not JSON ({error})") from error
+
+
+def read_meta(data: Bytes) -> dict[str, Any]:
+    """The ``meta`` of an item, of any schema that is known: the same keys, with ``None`` where nothing is known.
+
+    Raises ``ShardError`` for one of another schema, whose bytes are not those that were written, or which lacks a key.
+    """
+    meta = _mapping(read_json(data), "the file")
+    schema = meta.get("schema")
+    if schema not in SCHEMAS or isinstance(schema, bool):
+        known = " and ".join(map(str, SCHEMAS))
+        raise ShardError(f"of schema {found(schema)}, and this reader knows {known}: update gcd_dataset")
+    if schema == SCHEMA:
+        _require_seal(data)
+    meta = _loaded(meta) if schema == SCHEMA else _of_first_schema(meta)
+    forms = PERSON if "name" in meta else GARMENT
+    for name, form in forms.items():
+        if name not in meta:
+            raise ShardError(f"no {name}")
+        if not form(meta[name]):
+            raise ShardError(f"{name} is {found(meta[name])}")
+    return meta
+
+
+def index_told(data: Bytes) -> int:
+    """The number of the sample that a ``meta.json`` belongs to, without reading the rest. Raises ``ShardError``."""
+    match = HEAD.match(data)
+    return int(match[1]) if match else int(read_meta(data)["index"])
+
+
+def frame_of(data: Bytes) -> Frame:
+    """How the sample's points are written, without reading the rest of its ``meta.json``. Raises ``ShardError``."""
+    match = FRAME.match(data)
+    try:
+        if match is not None:
+            scale, normal, x, y, z = map(float, match.groups()[1:])
+            return Frame(scale, normal, (x, y, z))
+    except ValueError as error:
+        raise ShardError(f"points: {error}") from error
+    points = read_meta(data)["points"]
+    return Frame(points["scale"], points["normal_scale"], tuple(points["centre"]))
+
+
+def _require_seal(data: Bytes) -> None:
+    """Raise ``ShardError`` if the file is not, byte for byte, what was written."""
+    end = bytes(data[-40:])
+    match = next((match for match in SEALED.finditer(end) if match.end() == len(end)), None)
+    if match is None:
+        raise ShardError(f"does not end with its {SEAL}")
+    if zlib.crc32(memoryview(data)[: len(data) - len(match[0])]) != int(match[1]):
+        raise ShardError("bytes differ from those that were written")
+
+
+def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """A stored ``meta`` as items hold it."""
+    loaded = {name: value for name, value in meta.items() if name != SEAL}
+    for name in ("versions", "recipe"):
+        loaded[name] = _parsed(meta, name)
+    if "name" in meta:
+        return loaded
+    holds = _mapping(meta.get("holds"), "holds")
+    for name in ("rejects", "vertex_labels", "tags"):
+        loaded[name] = [word for word in _list(meta.get(name), name) if word != ""]
+    rules = [_mapping(entry, "redraws") for entry in _list(meta.get("redraws"), "redraws")]
+    loaded["redraws"] = {str(entry.get("rule")): entry.get("count") for entry in rules if entry.get("rule") != ""}
+    loaded["gathers"] = [ratio for ratio in _list(meta.get("gathers"), "gathers") if ratio != -1.0]
+    loaded["fabric"] = _loaded_fabric(_mapping(meta.get("fabric"), "fabric"))
+    loaded["strain"] = None if meta.get("strain") == NO_STRAIN else meta.get("strain")
+    loaded["drape"] = _without_unknown(_mapping(meta.get("drape"), "drape")) if holds.get("drape") else None
+    for name, step in {"pose": "shape", "vertex_labels": "mesh"}.items():
+        loaded[name] = loaded.get(name) if holds.get(step) else None
+    return loaded
+
+
+def _of_first_schema(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """The ``meta`` of schema 1 as items hold it."""
+    if "name" in meta:
+        return dict(meta)
+    drape = meta.get("drape")
+    added = {
+        "points": {"scale": 1.0, "normal_scale": 1.0, "centre": [0.0, 0.0, 0.0]},
+        "redraws": {},
+        "holds": {
+            "shape": meta.get("pose") is not None,
+            "mesh": meta.get("vertex_labels") is not None,
+            "drape": drape is not None,
+        },
+        "strain": None,
+        "grade": "",
+        "fabric": None,
+        "gathers": [],
+        "tags": [],
+    }
+    told = {"drape": None if drape is None else {"body_through": -1, **_mapping(drape, "drape")}}
+    return {**added, "source": "", **meta, **told}
+
+
+def _loaded_fabric(fabric: Mapping[str, Any]) -> dict[str, Any] | None:
+    return {"name": fabric["name"], "parameters": _parsed(fabric, "parameters")} if fabric.get("name") else None
+
+
+def _without_unknown(drape: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: None if name in STRETCHES and value == -1.0 else value for name, value in drape.items()}
+
+
+def _parsed(holder: Mapping[str, Any], name: str) -> Any:
+    """JSON that is stored as text."""
+    text = holder.get(name)
+    if not isinstance(text, str):
+        raise ShardError(f"{name} is {found(text)}, where a text of JSON is read")
+    return read_json(text.encode(errors="replace"))
+
+
+def _mapping(value: Any, name: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ShardError(f"{name} is {found(value)}, where an object is read")
+    return value
+
+
+def _list(value: Any, name: str) -> Sequence[Any]:
+    if not isinstance(value, list):
+        raise ShardError(f"{name} is {found(value)}, where a list is read")
+    return value
+
+
+# -------------------------------------------------------------------------------------------------------------- checks
+
+
+def _is_word(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_count(value: Any) -> bool:
+    return _is_whole(value) and 0 <= value < LONGEST
+
+
+def _is_number(value: Any) -> bool:
+    return (isinstance(value, float) and math.isfinite(value)) or (_is_whole(value) and abs(value) < LONGEST)
+
+
+def _is_mapping(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _are(form: Callable[[Any], bool], count: int | None = None) -> Callable[[Any], bool]:
+    """The check of a list of such values, of so many of them."""
+
+    def check(values: Any) -> bool:
+        return isinstance(values, list) and all(map(form, values)) and count in (None, len(values))
+
+    return check
+
+
+def _maps_to(form: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, Mapping) and all(map(form, value.values()))
+
+
+def _has(**forms: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    """The check of an object with these entries."""
+    return lambda value: isinstance(value, Mapping) and all(form(value.get(name)) for name, form in forms.items())
+
+
+def _or_none(form: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: value is None or form(value)
+
+
+_ORIGIN: Mapping[str, Callable[[Any], bool]] = {
+    "schema": _is_count,
+    "key": _is_word,
+    "index": _is_count,
+    "seed": lambda seed: _is_whole(seed) and seed >= 0,
+    "versions": _maps_to(_is_word),
+    "recipe": _is_mapping,
+}
+PERSON: Mapping[str, Callable[[Any], bool]] = {**_ORIGIN, "name": _is_word, "arm_angle": _is_number}
+_PAIR = _are(_is_number, 2)
+GARMENT: Mapping[str, Callable[[Any], bool]] = {
+    **_ORIGIN,
+    "points": _has(scale=_is_number, normal_scale=_is_number, centre=_are(_is_number, 3)),
+    "attempts": _is_count,
+    "rejects": _are(_is_word),
+    "redraws": _maps_to(_is_count),
+    "pattern": _is_word,
+    "body": _is_word,
+    "pose": _or_none(_has(arm_angle=_is_number, legs_apart=lambda value: isinstance(value, bool))),
+    "panel_names": _are(_is_word),
+    "panel_labels": _are(_is_word),
+    "edge_labels": _are(_is_word),
+    "vertex_labels": _or_none(_are(_is_word)),
+    "drape": _or_none(
+        _has(
+            outcome=_is_word,
+            frames=_is_whole,
+            **dict.fromkeys(COUNTS, _is_whole),
+            **dict.fromkeys(STRETCHES, _or_none(_is_number)),
+        )
+    ),
+    "strain": _or_none(_has(principal=_PAIR, panels=_are(_PAIR))),
+    "grade": _is_word,
+    "fabric": _or_none(_has(name=_is_word, parameters=_is_mapping)),
+    "gathers": _are(_is_number),
+    "tags": _are(_is_word),
+    "source": _is_word,
+}
+"""Key to the check of what items hold there."""
