@@ -32,7 +32,8 @@ def read_whole(path: Path | str, kind: str, *, limit: int, error: type[GcdError]
     """All bytes of a file. Raises ``error``, which asks for a ``kind``, where it is missing or over ``limit`` bytes."""
     try:
         with Path(path).open("rb") as file:
-            content = file.read(limit + 1)  # a device has no size to ask for
+            size = os.fstat(file.fileno()).st_size  # of a device 0
+            content = file.read(limit + 1) if size <= limit else b""
     except FileNotFoundError as cause:
         raise error(f"{path}: no such file: give the path of a {kind}") from cause
     except PermissionError as cause:
@@ -41,7 +42,7 @@ def read_whole(path: Path | str, kind: str, *, limit: int, error: type[GcdError]
         raise error(f"{path}: cannot be read ({cause.strerror}): give the path of a {kind}") from cause
     except ValueError as cause:  # a null byte in the path
         raise error(f"{shown(str(path))}: names no file: give the path of a {kind}") from cause
-    if len(content) > limit:
+    if max(size, len(content)) > limit:
         raise error(f"{path}: more than {limit >> 20} MB: give the path of a {kind}")
     return content
 

@@ -272,7 +272,10 @@ def _parser() -> argparse.ArgumentParser:
 
     measure = add_verb(verbs, "measure", _measure, "the tailor's measures of a body, as YAML [cm, degrees]")
     measure.add_argument(
-        "mesh", nargs="?", metavar="MESH", help="OBJ or PLY of one body in m, cm or mm, closed or with small holes"
+        "mesh",
+        nargs="?",
+        metavar="MESH",
+        help="OBJ, PLY, STL or GLB of one body in m, cm or mm, closed or with small holes",
     )
     measure.add_argument("--shape", metavar="NAME", help=f"{NAMES}, instead of a mesh")
     measure.add_argument(

@@ -1,21 +1,19 @@
-"""Bodies from mesh files, OBJ and PLY: read as they are, made to stand, measured where nobody gave their measures."""
+"""Bodies from mesh files: read as they are, made to stand, measured where nobody gave their measures."""
 
-import io
 import logging
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int, UInt8
 
-from gcd_dataset.bodyfiles import file_content, read_measurements, read_parts
-from gcd_dataset.errors import BodyError
+from gcd_dataset.bodyfiles import read_measurements, read_parts
 from gcd_dataset.generator.body.arms import held_otherwise
 from gcd_dataset.generator.body.asset import body_model, landmarks
 from gcd_dataset.generator.body.closing import ClosedSkin
 from gcd_dataset.generator.body.marks import read_marks
 from gcd_dataset.generator.body.measuring import Fitted, fit_tape, take_own
+from gcd_dataset.generator.body.meshfile import read_mesh
 from gcd_dataset.generator.body.pose import stand
 from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, Taken
 from gcd_dataset.generator.body.upright import UNITS, unit_of
@@ -192,19 +190,7 @@ def _arms(turn: float) -> list[str]:
 
 
 def _read_mesh(path: Path) -> _Mesh:
-    content = file_content(path)
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in ("obj", "ply"):
-        raise BodyError(f"{path}: a body is read from .obj or .ply: convert it")
-    # Only names and remarks can be other than ASCII.
-    stream = io.StringIO(content.decode(errors="replace")) if kind == "obj" else io.BytesIO(content)
-    try:
-        mesh = trimesh.load(stream, file_type=kind, force="mesh", process=False, maintain_order=True)
-    except (ValueError, IndexError, KeyError, TypeError) as error:
-        raise BodyError(f"{path}: cannot be read as {kind.upper()} ({error}): export the mesh again") from error
-    vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, int)
-    if not len(faces) or not np.isfinite(vertices).all():
-        raise BodyError(f"{path}: holds no triangles, or positions that are no numbers: export the mesh again")
+    vertices, faces = read_mesh(path)
     unit, factor = unit_of(float(np.ptp(vertices, axis=0).max()), str(path))
     log.info("%s: taken to be in %s", path, unit)
     return _Mesh(path, vertices, faces, factor)

@@ -208,8 +208,8 @@ def test_a_mesh_file_by_its_path(mannequin: dict[str, Path]) -> None:
         ("female:", "female:: the seed is ''.* such as female:7"),
         ("male:x", "the seed is 'x'"),
         ("neutral:7", "no body named neutral:7: there are .* female:SEED, male:SEED"),
-        ("nowhere.obj", "nowhere.obj: cannot be read"),
-        (__file__, "a body is read from .obj or .ply"),
+        ("nowhere.obj", "nowhere.obj: no such file: give the path of a mesh"),
+        (__file__, r"a body is read from \.obj, \.ply, \.stl, \.glb: convert it"),
     ],
 )
 def test_names_that_are_none(name: str, said: str) -> None:

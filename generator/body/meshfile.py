@@ -1,0 +1,121 @@
+"""Meshes of bodies in OBJ, PLY, STL and GLB files, as arrays in the file's own order and unit."""
+
+import io
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.files import read_whole
+from gcd_dataset.generator.body.asset import body_model
+from gcd_dataset.generator.body.gltf import require_readable
+
+__all__ = ["read_mesh"]
+
+LARGEST_FILE = 512 << 20  # bytes; a scan of a million triangles has 100 MB as OBJ text
+MOST_FACES = 2_000_000  # a scanner gives up to a million; with more a body takes minutes and 10 GB
+MAIN_SHARE = 0.8  # of all area: the least by which one of several meshes in a file is clearly the body
+EXPORT_AGAIN = "export the mesh again"
+
+_Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
+
+
+def read_mesh(path: Path) -> _Mesh:
+    """Vertices and triangles of the file, in its order and unit; polygons are divided.
+
+    Of OBJ and PLY no vertex is left out, joined or moved to another place. The triangles of STL share no vertices:
+    those at one place are joined, in the order in which they appear. GLB is taken with the transforms of its nodes.
+    Raises ``BodyError``.
+    """
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise BodyError(f"{path}: a body is read from {', '.join(READERS)}: convert it")
+    content = read_whole(path, "mesh", limit=LARGEST_FILE, error=BodyError)
+    try:
+        vertices, faces = reader(content, path)
+    except BodyError:
+        raise
+    except Exception as error:  # of a file that is none trimesh lets through whatever Python raises
+        kind = path.suffix[1:].upper()
+        raise BodyError(f"{path}: cannot be read as {kind} ({_first_line(error)}): {EXPORT_AGAIN}") from error
+    if not len(faces):
+        raise BodyError(f"{path}: holds no triangles: {EXPORT_AGAIN}")
+    if len(faces) > MOST_FACES:
+        raise BodyError(f"{path}: {len(faces)} triangles, more than {MOST_FACES}: decimate the mesh")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        odd = faces.min() if faces.min() < 0 else faces.max()
+        raise BodyError(f"{path}: a face names vertex {odd} of {len(vertices)}, numbered from 0: {EXPORT_AGAIN}")
+    if not np.isfinite(vertices).all():
+        odd = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
+        raise BodyError(f"{path}: the position of vertex {odd} is no number: {EXPORT_AGAIN}")
+    return vertices, faces
+
+
+def _read_obj(content: bytes, path: Path) -> _Mesh:
+    """Positions and faces alone: by texture seams, materials and groups trimesh would number the vertices anew."""
+    joined = re.sub(rb"\\\r?\n", b" ", content)
+    lines = [line for line in joined.splitlines() if line[:2] in (b"v ", b"f ", b"v\t", b"f\t")]
+    plain = re.sub(rb"/\S*", b"", b"\n".join(lines))
+    if odd := re.search(rb"^f.*\s[+-]?0+(?!\S).*$", plain, re.MULTILINE):
+        raise ValueError(f"a face names vertex 0 of 1, 2, …: {odd[0][:60].decode(errors='replace')}")
+    return _arrays(_loaded(io.StringIO(plain.decode("ascii", errors="replace")), "obj"))
+
+
+def _read_ply(content: bytes, path: Path) -> _Mesh:
+    return _arrays(_loaded(io.BytesIO(content), "ply"))
+
+
+def _read_stl(content: bytes, path: Path) -> _Mesh:
+    corners = np.asarray(_loaded(io.BytesIO(content), "stl").triangles, float)
+    if (own := _as_ours(corners)) is not None:
+        return own
+    _, first, number = np.unique(corners.reshape(-1, 3), axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    faces = np.argsort(order)[number.ravel()].reshape(-1, 3)
+    return corners.reshape(-1, 3)[first[order]], faces
+
+
+def _as_ours(corners: Float[np.ndarray, "f 3 3"]) -> _Mesh | None:
+    """The vertices of a body of our own mesh by their numbers, if these triangles are its."""
+    model = body_model()
+    if len(corners) != len(model.faces):
+        return None
+    vertices = np.full(model.mean.shape, np.nan)
+    vertices[model.faces] = corners
+    return (vertices, model.faces) if np.array_equal(vertices[model.faces], corners) else None
+
+
+def _read_glb(content: bytes, path: Path) -> _Mesh:
+    require_readable(content, path)
+    scene = trimesh.load(io.BytesIO(content), file_type="glb", force="scene", process=False, skip_materials=True)
+    meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]  # each moved as its nodes say
+    areas = [mesh.area for mesh in meshes]
+    if len(meshes) > 1 and not max(areas) > MAIN_SHARE * sum(areas):
+        names = ", ".join(ascii(name)[1:-1] for name in list(scene.geometry)[:9])
+        raise BodyError(f"{path}: holds {len(meshes)} meshes ({names}), none of them clearly the body: export it alone")
+    return _arrays(trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh())
+
+
+def _loaded(stream: io.StringIO | io.BytesIO, kind: str) -> trimesh.Trimesh:
+    return trimesh.load(stream, file_type=kind, force="mesh", process=False, maintain_order=True)
+
+
+def _arrays(mesh: trimesh.Trimesh) -> _Mesh:
+    return np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, int).reshape(-1, 3)
+
+
+def _first_line(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return ascii(text[:80])[1:-1] or type(error).__name__
+
+
+READERS: Mapping[str, Callable[[bytes, Path], _Mesh]] = {
+    ".obj": _read_obj,
+    ".ply": _read_ply,
+    ".stl": _read_stl,
+    ".glb": _read_glb,
+}

@@ -1,0 +1,176 @@
+"""Bodies in every kind of mesh file: the same vertices, the same measures; what is no mesh is told in one line."""
+
+import json
+import struct
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body import build_body, draw_shape, named_body
+from gcd_dataset.generator.body.files import measure_file, read_body
+from gcd_dataset.generator.body.meshfile import read_mesh
+from gcd_dataset.records import Body
+from gcd_dataset.seeding import Stage, rng
+
+
+@cache
+def person() -> Body:
+    return build_body(draw_shape(rng(5, 1, Stage.BODY)))
+
+
+def mesh_of(*, ours: bool, metres: bool) -> trimesh.Trimesh:
+    """The person; with its faces in another order it is not known to be of our mesh."""
+    faces = person().faces if ours else np.roll(person().faces, 1, axis=0)
+    return trimesh.Trimesh(person().vertices * (0.01 if metres else 1.0), faces, process=False)
+
+
+@cache
+def measures_in_obj(folder: Path, ours: bool) -> dict[str, float]:
+    mesh_of(ours=ours, metres=False).export(folder / f"{ours}.obj")
+    return measure_file(folder / f"{ours}.obj")[0].measurements.to_file_values()
+
+
+@pytest.mark.parametrize("ours", [True, False], ids=["our mesh", "any mesh"])
+@pytest.mark.parametrize("kind", ["stl", "glb", "ply"])
+def test_every_kind_of_file_gives_the_measures_of_obj(
+    kind: str, ours: bool, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    mesh_of(ours=ours, metres=kind == "glb").export(tmp_path / f"me.{kind}")
+    taken, _ = measure_file(tmp_path / f"me.{kind}")
+    expected = measures_in_obj(tmp_path_factory.getbasetemp(), ours)
+    assert taken.measurements.to_file_values() == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.parametrize("kind", ["stl", "glb"])
+def test_a_body_of_any_kind_can_be_dressed(kind: str, tmp_path: Path) -> None:
+    mesh_of(ours=True, metres=True).export(tmp_path / f"me.{kind}")
+    body, size, shape = named_body(tmp_path / f"me.{kind}")
+    assert shape is None
+    assert np.array_equal(body.parts, person().parts)
+    assert body.vertices == pytest.approx(person().vertices, abs=1e-3)
+    assert size.height == pytest.approx(np.ptp(person().vertices[:, 1]), abs=1e-3)
+
+
+def test_triangles_of_stl_are_joined_in_the_order_of_their_corners(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=80.0)
+    ball.export(tmp_path / "ball.stl")
+    vertices, faces = read_mesh(tmp_path / "ball.stl")
+    assert len(vertices) == len(ball.vertices)
+    assert vertices[faces] == pytest.approx(ball.triangles, abs=1e-4)
+    firsts = np.unique(faces.ravel(), return_index=True)[1]
+    assert (np.diff(firsts) > 0).all()
+
+
+def test_transforms_of_nodes_are_honoured(tmp_path: Path) -> None:
+    """A body that lies on its side in its own axes, smaller by half, under two nodes that lift and enlarge it."""
+    turn = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
+    scene = trimesh.Scene()
+    lying = mesh_of(ours=True, metres=True).apply_transform(np.linalg.inv(turn)).apply_scale(0.5)
+    scene.graph.update(frame_from="world", frame_to="outer", matrix=np.diag([2.0, 2.0, 2.0, 1.0]))
+    scene.add_geometry(lying, node_name="inner", parent_node_name="outer", transform=turn)
+    scene.export(tmp_path / "me.glb")
+    vertices, _ = read_mesh(tmp_path / "me.glb")
+    assert 100.0 * vertices == pytest.approx(person().vertices, abs=1e-3)
+
+
+def test_eyes_beside_a_body_are_taken_and_a_garment_is_not(tmp_path: Path) -> None:
+    eye = trimesh.creation.icosphere(radius=0.012).apply_translation([0.03, 1.6, 0.08])
+    body = mesh_of(ours=False, metres=True)
+    trimesh.Scene({"body": body, "eye": eye}).export(tmp_path / "eye.glb")
+    vertices, _ = read_mesh(tmp_path / "eye.glb")
+    assert len(vertices) == len(body.vertices) + len(eye.vertices)
+    shirt = body.copy().apply_scale(1.02)
+    trimesh.Scene({"body": body, "shirt": shirt}).export(tmp_path / "both.glb")
+    with pytest.raises(
+        BodyError, match=r"both\.glb: holds 2 meshes \(body, shirt\), none .* the body: export it alone"
+    ):
+        read_mesh(tmp_path / "both.glb")
+
+
+def test_vertices_of_obj_keep_their_numbers_whatever_else_it_says(tmp_path: Path) -> None:
+    """Materials, groups, texture seams and a vertex that no face uses; trimesh would number them anew."""
+    text = (
+        "mtllib a.mtl\no body\nv 0 0 0\nv 1 0 0\nv 9 9 9\nv 0 170 0 1 0 0\nv 5 5 5\n"
+        "vt 0 0\nvt 1 1\nvn 0 0 1\nusemtl skin\nf 1/1/1 2/2/1 4/1/1\ng arm\nusemtl nail\nf 4//1 \\\n2//1 5//1\n"
+        "f -1 -2 -5\n"
+    )
+    (tmp_path / "a.obj").write_text(text)
+    vertices, faces = read_mesh(tmp_path / "a.obj")
+    assert vertices.tolist() == [[0, 0, 0], [1, 0, 0], [9, 9, 9], [0, 170, 0], [5, 5, 5]]
+    assert faces.tolist() == [[0, 1, 3], [3, 1, 4], [4, 3, 0]]
+
+
+# ------------------------------------------------------------------------------------------------------------ no meshes
+
+
+def glb(tree: Any, data: bytes = b"") -> bytes:
+    text = (tree if isinstance(tree, bytes) else json.dumps(tree).encode()).ljust(4)
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def ply(vertices: int, faces: int, rows: str) -> bytes:
+    head = f"ply\nformat ascii 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\n"
+    return (head + f"element face {faces}\nproperty list uchar int vertex_indices\nend_header\n{rows}").encode()
+
+
+CORNERS = "0 0 0\n0 170 0\n10 0 0\n"
+V = "v 0 0 0\nv 0 170 0\nv 10 0 0\n"
+NODE = {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], "accessors": [{"count": 3, "type": "VEC3"}]}
+NONE = {
+    "far.ply": (ply(3, 1, CORNERS + "3 0 1 99\n"), "a face names vertex 99 of 3"),
+    "negative.ply": (ply(3, 1, CORNERS + "3 0 1 -7\n"), "a face names vertex -7 of 3"),
+    "none.ply": (ply(0, 1, "3 0 1 2\n"), ""),
+    "huge.ply": (ply(10**12, 1, CORNERS), ""),
+    "digits.ply": (ply(10**12, 1, CORNERS).replace(b"1000000000000", b"9" * 5000), ""),
+    "words.ply": (ply(3, 1, "a b c\n" * 4), ""),
+    "nan.ply": (ply(3, 1, CORNERS.replace("170", "nan") + "3 0 1 2\n"), "the position of vertex 1 is no number"),
+    "nothing.ply": (b"", ""),
+    "zero.obj": (f"{V}f 0 1 2\n".encode(), "a face names vertex 0"),
+    "far.obj": (f"{V}f 1 2 99\n".encode(), ""),
+    "back.obj": (f"{V}f -1 -2 -9\n".encode(), ""),
+    "none.obj": (b"f 1 2 3\n", ""),
+    "words.obj": (f"{V}f a b c\n".encode(), ""),
+    "flat.obj": (f"{V}f 1 2\n".encode(), ""),
+    "nothing.stl": (b"", ""),
+    "short.stl": (bytes(80) + struct.pack("<I", 10**9) + bytes(50), ""),
+    "words.stl": (b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\nendloop\nendfacet\nendsolid\n", ""),
+    "nothing.glb": (b"", "no binary glTF 2.0"),
+    "deep.glb": (glb(b"[" * 100_000), "levels deep"),
+    "list.glb": (glb([1]), "its JSON is no object"),
+    "empty.glb": (glb({}), ""),
+    "parts.glb": (glb({"nodes": {"a": 1}}), "its nodes are no list of objects"),
+    "huge.glb": (glb({"accessors": [{"count": 10**12, "componentType": 5126, "type": "VEC3"}]}), "more numbers than"),
+    "loop.glb": (glb({"nodes": [{"children": [1]}, {"children": [0]}]}), "hold each other"),
+    "shared.glb": (glb({"nodes": [{"children": [2]}, {"children": [2]}, {}]}), "make no tree"),
+    "packed.glb": (glb({"extensionsUsed": ["KHR_draco_mesh_compression"]}), "export it without compression"),
+    "many.glb": (glb({**NODE, "nodes": [{"mesh": 0}] * 9000}, bytes(36)), ""),
+    "odd.glb": (glb({**NODE, "nodes": [{"mesh": 7}]}), "a mesh that is not there"),
+    "file.glb": (glb({**NODE, "nodes": [{"mesh": 0}], "buffers": [{"uri": "/etc/passwd", "byteLength": 36}]}), ""),
+}
+
+
+@pytest.mark.parametrize("name", NONE)
+def test_what_is_no_mesh_is_told_in_one_line(name: str, tmp_path: Path) -> None:
+    content, said = NONE[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(BodyError) as caught:
+        read_body(tmp_path / name)
+    message = str(caught.value)
+    assert said in message
+    assert message.startswith(f"{tmp_path / name}: ")
+    assert message.isprintable()
+    assert len(message.removeprefix(str(tmp_path))) < 250
+
+
+def test_a_file_of_gigabytes_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "sparse.ply").open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(BodyError, match="more than 512 MB"):
+        read_mesh(tmp_path / "sparse.ply")
