@@ -10,15 +10,16 @@ import os
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from tokenize import TokenError
 from typing import Any, Protocol, Self
 
 import numpy as np
 from jaxtyping import Int
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.records import Record
 from gcd_dataset.release.gzips import WINDOW, SeekPoint, Unpacking, read_from
 from gcd_dataset.release.kept import keep, kept_path, stamp_of
@@ -33,6 +34,10 @@ logger = logging.getLogger("gcd_dataset")
 SCHEMA = 1
 GZIP_MAGIC = b"\x1f\x8b"
 DAMAGED = (zlib.error, EOFError, tarfile.HeaderError)
+FARTHEST = 1 << 62  # bytes of an archive's content
+LARGEST = 1 << 28  # bytes of one file of a garment; a published mesh has 2 MB
+MOST = 1 << 20  # garments of an archive; published ones have 5,000
+APART = 1 << 22  # bytes between files of a garment that are passed over rather than sought anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +74,21 @@ class Archive(Record):
 
     def where(self, name: str) -> str:
         """How messages call a garment."""
-        return f"{self.path}: data/{name}"
+        return f"{self.path}: data/{shown(name)}"
 
     def read(self, name: str, kinds: Sequence[str]) -> dict[str, bytes]:
         """Files of a garment, those that there are. Raises ``ShardError`` for a damaged archive."""
-        row, columns = self._row[name], [list(ENDINGS).index(kind) for kind in kinds]
-        there = [column for column in columns if self.offset[row, column] >= 0]
-        if not there:
-            return {}
-        first = int(self.offset[row, there].min())
-        end = int((self.offset[row, there] + self.size[row, there]).max())
-        block = memoryview(self._block(first, end - first))
-        places = zip(there, (self.offset[row, there] - first).tolist(), self.size[row, there].tolist(), strict=True)
-        return {list(ENDINGS)[column]: bytes(block[start : start + size]) for column, start, size in places}
+        row, numbers = self._row[name], {kind: number for number, kind in enumerate(ENDINGS)}
+        offset, size = self.offset[row].tolist(), self.size[row].tolist()
+        places = {kind: (offset[numbers[kind]], size[numbers[kind]]) for kind in kinds if offset[numbers[kind]] >= 0}
+        content = {}
+        for group in _near(places):
+            first = places[group[0]][0]
+            block = memoryview(self._block(first, max(sum(places[kind]) for kind in group) - first))
+            for kind in group:
+                start, length = places[kind]
+                content[kind] = bytes(block[start - first : start - first + length])
+        return content
 
     def _block(self, first: int, size: int) -> bytes:
         """Bytes of the unpacked archive."""
@@ -109,16 +116,54 @@ class Archive(Record):
     def _read(cls, path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Self | None:
         """What is kept of the archive; ``None`` where it is of another one, or broken."""
         try:
-            with np.load(index, allow_pickle=False) as file:
-                kept = dict(file)
+            kept = _kept_arrays(index)
             if kept["stamp"].tolist() != [SCHEMA, *stamp] or kept["kinds"].tolist() != list(ENDINGS):
                 return None
-            points = kept["points"]
-            if windows.stat().st_size != len(points) * WINDOW:
-                return None
-            return cls(path, tuple(kept["names"].tolist()), kept["offset"], kept["size"], points, windows)
-        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
+            archive = cls(path, tuple(kept["names"].tolist()), kept["offset"], kept["size"], kept["points"], windows)
+            return archive if archive._is_sound() else None
+        except BROKEN:
             return None
+
+    def _is_sound(self) -> bool:
+        """Whether the places are some that reading an archive through can have given."""
+        shape = (len(self.names), len(ENDINGS))
+        if not (self.offset.shape == self.size.shape == shape and self.points.shape[1:] == (3,)):
+            return False
+        if not all(array.dtype == np.int64 for array in (self.offset, self.size, self.points)):
+            return False
+        starts = self.points[:, 1]
+        begins = not len(starts) or (starts[0] == 0 and (np.diff(starts) > 0).all() and self.points.min() >= 0)
+        fits = (self.offset >= -1).all() and (self.size >= 0).all() and (self.size <= LARGEST).all()
+        named = all(isinstance(name, str) for name in self.names)
+        return bool(begins and fits and named) and self.windows.stat().st_size == len(starts) * WINDOW
+
+
+BROKEN = (OSError, KeyError, ValueError, TypeError, EOFError, SyntaxError, MemoryError, TokenError, zipfile.BadZipFile)
+"""What NumPy raises at an index that is none."""
+
+
+def _kept_arrays(index: Path) -> dict[str, np.ndarray]:
+    """The arrays of an index. Raises one of ``BROKEN``."""
+    with zipfile.ZipFile(index) as file:
+        # We store them as they are: none is larger than the file.
+        if sum(info.file_size for info in file.infolist()) > index.stat().st_size:
+            raise ValueError("packed")
+    with np.load(index, allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def _near(places: Mapping[str, tuple[int, int]]) -> list[list[str]]:
+    """Kinds of file in the order of their places, (offset, size), those near each other together."""
+    groups: list[list[str]] = []
+    first = end = 0
+    for kind, (start, size) in sorted(places.items(), key=lambda entry: entry[1]):
+        if groups and start - end <= APART and start + size - first <= LARGEST:
+            groups[-1].append(kind)
+            end = max(end, start + size)
+        else:
+            groups.append([kind])
+            first, end = start, start + size
+    return groups
 
 
 # ------------------------------------------------------------------------------------------------------------- scanning
@@ -189,7 +234,11 @@ def _garments(flow: _Flow) -> dict[str, dict[str, tuple[int, int]]]:
         elif info.isreg() and len(parts) > 1 and parts[-1].startswith(parts[-2]):
             files = garments.setdefault(parts[-2], {})
             if (kind := kind_of.get(parts[-1].removeprefix(parts[-2]))) is not None:
+                if info.size > LARGEST:
+                    raise tarfile.HeaderError(f"{shown(info.name)} of {info.size} bytes, where {LARGEST} are read")
                 files[kind] = (offset, info.size)
+        if len(garments) > MOST:
+            raise tarfile.HeaderError(f"more than {MOST} garments")
     return garments if any(garments.values()) else {}
 
 
@@ -198,17 +247,19 @@ def _entries(flow: _Flow) -> Iterator[tuple[tarfile.TarInfo, int]]:
     # Not by ``tarfile`` as a whole: to that a damaged header is the end of the archive.
     while header := flow.read(BLOCK):
         if header == bytes(BLOCK):
-            flow.skip(1 << 62)
+            flow.skip(FARTHEST)
             return
         place = flow.position
         try:
             info = tarfile.TarInfo.frombuf(header, "utf-8", "surrogateescape")
         except tarfile.HeaderError as error:
             raise tarfile.HeaderError(f"no tar header at byte {place - BLOCK} of its content") from error
+        if not 0 <= info.size < FARTHEST:  # else the way would lead back, and never end
+            raise tarfile.HeaderError(f"{shown(info.name)} of {info.size} bytes at byte {place - BLOCK} of its content")
         yield info, place
         flow.skip(padded(info.size))
         if flow.position < place + info.size:
-            raise EOFError(f"ends in {info.name}")
+            raise EOFError(f"ends in {shown(info.name)}")
 
 
 def _damaged(path: Path, error: Exception) -> ShardError:

@@ -7,9 +7,21 @@ on the way; ``read_from`` begins at one of them.
 Where blocks start is found by trial: a byte may be one where what follows reads as a header. That is so by chance too,
 so a start is taken only if unpacking from it gives, byte for byte, what unpacking from the beginning has given. Only
 blocks that start with a byte will do, one in eight: those behind them may be stored ones, which count in whole bytes.
+
+Why not a library: neither indexed_gzip 1.10 nor rapidgzip 0.16 tells that a file ends before its time. Measured with an
+archive of 200 MB, 396 published garments, on two cores: CPU time and growth of memory to index it, size of the index,
+CPU time to read a garment of 0.8 MB.
+
+=============================  =======  =======  =======  ======
+this module                      2.2 s    11 MB   0.7 MB   31 ms
+indexed_gzip, a point a 4 MB     3.4 s    51 MB   2.4 MB   20 ms
+indexed_gzip, a point a 16 MB    3.8 s   131 MB   0.6 MB   49 ms
+rapidgzip                        1.2 s   128 MB   3.0 MB   12 ms
+=============================  =======  =======  =======  ======
 """
 
 import os
+import re
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,6 +34,10 @@ __all__ = ["WINDOW", "SeekPoint", "Unpacking", "read_from"]
 WINDOW = 1 << 15  # bytes of content that a block may refer back to
 EVERY = 1 << 24  # bytes of content between points: half of it is unpacked in vain for a garment, some 30 ms
 CHUNK = 1 << 18  # bytes of the file at a time; a block is seldom longer than 40 kB
+PIECE = 1 << 14  # bytes of the file that are unpacked at a time,
+LARGEST_PART = 1 << 20  # and of their content; it may be a thousand times as large as they are
+MOST_SEARCHED = 64 * CHUNK  # bytes of content of a chunk: what unpacks to more has no use for a point
+NOT_ZERO = re.compile(rb"[^\0]")
 GZIP, RAW = 31, -15  # window bits that tell zlib the format
 TRAILER = 8  # bytes after a stream: CRC-32 and length
 LONGEST_MATCH = 258
@@ -49,15 +65,15 @@ class Unpacking:
     def __init__(self, file: int) -> None:
         self.points: list[SeekPoint] = [SeekPoint(0, 0, None)]
         self.position = 0
-        self._chunks = self._unpacked(file)
-        self._rest = b""
+        self._parts = self._unpacked(file)
+        self._rest = memoryview(b"")
 
     def read(self, size: int) -> bytes:
         """The next ``size`` bytes, fewer at the end. Raises ``zlib.error``, and ``EOFError`` for a cut file."""
         parts, missing = [], size
         while missing:
             if not self._rest:
-                self._rest = next(self._chunks, b"")
+                self._rest = memoryview(next(self._parts, b""))
                 if not self._rest:
                     break
             parts.append(self._rest[:missing])
@@ -72,28 +88,28 @@ class Unpacking:
             size -= passed
 
     def _unpacked(self, file: int) -> Iterator[bytes]:
-        stream, place, end = zlib.decompressobj(GZIP), 0, 0
-        before = b""
+        streams, place, end, before = _Streams(), 0, 0, b""
         while chunk := os.pread(file, CHUNK, place):
-            content = stream.decompress(chunk)
-            whole = not stream.eof
-            rest = stream.unused_data
-            while stream.eof and rest.strip(b"\0"):  # another stream follows; zeros only fill up
-                if end + len(content) - self.points[-1].start >= EVERY:
-                    self.points.append(SeekPoint(place + len(chunk) - len(rest), end + len(content), None))
-                stream = zlib.decompressobj(GZIP)
-                content += stream.decompress(rest)
-                rest = stream.unused_data
-            if whole and end - self.points[-1].start >= EVERY and len(before) == WINDOW:
+            parts, size, inside = [], 0, True
+            for first, part in streams.unpacked(chunk):
+                if first is not None:
+                    inside = False
+                    if end + size - self.points[-1].start >= EVERY:
+                        self.points.append(SeekPoint(place + first, end + size, None))
+                size += len(part)
+                parts.append(part if size <= MOST_SEARCHED else b"")
+                yield from (part,) if part else ()
+            content = b"".join(parts)
+            far = end - self.points[-1].start >= EVERY and len(before) == WINDOW
+            if inside and streams.is_open and far and size <= MOST_SEARCHED:
                 found = _block_start(chunk, before + content)
                 if found is not None:
                     first, start = found
                     window = (before + content)[start : start + WINDOW]
                     self.points.append(SeekPoint(place + first, end + start, window))
-            before = (before + content)[-WINDOW:]
-            place, end = place + len(chunk), end + len(content)
-            yield from (content,) if content else ()
-        if not stream.eof:
+            before = (before + content)[-WINDOW:] if size <= MOST_SEARCHED else b""
+            place, end = place + len(chunk), end + size
+        if streams.is_open:
             raise EOFError(f"ends in the middle, at byte {place}")
 
 
@@ -113,15 +129,49 @@ def read_from(file: int, point: SeekPoint, offset: int, size: int) -> bytes:
 
 def _unpacked_from(file: int, point: SeekPoint) -> Iterator[bytes]:
     """The content from a point on."""
-    place = point.place
-    raw = point.window is not None
-    stream = zlib.decompressobj(GZIP) if point.window is None else zlib.decompressobj(RAW, zdict=point.window)
+    streams, place = _Streams(point.window), point.place
     while chunk := os.pread(file, CHUNK, place):
-        yield stream.decompress(chunk)
+        yield from (part for _, part in streams.unpacked(chunk))
         place += len(chunk)
-        if stream.eof:
-            place += TRAILER * raw - len(stream.unused_data)
-            raw, stream = False, zlib.decompressobj(GZIP)
+
+
+class _Streams:
+    """Gzip streams one behind the other, of which zeros may fill the gaps; ``window``: from inside one on.
+
+    However many streams there are, and however much they unpack to, each step takes little time and memory.
+    """
+
+    def __init__(self, window: bytes | None = None) -> None:
+        self._stream = zlib.decompressobj(GZIP) if window is None else zlib.decompressobj(RAW, zdict=window)
+        self._trailer = 0 if window is None else TRAILER
+        self._begins = window is None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a stream has begun, and not ended."""
+        return not self._stream.eof
+
+    def unpacked(self, chunk: bytes) -> Iterator[tuple[int | None, bytes]]:
+        """The content of the next bytes of the file, in parts; for each the byte of the chunk that its stream begins
+        at, where it is the first part of one."""
+        place = 0
+        while place < len(chunk):
+            if self._stream.eof and self._trailer:
+                passed = min(self._trailer, len(chunk) - place)
+                self._trailer, place = self._trailer - passed, place + passed
+                continue
+            if self._stream.eof:
+                following = NOT_ZERO.search(chunk, place)
+                if following is None:
+                    return
+                place = following.start()
+                self._stream, self._begins = zlib.decompressobj(GZIP), True
+            first = place if self._begins else None
+            piece = chunk[place : place + PIECE]
+            part = self._stream.decompress(piece, LARGEST_PART)
+            place += len(piece) - len(self._stream.unused_data) - len(self._stream.unconsumed_tail)
+            self._begins = False
+            yield first, part
 
 
 # ----------------------------------------------------------------------------------------------------- starts of blocks

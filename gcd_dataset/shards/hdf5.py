@@ -32,8 +32,9 @@ import zlib
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import h5py
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
@@ -48,9 +49,6 @@ from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.room import room_for
 
 __all__ = ["Hdf5Reader", "write_hdf5"]
-
-if TYPE_CHECKING:
-    import h5py
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -100,8 +98,6 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     twice: first for its size. Raises ``OutputError`` where the file cannot be written, ``ShardError`` for a damaged
     sample.
     """
-    import h5py  # to write alone
-
     columns = _columns(reader)
     with drafted(user_path(path)) as draft, h5py.File(draft, "w") as file:
         _lay_out(file, reader, columns)
@@ -423,10 +419,8 @@ def _columns(reader: ShardReader) -> dict[str, _Column]:
     return {field: _Column(np.cumsum(rows[field]), size[field], *form[field]) for field in RAGGED}
 
 
-def _lay_out(file: "h5py.File", reader: ShardReader, columns: Mapping[str, _Column]) -> None:
+def _lay_out(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Column]) -> None:
     """Room for everything, and what is known of it."""
-    import h5py
-
     record = reader.manifest.splits.get(reader.split) if reader.manifest else None
     recipe = json.dumps(dict(record.recipe) if record else {}, sort_keys=True)
     given = {

@@ -1,15 +1,19 @@
 """Archives as downloaded: each garment is found again, and what is kept of an archive is used while it holds."""
 
 import gzip
+import io
 import shutil
+import tracemalloc
+import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.release.archive import Archive
 from gcd_dataset.release.layout import ENDINGS
-from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
+from tests.release.published import BATCH, BODIES, TEST, TRAIN, file_of, pack, publish
 from tests.shards.folders import forbidden, public_folder
 
 
@@ -76,3 +80,121 @@ def test_where_the_index_cannot_be_kept_another_place_is_asked_for(archive: Path
         moved = Path(shutil.copy(archive, folder))
         with forbidden(folder, 0o555), pytest.raises(OutputError, match="or give another folder as cache_dir"):
             Archive.opened(moved, None)
+
+
+# ---------------------------------------------------------------------------------------------------------- damage
+
+
+def with_size(archive: Path, size: bytes, member: int = 0) -> None:
+    """Write the size field of a member anew, with a header checksum that holds."""
+    content = bytearray(gzip.decompress(archive.read_bytes()))
+    place = content.index(b"ustar") - 257
+    for _ in range(member):
+        place = content.index(b"ustar", place + 512) - 257
+    content[place + 124 : place + 136] = size
+    content[place + 148 : place + 156] = b" " * 8
+    content[place + 148 : place + 156] = b"%06o\0 " % sum(content[place : place + 512])
+    archive.write_bytes(gzip.compress(bytes(content), 1))
+
+
+@pytest.mark.parametrize(
+    "size", [b"\xff" * 10 + b"\xfe\x00", b"\xff" * 12, b"\x80" + b"\x7f" * 11, b"\x80" + b"\xff" * 11]
+)
+def test_a_member_of_negative_or_endless_size_is_told(archive: Path, size: bytes) -> None:
+    """A size of -512 leads back to the header itself: the way through the archive would never end."""
+    with_size(archive, size)
+    with pytest.raises(ShardError, match=r"data\.tar\.gz: a damaged archive \(\S+ of -?\d+ bytes at byte 0"):
+        Archive.opened(archive, None)
+
+
+def test_a_file_larger_than_any_garment_is_not_read(archive: Path) -> None:
+    for member in range(20):
+        with_size(archive, b"\x80" + (1 << 40).to_bytes(11, "big"), member)
+        with pytest.raises(
+            ShardError, match=r"data\.tar\.gz: a damaged archive \((ends in|.* bytes, where 268435456 are)"
+        ):
+            Archive.opened(archive, None)
+
+
+@pytest.mark.parametrize("content", [gzip.compress(bytes(100_000_000)), gzip.compress(b"") * 20_000])
+def test_a_bomb_takes_little_memory_and_time(archive: Path, content: bytes) -> None:
+    archive.write_bytes(content)
+    tracemalloc.start()
+    with pytest.raises(ShardError, match="holds no garment of the published layout"):
+        Archive.opened(archive, None)
+    assert tracemalloc.get_traced_memory()[1] < 60_000_000
+    tracemalloc.stop()
+
+
+def test_files_far_apart_are_read_one_by_one(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = Archive.opened(archive, None).read(TRAIN[0], list(ENDINGS))
+    monkeypatch.setattr("gcd_dataset.release.archive.APART", 0)
+    opened, read = Archive.opened(archive, None), []
+    monkeypatch.setattr(
+        Archive, "_block", lambda self, first, size, kept=Archive._block: read.append(size) or kept(self, first, size)
+    )
+    assert opened.read(TRAIN[0], list(ENDINGS)) == before
+    assert len(read) == len(ENDINGS)
+
+
+def kept_arrays(archive: Path) -> tuple[Path, dict[str, np.ndarray]]:
+    Archive.opened(archive, None)
+    (path,) = archive.parent.glob(".*.npz")
+    with np.load(path) as file:
+        return path, dict(file)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"offset": np.zeros(3, np.int64)},
+        {"offset": np.array(0)},
+        {"size": np.full((3, len(ENDINGS)), 1 << 50)},
+        {"size": np.full((3, len(ENDINGS)), -1)},
+        {"size": np.full((3, len(ENDINGS)), 1.5)},
+        {"points": np.full((1, 3), -5)},
+        {"points": np.zeros((0,), np.int64)},
+        {"names": np.array(0)},
+        {"names": np.array([1, 2, 3])},
+    ],
+)
+def test_an_index_that_no_archive_gives_is_made_anew(archive: Path, change: dict[str, np.ndarray]) -> None:
+    path, arrays = kept_arrays(archive)
+    before = Archive.opened(archive, None).read(TRAIN[1], list(ENDINGS))
+    with path.open("wb") as file:
+        np.savez(file, **(arrays | change))
+    assert Archive.opened(archive, None).read(TRAIN[1], list(ENDINGS)) == before
+
+
+def test_an_index_that_declares_a_terabyte_is_made_anew(archive: Path) -> None:
+    path, arrays = kept_arrays(archive)
+    with zipfile.ZipFile(path, "w") as file:
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.save(content, array)
+            declared = content.getvalue()
+            if name == "size":
+                declared = declared.replace(b"(3, %d)" % len(ENDINGS), b"(%d,)" % 10**12)
+            file.writestr(f"{name}.npy", declared)
+    assert Archive.opened(archive, None).names == (*TRAIN, *TEST)
+
+
+def test_mutated_archives_are_told_or_read(archive: Path) -> None:
+    """Headers, names, sizes and checksums of the tar, wherever they are hit."""
+    whole = gzip.decompress(archive.read_bytes())
+    headers = [place for place in range(0, len(whole), 512) if whole[place + 257 : place + 262] == b"ustar"]
+    random = np.random.default_rng(5)
+    for place in random.choice(headers, 40).tolist():
+        content = bytearray(whole)
+        for byte in random.integers(0, 512, 2).tolist():
+            content[place + byte] = int(random.integers(256))
+        content[place + 148 : place + 156] = b" " * 8
+        content[place + 148 : place + 156] = b"%06o\0 " % sum(content[place : place + 512])
+        archive.write_bytes(gzip.compress(bytes(content), 1))
+        try:
+            opened = Archive.opened(archive, None)
+            for name in opened.names:
+                opened.read(name, list(ENDINGS))
+        except ShardError as error:
+            assert str(error).startswith(str(archive))
+            assert "\n" not in str(error)
