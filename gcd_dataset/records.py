@@ -372,10 +372,13 @@ class Outcome(Enum):
 
     SETTLED = "hangs still, within the limits for crossings"
     NOT_SETTLED = "still moving at the last frame: allow more frames, or look for a garment that slides"
-    THROUGH_BODY = "too many edges cross the body: a looser fit, or a body with arms and legs further apart"
+    THROUGH_BODY = "too many edges of cloth and body cross: a looser fit, or a body with arms and legs further apart"
     THROUGH_ITSELF = "too many edges cross other cloth: panels start tangled; place them further apart"
     OVERSTRETCHED = "cloth is stretched out of shape: it is caught on the body, or cut too small for it"
-    SLID_OFF = "slid off the body: nothing holds it up; narrow the waist, or label the edge that should be held"
+    SLID_OFF = "slid off the body: narrow the waist or the neckline, or label the edge that should be held"
+    FELL = (
+        "fell below the floor: nothing held it; check its seams and where its panels hang, or label the edge to be held"
+    )
     OVERFULL = "more contacts than there was room for: raise the contact capacity"
     DIVERGED = "positions stopped being numbers: the mesh holds a degenerate triangle, or the time step is too long"
 
@@ -397,6 +400,8 @@ class Drape(Record):
     """Median over the edges of length against flat length; 1 is unstretched."""
     stretch_p99: float
     """99th percentile of the same."""
+    body_through: int = 0
+    """Edges of the body that cross the cloth; 0 in samples that were stored before these were counted."""
 
 
 # -------------------------------------------------------------------------------------------------------------- sample

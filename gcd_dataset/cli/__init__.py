@@ -117,7 +117,7 @@ def _drape(options: argparse.Namespace) -> int:
     from gcd_dataset.generator.drape import fabric_named, resolve_device
     from gcd_dataset.generator.fitting import Fitting, fit, read_patterns, write_fitting, write_report
     from gcd_dataset.generator.recipe import check_resolution
-    from gcd_dataset.records import Body, Measurements
+    from gcd_dataset.records import Body, Measurements, Outcome
 
     patterns, device = read_patterns(options.spec), resolve_device(options.device)
     resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
@@ -144,12 +144,14 @@ def _drape(options: argparse.Namespace) -> int:
         drape = fitting.drape
         print(
             f"{fitting.pattern.name}: {drape.outcome.name}, {len(drape.vertices)} vertices, "
-            f"{drape.self_crossings} self and {drape.body_crossings} body crossings, {fitting.drape_seconds:.1f} s"
+            f"{drape.self_crossings} self crossings, {drape.body_crossings} edges through the body, "
+            f"{drape.body_through} of the body through the cloth, {fitting.drape_seconds:.1f} s"
         )
-        if drape.outcome.name != "SETTLED":
+        if drape.outcome is not Outcome.SETTLED:
             print(f"  {drape.outcome.value}")
     print(f"{folder}: meshes, pictures and report.json")
-    return 0
+    settled = all(fitting.drape.outcome is Outcome.SETTLED for fitting in fittings)
+    return 0 if settled or options.allow_unsettled else 1
 
 
 def _measure(options: argparse.Namespace) -> int:
@@ -267,6 +269,12 @@ def _parser() -> argparse.ArgumentParser:
         "--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (default: 1.0)"
     )
     drape.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
+    drape.add_argument(
+        "--allow-unsettled",
+        action="store_true",
+        help="exit 0 even if a garment did not settle: fell, slid off, still moves, crosses itself or the body "
+        "(default: exit 1; the report is written either way)",
+    )
     add_quiet(drape)
 
     measure = add_verb(verbs, "measure", _measure, "the tailor's measures of a body, as YAML [cm, degrees]")
