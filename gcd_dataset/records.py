@@ -301,7 +301,7 @@ class Seam:
     """Two edges sewn together.
 
     By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
-    starts meet. Unequal lengths are gathered.
+    starts meet, and one of the panels is sewn in wrong side out. Unequal lengths are gathered.
     """
 
     left: EdgeRef
@@ -341,7 +341,12 @@ class BoxMesh(Record):
     vertices: Float[np.ndarray, "v 3"]
     """Start positions [cm]; a seam vertex stands in the middle of the points it joins."""
     faces: Int[np.ndarray, "f 3"]
-    """Triangles, counter-clockwise on the cloth's right side."""
+    """Triangles, counter-clockwise on the garment's outside, so that they run alike across every seam.
+
+    The outside is the cloth's right side, but for panels that a ``right_wrong`` seam turns over, as a lapel: their faces
+    run against the panel's loop (``generator.mesh.turned_panels``). Published meshes are kept as they were published:
+    there all faces are counter-clockwise on the right side, and run against each other along such seams.
+    """
     uv: Float[np.ndarray, "c 2"]
     """Panel-plane coordinates [cm] of the seam-split vertices."""
     corners: Int[np.ndarray, "f 3"]
