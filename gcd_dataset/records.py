@@ -343,9 +343,9 @@ class BoxMesh(Record):
     faces: Int[np.ndarray, "f 3"]
     """Triangles, counter-clockwise on the garment's outside, so that they run alike across every seam.
 
-    The outside is the cloth's right side, but for panels that a ``right_wrong`` seam turns over, as a lapel: their faces
-    run against the panel's loop (``generator.mesh.turned_panels``). Published meshes are kept as they were published:
-    there all faces are counter-clockwise on the right side, and run against each other along such seams.
+    The outside is the cloth's right side, but for panels that a ``right_wrong`` seam turns over, as a lapel: their
+    faces run against the panel's loop (``generator.mesh.turned_panels``). Published meshes are kept as they were
+    published: all their faces are counter-clockwise on the right side, and disagree along such seams.
     """
     uv: Float[np.ndarray, "c 2"]
     """Panel-plane coordinates [cm] of the seam-split vertices."""
