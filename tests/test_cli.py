@@ -227,6 +227,45 @@ def test_a_garment_that_slides_off_ends_with_1(tmp_path: Path, capsys: pytest.Ca
     assert main([*options, "--allow-unsettled"]) == 0
 
 
+SIGNALLED = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sent = []
+def send():
+    if not sent:
+        sent.append(os.kill(os.getpid(), signal.SIGINT))
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == WHERE:
+            send()
+sys.meta_path.insert(0, Finder())
+if WHERE == "frame":
+    from gcd_dataset.generator.drape.solver import Solver
+    frame = Solver.frame
+    def signalled(solver, *between):
+        frame(solver, *between)
+        send()
+    Solver.frame = signalled
+from gcd_dataset.cli import main
+code = main(sys.argv[1:])
+assert sent
+sys.exit(code)
+"""
+
+
+@pytest.mark.parametrize("where", ["networkx", "frame"])
+def test_ctrl_c_ends_a_drape_wherever_it_comes(where: str, spec: Path, tmp_path: Path) -> None:
+    """While trimesh looks for a package that it can do without, and between time steps."""
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", SIGNALLED.replace("WHERE", repr(where)), "drape", str(spec), "--out", str(out)]
+    options = ["--resolution", "1.5", "--device", "cpu", "--quiet"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    assert done.returncode == 130, done.stderr
+    assert "gcd drape: stopped" in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+    assert not out.exists() or not list(out.iterdir())
+
+
 def test_what_drape_assumes_is_told_and_reported(spec: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A skirt without a label is held at the waist all the same; one with its labels needs no assumption."""
     content = json.loads(spec.read_text())

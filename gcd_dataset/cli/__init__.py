@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, exchange
-from gcd_dataset.cli.verb import ANYWHERE, INTERRUPTED, add_quiet, add_server, add_verb, natural, open_anywhere, stopped
+from gcd_dataset.cli.verb import (
+    ANYWHERE,
+    INTERRUPTED,
+    add_quiet,
+    add_server,
+    add_verb,
+    interrupts_after_imports,
+    natural,
+    open_anywhere,
+    stopped,
+)
 from gcd_dataset.errors import ConfigError, GcdError, SpecError
 from gcd_dataset.files import user_path
 from gcd_dataset.tomlfile import read_toml
@@ -36,7 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.getLogger("gcd_dataset").setLevel(logging.INFO)
     options = _at_home(_parser().parse_args(arguments))
     try:
-        return int(options.run(options))
+        with interrupts_after_imports():
+            return int(options.run(options))
     except KeyboardInterrupt:
         print(f"gcd {options.verb}: stopped; what was finished is kept", file=sys.stderr)
         return INTERRUPTED
@@ -114,7 +125,7 @@ def _drape(options: argparse.Namespace) -> int:
 
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.body import named_body
-    from gcd_dataset.generator.drape import fabric_named, resolve_device
+    from gcd_dataset.generator.drape import fabric_named, resolve_device, tell_wait
     from gcd_dataset.generator.fitting import Fitting, fit, read_patterns, write_fitting, write_report
     from gcd_dataset.generator.recipe import check_resolution
     from gcd_dataset.records import Body, Measurements, Outcome
@@ -132,6 +143,7 @@ def _drape(options: argparse.Namespace) -> int:
     wearer(False)  # what is wrong with it is told before anything is written
     folder = make_folder(options.out)
     fittings: list[Fitting] = []
+    tell_wait(len(patterns), device, resolution)
     try:
         done = fit(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
         for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):
@@ -139,7 +151,8 @@ def _drape(options: argparse.Namespace) -> int:
             fittings.append(fitting)
     finally:
         made_by = {"body": options.body, "fabric": options.fabric, "device": device}
-        write_report(fittings, folder / "report.json", resolution=resolution, **made_by)
+        if fittings:
+            write_report(fittings, folder / "report.json", resolution=resolution, **made_by)
     for fitting in fittings:
         drape = fitting.drape
         print(

@@ -1,7 +1,6 @@
 """The time steps of a batch: recorded as graphs, on the CPU as on a GPU, and played until all is at rest."""
 
 from collections.abc import Callable
-from types import ModuleType
 
 import numpy as np
 import warp as wp
@@ -10,53 +9,29 @@ from jaxtyping import Bool, Int
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.body_field import BodyField
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import load_kernels, one_at_a_time
-from gcd_dataset.generator.drape.kernels import (
-    boxes,
-    carry,
-    contacts,
-    crossing,
-    field,
-    finish,
-    refine,
-    rows,
-    search,
-    sides,
-    step,
-    stillness,
-    topology,
-)
+from gcd_dataset.generator.drape.device import one_at_a_time
+from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, finish, search, sides, step, stillness
 from gcd_dataset.generator.drape.kernels.world import RUNNING
+from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.model import ClothModel
 from gcd_dataset.generator.drape.state import new_state
 
-__all__ = ["Solver"]
+__all__ = ["Solver", "nothing"]
 
-KERNELS: tuple[ModuleType, ...] = (
-    boxes,
-    carry,
-    contacts,
-    crossing,
-    field,
-    finish,
-    refine,
-    rows,
-    search,
-    sides,
-    step,
-    stillness,
-    topology,
-)
 REBUILD_EVERY = 10  # frames after which the tree of boxes is built anew
 FINISHING_ROUNDS = 4
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; longer lists are walked in strides
+
+
+def nothing() -> None:
+    """What is done between steps by default."""
 
 
 class Solver:
     """Steps a batch frame by frame. The first frame records its graphs; the rest replay them."""
 
     def __init__(self, model: ClothModel, config: DrapeConfig) -> None:
-        load_kernels("drape", *KERNELS, device=model.device)
+        load_drape(model.device)
         self.model, self.config = model, config
         self.state = new_state(model, config)
         self.frames = 0
@@ -66,8 +41,11 @@ class Solver:
         self._none = wp.zeros_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
 
-    def frame(self) -> None:
-        """One frame: ``config.substeps`` time steps, and the count of what still moves."""
+    def frame(self, between: Callable[[], None] = nothing) -> None:
+        """One frame: ``config.substeps`` time steps, and the count of what still moves.
+
+        ``between`` is called every few steps; what it raises ends the drape.
+        """
         if self.frames % REBUILD_EVERY == 0:
             with one_at_a_time:
                 self._bound()
@@ -78,6 +56,7 @@ class Solver:
                 rounds = self.config.substeps // self.config.search_every
                 self._graphs = [self._recorded(self._record_start), *rounds * [steps], self._recorded(self._record_end)]
         for graph in self._graphs:
+            between()
             wp.capture_launch(graph)
         self.frames += 1
 
