@@ -13,6 +13,7 @@ from benchmarks.cases.figures import Figure, Measured
 from benchmarks.draping.quality import quality
 from benchmarks.peers.newton import PeerDrapes, drape_with_newton
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
+from gcd_dataset.generator.drape.holds import fell, off_body
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import slid_off
 from gcd_dataset.generator.drape.solver import Solver
@@ -85,7 +86,8 @@ def _judged(jobs: Sequence[DrapeJob], made: PeerDrapes, device: str) -> list[Dra
     config = DrapeConfig()
     solver = Solver(build_model(jobs, config, device), config)
     solver.state.x.assign(wp.array(np.concatenate(made.vertices), dtype=wp.vec3, device=device))
-    own, body, stretches = solver.self_crossings(), solver.body_crossings(), solver.stretches()
+    own, body, through = solver.self_crossings(), solver.body_crossings(), solver.body_through()
+    stretches = solver.stretches()
     parts = np.split(stretches, solver.model.topology.edge_offset[1:-1])
     drapes = []
     for k, (job, vertices) in enumerate(zip(jobs, made.vertices, strict=True)):
@@ -98,6 +100,7 @@ def _judged(jobs: Sequence[DrapeJob], made: PeerDrapes, device: str) -> list[Dra
             body_crossings=int(body[k]),
             stretch_median=float(median),
             stretch_p99=float(p99),
+            body_through=int(through[k]),
         )
         drapes.append(replace(drape, outcome=_outcome(job, drape, config, rested=bool(made.rested[k]))))
     return drapes
@@ -107,9 +110,10 @@ def _outcome(job: DrapeJob, drape: Drape, config: DrapeConfig, *, rested: bool) 
     """The first that applies, in the order of ``Outcome`` for ours."""
     failures = {
         Outcome.DIVERGED: not np.isfinite(drape.vertices).all(),
-        Outcome.SLID_OFF: slid_off(job, drape.vertices),
+        Outcome.FELL: fell(job, drape.vertices),
+        Outcome.SLID_OFF: slid_off(job, drape.vertices) or off_body(job, drape.vertices),
         Outcome.NOT_SETTLED: not rested,
-        Outcome.THROUGH_BODY: drape.body_crossings > config.max_body_crossings,
+        Outcome.THROUGH_BODY: drape.body_crossings + drape.body_through > config.max_body_crossings,
         Outcome.THROUGH_ITSELF: drape.self_crossings > config.max_self_crossings,
         Outcome.OVERSTRETCHED: drape.stretch_p99 > config.max_stretch,
     }

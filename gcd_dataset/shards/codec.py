@@ -303,7 +303,7 @@ def _drape_figures(drape: Drape) -> dict[str, Any]:
         "frames": drape.frames,
         "self_crossings": drape.self_crossings,
         "body_crossings": drape.body_crossings,
-        "body_through": getattr(drape, "body_through", -1),
+        "body_through": drape.body_through,
         # The stretch of a diverged drape is NaN, which JSON lacks.
         **{name: value if math.isfinite(value) else None for name, value in stretch.items()},
     }

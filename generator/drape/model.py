@@ -85,7 +85,7 @@ def build_model(
     ):
         _add_garment(world, config, float(step), float(lengths), int(start), int(end - start))
     for world, body, offset, wear in zip(worlds, bodies, offsets, worn, strict=True):
-        world.keepers, world.lowest = len(wear.keepers), wear.lowest
+        world.keepers, world.lowest, world.floor = len(wear.keepers), wear.lowest, wear.floor
         world.field_offset = offset
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
