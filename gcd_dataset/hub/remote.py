@@ -26,6 +26,7 @@ GAP = 1 << 17  # bytes: they come in about the time that one more answer takes, 
 SHA256 = re.compile(r"[0-9a-f]{64}")
 REPUBLISH = "ask its publisher to run gcd index and publish it again"
 LINES = 8  # requests at a time
+LARGEST_MEMBER = 1 << 28  # bytes: a hundred times what a garment's largest has
 
 
 class RemoteStore(Store):
@@ -121,6 +122,13 @@ class RemoteStore(Store):
         """
         there = self._shards[shard]
         self.site.require_allowed(f"{shard}, {there.name_of(run[0].column)}")
+        for part in run:
+            if part.size > LARGEST_MEMBER:
+                raise RemoteError(
+                    f"{self.place(shard)}: {there.name_of(part.column)}: has {part.size} bytes by its index, and "
+                    f"members of up to {LARGEST_MEMBER} are read from servers: leave this field out, or tell its "
+                    "publisher"
+                )
         wrong = None
         for _ in range(2):
             buffer = self.site.web.read(shard, run[0].offset, run[-1].end)

@@ -55,7 +55,7 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     sample.
     """
     columns = _columns(reader)
-    with drafted(user_path(path)) as draft, h5py.File(draft, "w") as file:
+    with drafted(user_path(path)) as draft, h5py.File(draft, "w", locking=False) as file:
         _lay_out(file, reader, columns)
         for position in range(len(reader)):
             members = reader.read(position, MEMBERS)

@@ -22,6 +22,7 @@ from jaxtyping import Bool, Int, UInt32
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
+from gcd_dataset.names import safe_name
 from gcd_dataset.records import Outcome, Record
 from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.layout import (
@@ -201,7 +202,10 @@ class ShardIndex(Record):
         ends = np.where(there, self.table.offset + self.table.size.astype(np.int64), 0)
         if n and (ends > self.length[self.shard][:, None]).any():
             raise ValueError("a member beyond the end of its shard")
-        if any("/" in name or name in ("", ".", "..") for name in self.shards):
+        # Foreign names are compared with those in the folder, ours are joined to it.
+        if any(
+            "/" in name or name in ("", ".", "..") or not (self.keys or safe_name(name) == name) for name in self.shards
+        ):
             raise ValueError("a shard outside the folder")
 
     def tables(self) -> dict[str, ShardTable]:

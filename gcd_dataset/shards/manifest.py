@@ -10,8 +10,9 @@ from typing import Any, Self
 import gcd_dataset
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
+from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import locked, reading
-from gcd_dataset.shards.layout import SCHEMA
+from gcd_dataset.shards.layout import SCHEMA, shard_number
 
 __all__ = ["MANIFEST", "Manifest", "ShardRecord", "SplitRecord", "keep_split", "parse_manifest", "read_manifest"]
 
@@ -98,9 +99,19 @@ def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
                 f"{gcd_dataset.__version__} reads schema {SCHEMA}: install the version that wrote it"
             )
         splits = {name: SplitRecord.from_json(split) for name, split in entry["splits"].items()}
+        _require_names(splits, path)
         return Manifest(splits, entry["generator"], schema)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ShardError(f"{path}: not a manifest ({error}): {remedy}") from error
+
+
+def _require_names(splits: Mapping[str, SplitRecord], path: str) -> None:
+    """Raise ``ShardError`` unless all splits and shards are called as ours are: their names become paths."""
+    for split, record in splits.items():
+        require_name(split, f"{path}: split")
+        for shard in record.shards:
+            if shard_number(require_name(shard.name, f"{path}: split {split}, shard"), split) is None:
+                raise ShardError(f"{path}: split {split} tells of a shard {shard.name!r}: give {split}-00000.tar, …")
 
 
 def keep_split(folder: Path, split: str, record: SplitRecord) -> None:
