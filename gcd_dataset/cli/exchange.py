@@ -82,7 +82,7 @@ def _export_hdf5(options: argparse.Namespace) -> int:
     from gcd_dataset.shards import ShardReader
     from gcd_dataset.shards.hdf5 import write_hdf5
 
-    reader = ShardReader(require_folder(options.dataset), options.split or "train")
+    reader = ShardReader(require_folder(options.dataset), "train" if options.split is None else options.split)
     stored = write_hdf5(reader, options.hdf5)
     try:
         for _ in tqdm(stored, total=len(reader), unit="garment", disable=options.quiet):

@@ -6,7 +6,7 @@ import logging
 from functools import partial
 from typing import BinaryIO, cast
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.hub.site import Site
 from gcd_dataset.names import safe_name
 from gcd_dataset.shards.foreign import ForeignSample, foreign_index, foreign_shards, samples_of
@@ -41,7 +41,7 @@ def _scan(site: Site, name: str) -> bytes:
         samples = [[sample.key, dict(sample.members)] for sample in samples_of(cast(BinaryIO, counted))]
         counted.read_all()
     except ShardError as error:
-        raise ShardError(f"{site.source}/{name}: {error}: tell its maker, or choose another") from error
+        raise ShardError(f"{site.source}/{shown(name)}: {error}: tell its maker, or choose another") from error
     return json.dumps([counted.length, *samples]).encode()
 
 

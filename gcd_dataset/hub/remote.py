@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import BinaryIO, TypeVar
 
-from gcd_dataset.errors import MissingError, RemoteError, ShardError
+from gcd_dataset.errors import MissingError, RemoteError, ShardError, shown
 from gcd_dataset.hub.cache import Cache, Piece
 from gcd_dataset.hub.listing import foreign_site_index
 from gcd_dataset.hub.site import Site
@@ -39,7 +39,7 @@ class RemoteStore(Store):
         self._shards: dict[str, _RemoteShard] = {}
 
     def place(self, name: str = "") -> str:
-        return f"{self.source}/{name}" if name else str(self.source)
+        return f"{self.source}/{shown(name)}" if name else str(self.source)
 
     def manifest(self) -> Manifest | None:
         try:

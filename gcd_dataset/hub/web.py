@@ -64,7 +64,7 @@ class Web:
 
     def address(self, path: str) -> str:
         """The URL of a file."""
-        return f"{self.base}/{quote(path)}" if path else self.base
+        return f"{self.base}/{quote(path, errors='surrogatepass')}" if path else self.base
 
     def get(self, path: str, most: int) -> bytes:
         """A whole file of ``most`` bytes at most.
