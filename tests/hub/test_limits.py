@@ -121,8 +121,8 @@ def test_a_member_that_the_index_declares_too_long_is_not_asked_for(hub: Hub, co
     manifest["splits"]["train"]["shards"][0]["size"] = 2**40
     hub.static["evil/manifest.json"] = json.dumps(manifest).encode()
     told = (
-        rf"{url}@.*/train-00000\.tar: sample gcd_000000000, member \S+: has {2**32 - 1} bytes by its index, and members "
-        rf"of up to {remote.LARGEST_MEMBER} are read"
+        rf"{url}@.*/train-00000\.tar: sample gcd_000000000, member \S+: has {2**32 - 1} bytes by its index, and "
+        rf"members of up to {remote.LARGEST_MEMBER} are read"
     )
     with pytest.raises(RemoteError, match=told):
         opened(hub, tmp_path, "evil")[0]
@@ -216,11 +216,13 @@ def test_a_folder_needs_no_patience(folder: Path) -> None:
 def test_a_program_that_has_read_ends_in_silence(hub: Hub, commit: str, tmp_path: Path) -> None:
     url = f"{hub.endpoint}/files/garments"
     program = f"""
+import builtins
 from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.shards.reader import ShardReader
 reader = ShardReader(open_store({url!r}, Remote(cache_dir={str(tmp_path)!r})), "train")
 reader.read(0, ("body.npy",))
+builtins.kept = reader  # longer than all other modules
 """
     for _ in range(2):  # the second reads the cache
         command = [sys.executable, "-c", program]
