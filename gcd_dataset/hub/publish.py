@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
-from gcd_dataset.errors import ConfigError, RemoteError
+from gcd_dataset.errors import ConfigError, RemoteError, shown
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.hub.card import Release, card, croissant
 from gcd_dataset.hub.partition import BODY, DESIGN, SHARES, leaks, partition
 from gcd_dataset.hub.place import Repo, find_place
 from gcd_dataset.hub.site import hub_endpoint
-from gcd_dataset.shards.access import locked, writing
+from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.index import ShardIndex
@@ -129,11 +129,15 @@ def upload(
 
 
 def _begin(folder: Path) -> None:
-    """Make the folder, marked as one of copies. Raises ``ConfigError`` for one with shards that are not."""
+    """Make the folder, marked as one of copies. Raises ``ConfigError`` for one that holds anything else."""
     make_folder(folder)
     if not (folder / STAGED).exists():
         if splits_in(folder):
             raise ConfigError(f"{folder}: holds a data set, whose shards would be replaced: choose another folder")
+        with reading(folder):
+            others = sorted(path.name for path in folder.iterdir())
+        if others:
+            raise ConfigError(f"{folder}: holds {shown(others[0])}: choose another folder, or an empty one")
         write_whole(folder / STAGED, b"")
 
 

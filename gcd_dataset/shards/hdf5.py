@@ -20,6 +20,7 @@ import os
 import threading
 import zlib
 from collections.abc import Generator, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,7 @@ from gcd_dataset.shards.codec import read_json
 from gcd_dataset.shards.layout import FIELDS, MEMBERS, SCHEMA, Bytes
 from gcd_dataset.shards.npy import read_npy, write_npy
 from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.sink import Sink
 
 __all__ = ["Hdf5Reader", "write_hdf5"]
 
@@ -55,18 +57,22 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     sample.
     """
     columns = _columns(reader)
-    with drafted(user_path(path)) as draft, h5py.File(draft, "w", locking=False) as file:
-        _lay_out(file, reader, columns)
-        for position in range(len(reader)):
-            members = reader.read(position, MEMBERS)
-            for field in TEXTS:
-                file[field][position] = bytes(members[FIELDS[field]]).decode()
-            file[META_CRC][position] = zlib.crc32(members[META])
-            for field, column in columns.items():
-                start, end = column.ptr[position : position + 2].tolist()
-                if end > start:
-                    file[field][start:end] = _array(field, members[FIELDS[field]])
-            yield position
+    with drafted(user_path(path)) as draft, Sink(draft) as sink, ThreadPoolExecutor(1) as thread:
+        # In a thread, since there no interrupt comes between: to libhdf5 that is a write that fails.
+        file = thread.submit(h5py.File, sink, "w").result()
+        try:
+            thread.submit(_lay_out, file, reader, columns).result()
+            for position in range(len(reader)):
+                members = reader.read(position, MEMBERS)
+                thread.submit(_store, file, position, members, columns).result()
+                sink.check()
+                yield position
+        except (OSError, RuntimeError):
+            sink.check()  # the cause of what libhdf5 has met
+            raise
+        finally:
+            thread.submit(file.close).result()
+        sink.check()
 
 
 class Hdf5Reader:
@@ -221,6 +227,17 @@ def _lay_out(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Column
         file.create_dataset(field, (int(column.ptr[-1]), *column.width), dtype, track_times=False)
         file.create_dataset(f"ptr/{field}", data=column.ptr, track_times=False)
         file.create_dataset(f"bytes/{field}", data=column.size, track_times=False)
+
+
+def _store(file: h5py.File, position: int, members: Mapping[str, Bytes], columns: Mapping[str, _Column]) -> None:
+    """Put a sample in its place."""
+    for field in TEXTS:
+        file[field][position] = bytes(members[FIELDS[field]]).decode()
+    file[META_CRC][position] = zlib.crc32(members[META])
+    for field, column in columns.items():
+        start, end = column.ptr[position : position + 2].tolist()
+        if end > start:
+            file[field][start:end] = _array(field, members[FIELDS[field]])
 
 
 def _array(field: str, data: Bytes) -> np.ndarray:
