@@ -44,6 +44,7 @@ def add_verbs(verbs: Any) -> None:
     publish = add_verb(verbs, "publish", _publish, "a data set to the Hub, with card, Croissant and splits")
     publish.add_argument("dataset", metavar="DATASET", help="folder of shards that gcd generate has made")
     publish.add_argument("repo", metavar="REPO", help="repository ORG/NAME; made if it is not there")
+    publish.add_argument("--partial", action="store_true", help="though the making of it was stopped before its end")
     publish.add_argument("--dry-run", action="store_true", help="write everything, list it, and send nothing")
     publish.add_argument(
         "--shares", default="90,5,5", metavar="A,B,C", help="of train, validation, test [%%] (default: 90,5,5)"
@@ -134,6 +135,7 @@ def _publish(options: argparse.Namespace) -> int:
         shares=as_shares(options.shares),
         license=options.license,
         endpoint=options.endpoint,
+        partial=options.partial,
     )
     for name, split in staged.manifest.splits.items():
         print(f"{name}: {sum(shard.count for shard in split.shards)} garments in {len(split.shards)} shards")

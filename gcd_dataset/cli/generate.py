@@ -13,6 +13,7 @@ from gcd_dataset.generator.pipeline import make_many
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of
 from gcd_dataset.records import Sample
 from gcd_dataset.shards import ShardWriter
+from gcd_dataset.shards.unfinished import filling
 
 __all__ = ["GarmentPlan", "generate", "plan"]
 
@@ -50,12 +51,13 @@ def generate(plan: GarmentPlan, *, workers: int = 0) -> Generator[Sample, None, 
     make samples side by side on a CPU. On a GPU garments are draped together, by this process alone.
     Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
     """
-    if not plan.missing:
-        return
-    with ShardWriter(plan.out, seed=plan.seed, recipe=recipe_of(plan.config)) as writer:
-        for sample in _made(plan, workers):
-            writer.write(sample)
-            yield sample
+    with filling(plan.out, plan.count):
+        if not plan.missing:
+            return
+        with ShardWriter(plan.out, seed=plan.seed, recipe=recipe_of(plan.config)) as writer:
+            for sample in _made(plan, workers):
+                writer.write(sample)
+                yield sample
 
 
 def _made(plan: GarmentPlan, workers: int) -> Iterator[Sample]:

@@ -23,6 +23,7 @@ from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import FOREIGN, index_name, lock_name, shard_name, shards_in
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.unfinished import unfinished
 
 __all__ = ["Staged", "stage", "upload"]
 
@@ -67,15 +68,19 @@ def stage(
     shares: Mapping[str, float] = SHARES,
     license: str = "unknown",  # noqa: A002 - the Hub's word
     endpoint: str | None = None,
+    partial: bool = False,
 ) -> Staged:
     """Put what is to be published as ``repo`` into ``folder``; gone on with where an earlier call was left.
 
     A data set of one split is divided by ``shares``, so that neither designs nor bodies are shared; several splits stay
-    as they are. Raises ``ConfigError`` for splits that share designs, a data set that is not ours, or a folder that
-    holds another data set.
+    as they are. Raises ``ConfigError`` for splits that share designs, a data set that is not ours, one whose making was
+    stopped, unless it is to be published in part (``partial``), or a folder that holds another data set.
     """
     if not isinstance(find_place(repo), Repo):
         raise ConfigError(f"{repo}: no repository: write ORG/NAME, and see to it that no folder here is called so")
+    for split in splits_in(dataset):
+        if not partial and (told := unfinished(dataset, split)) is not None:
+            raise ConfigError(f"{dataset}: split {split} is not whole: {told}, or publish what is there with --partial")
     plans = _plans(dataset, shares)
     _begin(folder)
     splits: dict[str, SplitRecord] = {}

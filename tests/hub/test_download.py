@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, OutputError, RemoteError, ShardError
 from gcd_dataset.hub.checked import CheckedShards
 from gcd_dataset.hub.download import download, remote_splits
@@ -144,6 +145,22 @@ def test_a_download_of_fields_that_broke_off_goes_on(
     assert_all_same(GarmentDataset(bring(hub, tmp_path, fields=["verts"]), fields=["verts"]),
                     GarmentDataset(folder, fields=["verts"]))  # fmt: skip
     assert before + len(hub.asked(r"storage/.*tar")[before:]) <= COUNT + 9 + 3  # samples, drops, ends of shards
+
+
+@pytest.mark.parametrize(("first", "then"), [(["verts"], None), (None, ["verts"]), (["verts"], ["faces"])])
+def test_a_download_that_broke_off_may_be_one_of_other_fields_next(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: Any, then: Any
+) -> None:
+    monkeypatch.setattr("gcd_dataset.hub.web.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
+    hub.faults = [Fault(r"storage/.*train-0000[12]", drop=True, times=99)]
+    with pytest.raises(RemoteError, match="what has come is kept"):
+        bring(hub, tmp_path, fields=first)
+    assert list((tmp_path / "data").glob("*.tar"))
+    hub.faults.clear()
+    data = bring(hub, tmp_path, fields=then)
+    assert_all_same(GarmentDataset(data), GarmentDataset(folder, fields=_with_meta(then)))
+    assert main(["verify", "--full", str(data)]) == 0
 
 
 @pytest.mark.parametrize("fields", [None, ["verts"]])
