@@ -4,6 +4,7 @@ import hashlib
 import json
 import logging
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -28,6 +29,8 @@ from gcd_dataset.shards.unfinished import unfinished
 __all__ = ["Staged", "stage", "upload"]
 
 CARD, CROISSANT = "README.md", "croissant.json"
+CLIENTS = ("httpx2", "httpx", "requests")  # of huggingface_hub 2, 1 and 0.36
+ANY_ENDPOINT = (1, 31)  # of huggingface_hub: the first that was seen to publish to any
 STAGED = ".staged"  # in a folder whose shards are copies, which may be made anew
 OURS = re.compile(r"[^/]+-\d{5,}\.tar|index-[^/]+\.npz")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
@@ -111,12 +114,14 @@ def upload(
     """Bring what is staged to the Hub, which is made to hold it if need be; the commit.
 
     One commit holds all of it: until then a reader finds the release before, and from then on the whole of this one.
-    Raises ``RemoteError`` for a Hub that does not answer, or refuses.
+    Raises ``RemoteError`` for a Hub that does not answer, or refuses; ``ConfigError`` for an endpoint that this version
+    of ``huggingface_hub`` cannot publish to.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
     api = HfApi(endpoint=hub_endpoint(endpoint), token=token)
     name = _repo_name(repo)
+    _require_endpoint(api.endpoint)
     with _asking_hub(repo):
         api.create_repo(name, repo_type="dataset", private=private, exist_ok=True)
         added = [CommitOperationAdd(path, staged.folder / path) for path in staged.files]
@@ -235,16 +240,33 @@ def _repo_name(repo: str) -> str:
 @contextmanager
 def _asking_hub(repo: str) -> Iterator[None]:
     """Turn what ``huggingface_hub`` raises into a ``RemoteError``."""
-    import httpx2
     from huggingface_hub.errors import HfHubHTTPError
 
     try:
         yield
-    except (httpx2.TransportError, ConnectionError) as error:
+    except (*_errors_of_clients("TransportError", "ConnectionError", "ReadTimeout"), ConnectionError) as error:
         raise _unpublished(repo, error, "see to the network and to HF_ENDPOINT") from error
-    except (HfHubHTTPError, httpx2.HTTPError, RuntimeError, ValueError) as error:
+    except (*_errors_of_clients("HTTPError", "RequestException"), HfHubHTTPError, RuntimeError, ValueError) as error:
         # An upload that fails comes as a RuntimeError or ValueError.
         raise _unpublished(repo, error, "see to the token (hf auth login) and your rights") from error
+
+
+def _errors_of_clients(*names: str) -> list[type[Exception]]:
+    """The exceptions of these names, of whichever HTTP client this version of ``huggingface_hub`` has loaded."""
+    loaded = [sys.modules[client] for client in CLIENTS if client in sys.modules]
+    return [getattr(client, name) for client in loaded for name in names if hasattr(client, name)]
+
+
+def _require_endpoint(endpoint: str) -> None:
+    """Raise ``ConfigError`` for another endpoint than ``HF_ENDPOINT`` where a commit to it could not be read back."""
+    import huggingface_hub
+
+    major, minor = map(int, huggingface_hub.__version__.split(".")[:2])
+    if (major, minor) < ANY_ENDPOINT and endpoint != huggingface_hub.constants.ENDPOINT:
+        raise ConfigError(
+            f"--endpoint {endpoint}: huggingface_hub {huggingface_hub.__version__} publishes to HF_ENDPOINT alone: set "
+            f"that, or install huggingface_hub {'.'.join(map(str, ANY_ENDPOINT))} or later"
+        )
 
 
 def _unpublished(repo: str, error: Exception, remedy: str) -> RemoteError:
