@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import fcntl
 import os
 import secrets
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from gcd_dataset.errors import GcdError, OutputError, shown
 
 __all__ = ["drafted", "make_folder", "open_whole", "read_whole", "user_path", "write_whole", "writing_to"]
 
+DRAFTS = 8  # names of drafts that the writers of one file share; more writers at once take names by chance
 REMEDIES = {
     "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
     "choose a folder that you may write to": (errno.EACCES, errno.EPERM, errno.EROFS),
@@ -65,24 +67,74 @@ def open_whole(path: Path | str) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def drafted(path: Path | str) -> Iterator[Path]:
-    """A name to write under; the file takes the name ``path`` when the block ends well, else it vanishes.
+    """An empty file to fill; it takes the name ``path`` when the block ends well, else it vanishes.
 
-    Raises ``OutputError`` as ``open_whole`` does.
+    Its writer holds a lock on it (``flock``), so that the drafts of killed writers are told from those of living ones:
+    the next writer of ``path`` removes them, except on file systems without locks. Raises ``OutputError`` as
+    ``open_whole`` does.
     """
     path = Path(path)
     if not path.name or "\0" in str(path):
         raise OutputError(f"{shown(str(path))}: names no file: give a file name")
-    # Not by the number of the process: its threads share that, and so do processes of several containers or machines.
-    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        with writing_to(path):
+    with writing_to(path):
+        draft, held = _begin_draft(path)
+        try:
             yield draft
             with draft.open("rb+") as file:
                 os.fsync(file.fileno())
             draft.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink(missing_ok=True)
+        finally:
+            with contextlib.suppress(OSError):
+                draft.unlink(missing_ok=True)
+            os.close(held)
+
+
+def _begin_draft(path: Path) -> tuple[Path, int]:
+    """An empty draft of ``path`` and its locked descriptor; drafts of dead writers go. Raises ``OSError``."""
+    ours: tuple[Path, int] | None = None
+    for number in range(DRAFTS):
+        draft = path.with_name(f".{path.name}.{number}.part")
+        if ours is not None and not os.path.lexists(draft):
+            continue
+        held = _claimed(draft)
+        if held is None:
+            continue
+        if ours is None:
+            os.ftruncate(held, 0)
+            ours = draft, held
+        else:
+            with contextlib.suppress(OSError):
+                draft.unlink()
+            os.close(held)
+    if ours is None:
+        draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+        ours = draft, os.open(draft, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+    return ours
+
+
+def _claimed(draft: Path) -> int | None:
+    """The draft, made if need be, open and locked; ``None`` where it is another's, or cannot be locked.
+
+    Raises ``OSError`` for a folder that cannot be written.
+    """
+    try:
+        file = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+    except OSError:
+        if os.path.lexists(draft):  # another user's, or no file
+            return None
+        raise
+    with contextlib.suppress(BlockingIOError, FileNotFoundError):  # in work, or just finished by its writer
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise
+        except OSError:  # no locks on this file system
+            draft.unlink()
+        else:
+            if os.path.samestat(os.fstat(file), os.lstat(draft)):
+                return file
+    os.close(file)
+    return None
 
 
 def make_folder(path: Path | str) -> Path:

@@ -23,6 +23,7 @@ from gcd_dataset.generator.dressing import Dressing, dress, has_legs
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.meshfiles import glb_bytes, obj_bytes, ply_bytes
+from gcd_dataset.names import safe_name
 from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Pattern
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.validate import require_valid
@@ -140,7 +141,7 @@ def _box_mesh(pattern: Pattern, resolution: float) -> BoxMesh:
 
 def write_fitting(fitting: Fitting, folder: Path, *, device: str = "auto") -> None:
     """OBJ, PLY, GLB and pictures of a fitting in ``folder``. Raises ``OutputError``."""
-    name, mesh, vertices = fitting.pattern.name, fitting.box_mesh, fitting.drape.vertices
+    name, mesh, vertices = safe_name(fitting.pattern.name), fitting.box_mesh, fitting.drape.vertices
     make_folder(folder)
     front, back = render_garment(vertices, mesh, fitting.body, size=PICTURE, device=device)
     for ending, content in {

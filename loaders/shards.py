@@ -46,6 +46,8 @@ class GarmentDataset(Garments):
     ``revision``: branch, tag or commit of a repository; looked up once, see the attribute ``revision``.
     ``cache_dir``, ``max_cache_size``: where what was read of a server is kept, and how much of it, such as ``"20GB"``;
     may be shared by any number of processes. By default ``~/.cache/gcd_dataset``, without limit.
+    ``patience``: seconds to wait for a server that is gone or busy, before reading fails; by default 30, ``math.inf``
+    for as long as it takes.
     ``endpoint``, ``token``: of the Hub; by default what ``HF_ENDPOINT`` and ``hf auth login`` have set.
     ``transform``: called with each item. ``verify``: ``lazy`` checks a member's CRC-32 the first time that a process
     reads it, ``full`` checks everything at once, ``off`` nothing; what comes from a server is checked in any case.
@@ -79,13 +81,14 @@ class GarmentDataset(Garments):
         max_cache_size: int | str | None = None,
         endpoint: str | None = None,
         token: str | None = None,
+        patience: float | None = None,
         transform: Transform | None = None,
         verify: Verify = "lazy",
         settled_only: bool = False,
     ) -> None:
         parts = parse_splits(split)
         fields = None if fields is None else [fields] if isinstance(fields, str) else list(fields)
-        remote = Remote(revision, cache_dir, max_cache_size, endpoint, token, allowed=download)
+        remote = Remote(revision, cache_dir, max_cache_size, endpoint, token, allowed=download, patience=patience)
         splits = tuple(dict.fromkeys(part.name for part in parts))
         store = open_store(source, remote, root=root, splits=splits, fields=fields)
         readers = {name: ShardReader(store, name, verify=verify, settled_only=settled_only) for name in splits}

@@ -10,8 +10,10 @@ import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.shards import read_index
+from gcd_dataset.records import Sample
+from gcd_dataset.shards import ShardWriter, read_index
 from gcd_dataset.shards.layout import MEMBERS
+from gcd_dataset.shards.unfinished import filling, unfinished
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, read_folder, running_hub
 from tests.loaders.test_shards import assert_all_same
@@ -144,6 +146,61 @@ def test_publish_and_download(
     said(capsys)
     assert main(["info", "me/garments"]) == 0
     assert f"hf://datasets/me/garments@{commit}" in said(capsys)
+
+
+def small(out: Path, count: int) -> list[str]:
+    return ["generate", str(out), f"--count={count}", "--stage=pattern", "--quiet"]
+
+
+def test_a_set_whose_making_was_stopped_says_so(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, left = ShardWriter.write, iter(range(3))
+
+    def stopping(self: ShardWriter, sample: Sample) -> None:
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        write(self, sample)
+
+    out, publish = tmp_path / "data", ["publish", str(tmp_path / "data"), "me/garments", "--dry-run"]
+    monkeypatch.setattr(ShardWriter, "write", stopping)
+    assert main(small(out, 8)) == 130
+    monkeypatch.undo()
+    said(capsys)
+    assert main(["info", str(out)]) == 0
+    assert "  not whole: 3 of 8 samples: its making was stopped, or goes on: run the same command again" in said(capsys)
+    assert main(publish) == 2
+    assert "split train is not whole: 3 of 8 samples" in (told := capsys.readouterr().err)
+    assert "publish what is there with --partial" in told
+    assert not (out / "published").exists()
+    assert main([*publish, "--partial"]) == 0
+    assert main(small(out, 8)) == 0
+    said(capsys)
+    assert main(["info", str(out)]) == 0
+    assert "not whole" not in said(capsys)
+    assert main(publish) == 0
+    assert not list(out.glob(".unfinished*"))
+
+
+def test_fewer_garments_than_were_begun_may_be_enough(tmp_path: Path) -> None:
+    with pytest.raises(StopIteration), filling(tmp_path, 100):
+        raise StopIteration
+    assert main(small(tmp_path, 2)) == 0
+    assert unfinished(tmp_path, "train") is None
+
+
+def test_a_shard_that_was_being_written_is_not_whole(data: Path) -> None:
+    assert unfinished(data, "train") is None
+    (data / "train-00003.tar.part").touch()
+    told = "10 samples in whole shards: its making was stopped, or goes on: run the same command again"
+    assert unfinished(data, "train") == told
+    assert unfinished(data, "test") is None
+
+
+@pytest.mark.parametrize("note", [b"", b"[" * 100_000, b'{"count": "x"}', b"{}", b"[]", b"\xff"])
+def test_a_damaged_note_still_says_that_a_set_is_not_whole(data: Path, note: bytes) -> None:
+    (data / ".unfinished-train.json").write_bytes(note)
+    assert (unfinished(data, "train") or "").startswith("10 samples in whole shards: its making was stopped")
 
 
 def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +30,8 @@ from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.layout import GARMENTS
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
 from tests.shards.folders import contents, fill, open_writer
+
+REPOSITORY = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -278,6 +282,54 @@ def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert len(Hdf5Garments(tmp_path / "all.h5")) == 3
     assert run("export", tmp_path / "shards", "--hdf5", tmp_path / "all.h5", "--split", "test", "--quiet") == 1
     assert "no samples of split test: there is train" in capsys.readouterr().err
+
+
+def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:
+    """At any byte: in the layout, in the arrays, in what is written at the end."""
+    data = fill(tmp_path / "data", range(3))
+    assert run("export", data, "--hdf5", tmp_path / "a.h5", "--quiet") == 0
+    size = (tmp_path / "a.h5").stat().st_size
+    (tmp_path / "a.h5").unlink()
+    program = f"""
+import resource, sys
+from pathlib import Path
+from gcd_dataset.cli import main
+for room in ({size // 20}, {size // 2}, {size - 1}):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+    assert main(["export", {str(data)!r}, "--hdf5", {str(tmp_path / "a.h5")!r}, "--quiet"]) == 1
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    told = f"gcd export: {tmp_path / 'a.h5'}: cannot be written (File too large): make room there"
+    assert (done.returncode, [line[: len(told)] for line in done.stderr.splitlines()]) == (0, 3 * [told])
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_a_killed_export_to_hdf5_leaves_nothing_for_long(tmp_path: Path) -> None:
+    data = fill(tmp_path / "data", range(3))
+    program = f"""
+import os, signal
+from gcd_dataset.shards import ShardReader
+from gcd_dataset.shards.hdf5 import write_hdf5
+writing = write_hdf5(ShardReader({str(data)!r}), {str(tmp_path / "a.h5")!r})
+next(writing)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", program], cwd=REPOSITORY, check=False)
+        assert len([path for path in tmp_path.iterdir() if path.name != "data"]) == 1
+    assert run("export", data, "--hdf5", tmp_path / "a.h5", "--quiet") == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "data"]
+
+
+@pytest.mark.parametrize("name", ["train-00000.tar", "manifest.json", "train-00009.tar", "index-train.npz"])
+def test_an_export_does_not_replace_what_it_exports(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = contents(fill(tmp_path, range(2)))
+    assert run("export", tmp_path, "--hdf5", tmp_path / name, "--quiet") == 2
+    assert f"{tmp_path / name}: in the folder of the data set itself: end its name in .h5" in capsys.readouterr().err
+    assert contents(tmp_path) == before
+    assert run("export", tmp_path, "--hdf5", tmp_path / "all.h5", "--quiet") == 0
 
 
 @pytest.mark.parametrize(

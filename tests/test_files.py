@@ -1,13 +1,18 @@
 """Files are whole or not there."""
 
 import errno
+import fcntl
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from gcd_dataset.errors import OutputError
-from gcd_dataset.files import make_folder, open_whole, write_whole
+from gcd_dataset.files import DRAFTS, make_folder, open_whole, write_whole
+
+REPOSITORY = Path(__file__).resolve().parent.parent
 
 
 def test_a_file_appears_when_it_is_whole(tmp_path: Path) -> None:
@@ -37,6 +42,71 @@ def test_two_may_write_one_file_at_once(tmp_path: Path) -> None:
         assert path.read_bytes() == b"another"
     assert path.read_bytes() == b"one"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def begun_by_another(path: Path) -> subprocess.Popen[bytes]:
+    """A process that has written half of a file."""
+    program = f"""
+import sys, time
+from gcd_dataset.files import open_whole
+with open_whole({str(path)!r}) as file:
+    file.write(bytes(5000))
+    file.flush()
+    print(flush=True)
+    time.sleep(600)
+"""
+    process = subprocess.Popen([sys.executable, "-c", program], cwd=REPOSITORY, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+    return process
+
+
+def test_the_draft_of_a_killed_writer_goes_with_the_next_writer(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    with begun_by_another(path) as first, begun_by_another(path) as second:
+        drafts = sorted(tmp_path.iterdir())
+        assert [draft.stat().st_size for draft in drafts] == [5000, 5000]
+        second.kill()
+        second.wait()
+        write_whole(path, b"new")
+        assert sorted(tmp_path.iterdir()) == [drafts[0], path]  # the first still writes
+        first.kill()
+    write_whole(tmp_path / "b.bin", b"of another name")
+    assert drafts[0].exists()
+    write_whole(path, b"newer")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.bin", "b.bin"]
+    assert path.read_bytes() == b"newer"
+
+
+def test_any_number_may_write_one_file_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    files = [open_whole(path) for _ in range(DRAFTS + 2)]
+    for number, file in enumerate(files):
+        file.__enter__().write(bytes([number]))
+    for number, file in enumerate(files):
+        file.__exit__(None, None, None)
+        assert path.read_bytes() == bytes([number])
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_files_are_written_without_locks_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with open_whole(tmp_path / "a.bin") as file:
+        write_whole(tmp_path / "a.bin", b"another")
+        file.write(b"one")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.bin": b"one"}
+
+
+def test_a_link_in_the_place_of_a_draft_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "victim").write_bytes(b"a user's own")
+    for number in range(DRAFTS):
+        (tmp_path / f".a.bin.{number}.part").symlink_to(tmp_path / "victim")
+    write_whole(tmp_path / "a.bin", b"new")
+    assert (tmp_path / "a.bin").read_bytes() == b"new"
+    assert (tmp_path / "victim").read_bytes() == b"a user's own"
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:

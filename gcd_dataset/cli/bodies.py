@@ -11,6 +11,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, own_mesh
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.shards.people import BodyWriter
+from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.workers import side_by_side_in_parts
 
 __all__ = ["PeoplePlan", "generate_people", "plan_people"]
@@ -44,12 +45,13 @@ def generate_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, 
     Stopped at any moment and planned again it goes on; the shards come out as the same bytes, for any ``workers``.
     Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
     """
-    if not plan.missing:
-        return
-    with _writer(plan.out, plan.seed) as writer:
-        for index, person in zip(plan.missing, _made(plan, workers), strict=True):
-            writer.write(index, person)
-            yield person
+    with filling(plan.out, plan.count):
+        if not plan.missing:
+            return
+        with _writer(plan.out, plan.seed) as writer:
+            for index, person in zip(plan.missing, _made(plan, workers), strict=True):
+                writer.write(index, person)
+                yield person
 
 
 def _writer(out: Path | str, seed: int) -> BodyWriter:

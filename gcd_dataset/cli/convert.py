@@ -12,6 +12,7 @@ from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garments import PublishedGarments
 from gcd_dataset.release.layout import SPLIT_NAMES
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
+from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.workers import side_by_side_in_parts
 
 __all__ = ["ConvertPlan", "Converted", "convert", "plan_convert"]
@@ -72,10 +73,8 @@ def convert(plan: ConvertPlan, *, workers: int = 0) -> Generator[Converted, None
     as the same bytes, for any ``workers``. Raises ``OutputError`` where shards cannot be written, ``ShardError`` where
     they do not read as they were written, ``GcdError`` where a process is killed.
     """
-    if not plan.missing:
-        return
     stored = set()
-    with _writer(plan.source, plan.out) as writer:
+    with filling(plan.out, plan.count, plan.source.split), _writer(plan.source, plan.out) as writer:
         for garment in _converted(plan, workers):
             if not garment.fault:
                 writer.add(garment.index, garment.members)

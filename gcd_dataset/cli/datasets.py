@@ -35,12 +35,16 @@ def add_verbs(verbs: Any) -> None:
         "--out", "--root", type=Path, metavar="DIR", help="folder for it (default: the name of the repository)"
     )
     download.add_argument("--revision", help="branch, tag or commit (default: main)")
+    download.add_argument(
+        "--patience", type=float, metavar="SECONDS", help="how long to wait for a server that is gone (default: 30)"
+    )
     add_quiet(download)
     add_server(download)
 
     publish = add_verb(verbs, "publish", _publish, "a data set to the Hub, with card, Croissant and splits")
     publish.add_argument("dataset", metavar="DATASET", help="folder of shards that gcd generate has made")
     publish.add_argument("repo", metavar="REPO", help="repository ORG/NAME; made if it is not there")
+    publish.add_argument("--partial", action="store_true", help="though the making of it was stopped before its end")
     publish.add_argument("--dry-run", action="store_true", help="write everything, list it, and send nothing")
     publish.add_argument(
         "--shares", default="90,5,5", metavar="A,B,C", help="of train, validation, test [%%] (default: 90,5,5)"
@@ -94,14 +98,15 @@ def _download(options: argparse.Namespace) -> int:
     from gcd_dataset.hub.download import download, remote_splits
     from gcd_dataset.hub.place import Folder, Repo, find_place
     from gcd_dataset.hub.site import Remote
+    from gcd_dataset.names import safe_name
     from gcd_dataset.shards.layout import known_fields
 
     place = find_place(options.repo, options.revision)
     if isinstance(place, Folder):
         raise ConfigError(f"{options.repo}: a folder of this machine: there is nothing to download")
-    remote = Remote(endpoint=options.endpoint)
+    remote = Remote(endpoint=options.endpoint, patience=options.patience)
     name = place.name if isinstance(place, Repo) else place.url
-    out = options.out or Path(name.rpartition("/")[2])
+    out = options.out or Path(safe_name(name.rpartition("/")[2]))
     fields = None if options.fields is None else [f for entry in options.fields for f in entry.split(",") if f]
     known_fields(fields)
     place, splits = remote_splits(place, remote)
@@ -130,6 +135,7 @@ def _publish(options: argparse.Namespace) -> int:
         shares=as_shares(options.shares),
         license=options.license,
         endpoint=options.endpoint,
+        partial=options.partial,
     )
     for name, split in staged.manifest.splits.items():
         print(f"{name}: {sum(shard.count for shard in split.shards)} garments in {len(split.shards)} shards")

@@ -10,6 +10,8 @@ from gcd_dataset.errors import ConfigError
 
 __all__ = ["add_verbs"]
 
+HDF5 = (".h5", ".hdf5")
+
 
 def add_verbs(verbs: Any) -> None:
     """Give ``gcd`` these verbs."""
@@ -82,7 +84,12 @@ def _export_hdf5(options: argparse.Namespace) -> int:
     from gcd_dataset.shards import ShardReader
     from gcd_dataset.shards.hdf5 import write_hdf5
 
-    reader = ShardReader(require_folder(options.dataset), options.split or "train")
+    folder = require_folder(options.dataset)
+    if options.hdf5.resolve().is_relative_to(folder.resolve()) and options.hdf5.suffix not in HDF5:
+        raise ConfigError(
+            f"{options.hdf5}: in the folder of the data set itself: end its name in {HDF5[0]}, or choose another folder"
+        )
+    reader = ShardReader(folder, "train" if options.split is None else options.split)
     stored = write_hdf5(reader, options.hdf5)
     try:
         for _ in tqdm(stored, total=len(reader), unit="garment", disable=options.quiet):

@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw
 
 from gcd_dataset import __version__
 from gcd_dataset.cli.statistics import batch_properties, garment_type
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.colours import INK, cloth_colour
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
@@ -23,6 +23,7 @@ from gcd_dataset.generator.garments import design_from_dict
 from gcd_dataset.generator.garments.design_file import design_tree
 from gcd_dataset.generator.lay_plan import LayPlan, lay_out
 from gcd_dataset.generator.svg import pattern_svg
+from gcd_dataset.names import safe_name
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.release.draft import ReleaseDraft, release_draft
 from gcd_dataset.release.layout import BODY_FOLDERS, DEFAULT_BODY, SPLIT_NAMES, properties_name
@@ -156,14 +157,22 @@ def _note(sample: Sample, name: str, tree: Mapping[str, Any], noted: _Batch) -> 
 def _place(sample: Sample, split: str, first_batch: int) -> Place:
     made = sample.provenance
     if made.source:
-        _, batch, body_folder, name = made.source.rsplit("/", 3)
-        return Place(batch, body_folder, name, None if made.body_name == DEFAULT_BODY else made.body_name)
+        return _place_in_release(sample.key, made.source, made.body_name)
     number = _design_number(sample)
     batch, name = f"garments_{BATCH}_{first_batch + number // BATCH}", _name(f"{split}:{made.seed}:{number}")
     if made.body_name == "neutral":
         return Place(batch, BODY_FOLDERS["default"], name, None)
     pose = "apart" if sample.shape is not None and sample.shape.legs_apart else "straight"
     return Place(batch, BODY_FOLDERS["random"], name, f"{first_batch * BATCH + number:05d}_{pose}")
+
+
+def _place_in_release(key: str, source: str, body_name: str) -> Place:
+    """The place that a garment had in its release, under names that lead nowhere else."""
+    parts = source.rsplit("/", 3)
+    if len(parts) != 4:
+        raise ShardError(f"sample {key}: its meta.json has source {shown(source)}: give RELEASE/BATCH/BODIES/NAME")
+    batch, body_folder, name = map(safe_name, parts[1:])
+    return Place(batch, body_folder, name, None if body_name == DEFAULT_BODY else body_name)
 
 
 def _design_number(sample: Sample) -> int:

@@ -10,6 +10,7 @@ from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.records import Sample
 from gcd_dataset.shards import ShardWriter
+from gcd_dataset.shards.unfinished import filling
 
 __all__ = ["GarmentPlan", "generate", "plan"]
 
@@ -47,9 +48,10 @@ def generate(plan: GarmentPlan, *, workers: int = 0) -> Generator[Sample, None, 
     make samples side by side on a CPU. On a GPU garments are draped together, by this process alone.
     Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
     """
-    if not plan.missing:
-        return
-    with ShardWriter(plan.out, seed=plan.seed, recipe=recipe_of(plan.config)) as writer:
-        for sample in produce(plan.seed, plan.missing, plan.config, workers=workers):
-            writer.write(sample)
-            yield sample
+    with filling(plan.out, plan.count):
+        if not plan.missing:
+            return
+        with ShardWriter(plan.out, seed=plan.seed, recipe=recipe_of(plan.config)) as writer:
+            for sample in produce(plan.seed, plan.missing, plan.config, workers=workers):
+                writer.write(sample)
+                yield sample

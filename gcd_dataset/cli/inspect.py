@@ -20,6 +20,7 @@ from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Bytes, fields_of, index
 from gcd_dataset.shards.manifest import MANIFEST, SplitRecord
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.store import Store
+from gcd_dataset.shards.unfinished import unfinished
 
 __all__ = ["faults", "info_lines"]
 
@@ -45,6 +46,8 @@ def info_lines(store: Store) -> Iterator[str]:
         reader = ShardReader(store, split, layout=layout)
         yield ""
         yield from _split_lines(reader)
+        if isinstance(store, FolderStore) and (told := unfinished(store.folder, split)) is not None:
+            yield f"  not whole: {told}"
         record = manifest.splits.get(split) if manifest is not None else None
         if record is not None:
             yield from _made_lines(record)

@@ -14,6 +14,7 @@ import logging
 import os
 import re
 import time
+import weakref
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -153,7 +154,8 @@ class Cache:
         have.unlink(missing_ok=True)
         data = have.with_suffix(".tar")
         with contextlib.suppress(FileNotFoundError):
-            os.truncate(data, 0)
+            if not data.is_symlink():
+                os.truncate(data, 0)
             data.unlink()
 
     def _made(self, key: str, count: int) -> "_Shard":
@@ -165,10 +167,8 @@ class Cache:
             make_folder(have.parent)
             # Another file, not the same one emptied: whoever holds that still believes it full.
             have.with_suffix(".tar").unlink(missing_ok=True)
-            have.with_suffix(".tar").open("wb").close()
-            draft = have.with_suffix(".tmp")
-            draft.write_bytes(bytes(COUNTER + count))  # zeros, no hole: a map over a hole of a full disk is a crash
-            draft.replace(have)
+            have.with_suffix(".tar").open("xb").close()
+            _write_anew(have, bytes(COUNTER + count))  # zeros, no hole: a map over a hole of a full disk is a crash
         return self._shard(key, count) or _Shard(have, count)
 
     def _shard(self, key: str, count: int) -> "_Shard | None":
@@ -212,9 +212,7 @@ class Cache:
             self._write_down(max(0, total + size))
 
     def _write_down(self, total: int) -> None:
-        draft = self.folder / "used.tmp"
-        draft.write_text(str(total))
-        draft.replace(self.folder / "used")
+        _write_anew(self.folder / "used", str(total).encode())
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
@@ -235,11 +233,12 @@ class _Shard:
     """The files of one shard, open; closed when the last thread lets go of it."""
 
     def __init__(self, have: Path, count: int) -> None:
-        self.fd = -1
         self._path, self._due = have, 0.0
         with have.open("rb") as file:
             self.have = np.memmap(file, np.uint8, "r", shape=(COUNTER + count,))
-            self.fd = os.open(have.with_suffix(".tar"), os.O_RDONLY)
+            self.fd = os.open(have.with_suffix(".tar"), os.O_RDONLY | os.O_NOFOLLOW)
+            # No __del__: at the end of the program the module that closes may be gone before the last shard.
+            weakref.finalize(self, os.close, self.fd)
             if not os.path.samestat(os.fstat(file.fileno()), have.stat()):
                 raise FileNotFoundError(f"{have}: has made way for another, to which the data may belong")
 
@@ -255,10 +254,6 @@ class _Shard:
             with contextlib.suppress(OSError):  # a cache that may only be read
                 os.utime(self._path)
 
-    def __del__(self) -> None:
-        if self.fd >= 0:
-            os.close(self.fd)
-
 
 def _held(have: Path) -> int:
     """Bytes of a shard that are kept."""
@@ -269,8 +264,17 @@ def _held(have: Path) -> int:
         return 0
 
 
+def _write_anew(path: Path, content: bytes) -> None:
+    """Replace a file under the lock, by a draft that is never a link to another file."""
+    draft = path.with_suffix(".tmp")
+    draft.unlink(missing_ok=True)
+    with draft.open("xb") as file:
+        file.write(content)
+    draft.replace(path)
+
+
 def _set(path: Path, place: int, content: bytes) -> None:
-    fd = os.open(path, os.O_WRONLY)
+    fd = os.open(path, os.O_WRONLY | os.O_NOFOLLOW)
     try:
         os.pwrite(fd, content, place)
     finally:
@@ -278,7 +282,7 @@ def _set(path: Path, place: int, content: bytes) -> None:
 
 
 def _write(path: Path, pieces: Sequence[Piece]) -> None:
-    fd = os.open(path, os.O_WRONLY)
+    fd = os.open(path, os.O_WRONLY | os.O_NOFOLLOW)
     try:
         for _, place, data in pieces:
             while data:

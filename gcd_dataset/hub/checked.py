@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.files import write_whole
+from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.manifest import ShardRecord
 
@@ -21,7 +22,7 @@ class CheckedShards:
     """
 
     def __init__(self, folder: Path, split: str) -> None:
-        self._folder, self._path = folder, folder / f".checked-{split}.json"
+        self._folder, self._path = folder, folder / f".checked-{require_name(split, 'split')}.json"
         self._known, self._lock = _read(self._path), threading.Lock()
 
     def holds(self, shard: ShardRecord) -> bool:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from gcd_dataset.errors import ConfigError, RemoteError, ShardError
+from gcd_dataset.errors import ConfigError, RemoteError
 from gcd_dataset.files import make_folder
 from gcd_dataset.hub.checked import CheckedShards
 from gcd_dataset.hub.held import begin, end, what_is_there
@@ -31,7 +31,6 @@ from gcd_dataset.shards.layout import (
     known_fields,
     lock_name,
     part_path,
-    shard_number,
 )
 from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_split
 from gcd_dataset.shards.reader import ShardReader
@@ -186,7 +185,7 @@ def _filled(part: Path, site: Site, shard: ShardRecord, tell: Callable[[int], No
 @contextmanager
 def _appending(part: Path) -> Iterator[int]:
     with writing(part):
-        file = os.open(part, os.O_RDWR | os.O_CREAT, 0o644)
+        file = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
     try:
         yield file
     finally:

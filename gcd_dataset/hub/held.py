@@ -9,7 +9,7 @@ from gcd_dataset.hub.place import MAIN, Repo, Url
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.fetched import Fetched, FetchedSplit, changing_fetched, read_fetched
-from gcd_dataset.shards.layout import Layout, fields_of, shards_in
+from gcd_dataset.shards.layout import Layout, fields_of, shard_number, shards_in
 from gcd_dataset.shards.manifest import Manifest, SplitRecord, read_manifest
 
 __all__ = ["begin", "end", "require_from", "what_is_there"]
@@ -48,9 +48,13 @@ def begin(folder: Path, source: str, split: str, layout: Layout, manifest: Manif
     Raises ``ConfigError`` for a folder that holds something else, ``OutputError`` for one that cannot be written.
     """
     with changing_fetched(folder):
+        before = read_fetched(folder)
         _begun(folder, source, split, layout, manifest).write(folder)
         if read_manifest(folder) is None:
             replace(manifest, splits={}).write(folder)  # it says who made the data set
+    known = None if before is None else before.splits.get(split)
+    if known is not None and tuple(known.members) != layout.members:
+        _drop_begun(folder, split)
     _drop_others(folder, split, manifest.splits[split])
 
 
@@ -88,7 +92,9 @@ def _begun(folder: Path, source: str, split: str, layout: Layout, manifest: Mani
     note = there or Fetched(source)
     if note.source != source:
         note = _followed(folder, note, source, manifest)
-    if (known := note.splits.get(split)) is not None and tuple(known.members) != layout.members:
+    known = note.splits.get(split)
+    was_whole = split in (read_manifest(folder) or Manifest()).splits
+    if known is not None and tuple(known.members) != layout.members and was_whole:
         had, now = (", ".join(member.split(".")[0] for member in some) for some in (known.members, layout.members))
         raise ConfigError(f"{folder}: holds the fields {had} of split {split}, asked for {now}: choose another folder")
     return note.with_split(split, FetchedSplit(layout.members))
@@ -118,6 +124,14 @@ def _followed(folder: Path, note: Fetched, source: str, manifest: Manifest) -> F
 def _way(record: SplitRecord) -> SplitRecord:
     """How the samples of a split are made, and numbered, however many there are."""
     return replace(record, shards=())
+
+
+def _drop_begun(folder: Path, split: str) -> None:
+    """Remove what a download of other fields, which was never whole, has left."""
+    for path in folder.iterdir():
+        if shard_number(path.name.removesuffix(".part"), split) is not None:
+            with writing(path):
+                path.unlink()
 
 
 def _drop_others(folder: Path, split: str, record: SplitRecord) -> None:

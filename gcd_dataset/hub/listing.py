@@ -6,8 +6,9 @@ import logging
 from functools import partial
 from typing import BinaryIO, cast
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.hub.site import Site
+from gcd_dataset.names import safe_name
 from gcd_dataset.shards.foreign import ForeignSample, foreign_index, foreign_shards, samples_of
 from gcd_dataset.shards.index import ShardIndex
 
@@ -27,7 +28,7 @@ def foreign_site_index(site: Site, split: str) -> ShardIndex:
     log.info("%s: no index: all of its %d tars are read through, once", site.source, len(names))
     archives, lengths = {}, []
     for name in names:
-        scanned = json.loads(site.kept(f"{name.replace('/', '--')}.json", partial(_scan, site, name)))
+        scanned = json.loads(site.kept(safe_name(f"{name}.json"), partial(_scan, site, name)))
         archives[name] = [ForeignSample(key, {m: tuple(p) for m, p in content.items()}) for key, content in scanned[1:]]
         lengths.append(scanned[0])
     return foreign_index(archives, lengths)
@@ -40,7 +41,7 @@ def _scan(site: Site, name: str) -> bytes:
         samples = [[sample.key, dict(sample.members)] for sample in samples_of(cast(BinaryIO, counted))]
         counted.read_all()
     except ShardError as error:
-        raise ShardError(f"{site.source}/{name}: {error}: tell its maker, or choose another") from error
+        raise ShardError(f"{site.source}/{shown(name)}: {error}: tell its maker, or choose another") from error
     return json.dumps([counted.length, *samples]).encode()
 
 

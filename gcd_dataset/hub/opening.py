@@ -47,7 +47,7 @@ def open_store(
 
 def _require_unused(place: Folder, remote: Remote, root: str | Path | None) -> None:
     """Raise ``ConfigError`` for an option that a folder has no use for."""
-    names = ("cache_dir", "max_cache_size", "endpoint", "token")
+    names = ("cache_dir", "max_cache_size", "endpoint", "token", "patience")
     given = {"root": root, **{name: getattr(remote, name) for name in names}}
     if named := [name for name, value in given.items() if value is not None]:
         shown = "" if named[0] == "token" else f"={given[named[0]]!r}"

@@ -20,7 +20,8 @@ __all__ = ["Folder", "Place", "Repo", "Url", "find_place"]
 
 MAIN = "main"
 COMMIT = re.compile(r"[0-9a-f]{40}")
-REPO = re.compile(r"(?:hf://)?(?:datasets/)?(?P<name>[\w.-]+/[\w.-]+)(?:@(?P<revision>[\w./-]+))?")
+REPO = re.compile(r"(?:hf://)?(?:datasets/)?(?P<name>\w[\w.-]*/\w[\w.-]*)(?:@(?P<revision>.+))?")
+REVISION = re.compile(r"\w[\w.+-]*(?:/\w[\w.+-]*)*")
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def find_place(source: str | Path, revision: str | None = None) -> Place:
         )
     if text.startswith("file://"):
         return find_place(Path(unquote(urlsplit(text).path)), revision)
-    if text.startswith(("http://", "https://")):
+    if text.startswith(("http://", "https://")) and text.isprintable():
         return _without_revision(Url(text.rstrip("/")), revision)
     match = None if isinstance(source, Path) else REPO.fullmatch(text)
     if match is None:
@@ -94,7 +95,10 @@ def find_place(source: str | Path, revision: str | None = None) -> Place:
         )
     if match["revision"] and revision and match["revision"] != revision:
         raise ConfigError(f"{text}: revision={revision!r} is another: give one of them")
-    return Repo(match["name"], revision or match["revision"] or MAIN)
+    asked = revision or match["revision"] or MAIN
+    if REVISION.fullmatch(asked) is None:
+        raise ConfigError(f"{match['name']}: {shown(asked)} is no revision: give a branch, a tag or a commit")
+    return Repo(match["name"], asked)
 
 
 def _without_revision(place: Folder | Url, revision: str | None) -> Folder | Url:

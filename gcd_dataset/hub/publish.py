@@ -4,29 +4,33 @@ import hashlib
 import json
 import logging
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
-from gcd_dataset.errors import ConfigError, RemoteError
+from gcd_dataset.errors import ConfigError, RemoteError, shown
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.hub.card import Release, card, croissant
 from gcd_dataset.hub.partition import BODY, DESIGN, SHARES, leaks, partition
 from gcd_dataset.hub.place import Repo, find_place
 from gcd_dataset.hub.site import hub_endpoint
-from gcd_dataset.shards.access import locked, writing
+from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import FOREIGN, fields_of, index_name, lock_name, shard_name, shards_in
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.unfinished import unfinished
 
 __all__ = ["Staged", "stage", "upload"]
 
 CARD, CROISSANT = "README.md", "croissant.json"
+CLIENTS = ("httpx2", "httpx", "requests")  # of huggingface_hub 2, 1 and 0.36
+ANY_ENDPOINT = (1, 31)  # of huggingface_hub: the first that was seen to publish to any
 STAGED = ".staged"  # in a folder whose shards are copies, which may be made anew
 OURS = re.compile(r"[^/]+-\d{5,}\.tar|index-[^/]+\.npz")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
@@ -67,15 +71,19 @@ def stage(
     shares: Mapping[str, float] = SHARES,
     license: str = "unknown",  # noqa: A002 - the Hub's word
     endpoint: str | None = None,
+    partial: bool = False,
 ) -> Staged:
     """Put what is to be published as ``repo`` into ``folder``; gone on with where an earlier call was left.
 
     A data set of one split is divided by ``shares``, so that neither designs nor bodies are shared; several splits stay
-    as they are. Raises ``ConfigError`` for splits that share designs, a data set that is not ours, or a folder that
-    holds another data set.
+    as they are. Raises ``ConfigError`` for splits that share designs, a data set that is not ours, one whose making was
+    stopped, unless it is to be published in part (``partial``), or a folder that holds another data set.
     """
     if not isinstance(find_place(repo), Repo):
         raise ConfigError(f"{repo}: no repository: write ORG/NAME, and see to it that no folder here is called so")
+    for split in splits_in(dataset):
+        if not partial and (told := unfinished(dataset, split)) is not None:
+            raise ConfigError(f"{dataset}: split {split} is not whole: {told}, or publish what is there with --partial")
     plans = _plans(dataset, shares)
     _begin(folder)
     splits: dict[str, SplitRecord] = {}
@@ -106,12 +114,14 @@ def upload(
     """Bring what is staged to the Hub, which is made to hold it if need be; the commit.
 
     One commit holds all of it: until then a reader finds the release before, and from then on the whole of this one.
-    Raises ``RemoteError`` for a Hub that does not answer, or refuses.
+    Raises ``RemoteError`` for a Hub that does not answer, or refuses; ``ConfigError`` for an endpoint that this version
+    of ``huggingface_hub`` cannot publish to.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
     api = HfApi(endpoint=hub_endpoint(endpoint), token=token)
     name = _repo_name(repo)
+    _require_endpoint(api.endpoint)
     with _asking_hub(repo):
         api.create_repo(name, repo_type="dataset", private=private, exist_ok=True)
         added = [CommitOperationAdd(path, staged.folder / path) for path in staged.files]
@@ -129,11 +139,15 @@ def upload(
 
 
 def _begin(folder: Path) -> None:
-    """Make the folder, marked as one of copies. Raises ``ConfigError`` for one with shards that are not."""
+    """Make the folder, marked as one of copies. Raises ``ConfigError`` for one that holds anything else."""
     make_folder(folder)
     if not (folder / STAGED).exists():
         if splits_in(folder):
             raise ConfigError(f"{folder}: holds a data set, whose shards would be replaced: choose another folder")
+        with reading(folder):
+            others = sorted(path.name for path in folder.iterdir())
+        if others:
+            raise ConfigError(f"{folder}: holds {shown(others[0])}: choose another folder, or an empty one")
         write_whole(folder / STAGED, b"")
 
 
@@ -226,16 +240,33 @@ def _repo_name(repo: str) -> str:
 @contextmanager
 def _asking_hub(repo: str) -> Iterator[None]:
     """Turn what ``huggingface_hub`` raises into a ``RemoteError``."""
-    import httpx2
     from huggingface_hub.errors import HfHubHTTPError
 
     try:
         yield
-    except (httpx2.TransportError, ConnectionError) as error:
+    except (*_errors_of_clients("TransportError", "ConnectionError", "ReadTimeout"), ConnectionError) as error:
         raise _unpublished(repo, error, "see to the network and to HF_ENDPOINT") from error
-    except (HfHubHTTPError, httpx2.HTTPError, RuntimeError, ValueError) as error:
+    except (*_errors_of_clients("HTTPError", "RequestException"), HfHubHTTPError, RuntimeError, ValueError) as error:
         # An upload that fails comes as a RuntimeError or ValueError.
         raise _unpublished(repo, error, "see to the token (hf auth login) and your rights") from error
+
+
+def _errors_of_clients(*names: str) -> list[type[Exception]]:
+    """The exceptions of these names, of whichever HTTP client this version of ``huggingface_hub`` has loaded."""
+    loaded = [sys.modules[client] for client in CLIENTS if client in sys.modules]
+    return [getattr(client, name) for client in loaded for name in names if hasattr(client, name)]
+
+
+def _require_endpoint(endpoint: str) -> None:
+    """Raise ``ConfigError`` for another endpoint than ``HF_ENDPOINT`` where a commit to it could not be read back."""
+    import huggingface_hub
+
+    major, minor = map(int, huggingface_hub.__version__.split(".")[:2])
+    if (major, minor) < ANY_ENDPOINT and endpoint != huggingface_hub.constants.ENDPOINT:
+        raise ConfigError(
+            f"--endpoint {endpoint}: huggingface_hub {huggingface_hub.__version__} publishes to HF_ENDPOINT alone: set "
+            f"that, or install huggingface_hub {'.'.join(map(str, ANY_ENDPOINT))} or later"
+        )
 
 
 def _unpublished(repo: str, error: Exception, remedy: str) -> RemoteError:

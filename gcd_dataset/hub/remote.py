@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import BinaryIO, TypeVar
 
-from gcd_dataset.errors import MissingError, RemoteError, ShardError
+from gcd_dataset.errors import MissingError, RemoteError, ShardError, shown
 from gcd_dataset.hub.cache import Cache, Piece
 from gcd_dataset.hub.listing import foreign_site_index
 from gcd_dataset.hub.site import Site
@@ -26,6 +26,7 @@ GAP = 1 << 17  # bytes: they come in about the time that one more answer takes, 
 SHA256 = re.compile(r"[0-9a-f]{64}")
 REPUBLISH = "ask its publisher to run gcd index and publish it again"
 LINES = 8  # requests at a time
+LARGEST_MEMBER = 1 << 28  # bytes: a hundred times what a garment's largest has
 
 
 class RemoteStore(Store):
@@ -38,7 +39,7 @@ class RemoteStore(Store):
         self._shards: dict[str, _RemoteShard] = {}
 
     def place(self, name: str = "") -> str:
-        return f"{self.source}/{name}" if name else str(self.source)
+        return f"{self.source}/{shown(name)}" if name else str(self.source)
 
     def manifest(self) -> Manifest | None:
         try:
@@ -121,6 +122,13 @@ class RemoteStore(Store):
         """
         there = self._shards[shard]
         self.site.require_allowed(f"{shard}, {there.name_of(run[0].column)}")
+        for part in run:
+            if part.size > LARGEST_MEMBER:
+                raise RemoteError(
+                    f"{self.place(shard)}: {there.name_of(part.column)}: has {part.size} bytes by its index, and "
+                    f"members of up to {LARGEST_MEMBER} are read from servers: leave this field out, or tell its "
+                    "publisher"
+                )
         wrong = None
         for _ in range(2):
             buffer = self.site.web.read(shard, run[0].offset, run[-1].end)

@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import json
 import logging
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,9 +16,17 @@ from gcd_dataset.errors import ConfigError, MissingError, OutputError, RefusedEr
 from gcd_dataset.files import make_folder, user_path, write_whole
 from gcd_dataset.hub.place import COMMIT, Repo, Url
 from gcd_dataset.hub.web import Web
+from gcd_dataset.names import require_name, safe_name
 from gcd_dataset.shards.manifest import MANIFEST
 
 __all__ = ["Remote", "Site", "hub_endpoint"]
+
+LARGEST_MANIFEST = 64 << 20  # bytes: 300,000 shards
+LARGEST_INDEX = 1 << 30  # bytes: three million garments of twenty members
+LARGEST_LISTING = 64 << 20  # bytes: a million files of a repository
+LISTING = "files.json"
+CHECK = "check endpoint"
+REVISION = re.compile(r"[0-9a-f]{40,64}")
 
 log = logging.getLogger(__name__)
 
@@ -33,6 +42,12 @@ class Remote:
     token: str | None = None
     allowed: bool = True
     """Whether any server may be asked at all."""
+    patience: float | None = None
+    """Seconds to wait for a server that is gone or busy; ``None`` for ``web.PATIENCE``."""
+
+    def __post_init__(self) -> None:
+        if self.patience is not None and not 0 <= self.patience <= math.inf:
+            raise ConfigError(f"patience={self.patience!r}: give seconds, 0 or more; inf waits for ever")
 
     @property
     def folder(self) -> Path:
@@ -61,10 +76,10 @@ class Site:
         if isinstance(place, Repo):
             base = f"{hub_endpoint(remote.endpoint)}/datasets/{place.name}/resolve"
             self.revision = place.revision if place.is_pinned else self._look_up(place.revision, self._commit)
-            self.web = Web(f"{base}/{self.revision}", headers=self._headers)
+            self.web = Web(f"{base}/{self.revision}", headers=self._headers, patience=remote.patience)
             self.source = str(Repo(place.name, self.revision))
         else:
-            self.web = Web(place.url)
+            self.web = Web(place.url, patience=remote.patience)
             self.revision = self._look_up("now", self._manifest_hash)
             self.source = f"{place.url}@{self.revision}"
 
@@ -78,12 +93,16 @@ class Site:
         """The files of a repository. Raises ``ConfigError`` for a URL, which cannot list them."""
         if not isinstance(self._place, Repo):
             raise ConfigError(f"{self._place}: a URL cannot list its files: give a folder, or a repository of the Hub")
-        entry = json.loads(self.kept("files.json", lambda: self._api(self.revision).get("")))
-        return tuple(sorted(file["rfilename"] for file in entry.get("siblings", ())))
+        content = self.kept(LISTING, lambda: self._api(self.revision).get("", LARGEST_LISTING))
+        try:
+            return tuple(sorted(str(file["rfilename"]) for file in json.loads(content)["siblings"]))
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            self.forget(LISTING)
+            raise RemoteError(f"{self._place}: the server's list of files is none of the Hub's: {CHECK}") from error
 
     def small(self, name: str) -> bytes:
         """A small file, asked for once. Raises ``MissingError``, or ``RemoteError`` for one that comes damaged."""
-        sign = self._seen / self.revision / f"{name}.missing"
+        sign = self._path(f"{name}.missing")
         if sign.exists():
             raise MissingError(f"{self.source}: has no {name}")
         try:
@@ -97,11 +116,11 @@ class Site:
         """Ask for a small file anew the next time, if a server may be asked: it was not what it should be."""
         with contextlib.suppress(OSError):
             if self.allowed:
-                (self._seen / self.revision / name).unlink(missing_ok=True)
+                self._path(name).unlink(missing_ok=True)
 
     def kept(self, name: str, get: Callable[[], bytes]) -> bytes:
         """What is kept of this revision under a name; gotten and kept where it is not."""
-        path = self._seen / self.revision / name
+        path = self._path(name)
         with contextlib.suppress(OSError):
             return path.read_bytes()
         self.require_allowed(name)
@@ -114,18 +133,22 @@ class Site:
         if not self.allowed:
             raise RemoteError(f"{self._place}: {what} is not in the cache, and download=False: leave that out")
 
+    def _path(self, name: str) -> Path:
+        """Where a file of this revision is kept. Raises ``ShardError`` for a name that leads elsewhere."""
+        return self._seen / self.revision / require_name(name, self.source)
+
     @staticmethod
     def _checked(web: Web, name: str) -> bytes:
         """A file whose hash is that of its ETag, if that is one."""
         for _ in range(2):
-            content = web.get(name)
+            content = web.get(name, LARGEST_MANIFEST if name == MANIFEST else LARGEST_INDEX)
             if _is_that(content, web.etags.get(name, "")):
                 return content
         raise RemoteError(f"{web.address(name)}: other bytes come than were published: try again later")
 
     def _look_up(self, name: str, ask: Callable[[bool], str]) -> str:
         """The revision that a name stands for, or stood for when it was last asked for."""
-        path = self._seen / "refs" / quote(name, safe="")
+        path = self._seen / "refs" / safe_name(name)
         try:
             if not self.allowed:
                 raise RemoteError(f"{self._place}: never read before, and download=False: leave that out")
@@ -133,29 +156,29 @@ class Site:
         except (MissingError, RefusedError):
             raise
         except RemoteError as error:
-            with contextlib.suppress(OSError):
-                known = path.read_text()
-                if self.allowed:
-                    log.warning("%s; going on with revision %s, which was read before", error, known)
-                return known
-            raise
+            known = _revision_in(path)
+            if known is None:
+                raise
+            if self.allowed:
+                log.warning("%s; going on with revision %s, which was read before", error, known)
+            return known
         _keep(path, revision.encode())
         return revision
 
     def _commit(self, patient: bool) -> str:
         assert isinstance(self._place, Repo)
         try:
-            commit = json.loads(self._api(self._place.revision, patient=patient).get(""))["sha"]
+            commit = json.loads(self._api(self._place.revision, patient=patient).get("", LARGEST_LISTING))["sha"]
         except (MissingError, RefusedError) as error:
             raise type(error)(f"{error}; and there is no folder {self._place.name} here") from error
-        except (ValueError, KeyError, TypeError) as error:
-            raise RemoteError(f"{self._place}: the server's answer is none of the Hub's: check endpoint") from error
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise RemoteError(f"{self._place}: the server's answer is none of the Hub's: {CHECK}") from error
         if COMMIT.fullmatch(str(commit)) is None:
-            raise RemoteError(f"{self._place}: {commit!r} is no commit: check endpoint")
+            raise RemoteError(f"{self._place}: {ascii(commit)[:80]} is no commit: {CHECK}")
         return str(commit)
 
     def _manifest_hash(self, patient: bool) -> str:
-        content = self._checked(Web(self.web.base, patient=patient), MANIFEST)
+        content = self._checked(Web(self.web.base, patience=self.web.patience, patient=patient), MANIFEST)
         revision = hashlib.sha256(content).hexdigest()
         _keep(self._seen / revision / MANIFEST, content)
         return revision
@@ -166,6 +189,7 @@ class Site:
         return Web(
             f"{endpoint}/api/datasets/{self._place.name}/revision/{quote(revision, safe='')}",
             headers=self._headers,
+            patience=self._remote.patience,
             patient=patient,
         )
 
@@ -175,7 +199,15 @@ class Site:
             name, server = self._place.name.replace("/", "--"), hub_endpoint(self._remote.endpoint)
         else:
             name, server = re.sub(r"[^\w.-]+", "-", self._place.url)[:80], self._place.url
-        return f"{name}-{hashlib.sha256(server.encode()).hexdigest()[:8]}"
+        return safe_name(f"{name}-{hashlib.sha256(server.encode()).hexdigest()[:8]}")
+
+
+def _revision_in(path: Path) -> str | None:
+    """The revision that was kept in a file; ``None`` where there is none."""
+    with contextlib.suppress(OSError, ValueError):
+        if REVISION.fullmatch(known := path.read_text()):
+            return known
+    return None
 
 
 def _hub_headers(token: str | None) -> dict[str, str]:

@@ -1,27 +1,35 @@
 """Files of a web server, whole or in part, with patience for one that is busy, or gone for a while.
 
-The client is that of ``huggingface_hub``, so that proxies and certificates that were set up for it hold here too.
+Proxies and certificates are those of the environment: ``HTTPS_PROXY``, ``SSL_CERT_FILE`` and their like. Nothing is
+allocated because a server declares a size: memory grows with the bytes that come, up to a limit of the caller's.
 """
 
+import atexit
+import functools
 import logging
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, urlsplit
 
-from gcd_dataset.errors import MissingError, RefusedError, RemoteError
+from gcd_dataset.errors import MissingError, RefusedError, RemoteError, shown
 
 if TYPE_CHECKING:
     import httpx2
 
-__all__ = ["Web"]
+__all__ = ["PATIENCE", "Web"]
 
-WAITS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # s between attempts that brought nothing: half a minute in all
+PATIENCE = 30.0  # s of waits between attempts that brought nothing
+FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s: each wait is twice the one before, up to the last
+ASKED_WAITS = 6  # in a row that a server may ask for
 LONGEST_WAIT = 300.0  # s; a server that asks for more is given up
 TIMEOUT = 30.0  # s without a byte
+MOST_REDIRECTS = 8  # the Hub and its storage take three
 
 BUSY = frozenset({408, 425, 429, 500, 502, 503, 504})
 REFUSED = frozenset({401, 403})
@@ -34,12 +42,20 @@ class Web:
     """The files below one address. May be pickled, forked, and used by several threads.
 
     What ``headers`` gives goes to that address alone, not to where it redirects; it is called once, when the first
-    request is made. Not ``patient``: where nobody answers at all, there is no second attempt. A redirect is remembered,
-    so that the next part of the same file costs one request; an address that has expired is asked for again.
+    request is made. ``patience``: seconds of waits, counted anew from each byte that comes, before a read is given up.
+    Not ``patient``: where nobody answers at all, there is no second attempt. A redirect is remembered, so that the next
+    part of the same file costs one request; an address that has expired is asked for again.
     """
 
-    def __init__(self, base: str, *, headers: Callable[[], Mapping[str, str]] = dict, patient: bool = True) -> None:
-        self.base = base.rstrip("/")
+    def __init__(
+        self,
+        base: str,
+        *,
+        headers: Callable[[], Mapping[str, str]] = dict,
+        patience: float | None = None,
+        patient: bool = True,
+    ) -> None:
+        self.base, self.patience = base.rstrip("/"), PATIENCE if patience is None else patience
         self._make_headers, self._patient = headers, patient
         self._headers: Mapping[str, str] | None = None
         self._moved: dict[str, str] = {}
@@ -48,55 +64,68 @@ class Web:
 
     def address(self, path: str) -> str:
         """The URL of a file."""
-        return f"{self.base}/{quote(path)}" if path else self.base
+        return f"{self.base}/{quote(path, errors='surrogatepass')}" if path else self.base
 
-    def get(self, path: str) -> bytes:
-        """A whole file. Raises ``MissingError`` where there is none, ``RemoteError`` for any other trouble."""
-        return b"".join(self.pieces(path))
+    def get(self, path: str, most: int) -> bytes:
+        """A whole file of ``most`` bytes at most.
+
+        Raises ``MissingError`` where there is none, ``RemoteError`` for a longer one and any other trouble.
+        """
+        content = bytearray()
+        for piece in self.pieces(path, most=most):
+            content += piece
+        return bytes(content)
 
     def read(self, path: str, start: int, end: int) -> memoryview:
         """Bytes ``start`` to ``end`` of a file, writable and the caller's own.
 
         Raises as ``get`` does, and ``RemoteError`` for a server that would send the whole file for every part of it.
         """
-        buffer, place = memoryview(bytearray(end - start)), 0
+        content = bytearray()
         for piece in self.pieces(path, start, end, only=True):
-            buffer[place : place + len(piece)] = piece
-            place += len(piece)
-        return buffer
+            content += piece
+        return memoryview(content)
 
-    def pieces(self, path: str, start: int = 0, end: int | None = None, *, only: bool = False) -> Iterator[bytes]:
+    def pieces(
+        self, path: str, start: int = 0, end: int | None = None, *, only: bool = False, most: int | None = None
+    ) -> Iterator[bytes]:
         """The bytes from ``start`` to ``end``, or to the end of the file, as they come; goes on where a line breaks.
 
-        ``only`` these: a server that sends others with them is not read.
+        ``only`` these: a server that sends others with them is not read. Raises ``RemoteError`` for a file that is
+        declared to have, or has, more than ``most`` bytes.
         """
-        place, failures = start, 0
+        place, outage = start, _Outage(self.patience)
         while True:
             before = place
             try:
-                for piece in self._once(path, place, end, only):
+                for piece in self._once(path, place, end, only, most):
                     place += len(piece)
+                    if most is not None and place > most:
+                        raise self._too_long(path, f"more than {most} bytes", most)
                     yield piece
                 if end is None or place == end:
                     return
                 trouble = _Trouble(f"ends at byte {place} of {end}")
             except _Trouble as error:
                 trouble = error
-            failures = 0 if place > before else failures + 1
-            self._rest(path, trouble, failures)
+            if place > before:
+                outage = _Outage(self.patience)
+            self._rest(path, trouble, outage)
 
-    def _rest(self, path: str, trouble: "_Trouble", failures: int) -> None:
+    def _rest(self, path: str, trouble: "_Trouble", outage: "_Outage") -> None:
         """Wait before the next attempt. Raises ``RemoteError`` where there shall be none."""
-        hopeless = trouble.is_unreachable and not self._patient
-        if failures > len(WAITS) or (trouble.wait or 0.0) > LONGEST_WAIT or hopeless:
+        wait = outage.next_wait(trouble.wait)
+        if trouble.is_unreachable and not self._patient:
+            wait = None
+        if wait is None:
             raise RemoteError(
-                f"{self.address(path)}: {trouble}, after {failures} attempts: try again later; what has come is kept"
+                f"{self.address(path)}: {trouble}, {outage}: try again later, or with more "
+                "patience (--patience, patience=); what has come is kept"
             )
-        wait = WAITS[max(failures - 1, 0)] if trouble.wait is None else trouble.wait
         log.info("%s: %s: once more in %.1f s", self.address(path), trouble, wait)
         time.sleep(wait)
 
-    def _once(self, path: str, start: int, end: int | None, only: bool) -> Iterator[bytes]:
+    def _once(self, path: str, start: int, end: int | None, only: bool, most: int | None) -> Iterator[bytes]:
         """One attempt. Raises ``_Trouble`` where another may do better."""
         whole = start == 0 and end is None
         if end is not None and start >= end:
@@ -109,6 +138,9 @@ class Web:
             if response.status_code == 416 and end is None:
                 return  # all of it is there
             self._require(path, response, ranged=not whole)
+            declared = response.headers.get("Content-Length", "")
+            if most is not None and declared.isdecimal() and int(declared) > most:
+                raise self._too_long(path, f"{declared} bytes", most)
             skip = 0 if whole else _skip(response, start, self.address(path))
             left = None if end is None else end - start
             if only:
@@ -127,24 +159,28 @@ class Web:
     def _answer(self, path: str, wanted: Mapping[str, str]) -> Iterator["httpx2.Response"]:
         """The server's answer. Raises ``_Trouble`` for a line that breaks, now or while the answer is read."""
         import httpx2
-        from huggingface_hub import get_session
-        from huggingface_hub.errors import OfflineModeIsEnabled
+        from huggingface_hub import constants
 
         own = self.address(path)
+        if constants.HF_HUB_OFFLINE:
+            raise RemoteError(f"{own}: HF_HUB_OFFLINE is set, and this is not in the cache: unset it")
         url = self._moved.get(path, own)
         if self._headers is None:
             self._headers = self._make_headers()
         headers = {**wanted, **(self._headers if _origin(url) == _origin(own) else {})}
         try:
-            with get_session().stream("GET", url, headers=headers, timeout=TIMEOUT) as response:
+            with _client(os.getpid()).stream("GET", url, headers=headers) as response:
                 if url != own and response.status_code in REFUSED | GONE:
                     self._moved.pop(path, None)
                     raise _Trouble(f"its address has expired ({response.status_code})", wait=0.0)
                 if response.is_success:
                     self._remember(path, response)
                 yield response
-        except OfflineModeIsEnabled as error:
-            raise RemoteError(f"{own}: HF_HUB_OFFLINE is set, and this is not in the cache: unset it") from error
+        except (httpx2.UnsupportedProtocol, httpx2.TooManyRedirects) as error:
+            raise RemoteError(
+                f"{own}: leads to {shown(str(error.request.url))} ({_reason(error)}): up to {MOST_REDIRECTS} redirects "
+                "to http and https are followed: check the address, or tell its publisher"
+            ) from error
         except httpx2.TransportError as error:
             self._moved.pop(path, None)
             nobody = isinstance(error, httpx2.ConnectError | httpx2.ConnectTimeout)
@@ -153,6 +189,12 @@ class Web:
             raise RemoteError(f"{own}: cannot be read ({_reason(error)}): check the address") from error
         except httpx2.InvalidURL as error:
             raise RemoteError(f"{own}: no address ({error}): check it") from error
+
+    def _too_long(self, path: str, size: str, most: int) -> RemoteError:
+        return RemoteError(
+            f"{self.address(path)}: has {size}, and up to {most} are read of a file of this kind: check the address, "
+            "or tell its publisher"
+        )
 
     def _remember(self, path: str, response: "httpx2.Response") -> None:
         """What the answer tells of the file: its ETag, and where it lies."""
@@ -180,6 +222,45 @@ class Web:
             raise RemoteError(f"{own}: sent a part of what was asked for whole: try another server")
         if (packed := response.headers.get("Content-Encoding", "identity")) != "identity":
             raise RemoteError(f"{own}: comes packed ({packed}), unasked: have its server send files as they are")
+
+
+@functools.cache
+def _client(process: int) -> "httpx2.Client":
+    """The client of a process: a forked one must not send on its parent's lines."""
+    import httpx2
+
+    client = httpx2.Client(follow_redirects=True, max_redirects=MOST_REDIRECTS, timeout=TIMEOUT)
+    atexit.register(client.close)
+    return client
+
+
+@dataclass
+class _Outage:
+    """The attempts since a byte came last."""
+
+    patience: float
+    attempts: int = 0
+    waited: float = 0.0
+    asked: int = 0
+    """Waits that the server asked for."""
+
+    def next_wait(self, asked: float | None) -> float | None:
+        """Seconds to the next attempt, ``asked`` if the server said so; ``None`` where there shall be none."""
+        self.attempts += 1
+        if asked is not None:
+            self.asked += 1
+            wait = asked
+            over = self.asked > ASKED_WAITS or asked > max(LONGEST_WAIT, self.patience)
+        else:
+            wait = min(FIRST_WAIT * 2 ** min(self.attempts - 1, 16), LAST_WAIT, self.patience - self.waited)
+            over = wait <= 0
+        if over:
+            return None
+        self.waited += wait
+        return wait
+
+    def __str__(self) -> str:
+        return f"after {self.attempts} attempt{'s' if self.attempts > 1 else ''} and {self.waited:.0f} s of waiting"
 
 
 class _Trouble(Exception):  # noqa: N818 - nothing has failed yet

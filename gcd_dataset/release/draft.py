@@ -11,6 +11,7 @@ from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import make_folder, write_whole, writing_to
+from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import locked, reading
 
 __all__ = ["ReleaseDraft", "release_draft"]
@@ -44,7 +45,12 @@ class ReleaseDraft:
         write_whole(note, garments.encode())
 
     def holds(self, place: Path) -> bool:
-        """Whether the garment of that place is there. Raises ``ShardError`` for a place that was asked for before."""
+        """Whether the garment of that place is there.
+
+        Raises ``ShardError`` for a place that was asked for before, and for one outside the release.
+        """
+        for part in place.parts:
+            require_name(part, f"{self.folder}: a garment's place")
         if place in self._put:
             raise ShardError(
                 f"{self.folder / place}: two garments of the data set have this name: export their splits one by one"

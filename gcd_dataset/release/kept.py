@@ -5,6 +5,7 @@ from pathlib import Path
 
 from gcd_dataset.errors import OutputError
 from gcd_dataset.files import make_folder, write_whole
+from gcd_dataset.names import safe_name
 from gcd_dataset.shards.access import reading
 
 __all__ = ["keep", "kept_path", "stamp_of"]
@@ -15,7 +16,7 @@ def kept_path(source: Path, cache_dir: Path | None, ending: str) -> Path:
     if cache_dir is None:
         return source.with_name(f".{source.name}.gcd{ending}")
     place = hashlib.sha256(str(source.resolve()).encode()).hexdigest()[:16]
-    return cache_dir / f"{source.parent.parent.name}-{source.parent.name}-{source.name}-{place}{ending}"
+    return cache_dir / safe_name(f"{source.parent.parent.name}-{source.parent.name}-{source.name}-{place}{ending}")
 
 
 def keep(path: Path, content: bytes) -> None:

@@ -1,6 +1,7 @@
 """Access to a data set's files: one writer at a time, and what the system refuses as one line with the way out."""
 
 import contextlib
+import errno
 import fcntl
 import os
 from collections.abc import Iterator
@@ -53,10 +54,11 @@ def _way_out(error: OSError) -> str:
 def writing(path: Path, *, kept: int | None = None) -> Iterator[None]:
     """Turn the system's errors into an ``OutputError``; ``kept`` samples are in the file."""
     there = "" if kept is None else f"; {kept} samples in it are kept"
-    remedy = "make room there and start again to go on"
     try:
         yield
     except OSError as error:
+        is_link = error.errno == errno.ELOOP
+        remedy = "remove this link" if is_link else "make room there and start again to go on"
         raise OutputError(f"{path}: cannot be written ({error.strerror}){there}: {remedy}") from error
 
 
@@ -104,7 +106,7 @@ def _lock(path: Path, task: str, wait: bool) -> int:
 
 def _open(path: Path) -> int:
     try:
-        return os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     except OSError as error:
         raise OutputError(
             f"{path.parent}: cannot be written ({error.strerror}): what is there can be read; to add to it, make room "

@@ -1,6 +1,7 @@
 """A data set in a folder of this machine."""
 
 import os
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -177,6 +178,5 @@ class _OpenFile:
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
-
-    def __del__(self) -> None:
-        os.close(self.fd)
+        # No __del__: at the end of the program the module that closes may be gone before the last file.
+        weakref.finalize(self, os.close, fd)

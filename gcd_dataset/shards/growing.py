@@ -104,7 +104,7 @@ class GrowingShard:
 
     def _opened(self) -> int:
         with writing(self.part):
-            return os.open(self.part, os.O_RDWR | os.O_CREAT, 0o644)
+            return os.open(self.part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
 
     def _write(self, block: bytes) -> None:
         rest, position = memoryview(block), self._end

@@ -30,6 +30,7 @@ import subprocess
 import sys
 import zlib
 from collections.abc import Callable, Generator, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,7 @@ from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.npy import npy_header, read_npy, write_npy
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.room import room_for
+from gcd_dataset.shards.sink import Sink
 
 __all__ = ["Hdf5Reader", "write_hdf5"]
 
@@ -99,18 +101,22 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
     sample.
     """
     columns = _columns(reader)
-    with drafted(user_path(path)) as draft, h5py.File(draft, "w") as file:
-        _lay_out(file, reader, columns)
-        for position in range(len(reader)):
-            members = reader.read(position, reader.layout.members)
-            for field in TEXTS:
-                file[field][position] = bytes(content_of(field, members)).decode()
-            file[META_CRC][position] = zlib.crc32(members[META])
-            for field, column in columns.items():
-                start, end = column.ptr[position : position + 2].tolist()
-                if end > start:
-                    file[field][start:end] = _array(field, members[FIELDS[field]])
-            yield position
+    with drafted(user_path(path)) as draft, Sink(draft) as sink, ThreadPoolExecutor(1) as thread:
+        # In a thread, since there no interrupt comes between: to libhdf5 that is a write that fails.
+        file = thread.submit(h5py.File, sink, "w").result()
+        try:
+            thread.submit(_lay_out, file, reader, columns).result()
+            for position in range(len(reader)):
+                members = reader.read(position, reader.layout.members)
+                thread.submit(_store, file, position, members, columns).result()
+                sink.check()
+                yield position
+        except (OSError, RuntimeError):
+            sink.check()  # the cause of what libhdf5 has met
+            raise
+        finally:
+            thread.submit(file.close).result()
+        sink.check()
 
 
 class Hdf5Reader:
@@ -439,6 +445,17 @@ def _lay_out(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Column
         file.create_dataset(field, (int(column.ptr[-1]), *column.width), dtype, track_times=False)
         file.create_dataset(f"ptr/{field}", data=column.ptr, track_times=False)
         file.create_dataset(f"bytes/{field}", data=column.size, track_times=False)
+
+
+def _store(file: "h5py.File", position: int, members: Mapping[str, Bytes], columns: Mapping[str, _Column]) -> None:
+    """Put a sample in its place."""
+    for field in TEXTS:
+        file[field][position] = bytes(content_of(field, members)).decode()
+    file[META_CRC][position] = zlib.crc32(members[META])
+    for field, column in columns.items():
+        start, end = column.ptr[position : position + 2].tolist()
+        if end > start:
+            file[field][start:end] = _array(field, members[FIELDS[field]])
 
 
 def _array(field: str, data: Bytes) -> np.ndarray:

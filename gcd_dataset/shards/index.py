@@ -21,6 +21,7 @@ from jaxtyping import Bool, Int, UInt32
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
+from gcd_dataset.names import safe_name
 from gcd_dataset.records import Outcome, Record
 from gcd_dataset.shards.access import REMEDY, read_small, reading
 from gcd_dataset.shards.arrays import Column, read_arrays
@@ -252,7 +253,9 @@ def _require_consistent(arrays: Mapping[str, np.ndarray], layout: Layout) -> Non
         most = {"shard": max(k - 1, 0), "size": LARGEST_SAMPLE, "crc": 2**32 - 1}.get(name, LONGEST)
         if low < 0 or high > most:
             raise ShardError(f"column {name} from {low} to {high}, where 0 to {most} are read")
-    if any("/" in name or name in ("", ".", "..") for name in arrays["shards"].tolist()):
+    # Foreign names are compared with those in the folder, ours are joined to it.
+    ours = "keys" not in arrays
+    if any("/" in n or n in ("", ".", "..") or (ours and safe_name(n) != n) for n in arrays["shards"].tolist()):
         raise ShardError("a shard outside the folder")
     if not n:
         return

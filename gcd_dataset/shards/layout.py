@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.names import require_name
 
 __all__ = [
     "BODIES",
@@ -189,23 +190,26 @@ def member_name(index: int, member: str) -> str:
 
 
 def shard_name(split: str, number: int) -> str:
-    """The name of a shard. It does not say how many there are, so that a data set can grow."""
-    return f"{split}-{number:05d}.tar"
+    """The name of a shard. It does not say how many there are, so that a data set can grow.
+
+    Raises ``ShardError``, as the functions below do, for a split whose name cannot be part of a file's.
+    """
+    return f"{require_name(split, 'split')}-{number:05d}.tar"
 
 
 def index_name(split: str) -> str:
     """The name of a split's index."""
-    return f"index-{split}.npz"
+    return f"index-{require_name(split, 'split')}.npz"
 
 
 def mesh_name(split: str) -> str:
     """The name of the mesh that all bodies of a split share."""
-    return f"mesh-{split}.npz"
+    return f"mesh-{require_name(split, 'split')}.npz"
 
 
 def lock_name(split: str) -> str:
     """The name of the file that a writer of the split holds."""
-    return f".{split}.lock"
+    return f".{require_name(split, 'split')}.lock"
 
 
 def part_path(path: Path) -> Path:

@@ -1,7 +1,6 @@
 """What a data set is made of: the recipe and the shards of each split, kept in ``manifest.json``."""
 
 import json
-import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -12,6 +11,7 @@ import gcd_dataset
 from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.jsonfile import found
+from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import locked, read_small, reading
 from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, shard_number
 from gcd_dataset.shards.limits import LARGEST_JSON
@@ -114,17 +114,13 @@ def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
             )
         values = _checked(entry, "the file", {"generator": _is_text, "splits": _is_mapping, "schema": _is_count}, {})
         for name in values["splits"]:
-            if SPLIT.fullmatch(name) is None:
-                raise ShardError(f"split {found(name)}: no name of a split")
+            require_name(name, f"{path}: split")
         splits = {name: SplitRecord.from_json(name, split) for name, split in values["splits"].items()}
         return Manifest(splits, values["generator"], schema)
     except ShardError as error:
         if str(error).startswith(path):
             raise
         raise ShardError(f"{path}: not a manifest ({error}): {remedy}") from error
-
-
-SPLIT = re.compile(r"\w[\w.-]{0,99}")
 
 
 def _is_count(value: Any) -> bool:

@@ -15,7 +15,8 @@ COUNT = 10
 @pytest.fixture(autouse=True)
 def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Half a minute's patience in a few milliseconds; no token and no cache but those of the test."""
-    monkeypatch.setattr(web, "WAITS", (0.001,) * 6)
+    for name, seconds in (("FIRST_WAIT", 0.001), ("LAST_WAIT", 0.001), ("PATIENCE", 0.006)):
+        monkeypatch.setattr(web, name, seconds)
     monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_DISABLE_XET", True)
     monkeypatch.setattr(Path, "home", lambda: tmp_path / "home")

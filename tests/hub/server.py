@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, unquote, urlsplit
+from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 LARGE = (".tar", ".npz", ".h5")
 """Endings of files that are kept in large storage."""
@@ -333,7 +333,7 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             oid = _sha256(data)
             self.hub.large[oid] = data
-            place = f"{self.hub.endpoint.replace('127.0.0.1', 'localhost')}/storage/{oid}/{path}?signed=yes"
+            place = f"{self.hub.endpoint.replace('127.0.0.1', 'localhost')}/storage/{oid}/{quote(path)}?signed=yes"
             linked = {"X-Linked-Etag": f'"{oid}"', "X-Linked-Size": str(len(data)), "ETag": f'"{oid}"'}
             self._answer(302, b"", {"Location": place, **linked, **_at(found[0])})
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, OutputError, RemoteError, ShardError
 from gcd_dataset.hub.checked import CheckedShards
 from gcd_dataset.hub.download import download, remote_splits
@@ -102,7 +103,7 @@ def test_a_tag_is_downloaded_once(
 def test_a_download_that_broke_off_goes_on(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.web.WAITS", (0.0,))
+    monkeypatch.setattr("gcd_dataset.hub.web.PATIENCE", 0.001)
     hub.faults = [Fault(r"storage/.*train-00000", cut=20000), Fault(r"storage/.*train-00000", drop=True, times=99)]
     with pytest.raises(RemoteError, match="what has come is kept"):
         bring(hub, tmp_path)
@@ -131,7 +132,7 @@ def test_a_download_goes_on_though_the_server_sends_whole_files_only(
 def test_a_download_of_fields_that_broke_off_goes_on(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.web.WAITS", (0.0,))
+    monkeypatch.setattr("gcd_dataset.hub.web.PATIENCE", 0.001)
     monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
     hub.faults = [
         Fault(r"storage/.*train-00001.*", times=1, cut=10**9),
@@ -144,6 +145,22 @@ def test_a_download_of_fields_that_broke_off_goes_on(
     assert_all_same(GarmentDataset(bring(hub, tmp_path, fields=["verts"]), fields=["verts"]),
                     GarmentDataset(folder, fields=["verts"]))  # fmt: skip
     assert before + len(hub.asked(r"storage/.*tar")[before:]) <= COUNT + 9 + 3  # samples, drops, ends of shards
+
+
+@pytest.mark.parametrize(("first", "then"), [(["verts"], None), (None, ["verts"]), (["verts"], ["faces"])])
+def test_a_download_that_broke_off_may_be_one_of_other_fields_next(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: Any, then: Any
+) -> None:
+    monkeypatch.setattr("gcd_dataset.hub.web.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
+    hub.faults = [Fault(r"storage/.*train-0000[12]", drop=True, times=99)]
+    with pytest.raises(RemoteError, match="what has come is kept"):
+        bring(hub, tmp_path, fields=first)
+    assert list((tmp_path / "data").glob("*.tar"))
+    hub.faults.clear()
+    data = bring(hub, tmp_path, fields=then)
+    assert_all_same(GarmentDataset(data), GarmentDataset(folder, fields=_with_meta(then)))
+    assert main(["verify", "--full", str(data)]) == 0
 
 
 @pytest.mark.parametrize("fields", [None, ["verts"]])
@@ -238,7 +255,7 @@ def test_a_set_that_has_shrunk_leaves_no_shards_behind(hub: Hub, tmp_path: Path)
 def test_a_shard_of_the_right_length_is_not_believed(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.web.WAITS", (0.0,))
+    monkeypatch.setattr("gcd_dataset.hub.web.PATIENCE", 0.001)
     hub.faults = [Fault(r"storage/.*train-00002", drop=True, times=99)]
     with pytest.raises(RemoteError, match="what has come is kept"):
         bring(hub, tmp_path, fields=fields)

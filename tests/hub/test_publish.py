@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import huggingface_hub
 import numpy as np
 import pytest
 import yaml
@@ -43,6 +44,14 @@ def sample(index: int, *, design: int, body: int | None = None) -> Sample:
     made = fake_sample(0, index)
     named = replace(made.provenance, body_name="neutral" if body is None else f"random:0:{body}")
     return replace(made, design={"skirt": {"number": design}}, shape=shape, provenance=named)
+
+
+@pytest.fixture(autouse=True)
+def hf_endpoint(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The only server that an old ``huggingface_hub`` publishes to."""
+    monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", hub.endpoint)
+    template = f"{hub.endpoint}/{{repo_id}}/resolve/{{revision}}/{{filename}}"
+    monkeypatch.setattr("huggingface_hub.constants.HUGGINGFACE_CO_URL_TEMPLATE", template)
 
 
 @pytest.fixture(scope="module")
@@ -241,6 +250,19 @@ def test_a_reader_finds_the_whole_of_one_release_or_of_the_other(
 def test_a_hub_that_refuses_is_told(hub: Hub, staged: Staged, tmp_path: Path) -> None:
     with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*hf auth login"):
         upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
+
+
+def test_an_endpoint_that_an_old_client_cannot_publish_to_is_told(
+    hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
+    told = rf"--endpoint {hub.endpoint}0: huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT alone: set that, or install"
+    with pytest.raises(ConfigError, match=told):
+        upload(staged, "org/new-set", endpoint=f"{hub.endpoint}0", token=hub.token)
+
+
+@pytest.mark.skipif(huggingface_hub.__version__.startswith(("0.", "1.0.")), reason="its client does not ask again")
+def test_a_hub_that_fails_once_is_asked_again(hub: Hub, staged: Staged) -> None:
     hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]
     assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)  # sent once more
 

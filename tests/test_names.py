@@ -1,0 +1,346 @@
+"""No name from a file or a server leads outside the folder that it is for."""
+
+import json
+import shutil
+import tarfile
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gcd_dataset.cli import main
+from gcd_dataset.cli.export import _place_in_release, export_published
+from gcd_dataset.errors import GcdError, OutputError, ShardError
+from gcd_dataset.generator import fitting
+from gcd_dataset.generator.fitting import Fitting, write_fitting
+from gcd_dataset.generator.maker import make
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.hub.download import download
+from gcd_dataset.hub.place import Url
+from gcd_dataset.hub.site import Remote
+from gcd_dataset.loaders import GarmentDataset
+from gcd_dataset.names import LONGEST, require_name, safe_name
+from gcd_dataset.records import Drape, Outcome, Sample
+from gcd_dataset.release.draft import release_draft
+from gcd_dataset.shards import ShardReader, ShardWriter
+from gcd_dataset.shards.index import ShardIndex, empty_table
+from gcd_dataset.shards.layout import index_name, lock_name, mesh_name, shard_name
+from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
+from tests.hub.server import Hub, read_folder, running_hub
+from tests.shards.folders import RECIPE
+
+HOSTILE = {
+    "parent": "..",
+    "this": ".",
+    "absolute": "/victim",
+    "through parents": "a/../../victim",
+    "up": "../victim",
+    "up two": "../../victim",
+    "NUL": "vic\0tim",
+    "newline": "vic\ntim",
+    "long": "v" * 300,
+    "long in UTF-8": "ü" * 100,
+    "dash": "-rf",
+    "hidden": ".garments",
+    "empty": "",
+    "leaders": "\u2024\u2024",
+    "wide dots": "\uff0e\uff0e",
+    "wide slash": "a\uff0fb",
+    "half a pair": "\ud800",
+    "back to front": "a\u202egnp.b",
+}
+hostile = pytest.mark.parametrize("name", HOSTILE.values(), ids=HOSTILE.keys())
+
+
+@pytest.fixture
+def victims(tmp_path: Path) -> Iterator[Path]:
+    """A place to work in, whose surroundings must be the same afterwards."""
+    for folder in (tmp_path, tmp_path / "near"):
+        folder.mkdir(exist_ok=True)
+        for name in ("victim", "victim.npz", "index-.npz", "evil.obj"):
+            (folder / name).write_bytes(b"a user's own")
+    inner = tmp_path / "near" / "work"
+    inner.mkdir()
+    before = outside(tmp_path, inner)
+    yield inner
+    assert outside(tmp_path, inner) == before
+
+
+def outside(folder: Path, inner: Path) -> dict[str, bytes | None]:
+    """Path to content of all that is in ``folder`` and not in ``inner``; ``home`` holds the cache."""
+    return {
+        str(path): path.read_bytes() if path.is_file() else None
+        for path in folder.rglob("*")
+        if not path.is_relative_to(inner) and not path.is_relative_to(folder / "home")
+    }
+
+
+@pytest.fixture
+def hub() -> Iterator[Hub]:
+    with running_hub() as server:
+        yield server
+
+
+@cache
+def garment() -> Sample:
+    """A generated garment, put where it was placed before sewing as if it had come to rest there."""
+    made = make(3, 0, MakeConfig(stage="mesh", resolution=4.0, points=16))
+    assert made.box_mesh is not None
+    moved = made.box_mesh.vertices + 1e-3 * (1 + made.box_mesh.vertices[:, :1])
+    return replace(made, drape=Drape(moved, Outcome.SETTLED, 100, 0, 0, 1.0, 1.1))
+
+
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of one generated garment."""
+    folder = tmp_path_factory.mktemp("shards")
+    with ShardWriter(folder, seed=3, recipe=RECIPE) as writer:
+        writer.write(garment())
+    return folder
+
+
+# ------------------------------------------------------------------------------------------------------- the function
+
+
+@hostile
+def test_a_hostile_name_is_refused_or_made_one_component(name: str) -> None:
+    with pytest.raises(ShardError, match=r"manifest: split: .* cannot be a file's name: give one of letters") as caught:
+        require_name(name, "manifest: split")
+    assert str(caught.value).isprintable()
+    safe = safe_name(name)
+    assert require_name(safe, "here") == safe == safe_name(name) == safe_name(safe)
+    assert len(safe.encode()) <= LONGEST
+
+
+def test_harmless_names_stay_as_they_are() -> None:
+    for name in ("train", "train-00000.tar", "rand_K3V9QX7T1B", "Ärmel links (2)", "a+b", "x" * LONGEST):
+        assert require_name(name, "here") == safe_name(name) == name
+
+
+def test_names_that_look_the_same_are_told_apart() -> None:
+    assert len({safe_name(name) for name in [*HOSTILE.values(), "a/b", "a\\b", "a:b", "a_b"]}) == len(HOSTILE) + 4
+
+
+@pytest.mark.parametrize("name", [None, 3, ["train"], {}])
+def test_what_is_no_text_is_no_name(name: Any) -> None:
+    with pytest.raises(ShardError, match="cannot be a file's name"):
+        require_name(name, "here")
+
+
+# -------------------------------------------------------------------------------------------------------- our formats
+
+
+@hostile
+def test_a_split_of_a_data_set(victims: Path, shards: Path, name: str) -> None:
+    for call in (index_name, lock_name, mesh_name, lambda split: shard_name(split, 0)):
+        with pytest.raises(ShardError, match=r"split: .* cannot be a file's name"):
+            call(name)
+    with pytest.raises(GcdError):
+        ShardWriter(victims, split=name, seed=0, recipe=RECIPE)
+    with pytest.raises(GcdError):
+        GarmentDataset(shards, split=name)
+    for verb in (["index", str(shards)], ["export", str(shards), "--hdf5", str(victims / "o.h5")]):
+        assert main([*verb, f"--split={name}"]) == 1
+
+
+@hostile
+@pytest.mark.parametrize("what", ["split", "shard"])
+def test_a_manifest(victims: Path, shards: Path, name: str, what: str) -> None:
+    data = shutil.copytree(shards, victims / "data")
+    (data / "manifest.json").write_text(manifest_with(shards, name, what))
+    with pytest.raises(ShardError, match=r"manifest\.json: split.* cannot be a file's name"):
+        GarmentDataset(data)
+    with pytest.raises(ShardError, match=r"manifest\.json: split"):
+        ShardWriter(data, seed=3, recipe=RECIPE)
+
+
+def manifest_with(shards: Path, name: str, what: str) -> str:
+    tree = json.loads((shards / "manifest.json").read_text())
+    if what == "split":
+        tree["splits"] = {"train": tree["splits"]["train"], name: {**tree["splits"]["train"], "shards": []}}
+    else:
+        tree["splits"]["train"]["shards"][0]["name"] = name
+    return json.dumps(tree)
+
+
+@hostile
+def test_a_shard_of_an_index(victims: Path, shards: Path, name: str) -> None:
+    data = shutil.copytree(shards, victims / "data")
+    index = ShardIndex.read(data / "index-train.npz")
+    if "\0" in name or name == "\ud800":  # which NumPy cannot store
+        return
+    (data / "index-train.npz").write_bytes(replace(index, shards=(name,)).to_bytes())
+    with pytest.raises(ShardError, match="a shard outside the folder"):
+        GarmentDataset(data)
+
+
+def test_a_shard_of_another_split_is_none_of_this_one(shards: Path, tmp_path: Path) -> None:
+    data = shutil.copytree(shards, tmp_path / "data")
+    (data / "manifest.json").write_text(manifest_with(shards, "test-00000.tar", "shard"))
+    with pytest.raises(ShardError, match=r"split train tells of a shard 'test-00000\.tar': give train-00000\.tar"):
+        GarmentDataset(data)
+
+
+# ------------------------------------------------------------------------------------------------------------ servers
+
+
+@hostile
+@pytest.mark.parametrize("what", ["split", "shard"])
+def test_a_manifest_of_a_server(
+    hub: Hub, victims: Path, shards: Path, monkeypatch: pytest.MonkeyPatch, name: str, what: str
+) -> None:
+    monkeypatch.chdir(victims)
+    files = read_folder(shards) | {"manifest.json": manifest_with(shards, name, what).encode()}
+    hub.static = {f"evil/{path}": data for path, data in files.items()}
+    empty = ShardIndex((), np.zeros(0, np.int64), np.zeros(0, np.int32), empty_table()).to_bytes()
+    hub.static |= {f"evil/index-{name}.npz": empty}
+    url = f"{hub.endpoint}/files/evil"
+    for out in ([], ["--out", "out"]):
+        assert main(["download", url, "--quiet", *out]) == 1
+    with pytest.raises(ShardError, match=r"manifest\.json: split"):
+        download(Url(url), victims / "direct", Remote(cache_dir=victims / "cache"), split="train")
+    assert not list(victims.glob("*/*.tar"))
+
+
+@hostile
+def test_a_hash_that_a_server_gives_its_shard(hub: Hub, victims: Path, shards: Path, name: str) -> None:
+    tree = json.loads((shards / "manifest.json").read_text())
+    tree["splits"]["train"]["shards"][0]["sha256"] = name
+    hub.static = {f"evil/{path}": data for path, data in read_folder(shards).items()}
+    hub.static["evil/manifest.json"] = json.dumps(tree).encode()
+    ds = GarmentDataset(f"{hub.endpoint}/files/evil", cache_dir=victims / "cache", fields=["body"])
+    assert ds[0]["body"].shape == GarmentDataset(shards)[0]["body"].shape
+    assert len(list((victims / "cache" / "shards").glob("*.have"))) == 1
+
+
+@hostile
+def test_a_tar_in_the_list_of_a_server(hub: Hub, victims: Path, name: str) -> None:
+    content = BytesIO()
+    with tarfile.open(fileobj=content, mode="w") as tar:
+        info = tarfile.TarInfo("a.txt")
+        info.size = 5
+        tar.addfile(info, BytesIO(b"words"))
+    if name == "\ud800" or "\n" in name:  # which the server cannot send
+        return
+    hub.publish("org/tars", {f"{name}.tar": content.getvalue()})
+    options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": victims / "cache"}
+    try:
+        assert GarmentDataset("org/tars", **options)[0]["txt"] == "words"
+    except GcdError as error:
+        assert "/" in name or name.startswith("."), error
+    assert {path.name for path in victims.iterdir()} <= {"cache"}
+
+
+@pytest.mark.parametrize("revision", [name for name in HOSTILE.values() if name and "\n" not in name])
+def test_a_revision(hub: Hub, victims: Path, shards: Path, revision: str) -> None:
+    hub.publish("org/garments", shards)
+    with pytest.raises(GcdError):
+        GarmentDataset("org/garments", endpoint=hub.endpoint, cache_dir=victims / "cache", revision=revision)
+
+
+@hostile
+def test_the_folder_that_a_download_makes(
+    hub: Hub, victims: Path, shards: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.chdir(victims)
+    hub.static = {f"{name}/{path}": data for path, data in read_folder(shards).items()}
+    assert main(["download", f"{hub.endpoint}/files/{name}", "--quiet"]) in (0, 1, 2)
+
+
+# ------------------------------------------------------------------------------------------------------ foreign names
+
+
+@hostile
+@pytest.mark.parametrize("part", [1, 2, 3])
+def test_the_place_of_a_garment_that_came_from_a_release(name: str, part: int) -> None:
+    source = ["GarmentCodeData_v2", "garments_5000_0", "default_body", "rand_ABCDEFGHIJ"]
+    source[part] = name
+    place = _place_in_release("gcd_000000000", "/".join(source), "mean_all")
+    for component in (place.batch, place.body_folder, place.name):
+        assert require_name(component, "here") == component
+
+
+@pytest.mark.parametrize("part", [1, 2, 3])
+def test_where_a_garment_came_from(victims: Path, part: int) -> None:
+    source = ["GarmentCodeData_v2", "garments_5000_0", "default_body", "rand_ABCDEFGHIJ"]
+    source[part] = ".."
+    sample = replace(garment(), provenance=replace(garment().provenance, source="/".join(source)))
+    with ShardWriter(victims / "data", seed=3, recipe=recipe_of(MakeConfig(stage="mesh"))) as writer:
+        writer.write(sample)
+    for _ in export_published({"train": ShardReader(victims / "data")}, victims / "out"):
+        pass
+    specs = list((victims / "out").rglob("*_specification.json"))
+    assert len(specs) == 1
+    assert len(specs[0].relative_to(victims / "out").parts) == 5
+    assert specs[0].name.removesuffix("_specification.json") == specs[0].parent.name
+
+
+def test_a_source_without_a_place_in_a_release_is_told(victims: Path) -> None:
+    sample = replace(garment(), provenance=replace(garment().provenance, source="nowhere"))
+    with ShardWriter(victims / "data", seed=3, recipe=RECIPE) as writer:
+        writer.write(sample)
+    with pytest.raises(ShardError, match=r"gcd_000000000: its meta\.json has source nowhere: give RELEASE/BATCH/"):
+        list(export_published({"train": ShardReader(victims / "data")}, victims / "out"))
+
+
+@hostile
+def test_a_place_in_a_release(victims: Path, name: str) -> None:
+    parts = Path(name).parts
+    if all(safe_name(part) == part for part in parts):
+        return
+    told = pytest.raises(ShardError, match=r"a garment's place: .* cannot be a file's name")
+    with told, release_draft(victims / "out", "some") as draft:
+        draft.holds(Path("batch", "data", *parts))
+
+
+@hostile
+def test_what_gcd_drape_calls_its_files(victims: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    sample = garment()
+    assert sample.box_mesh is not None
+    assert sample.drape is not None
+    monkeypatch.setattr(fitting, "render_garment", lambda *_, **__: 2 * (np.zeros((8, 8, 3), np.uint8),))
+    monkeypatch.setattr(fitting, "glb_bytes", lambda *_: b"")
+    monkeypatch.setattr(fitting, "draw_pattern", lambda _: np.zeros((8, 8, 3), np.uint8))
+    made = Fitting(replace(sample.pattern, name=name), None, (), sample.box_mesh, sample.drape, 0.0, 0.0)  # type: ignore[arg-type]
+    write_fitting(made, victims / "out")
+    files = [path for path in (victims / "out").iterdir() if path.is_file()]
+    assert len(files) == len(list((victims / "out").rglob("*"))) == 6
+
+
+# -------------------------------------------------------------------------------------------------------------- links
+
+
+def test_a_link_in_the_place_of_a_draft_is_not_followed(hub: Hub, victims: Path, shards: Path) -> None:
+    victim = victims.parent / "victim"
+    hub.static = {f"garments/{path}": data for path, data in read_folder(shards).items()}
+    for folder in ("down", "made"):
+        (victims / folder).mkdir()
+        (victims / folder / "train-00000.tar.part").symlink_to(victim)
+    with pytest.raises(OutputError, match=r"train-00000\.tar\.part: cannot be written \(.*\): remove this link"):
+        download(Url(f"{hub.endpoint}/files/garments"), victims / "down", Remote(cache_dir=victims / "cache"))
+    with pytest.raises(OutputError, match=r"train-00000\.tar\.part: cannot be written \(.*\): remove this link"):
+        ShardWriter(victims / "made", seed=3, recipe=RECIPE).write(garment())
+
+
+def test_a_link_in_the_place_of_a_lock_is_not_followed(victims: Path) -> None:
+    (victims / ".train.lock").symlink_to(victims.parent / "made by a link")
+    with pytest.raises(OutputError):
+        ShardWriter(victims, seed=3, recipe=RECIPE)
+
+
+def test_links_in_a_cache_are_not_followed(hub: Hub, victims: Path, shards: Path) -> None:
+    victim = victims.parent / "victim"
+    hub.static = {f"garments/{path}": data for path, data in read_folder(shards).items()}
+    options: dict[str, Any] = {"cache_dir": victims / "cache", "fields": ["body"], "max_cache_size": "1MB"}
+    url = f"{hub.endpoint}/files/garments"
+    expected = GarmentDataset(url, **options)[0]["body"]
+    for path in [*(victims / "cache" / "shards").iterdir(), victims / "cache" / "used"]:
+        for link in (path, path.with_suffix(".tmp")):
+            link.unlink(missing_ok=True)
+            link.symlink_to(victim)
+    assert (GarmentDataset(url, **options)[0]["body"] == expected).all()
