@@ -31,6 +31,7 @@ from gcd_dataset.shards.layout import (
     known_fields,
     lock_name,
     part_path,
+    shard_number,
 )
 from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_split
 from gcd_dataset.shards.reader import ShardReader
