@@ -44,8 +44,9 @@ class GarmentLoader:
     - A garment that cannot be loaded is named in a note on the error.
     - On a machine with a GPU batches lie in pinned memory.
     - An ``IterableDataset`` comes as it does, cut to this rank's share: it has to give the same on every rank, is read
-      from its beginning to go on, unless it is one of ``FreshGarments``, and takes ``shuffle=False``, no workers and no ``pad``. Garments with
-      ``streaming=True`` are read by number all the same: their shards need not be shared out evenly.
+      from its beginning to go on, and takes ``shuffle=False``, no workers and no ``pad``. ``FreshGarments`` go on
+      without what came before. Garments with ``streaming=True`` are read by number all the same: their shards need not
+      be shared out evenly.
 
     Raises ``ConfigError`` for options that do not fit together.
     """
