@@ -26,7 +26,7 @@ def as_type(value: Tensor, dtype: torch.dtype) -> Tensor:
     if value.dtype == dtype or value.numel() <= AT_ONCE or value.device.type != "cpu":
         return value.to(dtype)
     changed = torch.empty(value.shape, dtype=dtype)
-    for source, target in zip(value.reshape(-1).split(AT_ONCE), changed.view(-1).split(AT_ONCE), strict=True):
+    for source, target in zip(*(torch.split(flat.reshape(-1), AT_ONCE) for flat in (value, changed)), strict=True):
         target.copy_(source)
     return changed
 

@@ -145,7 +145,7 @@ class Streamed(IterableDataset):
         """The items of the stream from a position on: without those before it, where the stream can do that."""
         if self._epoch_length is None:
             return islice(iter(self._stream), position, None)
-        return self._stream.begin_at(position)  # type: ignore[attr-defined, no-any-return]
+        return self._stream.begin_at(position)  # type: ignore[attr-defined]
 
     @property
     def _epoch_length(self) -> int | None:
