@@ -13,7 +13,7 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.pipeline import make_many
+from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import (
     Augmented,
@@ -49,7 +49,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         folders[stage] = tmp_path_factory.mktemp(stage)
         config = MakeConfig(stage=stage, resolution=6.0, points=512)
         with ShardWriter(folders[stage], seed=2, recipe=recipe_of(config), shard_size=2) as writer:
-            for sample in make_many(2, range(KEPT, KEPT + COUNT), config):
+            for sample in produce(2, range(KEPT, KEPT + COUNT), config):
                 writer.write(sample)
         list(write_hdf5(ShardReader(folders[stage]), folders[stage] / "train.h5"))
     return folders
@@ -218,7 +218,7 @@ def test_generated_garments_by_their_keys() -> None:
 def test_a_key_of_two_splits_names_neither(tmp_path: Path) -> None:
     for split in ("train", "test"):
         with ShardWriter(tmp_path, split=split, seed=0, recipe={}) as writer:
-            for sample in make_many(0, range(2), MakeConfig(stage="pattern")):
+            for sample in produce(0, range(2), MakeConfig(stage="pattern")):
                 writer.write(sample)
     both = GarmentDataset(tmp_path, "train+test", fields=["meta"])
     with pytest.raises(KeyError, match="gcd_000000001 is in train and in test: open one split"):
