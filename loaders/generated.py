@@ -20,6 +20,8 @@ from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.loaders.base import Garments, Transform, natural
+from gcd_dataset.loaders.held import lacking_at
+from gcd_dataset.loaders.waiting import tell_wait
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.kept import KeptSamples
@@ -40,10 +42,12 @@ class GeneratedGarments(Garments):
     torch.Size([9731, 3])
 
     ``bodies``, ``bodies_each``, ``arms`` [degrees], ``resolution`` [cm], ``fabric``, ``on_fail``, ``picture`` and
-    ``design``, an overlay by ``read_overlay``, are those of ``MakeConfig``. With the same ``seed`` and another fabric,
-    or arms held otherwise, come the same patterns, draped otherwise. ``drape``: ``warp``, or ``None`` to stop at the
-    box mesh; ``stage="pattern"`` stops before that. Pictures are taken for a cache, or where
-    ``fields`` have ``front``, ``back`` or, with checksums of all, ``meta``.
+    ``design`` are those of ``MakeConfig``; ``design`` is an overlay by ``read_overlay``, or what such a file holds as a
+    dict: ``{"meta": {"bottom": "none"}}``. With the same ``seed`` and another fabric, or arms held otherwise, come the
+    same patterns, draped otherwise. ``drape``: ``warp``, or ``None`` to stop at the box mesh; ``stage="pattern"`` stops
+    before that. ``fields``: ``None`` for all that garments of the stage hold; ``dtype``: of the floating ones, float32
+    by default, ``None`` for what a shard would store. Pictures are taken for a cache, or where ``fields`` have
+    ``front``, ``back`` or, with checksums of all, ``meta``.
 
     ``device``: where cloth is draped; ``auto`` is the first GPU that torch sees, or the CPU. On a GPU, workers of a
     ``DataLoader``, forked or spawned, make body, design, pattern and mesh, and one process drapes for all of them;
@@ -53,7 +57,10 @@ class GeneratedGarments(Garments):
     of this package has a folder of its own in it, ``cache``, which is a data set for ``GarmentDataset``, ``gcd verify``
     or ``gcd publish``. Any number of workers and processes may share it; a damaged garment is made again.
 
-    Raises ``ConfigError`` for options that do not fit together; a GPU that is not there is told with the first garment.
+    Where a garment takes seconds, as a drape does on a CPU, a line of the logger ``gcd_dataset`` says so once.
+
+    Raises ``ConfigError`` for options that do not fit together, and fields that come with a later stage; a GPU that is
+    not there is told with the first garment.
     """
 
     def __init__(
@@ -74,9 +81,9 @@ class GeneratedGarments(Garments):
         on_fail: Literal["retry", "keep"] = "retry",
         transform: Transform | None = None,
         fields: Iterable[str] | None = None,
-        design: Overlay | None = None,
+        design: Overlay | Mapping[str, Any] | None = None,
+        dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        super().__init__(fields, transform)
         self._n, self._seed = natural("n", n), natural("seed", seed)
         self.config = MakeConfig(
             bodies=bodies,
@@ -87,9 +94,11 @@ class GeneratedGarments(Garments):
             device=_named(device),
             on_fail=on_fail,
             picture=picture,
-            design=design or NO_OVERLAY,
+            design=_overlay(design),
             fabric=fabric,
         )
+        empty = [] if self.config.picture else ["front", "back"]
+        super().__init__(fields, transform, lacking=lacking_at(self.config.stage, empty), dtype=dtype)
         self.together = self.config.wearers
         self._recipe = recipe_of(self.config)
         self._on_gpu = self.config.stage == "drape" and self.config.device != "cpu"
@@ -102,6 +111,7 @@ class GeneratedGarments(Garments):
         )
         self._last = LastDesign()
         self._process = os.getpid()
+        self._wait_told = False
 
     def __len__(self) -> int:
         return self._n
@@ -129,16 +139,27 @@ class GeneratedGarments(Garments):
             raise ConfigError("nothing is kept: give cache_dir")
         self._kept.pack()
 
+    def tell_wait(self) -> None:
+        """Log, once, how long a garment takes to make here, unless some may lie in the cache."""
+        if self.cache is None or not self.cache.exists():
+            self._tell_wait()
+
+    def _tell_wait(self) -> None:
+        worker = get_worker_info()
+        if not self._wait_told and (worker is None or worker.id == 0):
+            self._wait_told = True
+            tell_wait(self.config)
+
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments at once; a ``DataLoader`` calls this for a batch."""
         positions = [self._position(index) for index in indices]
-        return [self._item(members) for members in self._several(positions)]
+        return [self._item(*entry) for entry in zip(self._several(positions), positions, strict=True)]
 
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
         """Stream garments; ``indices`` may be infinite. On a GPU the next are made while one is handed out."""
         positions = (self._position(index) for index in indices)
         if self._place is None:
-            return (self._item(self._several([position])[0]) for position in positions)
+            return (self._item(self._several([position])[0], position) for position in positions)
         return map(self._item, by_thread(self._produced(positions, ahead=AHEAD), READY))
 
     def _several(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
@@ -173,6 +194,7 @@ class GeneratedGarments(Garments):
 
     def _made(self, position: int) -> Mapping[str, Bytes]:
         """A garment made anew, whatever is in the cache."""
+        self._tell_wait()
         return next(self._by(self._apart, [position], finished=encode_sample, pictured=self._pictured))
 
     def _encoded(self, sample: Sample) -> Mapping[str, Bytes]:
@@ -185,13 +207,18 @@ class GeneratedGarments(Garments):
 
     def _known(self, position: int) -> Mapping[str, Bytes] | None:
         """What an item needs of the garment in the cache, if it is there and whole."""
-        if self._kept is None:
-            return None
+        members = None
         try:
-            return self._kept.read(position, members_of(self.fields))
+            if self._kept is not None:
+                members = self._kept.read(position, members_of(self.fields))
         except ShardError as error:
             logger.warning("%s; it is made again", error)
-            return None
+        if members is None:
+            self._tell_wait()
+        return members
+
+    def _described(self) -> list[str]:
+        return [f"seed {self._seed}", f"stage {self.config.stage} on {self.config.device}"]
 
     @property
     def _cache_name(self) -> str:
@@ -201,6 +228,19 @@ class GeneratedGarments(Garments):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._process = os.getpid()  # unpickled: spawned, not forked
+
+
+def _overlay(design: Overlay | Mapping[str, Any] | None) -> Overlay:
+    """What designs are narrowed to. Raises ``ConfigError`` with the name that no parameter has, and one like it."""
+    if design is None:
+        return NO_OVERLAY
+    if isinstance(design, Overlay):
+        return design
+    if isinstance(design, Mapping):
+        return Overlay.from_dict(design)
+    raise ConfigError(
+        f'design={design!r:.99}: give a dict such as {{"meta": {{"bottom": "none"}}}}, or read_overlay(FILE)'
+    )
 
 
 def _named(device: str) -> str:

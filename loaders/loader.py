@@ -44,8 +44,9 @@ class GarmentLoader:
     - A garment that cannot be loaded is named in a note on the error.
     - On a machine with a GPU batches lie in pinned memory.
     - An ``IterableDataset`` comes as it does, cut to this rank's share: it has to give the same on every rank, is read
-      from its beginning to go on, and takes ``shuffle=False``, no workers and no ``pad``. Garments with
-      ``streaming=True`` are read by number all the same: their shards need not be shared out evenly.
+      from its beginning to go on, and takes ``shuffle=False``, no workers and no ``pad``. ``FreshGarments`` go on
+      without what came before. Garments with ``streaming=True`` are read by number all the same: their shards need not
+      be shared out evenly.
 
     Raises ``ConfigError`` for options that do not fit together.
     """
@@ -88,9 +89,12 @@ class GarmentLoader:
         """Batches of a whole epoch. Raises ``TypeError`` for a stream."""
         return len(self._plan)
 
+    def __repr__(self) -> str:
+        return f"GarmentLoader({self.dataset!r}, batch_size={self.batch_size}, position {self._position})"
+
     @property
     def epoch(self) -> int:
-        """The epoch of the next batch, from 0. Raises ``TypeError`` for a stream."""
+        """The epoch of the next batch, from 0. Raises ``TypeError`` for a stream without epochs."""
         return self._plan.epoch(self._position)
 
     def state_dict(self) -> dict[str, Any]:

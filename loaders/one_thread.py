@@ -11,12 +11,25 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["add", "copied", "fill", "join", "pinned"]
+__all__ = ["add", "as_type", "copied", "fill", "join", "pinned"]
+
+AT_ONCE = 1 << 15  # numbers: of more torch has several threads convert them
 
 
 def copied(value: Tensor) -> Tensor:
     """The same values in memory of their own."""
     return torch.from_numpy(value.detach().numpy().copy()) if _in_numpy(value) else value.clone()
+
+
+def as_type(value: Tensor, dtype: torch.dtype) -> Tensor:
+    """The values as another type; the same tensor where they are of it."""
+    if value.numel() <= AT_ONCE or value.dtype == dtype or value.device.type != "cpu" or torch.get_num_threads() == 1:
+        return value.to(dtype)
+    changed = torch.empty(value.shape, dtype=dtype)
+    source, target = value.reshape(-1), changed.view(-1)
+    for cut in range(0, len(source), AT_ONCE):
+        target[cut : cut + AT_ONCE].copy_(source[cut : cut + AT_ONCE])
+    return changed
 
 
 def pinned(value: Tensor) -> Tensor:

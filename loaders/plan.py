@@ -112,7 +112,10 @@ class ByNumber:
 
 
 class Streamed(IterableDataset):
-    """Every ``world_size``-th item of a stream, from any position on; a position counts items of one pass."""
+    """Every ``world_size``-th item of a stream, from any position on; a position counts items of one pass.
+
+    A stream with ``begin_at`` has epochs, as ``FreshGarments`` does: there it counts those of all epochs.
+    """
 
     def __init__(
         self, stream: IterableDataset, batch_size: int, rank: int | None, world_size: int | None, *, drop_last: bool
@@ -130,16 +133,29 @@ class Streamed(IterableDataset):
 
     def __iter__(self) -> Iterator[Any]:
         """This rank's items of the pass that was begun; from the stream's beginning if none are left."""
-        for start in sorted({self._start, 0}, reverse=True):
-            self._reached, items = start, islice(iter(self._stream), start, None)
+        for start in dict.fromkeys((self._start, self.finished(self._start))):
+            self._reached, items = start, self._from(start)
             while len(turn := list(islice(items, self._world_size))) == self._world_size:
                 self._reached += self._world_size
                 yield turn[self._rank]
             if self._reached > start:
                 return
 
+    def _from(self, position: int) -> Iterator[Any]:
+        """The items of the stream from a position on: without those before it, where the stream can do that."""
+        if self._epoch_length is None:
+            return islice(iter(self._stream), position, None)
+        return self._stream.begin_at(position)  # type: ignore[attr-defined]
+
+    @property
+    def _epoch_length(self) -> int | None:
+        """Items of an epoch, of a stream that begins at any position of any epoch."""
+        return len(self._stream) if hasattr(self._stream, "begin_at") else None  # type: ignore[arg-type]
+
     def epoch(self, position: int) -> int:
-        raise TypeError("a stream has no epochs")
+        if (length := self._epoch_length) is None:
+            raise TypeError("a stream has no epochs")
+        return position // max(length, 1)
 
     def state(self, position: int) -> dict[str, Any]:
         return {"position": position, **self._names()}
@@ -157,7 +173,8 @@ class Streamed(IterableDataset):
 
     def finished(self, position: int) -> int:
         """The beginning of the next pass."""
-        return 0
+        length = self._epoch_length
+        return 0 if length is None else -(-position // max(length, 1)) * length
 
     def marked(self, batch: Any, start: int, number: int) -> Any:
         return batch
