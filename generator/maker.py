@@ -218,7 +218,8 @@ class _Share:
     def made(self) -> Iterator[Any]:
         """The results, in order; the next are made by a thread while one is handed over."""
         with ExitStack() as opened:
-            draper, ahead = None, None
+            draper: Draper | None = None
+            ahead = None
             if self.place is not None:
                 draper, ahead = opened.enter_context(SharedDraper(self.place)), AHEAD
             elif self.config.stage == "drape":

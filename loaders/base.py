@@ -21,7 +21,7 @@ from gcd_dataset.loaders.indexing import (
 )
 from gcd_dataset.loaders.one_thread import as_type
 from gcd_dataset.shards.codec import decode_field, read_meta
-from gcd_dataset.shards.layout import FIELDS, Bytes, key_of
+from gcd_dataset.shards.layout import FIELDS, Bytes, key_of, members_of
 
 __all__ = [
     "GarmentItem",

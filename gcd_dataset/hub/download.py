@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.files import make_folder
 from gcd_dataset.hub.checked import CheckedShards
 from gcd_dataset.hub.held import begin, end, what_is_there

@@ -173,11 +173,6 @@ class Hdf5Reader:
         ptr = np.frombuffer(self._rows(self._opened(), f"ptr/{field}", 0, self._count + 1), PTR)
         return int(np.diff(ptr).max(initial=0))
 
-    def largest(self, field: str) -> int:
-        """Rows of the sample that has most of an array field; bytes of its largest picture."""
-        with self._opened() as file:
-            return int(np.diff(file.handle["ptr"][field][:]).max(initial=0))
-
     def check(self, position: int) -> None:
         """Raise ``ShardError`` if any byte of a sample is not what was written."""
         self._checked[position] = False

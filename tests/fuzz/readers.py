@@ -148,7 +148,7 @@ def _sample(_: Path, field: str) -> Reader:
 
 
 def _decoded(field: str, data: bytes) -> Any:
-    return _plain(decode_field(field, data))
+    return _plain(decode_field(field, {FIELDS[field]: data}))
 
 
 def _foreign(folder: Path) -> Reader:
