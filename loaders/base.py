@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.shards.codec import decode_field, read_json
-from gcd_dataset.shards.layout import FIELDS, Bytes, known_fields
+from gcd_dataset.shards.layout import FIELDS, Bytes, key_of, known_fields
 
 __all__ = [
     "Garments",
@@ -20,6 +20,8 @@ __all__ = [
     "SelectedGarments",
     "Transform",
     "as_item",
+    "changing",
+    "function",
     "items_of",
     "made_with",
     "naming",
@@ -47,7 +49,7 @@ class Garments(Dataset[Item], ABC):
     ) -> None:
         self.fields = known_fields(fields, there)
         """Names of what an item holds; see ``gcd_dataset.shards.codec`` for shapes, types and units."""
-        self.transform = transform
+        self.transform = None if transform is None else function("transform", transform)
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -77,7 +79,8 @@ class Garments(Dataset[Item], ABC):
         """
         if isinstance(index, slice):
             return self.select(range(len(self))[index])
-        return self._item(self._members(self._position(index), tuple(FIELDS[field] for field in self.fields)))
+        position = self._position(index)
+        return self._item(self._members(position, tuple(FIELDS[field] for field in self.fields)), position)
 
     def __iter__(self) -> Iterator[Any]:
         """All garments in order."""
@@ -95,9 +98,24 @@ class Garments(Dataset[Item], ABC):
         """These garments in this order, as a data set. Raises ``IndexError``."""
         return SelectedGarments(self, [self._position(index) for index in indices])
 
-    def _item(self, members: Mapping[str, Bytes]) -> Any:
-        item = as_item(members, self.fields)
-        return item if self.transform is None else self.transform(item)
+    def _item(self, members: Mapping[str, Bytes], position: int) -> Any:
+        return self._changed(as_item(members, self.fields), position)
+
+    def _changed(self, item: Any, position: int) -> Any:
+        """The item of a garment after the transform."""
+        if self.transform is None:
+            return item
+        with changing(self, position):
+            return self.transform(item)
+
+    def _key(self, position: int) -> str:
+        """The key of the garment at a position."""
+        return key_of(position)
+
+    @property
+    def _label(self) -> str:
+        """The data set, as messages name it."""
+        return type(self).__name__
 
     def _position(self, index: int) -> int:
         number = operator.index(index)
@@ -125,6 +143,9 @@ class SelectedGarments(Garments):
 
     def verify(self, index: int) -> None:
         self.whole.verify(int(self.positions[self._position(index)]))
+
+    def _key(self, position: int) -> str:
+        return self.whole._key(int(self.positions[position]))
 
     def __getitem__(self, index: int | slice) -> Any:
         if isinstance(index, slice):
@@ -176,6 +197,26 @@ class naming:  # noqa: N801 -- a context manager, named as functions are
             error.add_note(f"while loading {'garment' if len(self._indices) == 1 else 'garments'} {which}")
 
 
+class changing:  # noqa: N801 -- a context manager, named as functions are
+    """Turn an error of a transform into a ``TransformError`` that names the garment."""
+
+    # A class: entered for every garment, as ``naming`` is.
+    __slots__ = ("_dataset", "_position")
+
+    def __init__(self, dataset: "Garments", position: int) -> None:
+        self._dataset, self._position = dataset, position
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        # One that is named already comes from a data set in this one.
+        if isinstance(error, Exception) and not isinstance(error, TransformError):
+            garment = f"{self._dataset._key(self._position)}, number {self._position} of {self._dataset._label}"
+            told = " ".join(f"{type(error).__name__}: {error}".split())
+            raise TransformError(f"the transform of {garment}: {told}") from error
+
+
 def _item_of(dataset: Any, index: int) -> Any:
     with naming(dataset, index):
         return dataset[index]
@@ -200,6 +241,13 @@ def natural(name: str, value: int, least: int = 0) -> int:
     if number < least:
         raise ConfigError(f"{name}={value!r}: give a whole number, {least} or more")
     return number
+
+
+def function(name: str, value: Any) -> Any:
+    """The value of an argument that is called. Raises ``ConfigError`` for one that cannot be."""
+    if not callable(value):
+        raise ConfigError(f"{name}={value!r:.99}: give a function that takes an item, or leave it out")
+    return value
 
 
 def as_item(members: Mapping[str, Bytes], fields: Iterable[str]) -> Item:

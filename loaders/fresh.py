@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, Item, natural
+from gcd_dataset.loaders.base import Garments, Item, function, natural
 from gcd_dataset.loaders.one_thread import copied
 from gcd_dataset.loaders.transforms import Augment
 from gcd_dataset.loaders.worker import begin_worker
@@ -59,7 +59,7 @@ class FreshGarments(IterableDataset[Item]):
             raise ConfigError(f"replay={replay!r}: give 1 or more")
         self.garments, self.replay, self.room = garments, Fraction(str(replay)), natural("room", room, least=1)
         self.workers, self.seed = natural("workers", workers), natural("seed", seed)
-        self.augment = augment
+        self.augment = None if augment is None else function("augment", augment)
 
     def __len__(self) -> int:
         """Items of one pass."""
@@ -82,6 +82,11 @@ class FreshGarments(IterableDataset[Item]):
             if buffer[place].given == buffer[place].times:
                 buffer[place] = buffer[-1]
                 buffer.pop()
+
+    def identity(self) -> dict[str, Any]:
+        """What tells this stream from others: whose garments, how often, and all that the order is a function of."""
+        options = {"replay": str(self.replay), "room": self.room, "seed": self.seed}
+        return {"garments": self.garments.identity(), **options}
 
     def _made(self) -> Iterator[Item]:
         """The garments in order: workers have them by turns, and give them by turns."""

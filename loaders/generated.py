@@ -3,6 +3,7 @@
 import logging
 import os
 import re
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -138,14 +139,22 @@ class GeneratedGarments(Garments):
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments at once; a ``DataLoader`` calls this for a batch."""
         positions = [self._position(index) for index in indices]
-        return [self._item(members) for members in self._several(positions)]
+        return list(map(self._item, self._several(positions), positions))
 
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
         """Garments one after the other, of numbers that may be endless; on a GPU the next are made meanwhile."""
         positions = (self._position(index) for index in indices)
         if self._place is None:
-            return (self._item(self._several([position])[0]) for position in positions)
-        return map(self._item, by_thread(self._by_draper(positions, AHEAD, AT_ONCE), READY))
+            return (self._item(self._several([position])[0], position) for position in positions)
+        begun: deque[int] = deque()
+
+        def noted() -> Iterator[int]:
+            for position in positions:
+                begun.append(position)
+                yield position
+
+        made = by_thread(self._by_draper(noted(), AHEAD, AT_ONCE), READY)
+        return (self._item(members, begun.popleft()) for members in made)
 
     def _several(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
         if self._apart:

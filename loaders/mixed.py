@@ -84,7 +84,7 @@ class MixedDataset(Garments):
         if isinstance(index, slice):
             return self.select(range(len(self))[index])
         part, number = self.source(index)
-        return self._changed(self.datasets[part][number])
+        return self._changed(self.datasets[part][number], self._position(index))
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments at once; what is made on a GPU is made together."""
@@ -93,7 +93,10 @@ class MixedDataset(Garments):
         for part, number in sources:
             of_part[part].append(number)
         items = {part: iter(items_of(self.datasets[part], numbers)) for part, numbers in of_part.items()}
-        return [self._changed(next(items[part])) for part, _ in sources]
+        return [
+            self._changed(next(items[part]), self._position(index))
+            for (part, _), index in zip(sources, indices, strict=True)
+        ]
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` was made with. Raises ``IndexError``."""
@@ -114,8 +117,9 @@ class MixedDataset(Garments):
         part, number = self.source(position)
         return self.datasets[part]._members(number, members)
 
-    def _changed(self, item: Any) -> Any:
-        return item if self.transform is None else self.transform(item)
+    def _key(self, position: int) -> str:
+        part, number = self.source(position)
+        return self.datasets[part]._key(number)
 
     def _position(self, index: int) -> int:
         number = operator.index(index)

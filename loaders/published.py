@@ -134,6 +134,9 @@ class PublishedGarmentCodeData(Garments):
         """Garment ``index`` with everything that is published of it. Raises ``ShardError``, ``IndexError``."""
         return self._sample(self._position(index), MEMBERS)
 
+    def _key(self, position: int) -> str:
+        return key_of(self._garments.entries[position].index)
+
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return encode_part(self._sample(position, members))
 

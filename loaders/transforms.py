@@ -17,7 +17,7 @@ import torch
 from scipy.spatial import ConvexHull
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, Item, items_of, natural
+from gcd_dataset.loaders.base import Garments, Item, changing, function, items_of, natural
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import Bytes
 
@@ -112,7 +112,7 @@ class Augmented(Garments):
 
     def __init__(self, whole: Garments, augment: Augment, *, seed: int = 0) -> None:
         super().__init__(whole.fields, None, there=whole.fields)
-        self.whole, self.augment, self.seed = whole, augment, natural("seed", seed)
+        self.whole, self.augment, self.seed = whole, function("augment", augment), natural("seed", seed)
         self.reads_only = whole.reads_only
         if whole.endless:
             raise ConfigError("Augmented takes no MixedDataset: give it the parts, and mix those")
@@ -160,7 +160,11 @@ class Augmented(Garments):
         return self.whole._members(position, members)
 
     def _changed(self, item: Item, position: int) -> Item:
-        return self.augment(item, rng(self.seed, position, Stage.AUGMENT, int(self._epoch)))
+        with changing(self, position):
+            return self.augment(item, rng(self.seed, position, Stage.AUGMENT, int(self._epoch)))
+
+    def _key(self, position: int) -> str:
+        return self.whole._key(position)
 
 
 def _turned(rows: torch.Tensor, turn: torch.Tensor) -> torch.Tensor:
