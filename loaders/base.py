@@ -11,10 +11,20 @@ import torch
 from torch.utils.data import Dataset
 
 from gcd_dataset.errors import ConfigError, TransformError
+from gcd_dataset.loaders.held import fields_held
+from gcd_dataset.loaders.indexing import (
+    UnknownKeyError,
+    index_of,
+    number_in,
+    several_of,
+    unknown_key,
+)
+from gcd_dataset.loaders.one_thread import as_type
 from gcd_dataset.shards.codec import decode_field, read_json
-from gcd_dataset.shards.layout import FIELDS, Bytes, key_of, known_fields
+from gcd_dataset.shards.layout import FIELDS, Bytes, key_of
 
 __all__ = [
+    "GarmentItem",
     "Garments",
     "Item",
     "SelectedGarments",
@@ -32,10 +42,36 @@ __all__ = [
 Item: TypeAlias = dict[str, Any]
 """A loaded sample: field name to tensor, parsed JSON, or picture as u8 tensor [3, height, width]."""
 Transform: TypeAlias = Callable[[Item], Any]
+NOTHING: Mapping[str, str] = {}
+
+
+class GarmentItem(dict[str, Any]):
+    """A loaded garment: a dict that names what it holds where something else is asked for.
+
+    torch's own ``default_collate`` cannot stack garments of different sizes, and says what does.
+    """
+
+    def __missing__(self, field: object) -> Any:
+        raise UnknownKeyError(
+            f"the garment has no {field!r:.99}: it holds {', '.join(self)}; fields= of its data set chooses"
+        )
 
 
 class Garments(Dataset[Item], ABC):
-    """Garments by number; ``fields`` chooses what an item holds, ``transform`` changes it on the way out."""
+    """Garments by number or key; ``fields`` chooses what an item holds, ``transform`` changes it on the way out.
+
+    ======================================  ============================================================================
+    ``ds[7]``, ``ds[-1]``, ``ds[i]``        one item; ``i`` may be a whole number of NumPy or torch
+    ``ds["gcd_000000012"]``                 the garment of that key, as ``item["meta"]["key"]`` has it
+    ``ds[[1, 2, 5]]``, ``ds[indices]``      a list of items, for a list, array or tensor of numbers, or a list of keys
+    ``ds[2:5]``                             a data set of these garments
+    ======================================  ============================================================================
+
+    Without ``fields`` an item holds all that the garments have: those made up to the box mesh have no ``verts``.
+    Floating fields come as ``dtype``, float32 by default; ``None`` keeps what is stored, such as the float64 of
+    ``panels`` and ``edges``, which a pattern is decoded from to the last digit. Raises ``ConfigError`` for a field that
+    no garment holds, for a ``transform`` that cannot be called, and a ``dtype`` that is not of floating numbers.
+    """
 
     reads_only = False
     """Whether garments are only read, so that a thread beside the training can do it as well as a process."""
@@ -45,11 +81,19 @@ class Garments(Dataset[Item], ABC):
     """So many garments in a row are best made by one process, since they are one design; from any multiple of it on."""
 
     def __init__(
-        self, fields: Iterable[str] | None, transform: Transform | None, *, there: Iterable[str] = FIELDS
+        self,
+        fields: Iterable[str] | None,
+        transform: Transform | None,
+        *,
+        there: Iterable[str] = FIELDS,
+        lacking: Mapping[str, str] = NOTHING,
+        dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        self.fields = known_fields(fields, there)
+        self.fields = fields_held(fields, there, lacking)
         """Names of what an item holds; see ``gcd_dataset.shards.codec`` for shapes, types and units."""
         self.transform = None if transform is None else function("transform", transform)
+        self.dtype = floating(dtype)
+        """Of the floating fields; ``None`` for what is stored."""
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -72,15 +116,15 @@ class Garments(Dataset[Item], ABC):
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         """The encoded content of at least the members asked for."""
 
-    def __getitem__(self, index: int | slice) -> Any:
-        """Garment ``index``, negative ones count from the end; for a slice the garments in it, as a data set.
+    def __getitem__(self, index: Any) -> Any:
+        """Garment ``index``, a number or a key; a list of garments for several, for a slice a data set of them.
 
-        Raises ``IndexError``.
+        Raises ``IndexError``, ``KeyError`` for a key that no garment has, ``TypeError`` for what is no index.
         """
         if isinstance(index, slice):
             return self.select(range(len(self))[index])
-        position = self._position(index)
-        return self._item(self._members(position, tuple(FIELDS[field] for field in self.fields)), position)
+        several = several_of(index)
+        return self._one(self._position(index)) if several is None else self.__getitems__(several)
 
     def __iter__(self) -> Iterator[Any]:
         """All garments in order."""
@@ -98,38 +142,58 @@ class Garments(Dataset[Item], ABC):
         """These garments in this order, as a data set. Raises ``IndexError``."""
         return SelectedGarments(self, [self._position(index) for index in indices])
 
-    def _item(self, members: Mapping[str, Bytes], position: int) -> Any:
-        return self._changed(as_item(members, self.fields), position)
+    def __repr__(self) -> str:
+        told = ", ".join([*self._described(), f"{len(self)} garments"])
+        return f"{type(self).__name__}({told}: {', '.join(self.fields)})"
 
-    def _changed(self, item: Any, position: int) -> Any:
-        """The item of a garment after the transform."""
+    def tell_wait(self) -> None:
+        """Log, once, how long a garment takes to make here, if that is long enough to wonder."""
+
+    def _one(self, position: int) -> Any:
+        """The garment at a position from 0 on."""
+        return self._item(self._members(position, tuple(FIELDS[field] for field in self.fields)), position)
+
+    def _described(self) -> list[str]:
+        """What tells this data set from others, for people."""
+        return []
+
+    def _item(self, members: Mapping[str, Bytes], position: int) -> Any:
+        """The item in some members; ``position`` for an error of the transform."""
+        return self._transformed(as_item(members, self.fields, self.dtype), position)
+
+    def _transformed(self, item: GarmentItem, position: int) -> Any:
         if self.transform is None:
             return item
         with changing(self, position):
-            return self.transform(item)
+            return kept_item(self.transform(item))
+
+    def _position(self, index: int | str) -> int:
+        """The position that a number or a key names. Raises ``IndexError``, ``KeyError``, ``TypeError``."""
+        return self._with_key(index) if isinstance(index, str) else index_of(index, len(self))
+
+    def _with_key(self, key: str) -> int:
+        found = self._of_key(key)
+        if found is None:
+            if not len(self):
+                raise UnknownKeyError(f"no garment {key!r:.99}: the data set is empty")
+            raise unknown_key(key, map(self._key, range(len(self))), [self._key(0), self._key(len(self) - 1)])
+        return found
+
+    def _of_key(self, key: str) -> int | None:
+        """The position of the garment with a key, if there is one."""
+        number = number_in(key)
+        return number if number is not None and number < len(self) else None
 
     def _key(self, position: int) -> str:
         """The key of the garment at a position."""
         return key_of(position)
-
-    @property
-    def _label(self) -> str:
-        """The data set, as messages name it."""
-        return type(self).__name__
-
-    def _position(self, index: int) -> int:
-        number = operator.index(index)
-        length = len(self)
-        if not -length <= number < length:
-            raise IndexError(f"garment {number} of {length}")
-        return number % length
 
 
 class SelectedGarments(Garments):
     """Some garments of a data set, in an order of their own; fields and transform are those of the whole."""
 
     def __init__(self, whole: Garments, positions: Sequence[int]) -> None:
-        super().__init__(whole.fields, whole.transform, there=whole.fields)
+        super().__init__(whole.fields, whole.transform, there=whole.fields, dtype=whole.dtype)
         self.whole = whole
         self.reads_only = whole.reads_only
         self.positions = np.asarray(positions, np.int64)
@@ -144,13 +208,8 @@ class SelectedGarments(Garments):
     def verify(self, index: int) -> None:
         self.whole.verify(int(self.positions[self._position(index)]))
 
-    def _key(self, position: int) -> str:
-        return self.whole._key(int(self.positions[position]))
-
-    def __getitem__(self, index: int | slice) -> Any:
-        if isinstance(index, slice):
-            return self.select(range(len(self))[index])
-        return self.whole[int(self.positions[self._position(index)])]
+    def _one(self, position: int) -> Any:
+        return self.whole[int(self.positions[position])]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments, at once where the whole can do that."""
@@ -163,6 +222,19 @@ class SelectedGarments(Garments):
     def identity(self) -> dict[str, Any]:
         """That of the whole, and which of it."""
         return {"of": self.whole.identity(), "chosen": zlib.crc32(self.positions.tobytes())}
+
+    def tell_wait(self) -> None:
+        self.whole.tell_wait()
+
+    def _described(self) -> list[str]:
+        return [f"of {type(self.whole).__name__}", *self.whole._described()]
+
+    def _of_key(self, key: str) -> int | None:
+        position = self.whole._of_key(key)
+        return None if position is None else next(iter(np.flatnonzero(self.positions == position).tolist()), None)
+
+    def _key(self, position: int) -> str:
+        return self.whole._key(int(self.positions[position]))
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self.whole._members(int(self.positions[position]), members)
@@ -192,7 +264,7 @@ class naming:  # noqa: N801 -- a context manager, named as functions are
         pass
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, Exception):
+        if isinstance(error, Exception) and self._indices:
             which = f"{', '.join(map(str, self._indices))} of {type(self._dataset).__name__}"
             error.add_note(f"while loading {'garment' if len(self._indices) == 1 else 'garments'} {which}")
 
@@ -203,7 +275,7 @@ class changing:  # noqa: N801 -- a context manager, named as functions are
     # A class: entered for every garment, as ``naming`` is.
     __slots__ = ("_dataset", "_position")
 
-    def __init__(self, dataset: "Garments", position: int) -> None:
+    def __init__(self, dataset: Garments, position: int) -> None:
         self._dataset, self._position = dataset, position
 
     def __enter__(self) -> None:
@@ -212,12 +284,13 @@ class changing:  # noqa: N801 -- a context manager, named as functions are
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         # One that is named already comes from a data set in this one.
         if isinstance(error, Exception) and not isinstance(error, TransformError):
-            garment = f"{self._dataset._key(self._position)}, number {self._position} of {self._dataset._label}"
+            dataset = f"{type(self._dataset).__name__}({', '.join(self._dataset._described())})"
+            garment = f"{self._dataset._key(self._position)}, number {self._position} of {dataset}"
             told = " ".join(f"{type(error).__name__}: {error}".split())
             raise TransformError(f"the transform of {garment}: {told}") from error
 
 
-def _item_of(dataset: Any, index: int) -> Any:
+def _item_of(dataset: Any, index: Any) -> Any:
     with naming(dataset, index):
         return dataset[index]
 
@@ -250,16 +323,31 @@ def function(name: str, value: Any) -> Any:
     return value
 
 
-def as_item(members: Mapping[str, Bytes], fields: Iterable[str]) -> Item:
-    """Encoded members as tensors, parsed JSON and pictures."""
-    item = {}
+def floating(dtype: Any) -> torch.dtype | None:
+    """The type of floating numbers, or ``None``. Raises ``ConfigError`` for anything else."""
+    if dtype is None or (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
+        return dtype
+    raise ConfigError(
+        f"dtype={dtype!r:.99}: give a type of floating numbers, such as torch.float32, or None to keep what is stored"
+    )
+
+
+def as_item(members: Mapping[str, Bytes], fields: Iterable[str], dtype: torch.dtype | None = None) -> GarmentItem:
+    """Encoded members as tensors, floating ones as ``dtype``, parsed JSON and pictures."""
+    item = GarmentItem()
     for field in fields:
         value = decode_field(field, members[FIELDS[field]])
-        item[field] = tensor_of(value) if isinstance(value, np.ndarray) else value
+        item[field] = tensor_of(value, dtype) if isinstance(value, np.ndarray) else value
     return item
 
 
-def tensor_of(array: np.ndarray) -> torch.Tensor:
-    """The array as a tensor, without a copy where it is writable."""
+def kept_item(item: Any) -> Any:
+    """What a transform has made of an item; a dict as an item again."""
+    return GarmentItem(item) if type(item) is dict else item
+
+
+def tensor_of(array: np.ndarray, dtype: torch.dtype | None = None) -> torch.Tensor:
+    """The array as a tensor, floating numbers as ``dtype``; without a copy where it is of that and writable."""
     # Views of ``bytes`` are read-only, which no tensor can be.
-    return torch.from_numpy(array if array.flags.writeable else array.copy())
+    tensor = torch.from_numpy(array if array.flags.writeable else array.copy())
+    return tensor if dtype is None or not tensor.is_floating_point() else as_type(tensor, dtype)

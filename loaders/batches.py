@@ -1,18 +1,20 @@
 """Batches as dicts whose entries have names, shapes and types: garments one below the other, or padded to one size."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import torch
+import torch.utils._pytree as pytree
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Item
-from gcd_dataset.loaders.one_thread import pinned
+from gcd_dataset.loaders.base import GarmentItem, Item, floating
+from gcd_dataset.loaders.indexing import UnknownKeyError
+from gcd_dataset.loaders.one_thread import as_type, pinned
 from gcd_dataset.tensors import EdgeColumn, StitchColumn
 
-__all__ = ["POINTS_TO", "RAGGED", "WHOLE", "PackedBatch", "PaddedBatch", "starts_of"]
+__all__ = ["POINTS_TO", "RAGGED", "WHOLE", "PackedBatch", "PaddedBatch", "Varlen", "starts_of"]
 
 RAGGED = (
     "panels", "edges", "stitches", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts",
@@ -51,8 +53,22 @@ def _entry() -> Any:
     return _Entry()
 
 
+class Varlen(NamedTuple):
+    """Rows of all garments one below the other, as attention over sequences of unequal lengths takes them."""
+
+    values: Tensor
+    """[n, …], row after row."""
+    cu_seqlens: Int[Tensor, " b+1"]
+    """int32: where each garment begins, and the end of the last."""
+    max_seqlen: int
+    """Rows of the garment that has most of them."""
+
+
 class _Batch(dict[str, Any]):
-    """A dict of tensors and lists; entries are attributes too."""
+    """A dict of tensors and lists; entries are attributes too.
+
+    ``torch.utils._pytree.tree_map`` goes through a batch as through a dict, and gives one of its type.
+    """
 
     batch_size: int = _entry()
     """B, the number of garments."""
@@ -69,17 +85,46 @@ class _Batch(dict[str, Any]):
     repeated: Bool[Tensor, " b"] = _entry()
     """Garments that only fill up a batch, where a loader does that."""
 
-    def to(self, device: torch.device | str, *, non_blocking: bool = False) -> Self:
-        """The batch with its tensors on a device; ``non_blocking`` copies pinned ones while the host goes on."""
-        return self._each(lambda tensor: tensor.to(device, non_blocking=non_blocking))
+    def __missing__(self, field: object) -> Any:
+        raise UnknownKeyError(
+            f"the batch has no {field!r:.99}: it holds {', '.join(self)}; fields= of its data set chooses"
+        )
+
+    def __repr__(self) -> str:
+        told = [f"{name} {_form(value)}" for name, value in self.items() if name != "batch_size"]
+        return f"{type(self).__name__}({self.get('batch_size', '?')} garments: {', '.join(told)})"
+
+    def to(
+        self,
+        device: torch.device | str | int | torch.dtype | None = None,
+        dtype: torch.dtype | None = None,
+        *,
+        non_blocking: bool = False,
+    ) -> Self:
+        """The batch with its tensors on a device, and the floating ones as ``dtype``; row numbers stay whole.
+
+        ``non_blocking`` copies pinned ones while the host goes on. As with a tensor, ``batch.to(torch.bfloat16)`` will
+        do. Raises ``ConfigError`` for a device that is not there, and for a type that is not of floating numbers.
+        """
+        if isinstance(device, torch.dtype):
+            device, dtype = None, device
+        place, kind = None if device is None else _device(device), floating(dtype)
+
+        def moved(tensor: Tensor) -> Tensor:
+            if kind is not None and tensor.is_floating_point():
+                tensor = as_type(tensor, kind)
+            return tensor if place is None else tensor.to(place, non_blocking=non_blocking)
+
+        return self._each(moved)
 
     def pin_memory(self) -> Self:
-        """The batch with its tensors in memory that a GPU copies from by itself."""
+        """The batch with its tensors in memory that a GPU copies from by itself. Raises ``ConfigError`` without one."""
+        if not torch.cuda.is_available():
+            raise ConfigError("pinned memory is for a GPU, and torch sees none: leave out pin_memory")
         return self._each(pinned)
 
     def _each(self, change: Callable[[Tensor], Tensor]) -> Self:
-        changed = {name: change(value) if isinstance(value, Tensor) else value for name, value in self.items()}
-        return type(self)(changed)
+        return type(self)({name: _changed(value, change) for name, value in self.items()})
 
 
 class PackedBatch(_Batch):
@@ -128,9 +173,30 @@ class PackedBatch(_Batch):
 
     def nested(self, field: str) -> Tensor:
         """A ragged field as a nested tensor [B, rows of each, …] in the jagged layout, without a copy."""
-        if f"{field}_ptr" not in self:
-            raise ConfigError(f"{field} is not a field of the batch whose rows differ in number: {', '.join(self)}")
+        self._require_ragged(field)
         return torch.nested.nested_tensor_from_jagged(self[field], self[f"{field}_ptr"])
+
+    def varlen(self, field: str) -> Varlen:
+        """A ragged field as attention over sequences of unequal lengths takes it, without a copy.
+
+        >>> from gcd_dataset.loaders import FakeGarments, collate_packed
+        >>> values, cu_seqlens, max_seqlen = collate_packed([FakeGarments(2)[0], FakeGarments(2)[1]]).varlen("panels")
+        >>> values.shape, cu_seqlens, max_seqlen
+        (torch.Size([4, 14]), tensor([0, 2, 4], dtype=torch.int32), 2)
+
+        Embedded to q, k and v [n, heads, width] that is ``flash_attn_varlen_func(q, k, v, cu_seqlens, cu_seqlens,
+        max_seqlen, max_seqlen)``, or ``torch.nested.nested_tensor_from_jagged(values, cu_seqlens,
+        max_seqlen=max_seqlen)``. Of a batch on a GPU the longest is waited for: ask before ``to`` to spare that.
+        """
+        self._require_ragged(field)
+        pointers = self[f"{field}_ptr"]
+        longest = int(pointers.diff().max()) if len(pointers) > 1 else 0
+        return Varlen(self[field], pointers.to(torch.int32), longest)
+
+    def _require_ragged(self, field: str) -> None:
+        if f"{field}_ptr" not in self:
+            ragged = ", ".join(name for name in RAGGED if f"{name}_ptr" in self)
+            raise ConfigError(f"{field} is not a field of the batch whose rows differ in number: there are {ragged}")
 
     def owners(self, field: str) -> Int[Tensor, " n"]:
         """The garment that each row of a ragged field belongs to."""
@@ -191,3 +257,54 @@ def starts_of(batch: Mapping[str, Any], field: str, target: str) -> Int[Tensor, 
     if not all(torch.equal(starts, there[0]) for starts in there):
         raise ConfigError("draped and undraped garments in one batch: load verts or box, not both")
     return there[0]
+
+
+def _changed(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
+    """A tensor, or each of a list of them, changed; anything else as it is."""
+    if isinstance(value, Tensor):
+        return change(value)
+    if isinstance(value, list) and value and all(isinstance(entry, Tensor) for entry in value):
+        return [change(entry) for entry in value]
+    return value
+
+
+def _device(device: torch.device | str | int) -> torch.device:
+    """The device. Raises ``ConfigError`` for one that is not there."""
+    try:
+        place = torch.device(device)
+    except (RuntimeError, TypeError) as error:
+        raise ConfigError(f"device {device!r:.99}: give cpu, or a GPU as cuda:0") from error
+    if place.type == "cuda" and (place.index or 0) >= (count := torch.cuda.device_count()):
+        there = f"torch sees {count} GPUs" if count else "torch sees no GPU"
+        raise ConfigError(
+            f"device {place}: {there}: give another, such as 'cuda' if torch.cuda.is_available() else 'cpu'"
+        )
+    return place
+
+
+def _form(value: Any) -> str:
+    """Shape and type of a value, for people."""
+    if isinstance(value, Tensor):
+        where = "" if value.device.type == "cpu" else f" on {value.device}"
+        return f"{list(value.shape)} {str(value.dtype).removeprefix('torch.')}{where}"
+    return f"list of {len(value)}" if isinstance(value, list) else type(value).__name__
+
+
+def _register(kind: type[dict[str, Any]]) -> None:
+    """Have torch's ``tree_map`` go through a kind of dict, and give one of its kind."""
+    if kind in pytree.SUPPORTED_NODES:  # this module is loaded again
+        return
+    pytree.register_pytree_node(
+        kind,
+        lambda entries: (list(entries.values()), list(entries)),
+        lambda values, names: kind(zip(names, values, strict=True)),
+        serialized_type_name=f"{kind.__module__}.{kind.__qualname__}",
+        flatten_with_keys_fn=lambda entries: (
+            [(pytree.MappingKey(name), value) for name, value in entries.items()],
+            list(entries),
+        ),
+    )
+
+
+for _kind in (GarmentItem, PackedBatch, PaddedBatch):
+    _register(_kind)

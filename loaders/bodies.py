@@ -1,20 +1,21 @@
 """Bodies for a ``torch.utils.data.DataLoader``: from shards, or from the folder that came with GarmentCodeData."""
 
-import operator
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import Dataset
+from torch.utils.data import Dataset, Subset
 
 from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.files import user_path
-from gcd_dataset.loaders.base import Item, Transform, made_with
+from gcd_dataset.loaders.base import GarmentItem, Item, Transform, floating, function, kept_item, made_with, tensor_of
+from gcd_dataset.loaders.indexing import UnknownKeyError, index_of, several_of
 from gcd_dataset.records import MEASURES
 from gcd_dataset.release.bodies import PublishedPeople
 from gcd_dataset.shards.layout import BODIES, known_fields
@@ -37,15 +38,23 @@ class Bodies(Dataset[Item], ABC):
     ``straight, apart``    f32 [v, 3]: vertices with the legs straight, and with the legs apart [cm], soles at y = 0
     =====================  =========================================================================================
 
-    ``fields`` chooses what an item holds, all for ``None``; ``transform`` changes it on the way out.
+    ``fields`` chooses what an item holds, all for ``None``; ``transform`` changes it on the way out; ``dtype`` is
+    that of the numbers, and ``None`` what is stored. ``people[[3, 5]]`` is a list of items, ``people[2:5]`` a data set.
     """
 
     columns: tuple[str, ...] = MEASURES
     """Names of the entries of ``measures``."""
 
-    def __init__(self, fields: Iterable[str] | None, transform: Transform | None) -> None:
+    def __init__(
+        self,
+        fields: Iterable[str] | None,
+        transform: Transform | None,
+        *,
+        dtype: torch.dtype | None = torch.float32,
+    ) -> None:
         self.fields = known_fields(fields, FIELDS)
-        self.transform = transform
+        self.transform = None if transform is None else function("transform", transform)
+        self.dtype = floating(dtype)
 
     @property
     @abstractmethod
@@ -73,21 +82,47 @@ class Bodies(Dataset[Item], ABC):
         """u8 [v]: ``BodyPart`` value of each vertex; ``None`` where nobody has said."""
         return None if self.mesh.parts is None else torch.from_numpy(np.array(self.mesh.parts))
 
-    def __getitem__(self, index: int) -> Any:
-        """Person ``index``; negative ones count from the end. Raises ``IndexError``."""
-        values = self._values(self._position(index))
-        item = {field: value if isinstance(value := values[field], str) else _tensor(value) for field in self.fields}
-        return item if self.transform is None else self.transform(item)
+    def __getitem__(self, index: Any) -> Any:
+        """Person ``index``, a number or what the person is called; several for a list, a data set for a slice.
+
+        Raises ``IndexError``, ``KeyError`` for a name that nobody has, ``TypeError`` for what is no index.
+        """
+        if isinstance(index, slice):
+            return Subset(self, range(len(self))[index])
+        several = several_of(index)
+        return self._one(self._position(index)) if several is None else [self[each] for each in several]
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self)} people: {', '.join(self.fields)})"
 
     def __iter__(self) -> Iterator[Any]:
         """Everybody in order."""
         return (self[index] for index in range(len(self)))
 
-    def _position(self, index: int) -> int:
-        number = operator.index(index)
-        if not -len(self) <= number < len(self):
-            raise IndexError(f"person {number} of {len(self)}")
-        return number % len(self)
+    def _one(self, position: int) -> Any:
+        values = self._values(position)
+        item = GarmentItem(
+            (field, value if isinstance(value := values[field], str) else _tensor(value, self.dtype))
+            for field in self.fields
+        )
+        return item if self.transform is None else kept_item(self.transform(item))
+
+    def _position(self, index: int | str) -> int:
+        return self._called(index) if isinstance(index, str) else index_of(index, len(self), "person")
+
+    def _called(self, name: str) -> int:
+        """The position of the person of a name. Raises ``UnknownKeyError``."""
+        names = self._names()
+        try:
+            return names.index(name)
+        except ValueError:
+            near = get_close_matches(name, names, n=3)
+            hint = f"did you mean {' or '.join(near)}?" if near else f"they are called {names[0]} and the like"
+            raise UnknownKeyError(f"no person {name!r:.99}: {hint}") from None
+
+    @abstractmethod
+    def _names(self) -> Sequence[str]:
+        """What everybody is called, in order."""
 
 
 class BodyDataset(Bodies):
@@ -109,8 +144,9 @@ class BodyDataset(Bodies):
         *,
         transform: Transform | None = None,
         verify: Verify = "lazy",
+        dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        super().__init__(fields, transform)
+        super().__init__(fields, transform, dtype=dtype)
         self._reader = ShardReader(source, split, layout=BODIES, verify=verify)
         self._mesh = read_mesh(user_path(source), split, self.recipe(0)["recipe"]["mesh"])
 
@@ -137,6 +173,12 @@ class BodyDataset(Bodies):
         """Raise ``ShardError`` with shard, key and member if a byte of person ``index`` is not as it was written."""
         self._reader.check(self._position(index))
 
+    def _names(self) -> Sequence[str]:
+        return [
+            decode_fields(self._reader.read(position, [MEMBER_OF["name"]]), ["name"])["name"]
+            for position in range(len(self))
+        ]
+
     def _values(self, position: int) -> Mapping[str, Any]:
         return decode_fields(self._reader.read(position, {MEMBER_OF[field] for field in self.fields}), self.fields)
 
@@ -162,8 +204,9 @@ class PublishedBodies(Bodies):
         names: Sequence[str] | None = None,
         segmentation: str | Path | None = None,
         transform: Transform | None = None,
+        dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        super().__init__(fields, transform)
+        super().__init__(fields, transform, dtype=dtype)
         kinds = {"shape": "meta", "arm_angle": "meta", "measures": "measures", "straight": "straight", "apart": "apart"}
         needed = dict.fromkeys(kinds[field] for field in self.fields if field != "name")
         self._people = PublishedPeople(root, names=names, needed=needed, segmentation=segmentation)
@@ -183,6 +226,9 @@ class PublishedBodies(Bodies):
     def person(self, index: int) -> Person:
         return self._people.person(self.names[self._position(index)])
 
+    def _names(self) -> Sequence[str]:
+        return self.names
+
     def _values(self, position: int) -> Mapping[str, Any]:
         name, wanted = self.names[position], set(self.fields)
         values: dict[str, Any] = {"name": name}
@@ -194,8 +240,6 @@ class PublishedBodies(Bodies):
         return values | {pose: self._people.vertices(name, pose) for pose in POSES if pose in wanted}
 
 
-def _tensor(value: Any) -> Tensor:
-    """The number or numbers as f32."""
-    numbers = np.asarray(value, np.float32)
-    # Views of what is read-only, which no tensor can be.
-    return torch.from_numpy(numbers if numbers.flags.writeable else numbers.copy())
+def _tensor(value: Any, dtype: torch.dtype | None) -> Tensor:
+    """The number or numbers as ``dtype``, or as they are."""
+    return tensor_of(np.asarray(value), dtype)

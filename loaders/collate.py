@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.utils.data._utils.collate import collate, default_collate_fn_map
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Item
+from gcd_dataset.loaders.base import GarmentItem, Item
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, WHOLE, PackedBatch, PaddedBatch, starts_of
 from gcd_dataset.loaders.one_thread import add, fill, join
 from gcd_dataset.shards.room import room_for
@@ -37,8 +38,8 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     - Everything else, such as parsed JSON and what a ``transform`` has added, becomes a list of length B.
     - ``batch_size`` is B.
 
-    Raises ``ConfigError`` for an empty batch, items with different fields, row numbers without the field that they
-    point to, and a batch of draped and undraped garments.
+    Raises ``ConfigError`` for an empty batch, items with different fields or types of one field, row numbers without
+    the field that they point to, and a batch of draped and undraped garments.
 
     >>> item = {"verts": torch.zeros(3, 3), "faces": torch.tensor([[0, 1, 2]])}
     >>> batch = collate_packed([item, item])
@@ -51,7 +52,7 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     batch |= {f"{field}_ptr": torch.tensor([0, *accumulate(counts)]) for field, counts in rows.items()}
     for field in items[0]:
         values = [item[field] for item in items]
-        batch[field] = _packed(values, rows[field], batch, field) if field in rows else _together(values)
+        batch[field] = _packed(values, rows[field], batch, field) if field in rows else _together(values, field)
     return batch
 
 
@@ -78,7 +79,7 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
         if field in RAGGED:
             batch[field], batch[f"{field}_mask"] = _padded(values, field, (rows or {}).get(field))
         else:
-            batch[field] = _together(values)
+            batch[field] = _together(values, field)
     return batch
 
 
@@ -91,8 +92,18 @@ def _require_same_fields(items: Sequence[Item]) -> None:
             raise ConfigError(f"only some garments of the batch have {odd}: choose the same fields for all")
 
 
+def _require_same_type(values: Sequence[Tensor], field: str) -> None:
+    """Raise ``ConfigError`` for values of several types, of which some would lose digits in one array."""
+    if any(value.dtype != values[0].dtype for value in values):
+        types = ", ".join(dict.fromkeys(str(value.dtype) for value in values))
+        raise ConfigError(
+            f"{field} of one batch is of {types}: give the data set one type, such as dtype=torch.float32"
+        )
+
+
 def _packed(values: list[Tensor], counts: list[int], batch: PackedBatch, field: str) -> Tensor:
     """The rows one below the other, and the row numbers in them raised by where each garment begins."""
+    _require_same_type(values, field)
     starts = [(column, starts_of(batch, field, target)) for column, target in POINTS_TO.get(field, ())]
     rows = _room((sum(counts), *values[0].shape[1:]), values[0])
     if starts and starts[0][0] == WHOLE:  # in one go: these are the largest
@@ -109,6 +120,7 @@ def _packed(values: list[Tensor], counts: list[int], batch: PackedBatch, field: 
 
 def _padded(values: list[Tensor], field: str, count: int | None) -> tuple[Tensor, Tensor]:
     """The values side by side, and where rows are there."""
+    _require_same_type(values, field)
     lengths = [len(value) for value in values]
     longest = max(lengths) if count is None else count
     if max(lengths) > longest:
@@ -124,10 +136,11 @@ def _padded(values: list[Tensor], field: str, count: int | None) -> tuple[Tensor
     return rows, torch.from_numpy(mask).to(values[0].device)
 
 
-def _together(values: list[Any]) -> Any:
+def _together(values: list[Any], field: str) -> Any:
     """Tensors of one shape as one, anything else in a list."""
     first = values[0]
     if all(isinstance(value, Tensor) and value.shape == first.shape for value in values):
+        _require_same_type(values, field)
         batch = _room((len(values), *first.shape), first)
         join([value[None] for value in values], batch)
         return batch
@@ -140,3 +153,20 @@ def _room(shape: Sequence[int], like: Tensor) -> Tensor:
     if not size or like.device.type != "cpu":
         return torch.empty(shape, dtype=like.dtype, device=like.device)
     return torch.from_numpy(room_for(size)).view(like.dtype).view(shape)
+
+
+def _by_default(items: Sequence[GarmentItem], *, collate_fn_map: Any = None) -> dict[str, Any]:
+    """What torch's ``default_collate`` makes of garments. Raises ``ConfigError`` where they differ in size."""
+    batch = {}
+    for field in items[0]:
+        try:
+            batch[field] = collate([item[field] for item in items], collate_fn_map=collate_fn_map)
+        except (RuntimeError, TypeError, KeyError, ValueError) as error:
+            raise ConfigError(
+                f"{field} differs in size or kind from garment to garment, and torch's default collate stacks equal "
+                "ones: give the DataLoader collate_fn=collate_packed, or collate_padded, of gcd_dataset.loaders"
+            ) from error
+    return batch
+
+
+default_collate_fn_map[GarmentItem] = _by_default

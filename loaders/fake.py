@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 from PIL import Image
 
@@ -49,9 +50,15 @@ class FakeGarments(Garments):
     """
 
     def __init__(
-        self, n: int, seed: int = 0, *, fields: Iterable[str] | None = None, transform: Transform | None = None
+        self,
+        n: int,
+        seed: int = 0,
+        *,
+        fields: Iterable[str] | None = None,
+        transform: Transform | None = None,
+        dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        super().__init__(fields, transform)
+        super().__init__(fields, transform, dtype=dtype)
         self._n, self._seed = natural("n", n), natural("seed", seed)
 
     def __len__(self) -> int:

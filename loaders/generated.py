@@ -21,6 +21,8 @@ from gcd_dataset.generator.pipeline import make_many
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.loaders.base import Garments, Transform, natural
 from gcd_dataset.loaders.by_thread import by_thread
+from gcd_dataset.loaders.held import lacking_at
+from gcd_dataset.loaders.waiting import tell_wait
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.kept import KeptSamples
@@ -47,10 +49,12 @@ class GeneratedGarments(Garments):
     torch.Size([9731, 3])
 
     ``bodies``, ``bodies_each``, ``arms`` [degrees], ``resolution`` [cm], ``fabric``, ``on_fail``, ``picture`` and
-    ``design``, an overlay by ``read_overlay``, are those of ``MakeConfig``. With the same ``seed`` and another fabric,
-    or arms held otherwise, come the same patterns, draped otherwise. ``drape``: ``warp``, or ``None`` to stop at the
-    box mesh; ``stage="pattern"`` stops before that. Pictures are taken for a cache, or where
-    ``fields`` have ``front``, ``back`` or, with checksums of all, ``meta``.
+    ``design`` are those of ``MakeConfig``; ``design`` is an overlay by ``read_overlay``, or what such a file holds as a
+    dict: ``{"meta": {"bottom": "none"}}``. With the same ``seed`` and another fabric, or arms held otherwise, come the
+    same patterns, draped otherwise. ``drape``: ``warp``, or ``None`` to stop at the box mesh; ``stage="pattern"`` stops
+    before that. ``fields``: ``None`` for all that garments of the stage hold; ``dtype``: of the floating ones, float32
+    by default, ``None`` for what a shard would store. Pictures are taken for a cache, or where ``fields`` have
+    ``front``, ``back`` or, with checksums of all, ``meta``.
 
     ``device``: where cloth is draped; ``auto`` is the first GPU that torch sees, or the CPU. On a GPU, workers of a
     ``DataLoader``, forked or spawned, make body, design, pattern and mesh, and one process drapes for all of them;
@@ -60,7 +64,10 @@ class GeneratedGarments(Garments):
     of this package has a folder of its own in it, ``cache``, which is a data set for ``GarmentDataset``, ``gcd verify``
     or ``gcd publish``. Any number of workers and processes may share it; a damaged garment is made again.
 
-    Raises ``ConfigError`` for options that do not fit together; a GPU that is not there is told with the first garment.
+    Where a garment takes seconds, as a drape does on a CPU, a line of the logger ``gcd_dataset`` says so once.
+
+    Raises ``ConfigError`` for options that do not fit together, and fields that come with a later stage; a GPU that is
+    not there is told with the first garment.
     """
 
     def __init__(
@@ -81,9 +88,9 @@ class GeneratedGarments(Garments):
         on_fail: Literal["retry", "keep"] = "retry",
         transform: Transform | None = None,
         fields: Iterable[str] | None = None,
-        design: Overlay | None = None,
+        design: Overlay | Mapping[str, Any] | None = None,
+        dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        super().__init__(fields, transform)
         self._n, self._seed = natural("n", n), natural("seed", seed)
         self.config = MakeConfig(
             bodies=bodies,
@@ -94,9 +101,11 @@ class GeneratedGarments(Garments):
             device=_named(device),
             on_fail=on_fail,
             picture=picture,
-            design=design or NO_OVERLAY,
+            design=_overlay(design),
             fabric=fabric,
         )
+        empty = [] if self.config.picture else ["front", "back"]
+        super().__init__(fields, transform, lacking=lacking_at(self.config.stage, empty), dtype=dtype)
         self.together = self.config.wearers
         self._recipe = recipe_of(self.config)
         self._on_gpu = self.config.stage == "drape" and self.config.device != "cpu"
@@ -109,6 +118,7 @@ class GeneratedGarments(Garments):
         )
         self._last = LastDesign()
         self._process = os.getpid()
+        self._wait_told = False
 
     def __len__(self) -> int:
         return self._n
@@ -136,10 +146,18 @@ class GeneratedGarments(Garments):
             raise ConfigError("nothing is kept: give cache_dir")
         self._kept.pack()
 
+    def tell_wait(self) -> None:
+        """Log, once, how long a garment takes to make here, if that is long enough to wonder."""
+        worker = get_worker_info()
+        if self._wait_told or not (worker is None or worker.id == 0):
+            return
+        self._wait_told = True
+        tell_wait(self.config)
+
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments at once; a ``DataLoader`` calls this for a batch."""
         positions = [self._position(index) for index in indices]
-        return list(map(self._item, self._several(positions), positions))
+        return [self._item(*entry) for entry in zip(self._several(positions), positions, strict=True)]
 
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
         """Garments one after the other, of numbers that may be endless; on a GPU the next are made meanwhile."""
@@ -172,6 +190,7 @@ class GeneratedGarments(Garments):
         self, positions: Iterable[int], ahead: int, at_once: int | None = None
     ) -> Iterator[Mapping[str, Bytes]]:
         assert self._place is not None
+        self.tell_wait()
         return make_ahead(
             self._seed,
             positions,
@@ -201,6 +220,7 @@ class GeneratedGarments(Garments):
 
     def _made(self, positions: Sequence[int], last: LastDesign | None = None) -> list[Mapping[str, Bytes]]:
         """Garments made, whatever is in the cache; without a ``last`` all anew."""
+        self.tell_wait()
         if self._apart and self._place is not None:
             samples = make_ahead(
                 self._seed,
@@ -234,6 +254,9 @@ class GeneratedGarments(Garments):
             logger.warning("%s; it is made again", error)
             return None
 
+    def _described(self) -> list[str]:
+        return [f"seed {self._seed}", f"stage {self.config.stage} on {self.config.device}"]
+
     @property
     def _cache_name(self) -> str:
         """The cache's folder for this seed, recipe and version: no garment is ever taken for one of another."""
@@ -242,6 +265,19 @@ class GeneratedGarments(Garments):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._process = os.getpid()  # unpickled: spawned, not forked
+
+
+def _overlay(design: Overlay | Mapping[str, Any] | None) -> Overlay:
+    """What designs are narrowed to. Raises ``ConfigError`` with the name that no parameter has, and one like it."""
+    if design is None:
+        return NO_OVERLAY
+    if isinstance(design, Overlay):
+        return design
+    if isinstance(design, Mapping):
+        return Overlay.from_dict(design)
+    raise ConfigError(
+        f'design={design!r:.99}: give a dict such as {{"meta": {{"bottom": "none"}}}}, or read_overlay(FILE)'
+    )
 
 
 def _whole(sample: Sample) -> Sample:

@@ -1,14 +1,20 @@
 """Garments from one HDF5 file."""
 
+from bisect import bisect_left
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.loaders.base import Garments, Transform, made_with
+from gcd_dataset.loaders.held import lacking_where
+from gcd_dataset.loaders.indexing import number_in
 from gcd_dataset.shards.access import reading
-from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.shards.codec import NO_PICTURE, read_json
+from gcd_dataset.shards.layout import FIELDS, Bytes, key_of, known_fields
 
 __all__ = ["Hdf5Garments"]
 
@@ -21,19 +27,26 @@ class Hdf5Garments(Garments):
     torch.Size([14425, 3])
 
     Each process of a ``DataLoader``, forked or spawned, opens the file for itself. Shards are read several times as
-    fast: train from those. Raises ``ShardError`` for a file that is missing, damaged, foreign or newer.
+    fast: train from those. ``fields`` and ``dtype`` are those of ``GarmentDataset``. Raises ``ShardError`` for a file
+    that is missing, damaged, foreign or newer, ``ConfigError`` for a field that no garment of the file holds.
     """
 
     reads_only = True
 
     def __init__(
-        self, source: str | Path, fields: Iterable[str] | None = None, *, transform: Transform | None = None
+        self,
+        source: str | Path,
+        fields: Iterable[str] | None = None,
+        *,
+        transform: Transform | None = None,
+        dtype: torch.dtype | None = torch.float32,
     ) -> None:
         from gcd_dataset.shards.hdf5 import Hdf5Reader  # brings h5py, which nobody else needs
 
-        super().__init__(fields, transform)
+        known_fields(fields)
         _require_file(user_path(source))
         self._reader = Hdf5Reader(source)
+        super().__init__(fields, transform, lacking=lacking_where(self._is_empty, FIELDS), dtype=dtype)
 
     @property
     def split(self) -> str:
@@ -50,6 +63,27 @@ class Hdf5Garments(Garments):
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` with file and member if a byte of garment ``index`` is not as it was written."""
         self._reader.check(self._position(index))
+
+    def _is_empty(self, field: str) -> bool:
+        """Whether a field is empty in all garments of the file."""
+        return self._reader.largest(field) <= (len(NO_PICTURE) if FIELDS[field].endswith(".jpg") else 0)
+
+    def _described(self) -> list[str]:
+        return [f"{self.split} of {self._reader.path}"]
+
+    def _of_key(self, key: str) -> int | None:
+        number = number_in(key)
+        if number is None:
+            return None
+        # They stand in the order of their numbers.
+        place = bisect_left(range(len(self)), number, key=self._number)
+        return place if place < len(self) and self._number(place) == number else None
+
+    def _number(self, position: int) -> int:
+        return int(read_json(self._reader.read(position, ["meta.json"])["meta.json"])["index"])
+
+    def _key(self, position: int) -> str:
+        return key_of(self._number(position))
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self._reader.read(position, members)

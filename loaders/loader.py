@@ -19,7 +19,7 @@ __all__ = ["GarmentLoader"]
 
 
 class GarmentLoader:
-    """Batches in an order that depends on ``seed``, epoch and position alone; ``iter()`` goes on where the last ended.
+    """Batches in an order that depends on ``seed``, epoch and position alone; each ``iter()`` is the next epoch.
 
     >>> from gcd_dataset.loaders import FakeGarments
     >>> loader = GarmentLoader(FakeGarments(10, fields=["meta"]), batch_size=4)
@@ -30,18 +30,24 @@ class GarmentLoader:
 
     - ``state_dict()`` counts the batches that the loop has received, whatever workers have made ahead. A loader with
       another number of ranks or workers or another ``batch_size`` takes it: what is left of the epoch comes, once.
-    - ``iter()`` ends with the epoch; after the last batch the state is that of the next epoch's beginning. A loop that
-      breaks off and begins again gets the batches that follow. Only the last iterator begun gives batches.
+    - ``iter()`` begins an epoch: the first, then those that follow, also after a loop that broke off. After
+      ``load_state_dict`` it begins where that state was, as ``loader.load_state_dict(loader.state_dict())`` has a loop
+      go on that broke off. Only the last iterator begun gives batches.
     - ``batch_size`` is that of this rank; ranks get equally many garments, so that none waits for another. ``rank``,
-      ``world_size`` and ``pad`` are those of ``ElasticSampler``. With ``pad="repeat"`` a batch that is a dict holds
-      ``repeated``, bool [B]: the garments that only fill up. ``drop_last`` leaves out each rank's last, smaller batch.
-    - ``num_workers=0``: what is only read is read by a thread beside the loop, with the transform; two batches ahead.
-      Worker processes cost more than reading does; they are for garments that are made. They stay from epoch to epoch.
-    - A garment that cannot be loaded is named in a note on the error.
+      ``world_size`` and ``pad`` are those of ``ElasticSampler``: where they are not given, each ``iter()`` looks them
+      up. With ``pad="repeat"`` a batch that is a dict holds ``repeated``, bool [B]: the garments that only fill up.
+      ``drop_last`` leaves out each rank's last, smaller batch.
+    - ``num_workers=0``: what is only read is read by a thread beside the loop, two batches ahead. Worker processes cost
+      more than reading does; they are for garments that are made, and for transforms that take long. They stay from
+      epoch to epoch.
+    - A ``transform``, an ``augment`` and a ``collate_fn`` of yours run in the loop's thread or in worker processes. What
+      they draw from ``torch.rand`` (on the CPU), ``numpy.random`` and ``random`` depends on ``seed``, epoch and garment,
+      of a ``collate_fn`` on the batch: not on workers, nor on what the model draws; that draws as if they drew nothing.
+    - A transform that fails raises ``TransformError`` with key and data set. Any other error of a garment has a note.
     - On a machine with a GPU batches lie in pinned memory.
     - An ``IterableDataset`` comes as it does, cut to this rank's share: it has to give the same on every rank, is read
-      from its beginning to go on, and takes ``shuffle=False``, no workers and no ``pad``. Garments with
-      ``streaming=True`` are read by number all the same: their shards need not be shared out evenly.
+      from its beginning to go on, unless it is one of ``FreshGarments``, and takes ``shuffle=False``, no workers and no
+      ``pad``. Garments with ``streaming=True`` are read by number all the same.
 
     Raises ``ConfigError`` for options that do not fit together.
     """
@@ -84,8 +90,12 @@ class GarmentLoader:
         self._begun, self._loaded = 0, False
 
     def __len__(self) -> int:
-        """Batches of a whole epoch. Raises ``TypeError`` for a stream."""
+        """Batches of a whole epoch. Raises ``TypeError`` for a stream that has no length."""
         return len(self._plan)
+
+    def __repr__(self) -> str:
+        position = self.state_dict()["position"]
+        return f"GarmentLoader({self.dataset!r}, batch_size={self.batch_size}, position {position})"
 
     @property
     def epoch(self) -> int:

@@ -1,6 +1,5 @@
 """Several data sets in one order, each by its share: published garments beside fresh ones."""
 
-import operator
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Any
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, Transform, items_of, natural
+from gcd_dataset.loaders.indexing import UnknownKeyError, number_of
 from gcd_dataset.loaders.order import permutation
 from gcd_dataset.shards.layout import Bytes
 
@@ -40,7 +40,7 @@ class MixedDataset(Garments):
     ``shuffle=True`` holds the shares on average only.
 
     ``transform`` is called with each item, after that of the data set it comes from. Raises ``ConfigError`` for data
-    sets of different fields, without garments, or without a positive weight each.
+    sets of different fields or ``dtype``, without garments, or without a positive weight each.
     """
 
     endless = True
@@ -56,7 +56,7 @@ class MixedDataset(Garments):
         self.datasets, self.weights = tuple(datasets), _proportions(weights)
         _require_alike(self.datasets, weights)
         fields = self.datasets[0].fields
-        super().__init__(fields, transform, there=fields)
+        super().__init__(fields, transform, there=fields, dtype=self.datasets[0].dtype)
         self._seed, self._turns = natural("seed", seed), _turns(self.weights)
         self.reads_only = all(dataset.reads_only for dataset in self.datasets)
 
@@ -79,12 +79,9 @@ class MixedDataset(Garments):
         epoch, place = divmod(turn, length)
         return part, permutation(length, self._seed, part, epoch)(place)
 
-    def __getitem__(self, index: int | slice) -> Any:
-        """Garment ``index``, negative ones count from the end of the first epoch; a slice of that as a data set."""
-        if isinstance(index, slice):
-            return self.select(range(len(self))[index])
-        part, number = self.source(index)
-        return self._changed(self.datasets[part][number], self._position(index))
+    def tell_wait(self) -> None:
+        for dataset in self.datasets:
+            dataset.tell_wait()
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments at once; what is made on a GPU is made together."""
@@ -94,7 +91,7 @@ class MixedDataset(Garments):
             of_part[part].append(number)
         items = {part: iter(items_of(self.datasets[part], numbers)) for part, numbers in of_part.items()}
         return [
-            self._changed(next(items[part]), self._position(index))
+            self._transformed(next(items[part]), self._position(index))
             for (part, _), index in zip(sources, indices, strict=True)
         ]
 
@@ -117,14 +114,25 @@ class MixedDataset(Garments):
         part, number = self.source(position)
         return self.datasets[part]._members(number, members)
 
+    def _one(self, position: int) -> Any:
+        part, number = self.source(position)
+        return self._transformed(self.datasets[part][number], position)
+
+    def _described(self) -> list[str]:
+        shares = zip(self.weights, self.datasets, strict=True)
+        return [" + ".join(f"{weight} {type(dataset).__name__}" for weight, dataset in shares)]
+
     def _key(self, position: int) -> str:
         part, number = self.source(position)
         return self.datasets[part]._key(number)
 
-    def _position(self, index: int) -> int:
-        number = operator.index(index)
+    def _position(self, index: int | str) -> int:
+        """The position of a number; negative ones count from the end of the first epoch."""
+        if isinstance(index, str):
+            raise UnknownKeyError(f"garment {index!r:.99}: a mix has no keys: ask one of its data sets, .datasets[0]")
+        number = number_of(index)
         if number < -len(self):
-            raise IndexError(f"garment {number} of {len(self)}")
+            raise IndexError(f"garment {number} of {len(self)}: give -{len(self)} or more")
         return number if number >= 0 else number + len(self)
 
 
@@ -195,7 +203,14 @@ def _require_alike(datasets: Sequence[Garments], weights: Sequence[float]) -> No
     if len(datasets) != len(weights):
         raise ConfigError(f"{len(datasets)} data sets and {len(weights)} weights: give one each")
     for number, dataset in enumerate(datasets):
+        if not isinstance(dataset, Garments):
+            raise ConfigError(
+                f"data set {number} is a {type(dataset).__name__}: give GarmentDataset, GeneratedGarments or the like"
+            )
         if not len(dataset):
             raise ConfigError(f"data set {number} has no garments: leave it out")
         if odd := sorted(set(dataset.fields) ^ set(datasets[0].fields)):
             raise ConfigError(f"only one of data sets 0 and {number} has {', '.join(odd)}: give both the same fields")
+        if dataset.dtype != datasets[0].dtype:
+            unlike = f"{datasets[0].dtype} and {dataset.dtype}"
+            raise ConfigError(f"data sets 0 and {number} give floats as {unlike}: give both the same dtype")

@@ -11,12 +11,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["add", "copied", "fill", "join", "pinned"]
+__all__ = ["add", "as_type", "copied", "fill", "join", "pinned"]
+
+AT_ONCE = 1 << 15  # numbers: of more torch has several threads convert them
 
 
 def copied(value: Tensor) -> Tensor:
     """The same values in memory of their own."""
     return torch.from_numpy(value.detach().numpy().copy()) if _in_numpy(value) else value.clone()
+
+
+def as_type(value: Tensor, dtype: torch.dtype) -> Tensor:
+    """The values as another type; the same tensor where they are of it."""
+    if value.dtype == dtype or value.numel() <= AT_ONCE or value.device.type != "cpu":
+        return value.to(dtype)
+    changed = torch.empty(value.shape, dtype=dtype)
+    for source, target in zip(value.reshape(-1).split(AT_ONCE), changed.view(-1).split(AT_ONCE), strict=True):
+        target.copy_(source)
+    return changed
 
 
 def pinned(value: Tensor) -> Tensor:

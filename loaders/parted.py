@@ -37,7 +37,7 @@ def parted(dataset: Dataset) -> tuple[Dataset, Change | None]:
     if isinstance(dataset, MixedDataset):
         return _mixed(dataset)
     if isinstance(dataset, Garments) and is_ours(type(dataset)) and dataset.transform is not None:
-        return _without(dataset), dataset._changed
+        return _without(dataset), dataset._transformed
     return dataset, None
 
 
@@ -83,4 +83,4 @@ def _of_whole(change: Change, dataset: SelectedGarments, item: Any, number: int)
 def _of_parts(changes: list[Change | None], dataset: MixedDataset, item: Any, number: int) -> Any:
     part, place = dataset.source(number)
     change = changes[part]
-    return dataset._changed(item if change is None else change(item, place), number)
+    return dataset._transformed(item if change is None else change(item, place), number)

@@ -238,8 +238,8 @@ class At(NamedTuple):
 class Streamed(IterableDataset):
     """Every ``world_size``-th item of a stream, from any position on.
 
-    A stream with ``set_epoch`` is told the pass, and one with ``items_from`` where to begin. Others are read from the
-    beginning on.
+    A stream with ``begin_at``, as ``FreshGarments``, begins at any item, counted from the first pass on. Others are
+    read from their beginning, and told the pass if they have ``set_epoch``.
     """
 
     in_thread = False  # it may be code of users
@@ -297,6 +297,9 @@ class Streamed(IterableDataset):
         return At(place.epoch + 1, 0) if place.position else place
 
     def begin(self, place: At) -> At:
+        """The next pass if there is nothing left of this one."""
+        if hasattr(self._stream, "begin_at") and place.position >= len(self._stream):
+            place = self.anew(place)
         self._ranks, self._reached = self._present(), place
         return place
 
@@ -318,10 +321,10 @@ class Streamed(IterableDataset):
         """The stream's items of a pass from a position on."""
         with own_chance() as chance:
             chance.begin(self._seed, start.epoch)
+            if callable(begin_at := getattr(self._stream, "begin_at", None)):
+                return iter(begin_at(start.epoch * len(self._stream) + start.position))
             if callable(set_epoch := getattr(self._stream, "set_epoch", None)):
                 set_epoch(start.epoch)
-            if callable(items_from := getattr(self._stream, "items_from", None)):
-                return iter(items_from(start.position))
             items = iter(self._stream)
             for position in range(start.position):
                 chance.begin(self._seed, start.epoch, position)

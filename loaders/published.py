@@ -1,6 +1,7 @@
 """GarmentCodeData as its authors have published it, with the items of every other data set."""
 
 import io
+import json
 import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from PIL import Image
 
@@ -15,6 +17,8 @@ from gcd_dataset import __version__
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.loaders.base import Garments, Transform
+from gcd_dataset.loaders.held import lacking_at
+from gcd_dataset.loaders.indexing import number_in
 from gcd_dataset.records import Drape, Measurements, Outcome, Pattern, Provenance, Sample
 from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garment import PublishedGarment
@@ -26,7 +30,7 @@ from gcd_dataset.shards.layout import MEMBERS, Bytes, key_of
 __all__ = ["PublishedGarmentCodeData"]
 
 POINTS = 8192  # of a garment's surface, as in our own data sets
-META = "meta.json"
+META, MEASURES = "meta.json", "measures.json"
 MESH = ("spec", "sim", "box", "segmentation", "vertex_labels")
 DRAPE = ("sim", "segmentation")
 FILES: Mapping[str, tuple[str, ...]] = {
@@ -66,11 +70,12 @@ class PublishedGarmentCodeData(Garments):
     - failed garments, as ``dataset_properties`` of the batch names them, are left out;
     - vertices are numbered as in segmentation and labels, not as in the ply files, which split them at seams;
     - ``uv`` is in the panels' planes [cm], not in the files' texture coordinates, whose scale is stored nowhere;
-    - ``measures`` and ``design`` are as they stand in the files: data made with the authors' tools after the release
+    - ``measures`` and ``design`` are as they stand in the files, ``measures`` with what GarmentCode derives from them,
+      such as ``_leg_length``: data made with the authors' tools after the release
       has lost decimals there (171.99 became 171.0); ``design`` keeps range and type of every parameter beside ``v``;
     - rotations are Rz Ry Rx, as they were meshed with;
-    - ``body`` is empty: ``meta["body"]`` says who wears the garment, and ``PublishedBodies`` knows them. Some bodies of
-      the release were lifted to stand on y = 0 before draping, and their garments with them;
+    - there is no ``body``: ``meta["body"]`` says who wears the garment, and ``PublishedBodies`` knows them. Some bodies
+      of the release were lifted to stand on y = 0 before draping, and their garments with them;
     - ``front`` and ``back`` are put on white and stored as JPEG, as ours are; ``meta["source"]`` tells batch and name;
     - counts in ``meta["drape"]`` are -1 where the properties do not tell them.
 
@@ -90,8 +95,9 @@ class PublishedGarmentCodeData(Garments):
         fields: Iterable[str] | None = None,
         cache_dir: str | Path | None = None,
         transform: Transform | None = None,
+        dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        super().__init__(fields, transform)
+        super().__init__(fields, transform, lacking=lacking_at("drape", ["body"]), dtype=dtype)
         if not isinstance(root, PublishedBatches):
             root = PublishedBatches(root, bodies=bodies, cache_dir=cache_dir)
         self._garments = PublishedGarments(root, split)
@@ -134,15 +140,28 @@ class PublishedGarmentCodeData(Garments):
         """Garment ``index`` with everything that is published of it. Raises ``ShardError``, ``IndexError``."""
         return self._sample(self._position(index), MEMBERS)
 
+    def _described(self) -> list[str]:
+        return [str(self._garments.batches.release)]
+
+    def _of_key(self, key: str) -> int | None:
+        number, entries = number_in(key), self._garments.entries
+        return next((row for row, entry in enumerate(entries) if entry.index == number or str(entry) == key), None)
+
     def _key(self, position: int) -> str:
         return key_of(self._garments.entries[position].index)
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        return encode_part(self._sample(position, members))
+        garment = self._garments.garment(position)
+        encoded = encode_part(self._sample_of(garment, position, members))
+        # Not those of the sample: a record holds the measures by name, angles in radians.
+        return encoded | {MEASURES: json.dumps(garment.measures).encode()} if MEASURES in members else encoded
 
     def _sample(self, position: int, members: Iterable[str]) -> Sample:
         """A garment of which no more is read than ``members`` take."""
-        garment, wanted = self._garments.garment(position), set(members)
+        return self._sample_of(self._garments.garment(position), position, members)
+
+    def _sample_of(self, garment: PublishedGarment, position: int, members: Iterable[str]) -> Sample:
+        wanted = set(members)
         garment.fetch({kind for member in wanted for kind in FILES[member]})
         provenance, told = self._provenance(position), META in wanted
         return Sample(

@@ -9,17 +9,21 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from torch.utils.data import IterableDataset, get_worker_info
 from webdataset.tariterators import group_by_keys, tar_file_expander
 
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
-from gcd_dataset.loaders.base import Garments, Transform, made_with, naming, tensor_of
+from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, made_with, naming, tensor_of
+from gcd_dataset.loaders.held import lacking_where
+from gcd_dataset.loaders.indexing import UnknownKeyError, number_in
 from gcd_dataset.loaders.ranks import is_in_group, present_rank, runs_beside_accelerate, shared_out_by
 from gcd_dataset.loaders.splits import parse_splits
-from gcd_dataset.shards.codec import read_json
+from gcd_dataset.shards.codec import NO_PICTURE, read_json
 from gcd_dataset.shards.layout import FIELDS, FOREIGN, MEMBERS, Bytes
+from gcd_dataset.shards.npy import write_npy
 from gcd_dataset.shards.plain import decode_member
 from gcd_dataset.shards.reader import ShardReader, Verify
 from gcd_dataset.shards.tar import BLOCK
@@ -27,6 +31,8 @@ from gcd_dataset.shards.tar import BLOCK
 __all__ = ["GarmentDataset", "StreamedGarments"]
 
 META = MEMBERS[0]
+EMPTY = {"npy": len(write_npy(np.zeros(0, np.float32))), "jpg": len(NO_PICTURE)}
+"""Bytes of a member that a step not taken leaves: fewer than of any other."""
 
 
 class GarmentDataset(Garments):
@@ -39,7 +45,9 @@ class GarmentDataset(Garments):
 
     ``source``: a folder, ``http://…``, ``https://…``, ``file://…``, or ``ORG/NAME`` (also ``hf://…``, ``…@REVISION``).
     ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
-    ``fields``: what to read; all that there are for ``None``, nothing else is touched, nor asked of a server.
+    ``fields``: what to read; for ``None`` all that the garments hold, which those made up to the stage ``pattern`` or
+    ``mesh`` do not have all; nothing else is touched, nor asked of a server. ``dtype``: of floating fields, float32 by
+    default, ``None`` for what is stored.
     ``root``: download the split, or the fields of it, into this folder first, and read it there.
     ``download``: without it no server is asked: what is in ``root`` or the cache has to do.
     ``revision``: branch, tag or commit of a repository; looked up once, see the attribute ``revision``.
@@ -56,7 +64,8 @@ class GarmentDataset(Garments):
     ``seg.png``, decoded by the last of these, and ``None`` where a sample has no such file.
 
     Raises ``ShardError`` for a source that holds no such split, or a broken or newer one, ``RemoteError`` for a server
-    that does not answer, ``ConfigError`` for options that do not fit together.
+    that does not answer, ``ConfigError`` for options that do not fit together, and for a field that no garment of the
+    split holds, since they were not made up to that stage.
     """
 
     reads_only = True
@@ -81,6 +90,7 @@ class GarmentDataset(Garments):
         transform: Transform | None = None,
         verify: Verify = "lazy",
         settled_only: bool = False,
+        dtype: torch.dtype | None = torch.float32,
     ) -> None:
         parts = parse_splits(split)
         fields = None if fields is None else [fields] if isinstance(fields, str) else list(fields)
@@ -91,8 +101,8 @@ class GarmentDataset(Garments):
         self._parts = [_Part(readers[part.name], part.range_of(len(readers[part.name]))) for part in parts]
         self._ends = list(accumulate(len(part.positions) for part in self._parts))
         self._member_of = _member_of([part.reader for part in self._parts])
-        super().__init__(fields, transform, there=self._member_of)
         self._foreign = self._parts[0].reader.layout.kind == FOREIGN
+        super().__init__(fields, transform, there=self._member_of, lacking=self._lacking(), dtype=dtype)
         self._check_stream = verify != "off"
         self.source = store.source
         """Where the garments come from, with the revision: ``None`` for a folder that was not downloaded."""
@@ -105,10 +115,7 @@ class GarmentDataset(Garments):
     def __len__(self) -> int:
         return self._ends[-1]
 
-    def __getitem__(self, index: int | slice) -> Any:
-        if isinstance(index, slice):
-            return self.select(range(len(self))[index])
-        position = self._position(index)
+    def _one(self, position: int) -> Any:
         return self._item(self._members(position, self._wanted), position)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
@@ -151,6 +158,38 @@ class GarmentDataset(Garments):
         part, position = self._place(self._position(index))
         part.reader.check(position)
 
+    def _described(self) -> list[str]:
+        splits = dict.fromkeys(part.reader.split for part in self._parts)
+        return [f"{' + '.join(splits)} of {self._parts[0].reader.store.place()}"]
+
+    def _lacking(self) -> dict[str, str]:
+        """Field to the reason why no garment holds it, by the sizes in the index."""
+        if self._foreign:
+            return {}
+        largest = {
+            field: max(part.largest(member) for part in self._parts) for field, member in self._member_of.items()
+        }
+        return lacking_where(
+            lambda field: largest[field] <= EMPTY[self._member_of[field].rpartition(".")[2]], self._member_of
+        )
+
+    def _of_key(self, key: str) -> int | None:
+        number = number_in(key)
+        if number is None and not self._foreign:
+            return None
+        found: dict[str, int] = {}
+        for part, end in zip(self._parts, self._ends, strict=True):
+            place = part.place_of(key) if number is None or self._foreign else part.place_of_number(number)
+            if place is not None:
+                found.setdefault(part.reader.split, end - len(part.positions) + place)
+        if len(found) > 1:
+            raise UnknownKeyError(f"garment {key} is in {' and in '.join(found)}: open one split, or give its number")
+        return next(iter(found.values()), None)
+
+    def _key(self, position: int) -> str:
+        part, place = self._place(position)
+        return part.reader.index.key(int(part.reader.rows([place])[0]))
+
     @property
     def _wanted(self) -> tuple[str, ...]:
         return tuple(self._member_of[field] for field in self.fields)
@@ -165,20 +204,15 @@ class GarmentDataset(Garments):
         part, place = self._place(position)
         return part.reader.read(place, members)
 
-    def _key(self, position: int) -> str:
-        part, place = self._place(position)
-        return part.reader.index.key(int(part.reader.rows([place])[0]))
-
-    @property
-    def _label(self) -> str:
-        return f"{type(self).__name__} {self._parts[0].reader.store.place()}"
-
     def _item(self, members: Mapping[str, Bytes], position: int) -> Any:
         if not self._foreign:
             return super()._item(members, position)
         values = {name: decode_member(name, members[name]) if name in members else None for name in self.fields}
-        item = {name: tensor_of(value) if isinstance(value, np.ndarray) else value for name, value in values.items()}
-        return self._changed(item, position)
+        item = GarmentItem(
+            (name, tensor_of(value, self.dtype) if isinstance(value, np.ndarray) else value)
+            for name, value in values.items()
+        )
+        return self._transformed(item, position)
 
 
 class _Part(NamedTuple):
@@ -186,6 +220,22 @@ class _Part(NamedTuple):
 
     reader: ShardReader
     positions: range
+
+    def largest(self, member: str) -> int:
+        """Bytes of the largest member of that name."""
+        index = self.reader.index
+        size = index.table.size[self.reader.rows(self.positions), index.layout.members.index(member)]
+        return int(size.max(initial=0))
+
+    def place_of_number(self, number: int) -> int | None:
+        """Where among its samples the one that was written under a number stands."""
+        there = self.reader.index.table.sample[self.reader.rows(self.positions)]
+        return next(iter(np.flatnonzero(there == number).tolist()), None)
+
+    def place_of(self, key: str) -> int | None:
+        """Where among its samples the one of that key stands."""
+        keys = map(self.reader.index.key, self.reader.rows(self.positions).tolist())
+        return next((place for place, other in enumerate(keys) if other == key), None)
 
 
 class _Stretch(NamedTuple):
@@ -246,7 +296,7 @@ class StreamedGarments(GarmentDataset, IterableDataset):
     def select(self, indices: Iterable[int]) -> Garments:
         raise ConfigError("a stream has no numbers to choose by: leave out streaming=True, or slice the split")
 
-    def __getitem__(self, index: int | slice) -> Any:
+    def __getitem__(self, index: Any) -> Any:
         raise ConfigError("a stream has no numbers to choose by: leave out streaming=True")
 
     def __iter__(self) -> Iterator[Any]:

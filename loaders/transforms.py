@@ -17,7 +17,7 @@ import torch
 from scipy.spatial import ConvexHull
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, Item, changing, function, items_of, natural
+from gcd_dataset.loaders.base import Garments, Item, changing, function, items_of, kept_item, natural
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import Bytes
 
@@ -33,7 +33,7 @@ class Chain:
     """Several changes, one after the other."""
 
     def __init__(self, *augments: Augment) -> None:
-        self.augments = augments
+        self.augments = tuple(function("augment", augment) for augment in augments)
 
     def __call__(self, item: Item, chance: np.random.Generator) -> Item:
         for augment in self.augments:
@@ -111,7 +111,7 @@ class Augmented(Garments):
     """
 
     def __init__(self, whole: Garments, augment: Augment, *, seed: int = 0) -> None:
-        super().__init__(whole.fields, None, there=whole.fields)
+        super().__init__(whole.fields, None, there=whole.fields, dtype=whole.dtype)
         self.whole, self.augment, self.seed = whole, function("augment", augment), natural("seed", seed)
         self.reads_only = whole.reads_only
         if whole.endless:
@@ -134,16 +134,13 @@ class Augmented(Garments):
     def identity(self) -> dict[str, Any]:
         return self.whole.identity()
 
-    def __getitem__(self, index: int | slice) -> Any:
-        """Garment ``index``, changed; for a slice the garments in it, as a data set."""
-        if isinstance(index, slice):
-            return self.select(range(len(self))[index])
-        return self._changed(self.whole[index], self._position(index))
+    def tell_wait(self) -> None:
+        self.whole.tell_wait()
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Several garments, at once where the data set can do that."""
-        items = items_of(self.whole, list(indices))
-        return [self._changed(item, self._position(index)) for item, index in zip(items, indices, strict=True)]
+        positions = [self._position(index) for index in indices]
+        return [self._changed(*entry) for entry in zip(items_of(self.whole, positions), positions, strict=True)]
 
     def stream(self, indices: Iterable[int]) -> Any:
         """Garments one after the other, changed."""
@@ -156,15 +153,24 @@ class Augmented(Garments):
 
         return (self._changed(item, positions.pop(0)) for item in self.whole.stream(noted()))
 
+    def _one(self, position: int) -> Any:
+        return self._changed(self.whole[position], position)
+
+    def _described(self) -> list[str]:
+        return [f"of {type(self.whole).__name__}", *self.whole._described()]
+
+    def _of_key(self, key: str) -> int | None:
+        return self.whole._of_key(key)
+
+    def _key(self, position: int) -> str:
+        return self.whole._key(position)
+
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self.whole._members(position, members)
 
     def _changed(self, item: Item, position: int) -> Item:
         with changing(self, position):
-            return self.augment(item, rng(self.seed, position, Stage.AUGMENT, int(self._epoch)))
-
-    def _key(self, position: int) -> str:
-        return self.whole._key(position)
+            return kept_item(self.augment(item, rng(self.seed, position, Stage.AUGMENT, int(self._epoch))))
 
 
 def _turned(rows: torch.Tensor, turn: torch.Tensor) -> torch.Tensor:

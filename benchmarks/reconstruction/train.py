@@ -119,6 +119,7 @@ def load(args: argparse.Namespace) -> tuple[Garments, list[Arrays]]:
         design=read_overlay(args.design) if args.design else None,
         fields=FIELDS,
         transform=ToTargets(args.queries, args.contour_points, args.stored_points),
+        dtype=None,  # arcs are decoded from the ends of their edges, which takes every digit
     )
     loader = DataLoader(dataset, batch_size=32, num_workers=args.workers, collate_fn=collate)
     parts, arrays = [], []

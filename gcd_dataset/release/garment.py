@@ -2,6 +2,7 @@
 
 import functools
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -75,6 +76,13 @@ class PublishedGarment:
             return parsed_measurements(self._yaml("measures"), self._path("measures"))
         except BodyError as error:
             raise self.broken("measures", str(error).removeprefix(f"{self._path('measures')}: ")) from error
+
+    @property
+    def measures(self) -> dict[str, float]:
+        """All numbers of the measurement file, as they stand there: cm, inclinations in degrees; derived ones too."""
+        self.measurements  # noqa: B018 -- raises for a file that is not as it should be
+        table = self._yaml("measures")["body"]
+        return {key: value for key, value in table.items() if type(value) in (int, float) and abs(value) < math.inf}
 
     @property
     def body_name(self) -> str:

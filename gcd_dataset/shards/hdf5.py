@@ -97,6 +97,11 @@ class Hdf5Reader:
         with self._opened() as file:
             return {member: file.member(position, member.split(".")[0]) for member in members}
 
+    def largest(self, field: str) -> int:
+        """Rows of the sample that has most of an array field; bytes of its largest picture."""
+        with self._opened() as file:
+            return int(np.diff(file.handle["ptr"][field][:]).max(initial=0))
+
     def check(self, position: int) -> None:
         """Raise ``ShardError`` if any byte of a sample is not what was written."""
         members = self.read(position, MEMBERS)

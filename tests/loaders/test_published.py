@@ -16,6 +16,7 @@ from torch.utils.data import DataLoader
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, PublishedGarmentCodeData, collate_list
 from gcd_dataset.loaders.base import Item
+from gcd_dataset.records import MEASURES
 from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garment import PublishedGarment
 from gcd_dataset.release.layout import ENDINGS, properties_name
@@ -90,7 +91,11 @@ def test_items_are_those_of_the_shards_that_were_exported(folders: Path) -> None
         assert torch.allclose(flat, there, atol=NEAR["uv"])
         for field in ("panels", "edges"):
             assert torch.allclose(before[field], after[field], atol=NEAR[field])
-        assert before["measures"] == pytest.approx(after["measures"], rel=1e-12)
+        assert before["measures"] == pytest.approx({key: after["measures"][key] for key in MEASURES}, rel=1e-12)
+        # What GarmentCode derives from the measures is kept too: from the floor to the hip line.
+        told = after["measures"]
+        legs = told["height"] - told["head_l"] - told["waist_line"] - told["hips_line"]
+        assert told["_leg_length"] == pytest.approx(legs)
         assert before["design"] == after["design"]
         for name in ("body", "pattern", "source", "panel_names", "vertex_labels"):
             assert before["meta"][name] == after["meta"][name]

@@ -1,0 +1,323 @@
+"""What an item holds, by which names it is asked for, and what is said where that is not there: on real garments."""
+
+import logging
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+from torch.utils.data import DataLoader
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.pipeline import make_many
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of
+from gcd_dataset.loaders import (
+    Augmented,
+    FakeGarments,
+    FreshGarments,
+    GarmentDataset,
+    GarmentLoader,
+    Garments,
+    GeneratedGarments,
+    Hdf5Garments,
+    MixedDataset,
+    PublishedGarmentCodeData,
+    Yaw,
+    collate_packed,
+    collate_padded,
+)
+from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
+from gcd_dataset.shards.hdf5 import write_hdf5
+from tests.loaders.test_shards import assert_all_same, same
+from tests.shards.folders import fill
+
+COUNT = 4
+KEPT = 3  # the number of the first sample that is stored: keys are not positions
+PATTERN = ("meta", "spec", "design", "measures", "panels", "edges", "stitches", "body")
+DRAPED = ("verts", "front", "back")
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Stage to a folder of garments by our generator, made up to there."""
+    folders = {}
+    for stage in ("pattern", "mesh"):
+        folders[stage] = tmp_path_factory.mktemp(stage)
+        config = MakeConfig(stage=stage, resolution=6.0, points=512)  # type: ignore[arg-type]
+        with ShardWriter(folders[stage], seed=2, recipe=recipe_of(config), shard_size=2) as writer:
+            for sample in make_many(2, range(KEPT, KEPT + COUNT), config):
+                writer.write(sample)
+        list(write_hdf5(ShardReader(folders[stage]), folders[stage] / "train.h5"))
+    return folders
+
+
+def opened(sets: dict[str, Path], stage: str) -> dict[str, Callable[..., Any]]:
+    """Ways to the same garments."""
+    folder = sets[stage]
+    return {
+        "folder": lambda **options: GarmentDataset(folder, **options),
+        "stream": lambda **options: GarmentDataset(folder, streaming=True, **options),
+        "url": lambda **options: GarmentDataset(folder.as_uri(), cache_dir=folder / ".cache", **options),
+        "hdf5": lambda **options: Hdf5Garments(folder / "train.h5", **options),
+        "generated": lambda **options: GeneratedGarments(COUNT, stage=stage, resolution=6.0, **options),
+    }
+
+
+WAYS = ("folder", "stream", "url", "hdf5", "generated")
+
+
+# --------------------------------------------------------------------------------------------------------------- fields
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(("stage", "field"), [("pattern", "points"), ("pattern", "faces"), ("mesh", "verts")])
+def test_a_field_of_a_later_stage_is_refused_at_once(sets: dict[str, Path], way: str, stage: str, field: str) -> None:
+    """Else a training runs on arrays without rows."""
+    later = "drape" if field == "verts" else "mesh"
+    told = f"no field {field}: these garments end with stage {stage}, and {field} come with stage {later}: choose among"
+    with pytest.raises(ConfigError, match=told):
+        opened(sets, stage)[way](fields=["panels", field])
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_all_fields_are_those_that_the_garments_hold(sets: dict[str, Path], way: str) -> None:
+    assert opened(sets, "pattern")[way]().fields == PATTERN
+    mesh = opened(sets, "mesh")[way]()
+    assert set(mesh.fields) == set(FIELDS) - set(DRAPED)
+    item = next(iter(mesh))
+    assert all(len(item[field]) for field in mesh.fields if isinstance(item[field], torch.Tensor))
+
+
+def test_pictures_that_are_not_taken_are_refused() -> None:
+    with pytest.raises(ConfigError, match="no field front: these garments have no pictures"):
+        GeneratedGarments(1, picture=0, fields=["front", "verts"])
+    assert set(GeneratedGarments(1, picture=0).fields) == set(FIELDS) - {"front", "back"}
+
+
+def test_published_garments_do_not_tell_their_bodies(examples: Path) -> None:
+    root = examples / "published" / "GarmentCodeData_v2"
+    with pytest.raises(ConfigError, match="no field body: these garments do not tell the weights"):
+        PublishedGarmentCodeData(root, "all", fields=["body"])
+    ds = PublishedGarmentCodeData(root, "all", fields=["measures", "meta"])
+    assert ds[0]["measures"]["_leg_length"] == pytest.approx(85.0, abs=10)
+    assert same(ds[ds.names[1]], ds[1])
+    assert same(ds[ds[1]["meta"]["key"]], ds[1])
+
+
+def test_parts_of_a_mix_hold_the_same(sets: dict[str, Path]) -> None:
+    pattern, mesh = (GarmentDataset(sets[stage]) for stage in ("pattern", "mesh"))
+    with pytest.raises(ConfigError, match="only one of data sets 0 and 1 has box, .*: give both the same fields"):
+        MixedDataset([pattern, mesh], [1, 1])
+    exact = GarmentDataset(sets["mesh"], fields=PATTERN, dtype=None)
+    with pytest.raises(ConfigError, match=r"floats as torch\.float32 and None: give both the same dtype"):
+        MixedDataset([pattern, exact], [1, 1])
+    with pytest.raises(ConfigError, match="data set 1 is a list"):
+        MixedDataset([pattern, [1]], [1, 1])  # type: ignore[list-item]
+
+
+# ---------------------------------------------------------------------------------------------------------------- types
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_floats_go_into_a_layer_as_they_are(sets: dict[str, Path], way: str) -> None:
+    fields = ("panels", "edges", "points", "box", "uv", "body")
+    item = next(iter(opened(sets, "mesh")[way](fields=fields)))
+    for field in fields:
+        assert nn.Linear(item[field].shape[-1], 2)(item[field]).dtype == torch.float32
+    stored = next(iter(opened(sets, "mesh")[way](fields=fields, dtype=None)))
+    assert {stored["panels"].dtype, stored["edges"].dtype} == {torch.float64}
+    half = next(iter(opened(sets, "mesh")[way](fields=(*fields, "faces"), dtype=torch.bfloat16)))
+    assert {half[field].dtype for field in fields} == {torch.bfloat16}
+    assert half["faces"].dtype == torch.int32
+    for field in fields:
+        assert torch.equal(item[field], stored[field].float())
+        assert torch.equal(half[field], stored[field].to(torch.bfloat16))
+
+
+def test_what_is_stored_as_asked_is_not_copied(sets: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.loaders.base.as_type", lambda tensor, dtype: pytest.fail(str(tensor.shape)))
+    monkeypatch.setattr(torch.Tensor, "to", lambda *_: pytest.fail("converted"))
+    assert len(GarmentDataset(sets["mesh"], fields=["panels"], dtype=None)[0]["panels"])
+
+
+def test_types_of_other_numbers_are_refused(sets: dict[str, Path]) -> None:
+    for dtype in (torch.int64, "float32", np.float32):
+        with pytest.raises(ConfigError, match=r"dtype=.*: give a type of floating numbers, such as torch\.float32"):
+            GarmentDataset(sets["mesh"], dtype=dtype)  # type: ignore[arg-type]
+
+
+def test_types_are_not_mixed_in_a_batch(sets: dict[str, Path]) -> None:
+    items = [GarmentDataset(sets["mesh"], fields=["panels", "body"], dtype=dtype)[0] for dtype in (torch.float32, None)]
+    for collate in (collate_packed, collate_padded):
+        with pytest.raises(ConfigError, match=r"panels of one batch is of torch\.float32, torch\.float64"):
+            collate(items)
+
+
+# -------------------------------------------------------------------------------------------------------------- indices
+
+
+def wrapped(ds: Garments) -> list[Garments]:
+    return [ds, Augmented(ds, Yaw(0.0)), ds.select(range(COUNT)), ds[:]]
+
+
+@pytest.mark.parametrize("way", ["folder", "url", "hdf5", "generated"])
+def test_several_garments_by_a_list_of_numbers(sets: dict[str, Path], way: str) -> None:
+    for ds in wrapped(opened(sets, "pattern")[way](fields=["meta", "panels"])):
+        several = [ds[1], ds[-1], ds[1]]
+        for indices in ([1, -1, 1], (1, -1, 1), np.array([1, -1, 1]), torch.tensor([1, -1, 1]), np.array([1, 255, 1])):
+            if max(indices) < COUNT:
+                assert_all_same(ds[indices], several)
+        assert ds[[]] == []
+        assert same(ds[np.int32(2)], ds[2])
+        assert same(ds[torch.tensor(2)], ds[2])
+        assert_all_same(ds[1:3], [ds[1], ds[2]])
+        for beyond in (COUNT, [0, COUNT], -COUNT - 1):
+            with pytest.raises(IndexError, match=f"of {COUNT}: give -{COUNT} to {COUNT - 1}"):
+                ds[beyond]
+
+
+def test_what_is_no_number_is_refused(sets: dict[str, Path]) -> None:
+    ds = GarmentDataset(sets["pattern"], fields=["meta"])
+    mixed = MixedDataset([ds], [1])
+    for index in (True, np.bool_(True), torch.tensor(True), 1.0, None, [True, False], ds):
+        for garments in (ds, mixed, ds.select([0])):
+            with pytest.raises(TypeError, match="give a whole number"):
+                garments[index]
+    for mask in (np.array([True, False, True, True]), torch.ones(COUNT, dtype=torch.bool), np.eye(2, dtype=int)):
+        with pytest.raises(ConfigError, match=r"give whole numbers in one row, such as mask\.nonzero"):
+            ds[mask]
+
+
+@pytest.mark.parametrize("way", ["folder", "url", "hdf5"])
+def test_garments_by_their_keys(sets: dict[str, Path], way: str) -> None:
+    for ds in wrapped(opened(sets, "pattern")[way](fields=["meta"])):
+        keys = [item["meta"]["key"] for item in ds]
+        assert keys == [f"gcd_{KEPT + number:09d}" for number in range(COUNT)]
+        assert [ds[key]["meta"]["key"] for key in keys] == keys
+        assert [item["meta"]["key"] for item in ds[keys[::-1]]] == keys[::-1]
+        assert ds.recipe(keys[2])["index"] == KEPT + 2  # type: ignore[arg-type]
+        with pytest.raises(KeyError) as missing:
+            ds["gcd_5"]
+        assert str(missing.value) == (
+            "no garment 'gcd_5': did you mean gcd_000000005? keys are gcd_000000003 to gcd_000000006"
+        )
+        with pytest.raises(ConfigError, match="keys are gcd_000000003 to"):
+            ds["gcd_000000000"]
+
+
+def test_generated_garments_by_their_keys() -> None:
+    ds = GeneratedGarments(10**9, stage="pattern", fields=["meta"])
+    assert ds["gcd_000000002"]["meta"]["index"] == 2
+    for key in ("gcd_1000000000", "gcd_12", "2", ""):
+        with pytest.raises(KeyError, match="keys are gcd_000000000 to gcd_999999999"):
+            ds[key]
+
+
+def test_a_key_of_two_splits_names_neither(tmp_path: Path) -> None:
+    for split in ("train", "test"):
+        with ShardWriter(tmp_path, split=split, seed=0, recipe={}) as writer:
+            for sample in make_many(0, range(2), MakeConfig(stage="pattern")):
+                writer.write(sample)
+    both = GarmentDataset(tmp_path, "train+test", fields=["meta"])
+    with pytest.raises(KeyError, match="gcd_000000001 is in train and in test: open one split"):
+        both["gcd_000000001"]
+    again = GarmentDataset(tmp_path, "train[1:]+train", fields=["meta"])
+    assert same(again["gcd_000000001"], again[0])
+    with pytest.raises(KeyError, match="a mix has no keys"):
+        MixedDataset([both], [1])["gcd_000000001"]
+
+
+# -------------------------------------------------------------------------------------------------------------- remedies
+
+
+def test_a_field_that_is_not_loaded_is_told(sets: dict[str, Path]) -> None:
+    ds = GarmentDataset(sets["mesh"], fields=["panels", "body"])
+    told = "the {} has no 'points': it holds panels, .*body.*: .*fields="
+    with pytest.raises(KeyError, match=told.format("garment").replace(": .*", "; ")):
+        ds[0]["points"]
+    with pytest.raises(KeyError, match="the batch has no 'points'"):
+        collate_packed([ds[0]])["points"]
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_the_default_collate_says_what_to_give(sets: dict[str, Path], workers: int) -> None:
+    for transform in (None, lambda item: {**item}):
+        ds = GarmentDataset(sets["mesh"], fields=["body", "box"], transform=transform)
+        with pytest.raises(ConfigError, match="box differs in size or kind .* collate_fn=collate_packed"):
+            next(iter(DataLoader(ds, batch_size=2, num_workers=workers)))
+    stacked = next(iter(DataLoader(GarmentDataset(sets["mesh"], fields=["body", "points"]), batch_size=2)))
+    assert stacked["points"].shape == (2, 512, 6)
+
+
+def test_a_transform_that_is_no_function_is_refused(sets: dict[str, Path]) -> None:
+    for make in (
+        lambda: GarmentDataset(sets["mesh"], transform=3),  # type: ignore[arg-type]
+        lambda: GeneratedGarments(1, transform="yaw"),  # type: ignore[arg-type]
+        lambda: FreshGarments(FakeGarments(1), augment=3),  # type: ignore[arg-type]
+        lambda: Augmented(FakeGarments(1), 3),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(ConfigError, match=r"(transform|augment)=.*: give a function that takes an item"):
+            make()
+
+
+def test_a_transform_that_fails_names_the_garment(sets: dict[str, Path]) -> None:
+    def broken(item: dict[str, Any]) -> Any:
+        raise ZeroDivisionError("in a transform")
+
+    ds = GarmentDataset(sets["pattern"], fields=["meta"], transform=broken)
+    for ask in (lambda: ds[2], lambda: ds[[2]], lambda: ds[2:][0], lambda: MixedDataset([ds.select([2])], [1])[0]):
+        with pytest.raises(ZeroDivisionError) as raised:
+            ask()
+        assert "while loading garment 2 of GarmentDataset" in raised.value.__notes__
+
+
+def test_designs_are_asked_for_as_a_dict() -> None:
+    wanted = {"meta": {"upper": "none", "bottom": "Pants"}}
+    ds = GeneratedGarments(2, stage="pattern", design=wanted, fields=["design"])
+    assert [item["design"]["meta"]["bottom"] for item in ds] == ["Pants", "Pants"]
+    assert ds.recipe(0)["recipe"]["design"]["meta"]["bottom"] == {"options": ["Pants"]}
+    with pytest.raises(ConfigError, match=r"called meta\.botom: did you mean meta\.bottom\?"):
+        GeneratedGarments(2, design={"meta": {"botom": "Pants"}})
+    for design in (3, "pants.toml"):
+        with pytest.raises(ConfigError, match=r"design=.*: give a dict such as .*, or read_overlay"):
+            GeneratedGarments(2, design=design)  # type: ignore[arg-type]
+
+
+def test_how_long_a_drape_takes_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    ds = GeneratedGarments(3, device="cpu", resolution=1.0)
+    with caplog.at_level(logging.WARNING, "gcd_dataset"):
+        ds.tell_wait()
+        pickle.loads(pickle.dumps(ds[1:])).tell_wait()
+        FreshGarments(MixedDataset([ds], [1])).garments.tell_wait()
+        GeneratedGarments(3, stage="mesh").tell_wait()
+    assert [record.message for record in caplog.records] == [
+        "waiting for the first garment: about 7 s each on cpu, longer for the first where kernels are compiled"
+    ]
+
+
+# ------------------------------------------------------------------------------------------------------------------ repr
+
+
+def test_all_are_told_in_a_line(sets: dict[str, Path], tmp_path: Path) -> None:
+    ds = GarmentDataset(sets["pattern"], fields=["panels", "edges"])
+    assert repr(ds) == f"GarmentDataset(train of {sets['pattern']}, 4 garments: panels, edges)"
+    stream = GarmentDataset(fill(tmp_path, range(2)), fields=["verts"], streaming=True)
+    everything = [
+        stream,
+        *wrapped(GeneratedGarments(COUNT, fields=["panels"])),
+        Hdf5Garments(sets["mesh"] / "train.h5", fields=["box"]),
+        MixedDataset([ds, ds], [3, 1]),
+        FreshGarments(ds, replay=2),
+        GarmentLoader(ds, 2),
+        collate_packed([ds[0]]),
+        collate_padded([ds[0]]),
+    ]
+    for thing in everything:
+        told = repr(thing)
+        assert "\n" not in told
+        assert "garments" in told
+        assert len(told) < 300
