@@ -46,8 +46,8 @@ class GarmentLoader:
     - A transform that fails raises ``TransformError`` with key and data set. Any other error of a garment has a note.
     - On a machine with a GPU batches lie in pinned memory.
     - An ``IterableDataset`` comes as it does, cut to this rank's share: it has to give the same on every rank, is read
-      from its beginning to go on, unless it is one of ``FreshGarments``, and takes ``shuffle=False``, no workers and no
-      ``pad``. Garments with ``streaming=True`` are read by number all the same.
+      from its beginning to go on, and takes ``shuffle=False``, no workers and no ``pad``. ``FreshGarments`` go on
+      without what came before. Garments with ``streaming=True`` are read by number all the same.
 
     Raises ``ConfigError`` for options that do not fit together.
     """

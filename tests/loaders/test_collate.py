@@ -7,12 +7,14 @@ from typing import Any
 
 import pytest
 import torch
+from torch.utils._pytree import tree_map
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders import FakeGarments, PackedBatch, PaddedBatch, collate_list, collate_packed, collate_padded
 from gcd_dataset.loaders.one_thread import copied
 from gcd_dataset.tensors import EdgeColumn
+from tests.loaders.test_shards import same as all_same
 
 B = 5
 
@@ -245,3 +247,78 @@ def test_what_numpy_has_not_is_copied_too(value: torch.Tensor) -> None:
     assert copy.dtype == value.dtype
     assert copy.data_ptr() != value.data_ptr()
     assert copy.to(torch.complex64).tolist() == value.to(torch.complex64).tolist()
+
+
+# ----------------------------------------------------------------------------------------------------- garments at once
+
+
+@pytest.mark.filterwarnings("ignore:The PyTorch API of nested tensors is in prototype")
+@pytest.mark.parametrize("field", ["panels", "edges", "labels"])
+def test_rows_for_attention_over_unequal_lengths(batch: PackedBatch, items: list[dict[str, Any]], field: str) -> None:
+    """What attention of each garment's rows among themselves gives, all of them at once."""
+    values, cu_seqlens, max_seqlen = batch.varlen(field)
+    assert cu_seqlens.dtype == torch.int32
+    assert cu_seqlens.tolist()[0] == 0
+    assert cu_seqlens.diff().tolist() == [len(item[field]) for item in items]
+    assert max_seqlen == max(len(item[field]) for item in items)
+    torch.manual_seed(0)
+    heads = torch.nn.Linear(values.shape[1], 24)(values.float() / 100).unflatten(1, (2, 12))
+    nested = torch.nested.nested_tensor_from_jagged(heads, cu_seqlens, max_seqlen=max_seqlen).transpose(1, 2)
+    attended = torch.nn.functional.scaled_dot_product_attention(nested, nested, nested).transpose(1, 2)
+    for k, part in enumerate(attended.unbind()):
+        own = heads[cu_seqlens[k] : cu_seqlens[k + 1]].transpose(0, 1)
+        alone = torch.nn.functional.scaled_dot_product_attention(own, own, own).transpose(0, 1)
+        assert torch.allclose(part, alone, atol=1e-6)
+
+
+def test_fields_without_rows_of_their_own_have_no_lengths(batch: PackedBatch) -> None:
+    for field in ("points", "sleeves"):
+        with pytest.raises(ConfigError, match=rf"{field} is not a field .* there are panels"):
+            batch.varlen(field)
+
+
+@pytest.mark.parametrize("collate", [collate_packed, collate_padded])
+def test_trees_of_torch_keep_a_batch_a_batch(items: list[dict[str, Any]], collate: Any) -> None:
+    batch = collate(items)
+    twice = tree_map(
+        lambda leaf: 2 * leaf if isinstance(leaf, torch.Tensor) and leaf.is_floating_point() else leaf, batch
+    )
+    assert type(twice) is type(batch)
+    assert list(twice) == list(batch)
+    assert torch.equal(twice.verts, 2 * batch.verts)
+    assert all_same(twice["meta"], batch["meta"])
+    item = tree_map(lambda leaf: leaf, items[0])
+    assert type(item) is type(items[0])
+    assert all_same(item, items[0])
+
+
+@pytest.mark.parametrize("collate", [collate_packed, collate_padded])
+def test_a_batch_takes_another_type(items: list[dict[str, Any]], collate: Any) -> None:
+    batch = collate(items)
+    for half in (batch.to(torch.bfloat16), batch.to("cpu", torch.bfloat16), batch.to(dtype=torch.bfloat16)):
+        assert type(half) is type(batch)
+        for name, value in batch.items():
+            if isinstance(value, torch.Tensor):
+                wanted = torch.bfloat16 if value.is_floating_point() else value.dtype
+                assert torch.equal(half[name], value.to(wanted)), name
+                assert half[name].dtype == wanted
+    with pytest.raises(ConfigError, match="give a type of floating numbers"):
+        batch.to(dtype=torch.int32)
+
+
+def test_lists_of_tensors_move_too() -> None:
+    batch = collate_packed([{"extra": torch.ones(1)}, {"extra": torch.ones(2)}])
+    assert [value.dtype for value in batch.to(torch.float64)["extra"]] == 2 * [torch.float64]
+
+
+def test_a_device_that_is_not_there_is_told(batch: PackedBatch) -> None:
+    for device in (f"cuda:{torch.cuda.device_count()}", torch.device("cuda", torch.cuda.device_count())):
+        with pytest.raises(ConfigError, match=r"device cuda:\d+: torch sees .*: give another, such as 'cuda' if"):
+            batch.to(device)
+    with pytest.raises(ConfigError, match="device 'gpu': give cpu, or a GPU as cuda:0"):
+        batch.to("gpu")
+    if not torch.cuda.is_available():
+        with pytest.raises(ConfigError, match="torch sees no GPU"):
+            batch.to("cuda")
+        with pytest.raises(ConfigError, match="leave out pin_memory"):
+            batch.pin_memory()

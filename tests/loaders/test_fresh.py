@@ -10,6 +10,7 @@ import threading
 import time
 import weakref
 from collections import Counter
+from itertools import islice
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -21,7 +22,7 @@ from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.pipeline import prepare
-from gcd_dataset.loaders import FakeGarments, FreshGarments, GarmentLoader, GeneratedGarments, PointNoise
+from gcd_dataset.loaders import FakeGarments, FreshGarments, GarmentLoader, GeneratedGarments, MixedDataset, PointNoise
 from tests.loaders.test_shards import assert_all_same, same
 
 
@@ -49,6 +50,133 @@ def test_workers_change_nothing() -> None:
     assert alone != numbers(fresh(replay=2, room=4, seed=1))
 
 
+def test_each_epoch_is_another() -> None:
+    garments = FreshGarments(FakeGarments(6), replay=2, room=4, augment=PointNoise(1.0))
+    epochs = [list(garments) for _ in range(3)]
+    orders = [[item["meta"]["index"] for item in epoch] for epoch in epochs]
+    assert [sorted(order) for order in orders] == 3 * [sorted(2 * list(range(6)))]
+    assert len({tuple(order) for order in orders}) == 3
+    points = [item["points"] for epoch in epochs for item in epoch]
+    assert len({tuple(each[0].tolist()) for each in points}) == len(points)  # no change comes twice
+    garments.set_epoch(1)
+    assert_all_same(garments, epochs[1])
+    assert_all_same(garments, epochs[2])
+    shared = FreshGarments(FakeGarments(6), replay=2, room=4, augment=PointNoise(1.0), workers=2)
+    shared.set_epoch(2)
+    assert_all_same(shared, epochs[2])
+
+
+def test_a_data_set_that_goes_on_gives_what_follows() -> None:
+    whole = MixedDataset([FakeGarments(3, fields=["meta"]), FakeGarments(2, seed=1, fields=["meta"])], [2, 1])
+    garments = FreshGarments(whole, room=1)
+    assert [item["meta"]["index"] for _ in range(3) for item in garments] == [
+        whole[index]["meta"]["index"] for index in range(3 * len(whole))
+    ]
+
+
+class Counting(FakeGarments):
+    """Which notes the numbers of those that are made."""
+
+    def __init__(self, count: int, **options: Any) -> None:
+        super().__init__(count, fields=["meta"], **options)
+        self.made: list[int] = []
+
+    def _one(self, position: int) -> Any:
+        self.made.append(position)
+        return super()._one(position)
+
+
+def test_the_first_comes_as_soon_as_it_is_made() -> None:
+    ds = Counting(50)
+    given = iter(FreshGarments(ds, replay=4, room=20))
+    next(given)
+    assert ds.made == [0]
+    for count in range(2, 60):
+        next(given)
+        assert len(ds.made) <= min(count, 20) + (count - 1) // 4
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize(("replay", "room", "stop"), [(1, 1, 7), (2.5, 8, 3), (3, 8, 40), (2, 30, 79), (2, 8, 100)])
+def test_a_state_goes_on_without_what_came_before(replay: float, room: int, stop: int, workers: int) -> None:
+    options: dict[str, Any] = {"replay": replay, "room": room, "augment": PointNoise(1.0)}
+    whole = FreshGarments(FakeGarments(40), **options)
+    items = [item for _ in range(2) for item in whole]
+    begun = FreshGarments(FakeGarments(40), **options)
+    assert_all_same(islice(begun, stop), items[: min(stop, len(begun))])
+    state = begun.state_dict()
+    assert state["position"] == min(stop, len(begun))
+
+    ds = Counting(40)
+    on = FreshGarments(ds, workers=workers, **options)
+    on.load_state_dict(state)
+    rest = [item["meta"]["index"] for item in on]
+    end = len(begun) * (state["position"] // len(begun) + 1)
+    assert rest == [item["meta"]["index"] for item in items[state["position"] : end]]
+    if not workers:
+        assert sorted(ds.made) == sorted(set(rest))  # each once, and no other
+    assert [item["meta"]["index"] for item in on] != rest  # the next epoch
+
+
+def test_a_loader_goes_on_without_what_came_before() -> None:
+    def loader(ds: FakeGarments) -> GarmentLoader:
+        return GarmentLoader(FreshGarments(ds, replay=2, room=6), 4, shuffle=False)
+
+    def indices(batch: dict[str, Any]) -> list[int]:
+        return [meta["index"] for meta in batch["meta"]]
+
+    whole = loader(Counting(20))
+    epochs = [[indices(batch) for batch in whole] for _ in range(3)]
+    assert epochs[0] != epochs[1] != epochs[2]
+    assert whole.epoch == 3
+    begun = loader(Counting(20))
+    for _ in begun:
+        pass
+    for _, _ in zip(range(6), begun, strict=False):
+        pass
+    ds = Counting(20)
+    on = loader(ds)
+    on.load_state_dict(begun.state_dict())
+    assert [indices(batch) for batch in on] == epochs[1][6:]
+    assert set(ds.made) == {index for batch in epochs[1][6:] for index in batch}
+    assert [indices(batch) for batch in on] == epochs[2]
+
+
+def test_the_state_of_others_is_refused() -> None:
+    state = fresh(replay=2).state_dict()
+    for other in (fresh(replay=3), fresh(21, replay=2), fresh(replay=2, seed=1), fresh(replay=2, room=3)):
+        with pytest.raises(ConfigError, match="the state of another order"):
+            other.load_state_dict(state)
+
+
+def test_an_iterator_that_another_has_come_after_counts_no_more() -> None:
+    garments = fresh()
+    first, second = iter(garments), iter(garments)
+    next(second)
+    for _ in range(5):
+        next(first)
+    assert garments.state_dict()["position"] == len(garments) + 1
+
+
+def test_designs_in_the_buffer_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the state was taken between the bodies of a design."""
+    designs: list[int] = []
+
+    def noted(seed: int, number: int, *options: Any) -> Any:
+        designs.append(number)
+        return prepare(seed, number, *options)
+
+    monkeypatch.setattr("gcd_dataset.generator.pipeline.prepare", noted)
+    whole = GeneratedGarments(8, seed=5, bodies="both", stage="pattern", fields=["panels", "body"])
+    items = list(FreshGarments(whole, room=6, replay=2))
+    for stop in (5, 7):
+        on = FreshGarments(whole, room=6, replay=2)
+        on.load_state_dict({**on.state_dict(), "position": stop})
+        designs.clear()
+        assert_all_same(on, items[stop:])
+        assert len(designs) <= len(set(designs)) + 1  # of one, a body waited and the other had not come
+
+
 def test_no_more_are_held_than_there_is_room_for() -> None:
     given: set[int] = set()
     counts: Counter[int] = Counter()
@@ -64,7 +192,7 @@ def test_each_time_it_is_changed_otherwise() -> None:
     first, second = garments
     assert same(first["verts"], second["verts"])
     assert not same(first["points"], second["points"])
-    assert_all_same(garments, [first, second])
+    assert_all_same(FreshGarments(FakeGarments(1), replay=2, augment=PointNoise(1.0)), [first, second])
 
 
 def test_they_are_loaded_in_batches() -> None:

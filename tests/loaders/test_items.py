@@ -61,13 +61,12 @@ def opened(sets: dict[str, Path], stage: str) -> dict[str, Callable[..., Any]]:
     return {
         "folder": lambda **options: GarmentDataset(folder, **options),
         "stream": lambda **options: GarmentDataset(folder, streaming=True, **options),
-        "url": lambda **options: GarmentDataset(folder.as_uri(), cache_dir=folder / ".cache", **options),
         "hdf5": lambda **options: Hdf5Garments(folder / "train.h5", **options),
         "generated": lambda **options: GeneratedGarments(COUNT, stage=stage, resolution=6.0, **options),
     }
 
 
-WAYS = ("folder", "stream", "url", "hdf5", "generated")
+WAYS = ("folder", "stream", "hdf5", "generated")
 
 
 # --------------------------------------------------------------------------------------------------------------- fields
@@ -110,7 +109,7 @@ def test_published_garments_do_not_tell_their_bodies(examples: Path) -> None:
 
 def test_parts_of_a_mix_hold_the_same(sets: dict[str, Path]) -> None:
     pattern, mesh = (GarmentDataset(sets[stage]) for stage in ("pattern", "mesh"))
-    with pytest.raises(ConfigError, match="only one of data sets 0 and 1 has box, .*: give both the same fields"):
+    with pytest.raises(ConfigError, match=r"only one of data sets 0 and 1 has box, .*: give both the same fields"):
         MixedDataset([pattern, mesh], [1, 1])
     exact = GarmentDataset(sets["mesh"], fields=PATTERN, dtype=None)
     with pytest.raises(ConfigError, match=r"floats as torch\.float32 and None: give both the same dtype"):
@@ -164,13 +163,12 @@ def wrapped(ds: Garments) -> list[Garments]:
     return [ds, Augmented(ds, Yaw(0.0)), ds.select(range(COUNT)), ds[:]]
 
 
-@pytest.mark.parametrize("way", ["folder", "url", "hdf5", "generated"])
+@pytest.mark.parametrize("way", ["folder", "hdf5", "generated"])
 def test_several_garments_by_a_list_of_numbers(sets: dict[str, Path], way: str) -> None:
     for ds in wrapped(opened(sets, "pattern")[way](fields=["meta", "panels"])):
         several = [ds[1], ds[-1], ds[1]]
-        for indices in ([1, -1, 1], (1, -1, 1), np.array([1, -1, 1]), torch.tensor([1, -1, 1]), np.array([1, 255, 1])):
-            if max(indices) < COUNT:
-                assert_all_same(ds[indices], several)
+        for indices in ([1, -1, 1], (1, -1, 1), np.array([1, -1, 1]), torch.tensor([1, -1, 1], dtype=torch.int16)):
+            assert_all_same(ds[indices], several)
         assert ds[[]] == []
         assert same(ds[np.int32(2)], ds[2])
         assert same(ds[torch.tensor(2)], ds[2])
@@ -192,7 +190,7 @@ def test_what_is_no_number_is_refused(sets: dict[str, Path]) -> None:
             ds[mask]
 
 
-@pytest.mark.parametrize("way", ["folder", "url", "hdf5"])
+@pytest.mark.parametrize("way", ["folder", "hdf5"])
 def test_garments_by_their_keys(sets: dict[str, Path], way: str) -> None:
     for ds in wrapped(opened(sets, "pattern")[way](fields=["meta"])):
         keys = [item["meta"]["key"] for item in ds]
@@ -231,7 +229,7 @@ def test_a_key_of_two_splits_names_neither(tmp_path: Path) -> None:
         MixedDataset([both], [1])["gcd_000000001"]
 
 
-# -------------------------------------------------------------------------------------------------------------- remedies
+# ------------------------------------------------------------------------------------------------------------- remedies
 
 
 def test_a_field_that_is_not_loaded_is_told(sets: dict[str, Path]) -> None:
@@ -247,7 +245,7 @@ def test_a_field_that_is_not_loaded_is_told(sets: dict[str, Path]) -> None:
 def test_the_default_collate_says_what_to_give(sets: dict[str, Path], workers: int) -> None:
     for transform in (None, lambda item: {**item}):
         ds = GarmentDataset(sets["mesh"], fields=["body", "box"], transform=transform)
-        with pytest.raises(ConfigError, match="box differs in size or kind .* collate_fn=collate_packed"):
+        with pytest.raises(ConfigError, match=r"box differs in size or kind .* collate_fn=collate_packed"):
             next(iter(DataLoader(ds, batch_size=2, num_workers=workers)))
     stacked = next(iter(DataLoader(GarmentDataset(sets["mesh"], fields=["body", "points"]), batch_size=2)))
     assert stacked["points"].shape == (2, 512, 6)
@@ -262,17 +260,6 @@ def test_a_transform_that_is_no_function_is_refused(sets: dict[str, Path]) -> No
     ):
         with pytest.raises(ConfigError, match=r"(transform|augment)=.*: give a function that takes an item"):
             make()
-
-
-def test_a_transform_that_fails_names_the_garment(sets: dict[str, Path]) -> None:
-    def broken(item: dict[str, Any]) -> Any:
-        raise ZeroDivisionError("in a transform")
-
-    ds = GarmentDataset(sets["pattern"], fields=["meta"], transform=broken)
-    for ask in (lambda: ds[2], lambda: ds[[2]], lambda: ds[2:][0], lambda: MixedDataset([ds.select([2])], [1])[0]):
-        with pytest.raises(ZeroDivisionError) as raised:
-            ask()
-        assert "while loading garment 2 of GarmentDataset" in raised.value.__notes__
 
 
 def test_designs_are_asked_for_as_a_dict() -> None:
@@ -299,7 +286,7 @@ def test_how_long_a_drape_takes_is_told_once(caplog: pytest.LogCaptureFixture) -
     ]
 
 
-# ------------------------------------------------------------------------------------------------------------------ repr
+# ----------------------------------------------------------------------------------------------------------------- repr
 
 
 def test_all_are_told_in_a_line(sets: dict[str, Path], tmp_path: Path) -> None:
