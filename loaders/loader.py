@@ -40,9 +40,9 @@ class GarmentLoader:
     - ``num_workers=0``: what is only read is read by a thread beside the loop, two batches ahead. Worker processes cost
       more than reading does; they are for garments that are made, and for transforms that take long. They stay from
       epoch to epoch.
-    - A ``transform``, an ``augment`` and a ``collate_fn`` of yours run in the loop's thread or in worker processes. What
-      they draw from ``torch.rand`` (on the CPU), ``numpy.random`` and ``random`` depends on ``seed``, epoch and garment,
-      of a ``collate_fn`` on the batch: not on workers, nor on what the model draws; that draws as if they drew nothing.
+    - A ``transform``, an ``augment`` and a ``collate_fn`` of yours run in the loop's thread or in worker processes.
+      What they draw from ``torch.rand`` (on the CPU), ``numpy.random`` and ``random`` depends on ``seed``, epoch and
+      garment, that of a ``collate_fn`` on the batch, and takes nothing from what the model draws.
     - A transform that fails raises ``TransformError`` with key and data set. Any other error of a garment has a note.
     - On a machine with a GPU batches lie in pinned memory.
     - An ``IterableDataset`` comes as it does, cut to this rank's share: it has to give the same on every rank, is read

@@ -1,6 +1,6 @@
 """What a ``GarmentLoader`` hands out, and where that leaves it: garments by number, or as a stream gives them."""
 
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sized
 from contextlib import closing, nullcontext
 from itertools import islice
 from typing import Any, NamedTuple, Protocol, TypeAlias
@@ -268,9 +268,7 @@ class Streamed(IterableDataset):
         return DataLoader(self, batch_size=None, collate_fn=_as_it_is, **options)
 
     def __len__(self) -> int:
-        if not hasattr(self._stream, "__len__"):
-            raise TypeError("a stream has no length")
-        own = len(self._stream) // self._present()[1]
+        own = self._length() // self._present()[1]
         return own // self._batch_size if self._drop_last else -(-own // self._batch_size)
 
     def __iter__(self) -> Iterator[Any]:
@@ -298,7 +296,7 @@ class Streamed(IterableDataset):
 
     def begin(self, place: At) -> At:
         """The next pass if there is nothing left of this one."""
-        if hasattr(self._stream, "begin_at") and place.position >= len(self._stream):
+        if hasattr(self._stream, "begin_at") and place.position >= self._length():
             place = self.anew(place)
         self._ranks, self._reached = self._present(), place
         return place
@@ -317,12 +315,18 @@ class Streamed(IterableDataset):
     def _present(self) -> tuple[int, int]:
         return self._given or present_rank()
 
+    def _length(self) -> int:
+        """Items of a pass. Raises ``TypeError`` for a stream that does not tell."""
+        if not isinstance(self._stream, Sized):
+            raise TypeError("a stream has no length")
+        return len(self._stream)
+
     def _items(self, start: At) -> Iterator[Any]:
         """The stream's items of a pass from a position on."""
         with own_chance() as chance:
             chance.begin(self._seed, start.epoch)
             if callable(begin_at := getattr(self._stream, "begin_at", None)):
-                return iter(begin_at(start.epoch * len(self._stream) + start.position))
+                return iter(begin_at(start.epoch * self._length() + start.position))
             if callable(set_epoch := getattr(self._stream, "set_epoch", None)):
                 set_epoch(start.epoch)
             items = iter(self._stream)
@@ -338,7 +342,7 @@ class Streamed(IterableDataset):
         own: list[Any] = []
         with own_chance() as chance:
             while len(own) < self._batch_size:
-                turn = []
+                turn: list[Any] = []
                 for position in range(self._reached.position, self._reached.position + world_size):
                     chance.begin(self._seed, self._reached.epoch, position)
                     turn += islice(items, 1)

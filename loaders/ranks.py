@@ -13,8 +13,8 @@ __all__ = ["is_in_group", "present_rank", "require_rank", "runs_beside_accelerat
 
 NAMES = ("RANK", "WORLD_SIZE")  # that ``torchrun`` sets in the environment of each process
 
-# Its loaders share out what any sampler or stream gives among the ranks, whoever has made it.
-ACCELERATE = "accelerate.data_loader"
+# What shares out what any sampler or stream gives among the ranks, whoever has made it: module, and its classes.
+ACCELERATE = "accelerate.data_loader", frozenset({"BatchSamplerShard", "IterableDatasetShard", "DataLoaderDispatcher"})
 
 
 def require_rank(rank: int | None, world_size: int | None) -> tuple[int, int] | None:
@@ -54,15 +54,16 @@ def shared_out_by() -> str | None:
     """The library whose loader asks this thread for garments and shares them out among ranks by itself."""
     # It asks every rank for all garments and takes those of its own rank. It knows no sampler that has done so already,
     # and does not tell a sampler that it will: who calls is all there is to see.
+    module, classes = ACCELERATE
     frame: FrameType | None = sys._getframe(1)
     while frame is not None:
-        if frame.f_globals.get("__name__") == ACCELERATE:
-            return "accelerate"
+        if frame.f_globals.get("__name__") == module and frame.f_code.co_qualname.partition(".")[0] in classes:
+            return module.partition(".")[0]
         frame = frame.f_back
     return None
 
 
 def runs_beside_accelerate() -> bool:
-    """Whether ``accelerate`` has begun in this process, or in the one that this is forked from."""
+    """Whether ``accelerate`` knows of other ranks in this process, or in the one that this is forked from."""
     state = getattr(sys.modules.get("accelerate.state"), "PartialState", None)
-    return bool(getattr(state, "_shared_state", None))
+    return getattr(state, "_shared_state", {}).get("num_processes", 1) > 1
