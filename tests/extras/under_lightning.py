@@ -16,10 +16,14 @@ def numbers(items: list[Any]) -> torch.Tensor:
     return torch.tensor([item["meta"]["index"] for item in items])
 
 
-class Model(lightning.LightningModule):
+class Model(lightning.LightningModule):  # type: ignore[misc]  # it is untyped
     def __init__(self) -> None:
         super().__init__()
         self.net = torch.nn.Linear(1, 1)
+
+    def train_dataloader(self) -> DataLoader:
+        """Asked for when the ranks have met."""
+        return DataLoader(garments, 4, sampler=ElasticSampler(garments), num_workers=1, collate_fn=numbers)
 
     def training_step(self, batch: torch.Tensor, number: int) -> torch.Tensor:
         print("train", self.current_epoch, batch.tolist(), flush=True)
@@ -35,9 +39,8 @@ class Model(lightning.LightningModule):
 
 quiet: dict[str, Any] = {"logger": False, "enable_progress_bar": False, "enable_checkpointing": False}
 trainer = lightning.Trainer(accelerator="cpu", devices=2, strategy="ddp", max_epochs=2, **quiet)
-training = DataLoader(garments, 4, sampler=ElasticSampler(garments), num_workers=1, collate_fn=numbers)
 validation = GarmentLoader(garments, 4, shuffle=False, collate_fn=numbers)
-trainer.fit(Model(), training, validation)
+trainer.fit(Model(), val_dataloaders=validation)
 
 fabric = lightning.Fabric(accelerator="cpu", devices=2, strategy="ddp")
 fabric.launch()
