@@ -348,6 +348,8 @@ def kept_item(item: Any) -> Any:
 
 def tensor_of(array: np.ndarray, dtype: torch.dtype | None = None) -> torch.Tensor:
     """The array as a tensor, floating numbers as ``dtype``; without a copy where it is of that and writable."""
+    if array.dtype == np.float64 and dtype is torch.float32:  # most arrays of a pattern: NumPy takes half the time
+        return torch.from_numpy(array.astype(np.float32))
     # Views of ``bytes`` are read-only, which no tensor can be.
     tensor = torch.from_numpy(array if array.flags.writeable else array.copy())
     return tensor if dtype is None or not tensor.is_floating_point() else as_type(tensor, dtype)

@@ -91,7 +91,7 @@ class _Batch(dict[str, Any]):
         )
 
     def __repr__(self) -> str:
-        told = [f"{name} {_form(value)}" for name, value in self.items() if name != "batch_size"]
+        told = [f"{name} {_form(value)}" for name, value in self.items() if not name.endswith(("_ptr", "_size"))]
         return f"{type(self).__name__}({self.get('batch_size', '?')} garments: {', '.join(told)})"
 
     def to(

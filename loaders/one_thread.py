@@ -23,11 +23,12 @@ def copied(value: Tensor) -> Tensor:
 
 def as_type(value: Tensor, dtype: torch.dtype) -> Tensor:
     """The values as another type; the same tensor where they are of it."""
-    if value.dtype == dtype or value.numel() <= AT_ONCE or value.device.type != "cpu":
+    if value.numel() <= AT_ONCE or value.dtype == dtype or value.device.type != "cpu" or torch.get_num_threads() == 1:
         return value.to(dtype)
     changed = torch.empty(value.shape, dtype=dtype)
-    for source, target in zip(value.reshape(-1).split(AT_ONCE), changed.view(-1).split(AT_ONCE), strict=True):
-        target.copy_(source)
+    source, target = value.reshape(-1), changed.view(-1)
+    for cut in range(0, len(source), AT_ONCE):
+        target[cut : cut + AT_ONCE].copy_(source[cut : cut + AT_ONCE])
     return changed
 
 

@@ -221,7 +221,7 @@ class ElasticSampler(DistributedSampler[int]):
         """How many ranks there are, as things stand now."""
         return self.division().world_size
 
-    num_replicas = world_size  # type: ignore[assignment]  # what ``DistributedSampler`` calls it
+    num_replicas = world_size  # what ``DistributedSampler`` calls it
 
     @property
     def epoch(self) -> int:  # type: ignore[override]

@@ -6,11 +6,11 @@ from itertools import islice
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import torch
+from gcd_dataset.loaders.by_thread import by_thread
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, items_of
-from gcd_dataset.loaders.by_thread import by_thread
 from gcd_dataset.loaders.chance import own_chance
 from gcd_dataset.loaders.order import Division, ElasticSampler
 from gcd_dataset.loaders.parted import is_ours, parted

@@ -18,7 +18,7 @@ from PIL import Image
 
 from gcd_dataset.cli import main
 from gcd_dataset.generator.garments.overlay import Overlay
-from gcd_dataset.generator.pipeline import make
+from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.records import Pattern

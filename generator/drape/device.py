@@ -11,7 +11,7 @@ import warp as wp
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["load_kernels", "one_at_a_time", "resolve_device"]
+__all__ = ["every_device", "load_kernels", "one_at_a_time", "resolve_device"]
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -36,6 +36,12 @@ def resolve_device(name: str) -> str:
     if name not in known:
         raise ConfigError(f"device {name}: there is {', '.join(sorted(known))}: use --device auto or cpu")
     return known[name]
+
+
+def every_device() -> tuple[str, ...]:
+    """All GPUs, or the CPU where there is none."""
+    _begin()
+    return tuple(device.alias for device in wp.get_cuda_devices()) or ("cpu",)
 
 
 @cache

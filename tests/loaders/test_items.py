@@ -13,7 +13,7 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.pipeline import make_many
+from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import (
     Augmented,
@@ -47,15 +47,15 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folders = {}
     for stage in ("pattern", "mesh"):
         folders[stage] = tmp_path_factory.mktemp(stage)
-        config = MakeConfig(stage=stage, resolution=6.0, points=512)  # type: ignore[arg-type]
+        config = MakeConfig(stage=stage, resolution=6.0, points=512)
         with ShardWriter(folders[stage], seed=2, recipe=recipe_of(config), shard_size=2) as writer:
-            for sample in make_many(2, range(KEPT, KEPT + COUNT), config):
+            for sample in produce(2, range(KEPT, KEPT + COUNT), config):
                 writer.write(sample)
         list(write_hdf5(ShardReader(folders[stage]), folders[stage] / "train.h5"))
     return folders
 
 
-def opened(sets: dict[str, Path], stage: str) -> dict[str, Callable[..., Any]]:
+def opened(sets: dict[str, Path], stage: Any) -> dict[str, Callable[..., Any]]:
     """Ways to the same garments."""
     folder = sets[stage]
     return {
@@ -197,7 +197,7 @@ def test_garments_by_their_keys(sets: dict[str, Path], way: str) -> None:
         assert keys == [f"gcd_{KEPT + number:09d}" for number in range(COUNT)]
         assert [ds[key]["meta"]["key"] for key in keys] == keys
         assert [item["meta"]["key"] for item in ds[keys[::-1]]] == keys[::-1]
-        assert ds.recipe(keys[2])["index"] == KEPT + 2  # type: ignore[arg-type]
+        assert ds.recipe(keys[2])["index"] == KEPT + 2
         with pytest.raises(KeyError) as missing:
             ds["gcd_5"]
         assert str(missing.value) == (
@@ -218,7 +218,7 @@ def test_generated_garments_by_their_keys() -> None:
 def test_a_key_of_two_splits_names_neither(tmp_path: Path) -> None:
     for split in ("train", "test"):
         with ShardWriter(tmp_path, split=split, seed=0, recipe={}) as writer:
-            for sample in make_many(0, range(2), MakeConfig(stage="pattern")):
+            for sample in produce(0, range(2), MakeConfig(stage="pattern")):
                 writer.write(sample)
     both = GarmentDataset(tmp_path, "train+test", fields=["meta"])
     with pytest.raises(KeyError, match="gcd_000000001 is in train and in test: open one split"):
@@ -252,12 +252,13 @@ def test_the_default_collate_says_what_to_give(sets: dict[str, Path], workers: i
 
 
 def test_a_transform_that_is_no_function_is_refused(sets: dict[str, Path]) -> None:
-    for make in (
+    makers: list[Callable[[], Any]] = [
         lambda: GarmentDataset(sets["mesh"], transform=3),  # type: ignore[arg-type]
         lambda: GeneratedGarments(1, transform="yaw"),  # type: ignore[arg-type]
         lambda: FreshGarments(FakeGarments(1), augment=3),  # type: ignore[arg-type]
         lambda: Augmented(FakeGarments(1), 3),  # type: ignore[arg-type]
-    ):
+    ]
+    for make in makers:
         with pytest.raises(ConfigError, match=r"(transform|augment)=.*: give a function that takes an item"):
             make()
 
