@@ -1,14 +1,17 @@
-# make demo   install into .venv, make a few garments on the CPU, load them, leave pictures in demo/
-# make test   install into .venv, then lint, types and tests
-# make lint   format and lint in place
+# make demo         install into .venv, make a few garments on the CPU, load them, leave pictures in demo/
+# make test         install into .venv, then lint, types and tests
+# make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks
+# make lint         format and lint in place
 
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+EXTRAS := .venv-extras/bin
+EXTRAS_INSTALLED := .venv-extras/.installed
 # A process a core, of one thread each; more than eight would have too little memory to themselves.
 SHARED_OUT := --numprocesses logical --maxprocesses 8 --dist worksteal
 
-.PHONY: demo test lint
+.PHONY: demo test test-extras lint
 
 demo: $(INSTALLED)
 	$(BIN)/python -m benchmarks.demo --out demo
@@ -17,7 +20,10 @@ test: $(INSTALLED)
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
 	$(BIN)/mypy
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(SHARED_OUT) --doctest-modules gcd_dataset tests
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(SHARED_OUT) --doctest-modules --ignore tests/extras gcd_dataset tests
+
+test-extras: $(EXTRAS_INSTALLED)
+	OMP_NUM_THREADS=1 $(EXTRAS)/python -m pytest tests/extras
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format
@@ -27,4 +33,10 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("gcd_dataset needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+# Apart from .venv: what frameworks pull in is not to change what the other tests run with.
+$(EXTRAS_INSTALLED): pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv-extras
+	$(EXTRAS)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,frameworks]'
 	touch $@

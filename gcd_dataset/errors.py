@@ -12,6 +12,7 @@
     │       ├── MissingError a file or repository that the server does not have
     │       └── RefusedError one that the server does not show
     ├── ConfigError         options that do not fit together, or that this machine cannot serve
+    ├── TransformError      a transform that failed on a garment; its own error is the cause
     └── OutputError         a place that cannot be written
 
 Messages are one line and say what was met, where, and what to do about it: ``gcd`` prints them as they are.
@@ -31,6 +32,7 @@ __all__ = [
     "RemoteError",
     "ShardError",
     "SpecError",
+    "TransformError",
     "shown",
 ]
 
@@ -86,6 +88,10 @@ class RefusedError(RemoteError):
 
 class ConfigError(GcdError):
     """Options that do not fit together."""
+
+
+class TransformError(GcdError):
+    """A transform that failed on a garment; ``__cause__`` is its own error."""
 
 
 class OutputError(GcdError):

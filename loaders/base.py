@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.loaders.held import fields_held
 from gcd_dataset.loaders.indexing import (
     UnknownKeyError,
@@ -30,6 +30,7 @@ __all__ = [
     "SelectedGarments",
     "Transform",
     "as_item",
+    "changing",
     "function",
     "items_of",
     "made_with",
@@ -156,14 +157,14 @@ class Garments(Dataset[Item], ABC):
         """What tells this data set from others, for people."""
         return []
 
-    def _item(self, members: Mapping[str, Bytes], *index: int) -> Any:
-        """The item in some members; ``index`` for the note on an error of the transform."""
-        return self._transformed(as_item(members, self.fields, self.dtype), *index)
+    def _item(self, members: Mapping[str, Bytes], position: int) -> Any:
+        """The item in some members; ``position`` for an error of the transform."""
+        return self._transformed(as_item(members, self.fields, self.dtype), position)
 
-    def _transformed(self, item: GarmentItem, *index: int) -> Any:
+    def _transformed(self, item: GarmentItem, position: int) -> Any:
         if self.transform is None:
             return item
-        with naming(self, *index):
+        with changing(self, position):
             return kept_item(self.transform(item))
 
     def _position(self, index: int | str) -> int:
@@ -266,6 +267,27 @@ class naming:  # noqa: N801 -- a context manager, named as functions are
         if isinstance(error, Exception) and self._indices:
             which = f"{', '.join(map(str, self._indices))} of {type(self._dataset).__name__}"
             error.add_note(f"while loading {'garment' if len(self._indices) == 1 else 'garments'} {which}")
+
+
+class changing:  # noqa: N801 -- a context manager, named as functions are
+    """Turn an error of a transform into a ``TransformError`` that names the garment."""
+
+    # A class: entered for every garment, as ``naming`` is.
+    __slots__ = ("_dataset", "_position")
+
+    def __init__(self, dataset: Garments, position: int) -> None:
+        self._dataset, self._position = dataset, position
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        # One that is named already comes from a data set in this one.
+        if isinstance(error, Exception) and not isinstance(error, TransformError):
+            dataset = f"{type(self._dataset).__name__}({', '.join(self._dataset._described())})"
+            garment = f"{self._dataset._key(self._position)}, number {self._position} of {dataset}"
+            told = " ".join(f"{type(error).__name__}: {error}".split())
+            raise TransformError(f"the transform of {garment}: {told}") from error
 
 
 def _item_of(dataset: Any, index: Any) -> Any:

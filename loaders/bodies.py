@@ -1,5 +1,6 @@
 """Bodies for a ``torch.utils.data.DataLoader``: from shards, or from the folder that came with GarmentCodeData."""
 
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -163,6 +164,11 @@ class BodyDataset(Bodies):
         """Seed, index, options and versions that person ``index`` was made with. Raises ``IndexError``."""
         return made_with(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
 
+    def identity(self) -> dict[str, Any]:
+        """What tells these people from others: how many, and how the first and the last were made."""
+        made = [{name: end[name] for name in ("seed", "index", "recipe")} for end in map(self.recipe, (0, -1))]
+        return {"length": len(self), "ends": made}
+
     def verify(self, index: int) -> None:
         """Raise ``ShardError`` with shard, key and member if a byte of person ``index`` is not as it was written."""
         self._reader.check(self._position(index))
@@ -212,6 +218,10 @@ class PublishedBodies(Bodies):
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def identity(self) -> dict[str, Any]:
+        """What tells these people from others: their names."""
+        return {"ends": [self.names[0], self.names[-1]], "names": zlib.crc32("\n".join(self.names).encode())}
 
     def person(self, index: int) -> Person:
         return self._people.person(self.names[self._position(index)])

@@ -9,10 +9,10 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Garments, Item, function, kept_item, naming, natural
+from gcd_dataset.loaders.base import GarmentItem, Garments, Item, changing, function, kept_item, natural
 from gcd_dataset.loaders.one_thread import copied
-from gcd_dataset.loaders.order import position_of
 from gcd_dataset.loaders.replay import Given, Rate, Window
+from gcd_dataset.loaders.states import named, position_of
 from gcd_dataset.loaders.transforms import Augment
 from gcd_dataset.loaders.worker import begin_worker
 from gcd_dataset.seeding import Stage, rng
@@ -95,11 +95,11 @@ class FreshGarments(IterableDataset[Item]):
 
     def state_dict(self) -> dict[str, Any]:
         """How many items were given since the first epoch began, by the ``iter()`` begun last, and of which order."""
-        return {"position": self._reached, "order": self.identity()}
+        return {"position": self._reached, **named(self)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from there at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
-        self._go_to(position_of(state, {"order": self.identity()}))
+        self._go_to(position_of(state, {}, named(self)))
 
     def identity(self) -> dict[str, Any]:
         """What makes the order: garments, and how they are given."""
@@ -164,7 +164,7 @@ class FreshGarments(IterableDataset[Item]):
         if self.augment is None:
             return item
         number = first + given.number  # other chance in each epoch
-        with naming(self.garments, given.number):
+        with changing(self.garments, given.number):
             return kept_item(self.augment(item, rng(self.seed, number, Stage.AUGMENT, given.before)))
 
 

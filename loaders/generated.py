@@ -3,6 +3,7 @@
 import logging
 import os
 import re
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -160,7 +161,15 @@ class GeneratedGarments(Garments):
         positions = (self._position(index) for index in indices)
         if self._place is None:
             return (self._item(self._several([position])[0], position) for position in positions)
-        return map(self._item, by_thread(self._produced(positions, ahead=AHEAD), READY))
+        begun: deque[int] = deque()
+
+        def noted() -> Iterator[int]:
+            for position in positions:
+                begun.append(position)
+                yield position
+
+        made = by_thread(self._produced(noted(), ahead=AHEAD), READY)
+        return (self._item(members, begun.popleft()) for members in made)
 
     def _several(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
         return list(self._produced(positions))

@@ -90,7 +90,10 @@ class MixedDataset(Garments):
         for part, number in sources:
             of_part[part].append(number)
         items = {part: iter(items_of(self.datasets[part], numbers)) for part, numbers in of_part.items()}
-        return [self._changed(next(items[part]), index) for (part, _), index in zip(sources, indices, strict=True)]
+        return [
+            self._transformed(next(items[part]), self._position(index))
+            for (part, _), index in zip(sources, indices, strict=True)
+        ]
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` was made with. Raises ``IndexError``."""
@@ -113,14 +116,15 @@ class MixedDataset(Garments):
 
     def _one(self, position: int) -> Any:
         part, number = self.source(position)
-        return self._changed(self.datasets[part][number], position)
+        return self._transformed(self.datasets[part][number], position)
 
     def _described(self) -> list[str]:
         shares = zip(self.weights, self.datasets, strict=True)
         return [" + ".join(f"{weight} {type(dataset).__name__}" for weight, dataset in shares)]
 
-    def _changed(self, item: Any, index: int) -> Any:
-        return self._transformed(item, index)
+    def _key(self, position: int) -> str:
+        part, number = self.source(position)
+        return self.datasets[part]._key(number)
 
     def _position(self, index: int | str) -> int:
         """The position of a number; negative ones count from the end of the first epoch."""

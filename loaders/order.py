@@ -5,21 +5,21 @@ positions from ``e * n`` on. What comes at a position depends on neither ranks, 
 is all that has to be kept to go on later, with other ones too.
 """
 
-import hashlib
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence, Sized
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
-import torch.distributed
-from torch.utils.data import Sampler
+from torch.utils.data import DistributedSampler
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, natural
+from gcd_dataset.loaders.ranks import present_rank, require_rank, shared_out_by
+from gcd_dataset.loaders.states import named, position_of
 
-__all__ = ["ElasticSampler", "Order", "Pad", "Permutation", "identity_of", "permutation", "position_of", "rank_of"]
+__all__ = ["Division", "ElasticSampler", "Order", "Pad", "Permutation", "permutation"]
 
 Pad = Literal["none", "repeat"]
 
@@ -94,7 +94,7 @@ class Order:
         if not self.length:
             raise ConfigError("a data set without garments has no order: give one with 1 or more")
         self._as_it_comes = isinstance(dataset, Garments) and dataset.endless
-        self._identity = identity_of(dataset)
+        self._dataset = named(dataset)
 
     def __getitem__(self, position: int) -> int:
         """The number of the garment at a position."""
@@ -110,23 +110,66 @@ class Order:
         epoch = positions[0] // self.length
         return permutation(self.length, self.seed, epoch).of([place - epoch * self.length for place in positions])
 
+    def epoch(self, position: int) -> int:
+        """The epoch that a position is in."""
+        return position // self.length
+
     def end(self, position: int) -> int:
         """Where the epoch of a position ends and the next begins."""
-        return (position // self.length + 1) * self.length
+        return (self.epoch(position) + 1) * self.length
+
+    def anew(self, position: int) -> int:
+        """Where a pass begins that goes on with nothing: the epoch after one that was broken off."""
+        return self.end(position - 1)
 
     def state(self, position: int) -> dict[str, Any]:
         """A position, with all that says whose order it is one of."""
-        return {"position": position, **self._names()}
+        return {"position": position, **self._names(), **self._dataset}
 
     def position_of(self, state: Mapping[str, Any]) -> int:
-        """The position in a state. Raises ``ConfigError`` for the state of another order."""
-        return position_of(state, self._names())
+        """The position in a state. Raises ``ConfigError`` for the state of another order, and for none."""
+        return position_of(state, self._names(), self._dataset)
 
     def _names(self) -> dict[str, Any]:
-        return {"seed": self.seed, "shuffle": self.shuffle, "length": self.length, "dataset": self._identity}
+        return {"seed": self.seed, "shuffle": self.shuffle, "length": self.length}
 
 
-class ElasticSampler(Sampler[int]):
+@dataclass(frozen=True)
+class Division:
+    """An order shared out among ranks, and the part of one of them."""
+
+    order: Order
+    rank: int
+    world_size: int
+    pad: Pad
+    among: int = 1
+    """Ranks among which somebody else shares out what this one gets."""
+
+    def begin(self, position: int) -> int:
+        """Where to go on: the next epoch if what is left of this one is not enough for every rank."""
+        return position if self.share(position) else self.order.end(position)
+
+    def share(self, position: int) -> range:
+        """The positions of this rank from there to the end of the epoch, and beyond it for those that fill up."""
+        left = self.order.end(position) - position
+        own = -(-left // self.world_size) if self.pad == "repeat" else left // self.world_size
+        return range(position + self.rank, position + self.rank + own * self.world_size, self.world_size)
+
+    def after(self, begun: int, received: int) -> int:
+        """The position after every rank has received that many garments."""
+        received *= self.among
+        done = received >= len(self.share(begun))
+        return self.order.end(begun) if done else begun + received * self.world_size
+
+    def garments(self, begun: int) -> Iterator[int]:
+        """The numbers of this rank's garments; behind the epoch that was begun follow its first garments."""
+        length, share = self.order.length, self.share(begun)
+        first = self.order.end(begun) - length
+        for cut in range(0, len(share), AT_ONCE):
+            yield from self.order.numbers([first + (place - first) % length for place in share[cut : cut + AT_ONCE]])
+
+
+class ElasticSampler(DistributedSampler[int]):
     """This rank's garments of an epoch, for a plain ``DataLoader``; the next time those of the next epoch.
 
     >>> from gcd_dataset.loaders import FakeGarments
@@ -134,9 +177,16 @@ class ElasticSampler(Sampler[int]):
     [[1, 0, 2], [3, 6, 4]]
 
     Ranks take turns, so that the first garments of all ranks together are the first of the order, whatever their
-    number. ``rank`` and ``world_size`` are those of ``torch.distributed`` where it runs, else 0 and 1. ``pad``: what
+    number. ``rank`` and ``world_size``, where they are not given, are looked up by ``len()`` and ``iter()``: those of
+    ``torch.distributed`` where it runs, else of the environment that ``torchrun`` sets, else 0 and 1. ``pad``: what
     happens at the end of an epoch to fewer garments than ranks: with ``none`` they are left out, so that all ranks get
     equally many, and with ``repeat`` the first garments of the epoch fill up.
+
+    Lightning takes it for the ``DistributedSampler`` that it is and puts none of its own in its place. A loader that
+    ``accelerate`` has prepared shares out garments itself: it gets all of them.
+
+    ``iter()`` begins an epoch: the next one too after a loop that broke off, and after ``load_state_dict`` the rest of
+    that of the state. ``set_epoch`` chooses the epoch that the next ``iter()`` begins.
 
     The state counts garments as they are handed to the ``DataLoader``; worker processes ask ahead of the training loop,
     which then has to say how many it has ``received``. Raises ``ConfigError`` for ranks that cannot be.
@@ -152,89 +202,81 @@ class ElasticSampler(Sampler[int]):
         world_size: int | None = None,
         pad: Pad = "none",
     ) -> None:
+        # Not that of ``DistributedSampler``, which asks for the rank at once.
         if pad not in get_args(Pad):
             raise ConfigError(f"pad={pad!r}: there is {', '.join(get_args(Pad))}")
         self.order = Order(dataset, shuffle=shuffle, seed=seed)
-        self.rank, self.world_size, self.pad = *rank_of(rank, world_size), pad
-        if not len(self):
+        self.pad, self._given = pad, require_rank(rank, world_size)
+        self._division = self.division() if self._given else None
+        self.position = self._begun = self._first_epoch = 0
+        self._loaded = False
+
+    @property
+    def rank(self) -> int:  # type: ignore[override]
+        """This rank, from 0, as things stand now."""
+        return self.division().rank
+
+    @property
+    def world_size(self) -> int:
+        """How many ranks there are, as things stand now."""
+        return self.division().world_size
+
+    num_replicas = world_size  # what ``DistributedSampler`` calls it
+
+    @property
+    def epoch(self) -> int:  # type: ignore[override]
+        """The epoch of the next garment, from 0."""
+        return self.order.epoch(self.position)
+
+    def division(self) -> Division:
+        """How garments are shared out among ranks as things stand now. Raises ``ConfigError`` for too few of them."""
+        library = shared_out_by()
+        if library is None:
+            division = Division(self.order, *(self._given or present_rank()), self.pad)
+        elif self._given not in (None, (0, 1)):
+            raise ConfigError(f"world_size={self._given[1]}: {library} shares out garments too: leave it out, and rank")
+        else:
+            division = Division(self.order, 0, 1, self.pad, among=present_rank()[1])
+        if not division.share(0):
             raise ConfigError(
-                f"{self.order.length} garments for {self.world_size} ranks: give pad='repeat', or fewer ranks"
+                f"{self.order.length} garments for {division.world_size} ranks: give pad='repeat', or fewer ranks"
             )
-        self.position = self._begun = 0
+        return division
 
     def __len__(self) -> int:
         """This rank's garments in a whole epoch."""
-        return len(self.share(0))
+        return len(self.division().share(0))
 
     def __iter__(self) -> Iterator[int]:
-        self._begun = begun = self.begin(self.position)
-        return self._handed_out(begun)
+        self._division = division = self.division()
+        self._begun = begun = division.begin(self.position if self._loaded else self.order.anew(self.position))
+        return self._handed_out(division, begun)
+
+    def set_epoch(self, epoch: int) -> None:
+        """Have the next ``iter()`` begin that epoch.
+
+        After ``load_state_dict`` the first epoch set is that of the state, and the next one that after it: a framework
+        may count from 0 again.
+        """
+        epoch = natural("epoch", epoch)
+        if self._loaded:
+            self._first_epoch = self.epoch - epoch
+        else:
+            self.position = (self._first_epoch + epoch) * self.order.length
 
     def state_dict(self, received: int | None = None) -> dict[str, Any]:
         """Where the training loop has come to; ``received``: this rank's garments since the last ``iter()``."""
-        position = self.position if received is None else self.after(self._begun, natural("received", received))
-        return self.order.state(position)
+        if received is None:
+            return self.order.state(self.position)
+        division = self._division or self.division()
+        return self.order.state(division.after(self._begun, natural("received", received)))
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from there at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
         self.position = self._begun = self.order.position_of(state)
+        self._loaded, self._division = True, None
 
-    def begin(self, position: int) -> int:
-        """Where to go on: the next epoch if what is left of this one is not enough for every rank."""
-        return position if self.share(position) else self.order.end(position)
-
-    def share(self, position: int) -> range:
-        """The positions of this rank from there to the end of the epoch, and beyond it for those that fill up."""
-        left = self.order.end(position) - position
-        own = -(-left // self.world_size) if self.pad == "repeat" else left // self.world_size
-        return range(position + self.rank, position + self.rank + own * self.world_size, self.world_size)
-
-    def after(self, begun: int, received: int) -> int:
-        """The position after every rank has received that many garments."""
-        done = received >= len(self.share(begun))
-        return self.order.end(begun) if done else begun + received * self.world_size
-
-    def garments(self, begun: int) -> Iterator[int]:
-        """The numbers of this rank's garments; behind the epoch that was begun follow its first garments."""
-        length, share = self.order.length, self.share(begun)
-        first = self.order.end(begun) - length
-        for cut in range(0, len(share), AT_ONCE):
-            yield from self.order.numbers([first + (place - first) % length for place in share[cut : cut + AT_ONCE]])
-
-    def _handed_out(self, begun: int) -> Iterator[int]:
-        for count, number in enumerate(self.garments(begun), 1):
-            self.position = self.after(begun, count)
+    def _handed_out(self, division: Division, begun: int) -> Iterator[int]:
+        for count, number in enumerate(division.garments(begun), 1):
+            self.position, self._loaded = division.after(begun, -(-count // division.among)), False
             yield number
-
-
-def position_of(state: Mapping[str, Any], names: Mapping[str, Any]) -> int:
-    """The position in a state whose other entries are ``names``. Raises ``ConfigError`` for another state."""
-    missing = ({"position"} | names.keys()) - state.keys()
-    if missing:
-        raise ConfigError(f"a state without {', '.join(sorted(missing))}: give one that state_dict() has returned")
-    for name, value in names.items():
-        if state[name] != value:
-            raise ConfigError(
-                f"the state of another order: its {name} is {state[name]!r}, and here it is {value!r}: load it with "
-                "the same data set, seed and shuffle"
-            )
-    return natural("position", state["position"])
-
-
-def identity_of(dataset: object) -> str:
-    """What tells a data set from another: of garments a hash of how they were made, otherwise the name of the class."""
-    if not isinstance(dataset, Garments):
-        return type(dataset).__qualname__
-    return hashlib.sha256(json.dumps(dataset.identity(), sort_keys=True).encode()).hexdigest()[:16]
-
-
-def rank_of(rank: int | None, world_size: int | None) -> tuple[int, int]:
-    """Rank and number of ranks: those given, those of ``torch.distributed``, or one alone."""
-    if (rank is None) != (world_size is None):
-        raise ConfigError(f"rank={rank} and world_size={world_size}: give both, or neither")
-    if rank is None or world_size is None:
-        running = torch.distributed.is_available() and torch.distributed.is_initialized()
-        return (torch.distributed.get_rank(), torch.distributed.get_world_size()) if running else (0, 1)
-    if not 0 <= natural("rank", rank) < natural("world_size", world_size):
-        raise ConfigError(f"rank {rank} of {world_size}: ranks count from 0")
-    return rank, world_size

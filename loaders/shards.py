@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch.utils.data import IterableDataset
-from webdataset.shardlists import split_by_node, split_by_worker
+from torch.utils.data import IterableDataset, get_worker_info
 from webdataset.tariterators import group_by_keys, tar_file_expander
 
 from gcd_dataset.errors import ConfigError, ShardError
@@ -21,13 +20,14 @@ from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, made_with, naming, tensor_of
 from gcd_dataset.loaders.held import lacking_where
 from gcd_dataset.loaders.indexing import UnknownKeyError, number_in
+from gcd_dataset.loaders.ranks import is_in_group, present_rank, runs_beside_accelerate, shared_out_by
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
 from gcd_dataset.shards.layout import FOREIGN, MEMBERS, Bytes, fields_of, key_of, members_of
 from gcd_dataset.shards.npy import write_npy
 from gcd_dataset.shards.plain import decode_member
 from gcd_dataset.shards.reader import ShardReader, Verify, naming_place
-from gcd_dataset.shards.tar import stream_samples
+from gcd_dataset.shards.tar import BLOCK, stream_samples
 
 __all__ = ["GarmentDataset", "StreamedGarments"]
 
@@ -60,8 +60,8 @@ class GarmentDataset(Garments):
     ``transform``: called with each item. ``verify``: ``lazy`` checks a member's CRC-32 the first time that a process
     reads it, ``full`` checks everything at once, ``off`` nothing; what comes from a server is checked in any case.
     ``settled_only``: only garments whose drape hangs still. ``streaming``: an iterable data set instead, which reads
-    shards from end to end through ``webdataset`` and shares them out over ranks and workers; of a server too, where it
-    keeps nothing.
+    shards from end to end through ``webdataset`` and shares garments out over ranks and workers; of a server too, where
+    it keeps nothing.
 
     Tars that others have made for ``webdataset`` are read too: their fields are the endings of their names, such as
     ``seg.png``, decoded by the last of these, and ``None`` where a sample has no such file.
@@ -137,7 +137,7 @@ class GarmentDataset(Garments):
         for index, (reader, position) in zip(indices, places, strict=True):
             members = next(content[reader])
             with naming(self, index), reader.naming(position):
-                items.append(self._item(members))
+                items.append(self._item(members, self._position(index)))
         return items
 
     def recipe(self, index: int) -> dict[str, Any]:
@@ -212,15 +212,15 @@ class GarmentDataset(Garments):
         part, place = self._place(position)
         return part.reader.read(place, members)
 
-    def _item(self, members: Mapping[str, Bytes], *index: int) -> Any:
+    def _item(self, members: Mapping[str, Bytes], position: int) -> Any:
         if not self._foreign:
-            return super()._item(members, *index)
+            return super()._item(members, position)
         values = {name: decode_member(name, members[name]) if name in members else None for name in self.fields}
         item = GarmentItem(
             (name, tensor_of(value, self.dtype) if isinstance(value, np.ndarray) else value)
             for name, value in values.items()
         )
-        return self._transformed(item, *index)
+        return self._transformed(item, position)
 
 
 class _Part(NamedTuple):
@@ -246,6 +246,39 @@ class _Part(NamedTuple):
         return next((place for place, other in enumerate(keys) if other == key), None)
 
 
+class _Stretch(NamedTuple):
+    """Some samples of a part that are in one shard, in the order of the file."""
+
+    part: _Part
+    shard: int
+    rows: np.ndarray
+    """Of the index."""
+    places: np.ndarray
+    """Their numbers in the data set."""
+
+    @property
+    def name(self) -> str:
+        """The shard's file."""
+        return self.part.reader.index.shards[self.shard]
+
+    def within(self, first: int, count: int) -> "_Stretch":
+        """Those from sample ``first`` on, which may be before this stretch, ``count`` of them at most."""
+        own = slice(max(first, 0), max(first + count, 0))
+        return self._replace(rows=self.rows[own], places=self.places[own])
+
+    def by_key(self) -> dict[str, list[int]]:
+        """Key to numbers in the data set: of a foreign archive, samples may share one."""
+        numbers: dict[str, list[int]] = {}
+        for row, place in zip(self.rows.tolist(), self.places.tolist(), strict=True):
+            numbers.setdefault(self.part.reader.index.key(row), []).append(place)
+        return numbers
+
+    def begin(self) -> int:
+        """First byte of the first sample in an archive of ours, which begins with this member."""
+        index = self.part.reader.index
+        return int(index.table.offset[self.rows[0], index.layout.members.index(META)]) - BLOCK
+
+
 def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
     """Field to member, of those that all splits have. Raises ``ConfigError`` for splits of different kinds."""
     layouts = [reader.layout for reader in readers]
@@ -258,7 +291,15 @@ def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
 
 
 class StreamedGarments(GarmentDataset, IterableDataset):
-    """The same items in the order of the shards; each rank and worker reads shards of its own."""
+    """The same items in the order of the shards; ranks and workers share them out as neighbouring stretches.
+
+    Every garment comes once, and no rank or worker gets more than one garment more than another. A shard that several
+    have a part of is read by each of them, in a folder from where its part begins, of a server from the shard's
+    beginning.
+    """
+
+    _ranks: tuple[int, int] | None = None
+    """Rank and number of ranks of the process that has spawned this one as a worker."""
 
     def select(self, indices: Iterable[int]) -> Garments:
         raise ConfigError("a stream has no numbers to choose by: leave out streaming=True, or slice the split")
@@ -267,34 +308,64 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         raise ConfigError("a stream has no numbers to choose by: leave out streaming=True")
 
     def __iter__(self) -> Iterator[Any]:
-        shards = [(part, shard) for part in self._parts for shard in _shards_of(part)]
-        for part, shard in split_by_worker(split_by_node(shards)):
-            yield from self._from_shard(part, shard)
+        first, count = self._share()
+        for stretch in self._stretches():
+            own = stretch.within(first, count)
+            if len(own.places):
+                yield from self._from_shard(own)
+            first -= len(stretch.places)
 
-    def _from_shard(self, part: _Part, shard: int) -> Iterator[Any]:
-        """The samples of a part that are in one of its shards."""
-        index, name, count = part.reader.index, part.reader.index.shards[shard], 0
-        rows = part.reader.rows(part.positions)
-        chosen = {index.key(row) for row in rows[index.shard[rows] == shard].tolist()}
-        there = {index.key(row) for row in np.flatnonzero(index.shard == shard).tolist()}
-        store, members = part.reader.store, self._streamed
-        place = store.place(name)
-        samples = _foreign_samples(part.reader, name) if self._foreign else _samples(part.reader, name, members)
-        for sample in samples:
-            count += sample["__key__"] in there  # no fault: a shard may have grown since
-            if sample["__key__"] not in chosen:
-                continue
+    def __getstate__(self) -> dict[str, Any]:
+        # A spawned worker is in no group of processes, and may not have the environment of its rank either.
+        return {**self.__dict__, "_ranks": present_rank() if is_in_group() else self._ranks}
+
+    def _share(self) -> tuple[int, int]:
+        """Where this process begins, in the order of the shards, and how many garments it gets."""
+        worker = get_worker_info()
+        rank, ranks = (0, 1) if shared_out_by() else self._ranks or present_rank()
+        if worker is not None and ranks > 1 and runs_beside_accelerate():
+            raise ConfigError(
+                "streaming=True in workers beside accelerate, which may share out garments too: give num_workers=0, or "
+                "leave out streaming=True and load with a GarmentLoader"
+            )
+        number, of = (0, 1) if worker is None else (worker.id, worker.num_workers)
+        begin, end = (edge * len(self) // ranks for edge in (rank, rank + 1))
+        first, last = (begin + edge * (end - begin) // of for edge in (number, number + 1))
+        return first, last - first
+
+    def _stretches(self) -> Iterator["_Stretch"]:
+        """All garments, shard by shard, as they lie in the files."""
+        for part, end in zip(self._parts, self._ends, strict=True):
+            index, rows = part.reader.index, part.reader.rows(part.positions)
+            for shard in np.unique(index.shard[rows]).tolist():
+                places = np.flatnonzero(index.shard[rows] == shard)
+                places = places[np.argsort(rows[places], kind="stable")]
+                yield _Stretch(part, shard, rows[places], end - len(part.positions) + places)
+
+    def _from_shard(self, stretch: "_Stretch") -> Iterator[Any]:
+        """The samples of a stretch."""
+        reader = stretch.part.reader
+        store, members, left = reader.store, self._streamed, stretch.by_key()
+        place, count = store.place(stretch.name), len(stretch.places)
+        begin = 0 if self._foreign else stretch.begin()
+        samples = _foreign_samples if self._foreign else partial(_samples, wanted=members)
+        for sample in samples(reader, stretch.name, begin=begin):
+            if not (positions := left.get(sample["__key__"])):
+                continue  # a part of others, or the shard has grown since
             if not self._foreign:
                 if missing := sorted(members - sample.keys()):
                     raise ShardError(f"{place}: sample {sample['__key__']} has no {missing[0]}: {store.remedy}")
                 if self._check_stream:
                     _check(place, sample, store.remedy)
+            count -= 1
             with naming_place(partial(_named, place, sample)):
-                item = self._item(sample)
+                item = self._item(sample, positions.pop(0))
             yield item
+            if not count:
+                return
         # A damaged header looks like the end of an archive to ``tarfile``, which then leaves out the rest of it.
-        if count != len(there):
-            raise ShardError(f"{place}: {count} samples of {len(there)} read: {store.remedy}")
+        there = len(stretch.places)
+        raise ShardError(f"{place}: {there - count} samples of {there} read: {store.remedy}")
 
     @property
     def _streamed(self) -> set[str]:
@@ -302,16 +373,15 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         return {META, *self._wanted}
 
 
-def _shards_of(part: _Part) -> list[int]:
-    """The shards that hold samples of a part, in the order of the index."""
-    return np.unique(part.reader.index.shard[part.reader.rows(part.positions)]).tolist()
+def _samples(reader: ShardReader, shard: str, wanted: Container[str], begin: int) -> Iterator[Mapping[str, Any]]:
+    """The samples of a shard of ours, from a byte on where the shard can be begun there.
 
-
-def _samples(reader: ShardReader, shard: str, wanted: Container[str]) -> Iterator[Mapping[str, Any]]:
-    """The samples of a shard of ours. Raises ``ShardError`` for a damaged archive."""
+    Raises ``ShardError`` for a damaged archive.
+    """
     try:
         with reader.store.stream(shard) as stream:
-            for key, members in stream_samples(stream, wanted):
+            start = stream.seek(begin) if stream.seekable() else 0
+            for key, members in stream_samples(stream, wanted, begin=start):
                 yield {"__key__": key, **members}
     except ShardError as error:
         place = reader.store.place(shard)
@@ -320,15 +390,16 @@ def _samples(reader: ShardReader, shard: str, wanted: Container[str]) -> Iterato
         raise ShardError(f"{place}: a damaged archive ({error}): {reader.store.remedy}") from error
 
 
-def _foreign_samples(reader: ShardReader, shard: str) -> Iterator[Mapping[str, Any]]:
+def _foreign_samples(reader: ShardReader, shard: str, begin: int) -> Iterator[Mapping[str, Any]]:
     """The samples of a shard as ``webdataset`` gives them. Raises ``ShardError`` for a damaged archive."""
     place = reader.store.place(shard)
     try:
         # Opened here, since WDS_SECURE=1 forbids ``webdataset`` to open files.
         with reader.store.stream(shard) as stream:
             yield from group_by_keys(tar_file_expander([{"url": place, "stream": stream}]))
-    except (tarfile.TarError, ValueError) as error:
-        raise ShardError(f"{place}: a damaged archive ({error.args[0]}): {reader.store.remedy}") from error
+    except (tarfile.TarError, ValueError) as error:  # the latter for a name that comes twice
+        told = " ".join(str(error.args[0] if error.args else error).split())
+        raise ShardError(f"{place}: a damaged archive ({told}): {reader.store.remedy}") from error
 
 
 def _named(place: str, sample: Mapping[str, Any]) -> str:

@@ -17,7 +17,7 @@ import torch
 from scipy.spatial import ConvexHull
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, Item, function, items_of, kept_item, naming, natural
+from gcd_dataset.loaders.base import Garments, Item, changing, function, items_of, kept_item, natural
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.layout import Bytes
 
@@ -169,7 +169,7 @@ class Augmented(Garments):
         return self.whole._members(position, members)
 
     def _changed(self, item: Item, position: int) -> Item:
-        with naming(self, position):
+        with changing(self, position):
             return kept_item(self.augment(item, rng(self.seed, position, Stage.AUGMENT, int(self._epoch))))
 
 

@@ -92,9 +92,7 @@ def run(options: argparse.Namespace) -> Measured:
         jobs = [DrapeJob(mesh, *bodies[has_legs(pattern)]) for pattern, mesh in zip(once, meshes, strict=True)]
         return compare(jobs, options.batches, device=resolve_device(options.device))
     patterns = [pattern for pattern in once for _ in range(options.repeat)]
-    fitted = fit(
-        patterns, bodies.__getitem__, resolution=options.resolution, device=options.device, batch=options.batch
-    )
+    fitted = fit(patterns, bodies.__getitem__, resolution=options.resolution, device=options.device)
     fittings = []
     for fitting in fitted:
         fittings.append(fitting)

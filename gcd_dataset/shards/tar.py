@@ -70,13 +70,15 @@ def tar_entries(file: int) -> Iterator[Entry]:
         position += BLOCK + padded(size)
 
 
-def stream_samples(file: BinaryIO, wanted: Container[str]) -> Iterator[tuple[str, dict[str, bytearray]]]:
-    """Key and wanted members of each sample of an archive of ours that is read from its beginning.
+def stream_samples(
+    file: BinaryIO, wanted: Container[str], *, begin: int = 0
+) -> Iterator[tuple[str, dict[str, bytearray]]]:
+    """Key and wanted members of each sample of an archive of ours, of which byte ``begin`` is read next.
 
     Raises ``ShardError`` where a header is damaged, a member is cut off, there twice or too large, or a sample is there
     twice.
     """
-    key, members, names, before, position = "", dict[str, bytearray](), set[str](), set[str](), 0
+    key, members, names, before, position = "", dict[str, bytearray](), set[str](), set[str](), begin
     while (header := file.read(BLOCK)) not in (b"", bytes(BLOCK)):
         name, size = _parse(header, position)
         if size > LARGEST_SAMPLE:

@@ -263,19 +263,6 @@ def test_a_transform_that_is_no_function_is_refused(sets: dict[str, Path]) -> No
             make()
 
 
-def test_a_transform_that_fails_names_the_garment(sets: dict[str, Path]) -> None:
-    def broken(item: dict[str, Any]) -> Any:
-        raise ZeroDivisionError("in a transform")
-
-    ds = GarmentDataset(sets["pattern"], fields=["meta"], transform=broken)
-    mixed = MixedDataset([ds.select([2])], [1])
-    asked: list[Callable[[], Any]] = [lambda: ds[2], lambda: ds[[2]], lambda: ds[2:][0], lambda: mixed[0]]
-    for ask in asked:
-        with pytest.raises(ZeroDivisionError) as raised:
-            ask()
-        assert "while loading garment 2 of GarmentDataset" in raised.value.__notes__
-
-
 def test_designs_are_asked_for_as_a_dict() -> None:
     wanted = {"meta": {"upper": "none", "bottom": "Pants"}}
     ds = GeneratedGarments(2, stage="pattern", design=wanted, fields=["design"])

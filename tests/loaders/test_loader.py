@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch.utils.data import Dataset, IterableDataset
 
-from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.errors import ConfigError, ShardError, TransformError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset, GarmentLoader, collate_list
 from gcd_dataset.loaders.base import Item
 from tests.shards.folders import fill
@@ -145,12 +145,13 @@ def test_small_batches_can_be_left_out() -> None:
         GarmentLoader(garments(), 51, drop_last=True)
 
 
-def test_a_loop_that_broke_off_goes_on() -> None:
+def test_a_loop_that_broke_off_goes_on_from_its_state() -> None:
     loader, seen = GarmentLoader(garments(), 4), []
     for batch in loader:
         seen += ids(batch)
         if len(seen) == 12:
             break
+    loader.load_state_dict(loader.state_dict())
     assert seen + [number for batch in loader for number in ids(batch)] == ORDER
 
 
@@ -162,7 +163,7 @@ def test_an_iterator_begun_before_the_state_came_is_refused(workers: int) -> Non
     next(used)
     loader.load_state_dict(state)
     for early in (unused, used):
-        with pytest.raises(ConfigError, match=r"load_state_dict\(\) has come after: call iter\(\) again"):
+        with pytest.raises(ConfigError, match=r"load_state_dict\(\) has come after: take batches from"):
             next(early)
     assert ids(next(iter(loader))) == ORDER[8:12]
 
@@ -226,14 +227,14 @@ def test_an_error_of_a_batch_made_together_names_the_batch() -> None:
         list(loader)
 
 
-def test_an_error_in_the_thread_names_the_garment(folder: Path) -> None:
+def test_an_error_of_a_transform_names_the_garment(folder: Path) -> None:
     def fail_at_7(item: Item) -> Item:
         if item["meta"]["index"] == 7:
             raise ValueError("not this one")
         return item
 
     ds = GarmentDataset(folder, fields=["meta"], transform=fail_at_7)
-    with pytest.raises(ValueError, match="while loading garment 7 of GarmentDataset"):
+    with pytest.raises(TransformError, match=r"gcd_000000007, number 7 of GarmentDataset\(train of .*not this one"):
         list(GarmentLoader(ds, 2))
 
 

@@ -1,0 +1,139 @@
+"""The programs of docs/training.md, as they stand there: two processes train on each garment once, stopped or not."""
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections import Counter, defaultdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("accelerate", reason="the frameworks are not installed: make test-extras")
+pytest.importorskip("lightning", reason="the frameworks are not installed: make test-extras")
+
+HERE = Path(__file__).resolve().parent
+GUIDE = HERE.parents[1] / "docs" / "training.md"
+BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+BIN = Path(sys.executable).parent
+N, RANKS, EPOCHS = 48, 2, 2
+TORCHRUN = ["torchrun", "--standalone", "--nproc-per-node", str(RANKS), "--log-dir", "logs", "--redirects", "3"]
+OF_A_RANK = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "PYTHONUNBUFFERED")  # the last would let lines of two ranks mix
+
+
+def run(place: Path, *command: str) -> list[str]:
+    """What a command that succeeds prints."""
+    shutil.rmtree(place / "logs", ignore_errors=True)
+    # ``torchrun`` and ``gcd`` of this environment; a rank that this process may have is not theirs.
+    env = {name: value for name, value in os.environ.items() if name not in OF_A_RANK}
+    env |= {"PATH": f"{BIN}{os.pathsep}{env['PATH']}", "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
+    done = subprocess.run(command, cwd=place, env=env, capture_output=True, text=True, timeout=240, check=False)
+    logs = {path: path.read_text() for path in (place / "logs").rglob("std*.log")}
+    assert done.returncode == 0, "".join([*logs.values(), done.stdout, done.stderr])[-6000:]
+    return "".join([done.stdout, *(text for path, text in logs.items() if path.stem == "stdout")]).splitlines()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The garments and the programs of the guide."""
+    place = tmp_path_factory.mktemp("guide")
+    for language, title, content in BLOCK.findall(GUIDE.read_text()):
+        if language == "sh":
+            for line in content.splitlines():
+                run(place, *line.split())
+        elif title:
+            (place / title).write_text(content)
+    return place
+
+
+@pytest.fixture
+def place(made: Path, tmp_path: Path) -> Path:
+    """A folder of its own for a training."""
+    (tmp_path / "garments").symlink_to(made / "garments")
+    for program in made.glob("*.py"):
+        (tmp_path / program.name).write_text(program.read_text())
+    return tmp_path
+
+
+def steps_of(lines: list[str]) -> dict[int, list[tuple[float, list[int]]]]:
+    """Step to what its ranks print: loss and garments."""
+    found = defaultdict(list)
+    for line in lines:
+        if match := re.fullmatch(r"(\d+) (\S+) (\[.*\])", line.removeprefix("train ")):
+            found[int(match[1])].append((float(match[2]), ast.literal_eval(match[3])))
+    return {step: sorted(ranks, key=lambda rank: rank[1]) for step, ranks in found.items()}
+
+
+def assert_each_once(steps: dict[int, Any], count: int, ranks: int) -> None:
+    """Every garment comes once an epoch, and all ranks take part in every step."""
+    each = len(steps) // EPOCHS
+    for epoch in range(EPOCHS):
+        taken = [steps[step] for step in range(epoch * each + 1, (epoch + 1) * each + 1)]
+        assert all(len(turn) == ranks for turn in taken)
+        assert Counter(n for turn in taken for _, numbers in turn for n in numbers) == Counter(range(count))
+
+
+@pytest.mark.parametrize(
+    ("program", "command", "ranks", "count", "stops"),
+    [
+        ("plain.py", [sys.executable], 1, N, (4, 9)),
+        ("ddp.py", TORCHRUN, RANKS, N, (5,)),
+        ("lit.py", [sys.executable], RANKS, 40, (3,)),
+        ("acc.py", TORCHRUN, RANKS, N, (5,)),
+    ],
+)
+def test_a_stopped_training_is_the_whole_one(
+    place: Path, program: str, command: list[str], ranks: int, count: int, stops: tuple[int, ...]
+) -> None:
+    told = run(place, *command, program)
+    whole = steps_of(told)
+    assert_each_once(whole, count, ranks)
+    # Also the first one, which comes after Lightning has tried out two batches.
+    validated = {name: seen for name, seen in counted(told).items() if name.startswith("validate")}
+    expected = {f"validate {epoch}": Counter(range(count, N)) for epoch in range(EPOCHS)}
+    assert validated == (expected if program == "lit.py" else {})
+    for checkpoint in ("plain.pt", "ddp.pt"):
+        (place / checkpoint).unlink(missing_ok=True)
+    for folder in ("lit", "acc"):
+        if (place / folder).exists():
+            (place / folder).rename(place / f"{folder}-whole")
+    parts: dict[int, Any] = {}
+    for stop in (*stops, None):
+        told = run(place, *command, program, *([] if stop is None else [str(stop)]))
+        begun = len(parts)
+        offset = begun if program == "acc.py" else 0  # which counts the steps of this run
+        parts |= {step + offset: ranks for step, ranks in steps_of(told).items()}
+        assert len(parts) == (len(whole) if stop is None else begun + stop if program == "acc.py" else stop)
+    assert parts == whole  # losses to the last digit, and garments
+
+
+def counted(lines: list[str]) -> dict[str, Counter[int]]:
+    """How often each garment is printed, behind what comes before its batch."""
+    found: dict[str, Counter[int]] = defaultdict(Counter)
+    for line in lines:
+        if match := re.fullmatch(r"(.*?) ?(\[[\d, ]*\])", line):
+            found[match[1]].update(ast.literal_eval(match[2]))
+    return found
+
+
+def test_a_prepared_loader_gives_each_garment_once(place: Path) -> None:
+    seen = counted(run(place, *TORCHRUN, "prepared.py"))
+    assert seen == {str(epoch): Counter(range(N)) for epoch in range(EPOCHS)}
+
+
+def test_arrow_holds_each_garment_once(place: Path) -> None:
+    numbers = [int(line.split()[0]) for line in run(place, *TORCHRUN, "hf.py") if line[:1].isdigit()]
+    assert sorted(numbers) == list(range(N))
+
+
+def test_accelerate_shares_out_what_nobody_has(place: Path) -> None:
+    run(place, *TORCHRUN, str(HERE / "under_accelerate.py"), "garments")
+
+
+def test_lightning_shares_out_nothing_again(place: Path) -> None:
+    seen = counted(run(place, *TORCHRUN, str(HERE / "under_lightning.py"), "garments"))
+    names = [f"{kind} {epoch}" for kind in ("train", "validate", "fabric") for epoch in range(EPOCHS)]
+    assert seen == {name: Counter(range(N)) for name in names}

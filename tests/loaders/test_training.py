@@ -1,0 +1,493 @@
+"""Trainings on real patterns: what a model draws and sees depends on its seeds, not on how garments are loaded."""
+
+import multiprocessing
+import os
+import random
+from collections import Counter
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader, Dataset, DistributedSampler, IterableDataset, Subset
+
+from gcd_dataset.errors import ConfigError, ShardError, TransformError
+from gcd_dataset.loaders import (
+    Augmented,
+    ElasticSampler,
+    FakeGarments,
+    FreshGarments,
+    GarmentDataset,
+    GarmentLoader,
+    MixedDataset,
+    Yaw,
+    collate_list,
+    collate_packed,
+)
+from tests.loaders.patterns import sewn
+
+N = 12
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One shard."""
+    return sewn(tmp_path_factory.mktemp("patterns"), N)
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Shards of 5, 5 and 2 garments."""
+    return sewn(tmp_path_factory.mktemp("three"), N, shard_size=5)
+
+
+@pytest.fixture
+def ranks(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], None]:
+    """Has this process be one that ``torchrun`` has started."""
+
+    def become(rank: int, world_size: int) -> None:
+        monkeypatch.setenv("RANK", str(rank))
+        monkeypatch.setenv("WORLD_SIZE", str(world_size))
+
+    return become
+
+
+def ids(batch: Any) -> list[int]:
+    return [meta["index"] for meta in batch["meta"]]
+
+
+def every(loader: Any) -> list[int]:
+    """All garments of an epoch."""
+    return [number for batch in loader for number in ids(batch)]
+
+
+# ------------------------------------------------------------------------------------------------------- random numbers
+
+
+def jittered(item: dict[str, Any]) -> dict[str, Any]:
+    """A user's transform, which draws from wherever users draw."""
+    noise = torch.rand(()) + np.random.rand() + random.random()  # noqa: NPY002
+    return {**item, "noise": noise}
+
+
+def jittered_batch(items: list[Any]) -> Any:
+    batch = collate_packed(items)
+    return {**batch, "noise": torch.rand(len(items))}
+
+
+def trained(loader: Any) -> tuple[list[float], list[float]]:
+    """What a model with dropout has computed, and what it has been given by chance."""
+    torch.manual_seed(3)
+    sums, given = [], []
+    for batch in loader:
+        sums += [float(torch.nn.functional.dropout(torch.ones(50_000), 0.5).sum()) for _ in range(20)]
+        given += [float(noise) for noise in batch.get("noise", ())]
+    return sums, given
+
+
+def test_a_model_draws_the_same_whatever_is_loaded(folder: Path) -> None:
+    plain = GarmentDataset(folder, fields=["panels", "meta"])
+    changed = GarmentDataset(folder, fields=["panels", "meta"], transform=jittered)
+    alone, _ = trained(GarmentLoader(plain, 2))
+    _, noise = trained(GarmentLoader(changed, 2))
+    assert len(set(noise)) == N
+    for workers in (0, 0, 0, 0, 0, 0, 1, 2):
+        assert trained(GarmentLoader(changed, 2, num_workers=workers)) == (alone, noise)
+    assert trained(GarmentLoader(plain, 2, collate_fn=jittered_batch))[0] == alone
+
+
+def test_what_is_drawn_for_a_garment_is_of_seed_and_epoch(folder: Path) -> None:
+    """The same in other batches and after a stop; other in the next epoch, and with another seed."""
+
+    def noise(loader: Any) -> dict[int, float]:
+        drawn = [zip(ids(batch), batch["noise"], strict=True) for batch in loader]
+        return {number: float(value) for batch in drawn for number, value in batch}
+
+    ds = GarmentDataset(folder, fields=["meta"], transform=jittered)
+    loader = GarmentLoader(ds, 2)
+    first = noise(loader)
+    assert first == noise(GarmentLoader(ds, 5)) == noise(GarmentLoader(ds[:], 3))
+    second = noise(loader)
+    assert not set(first.values()) & set(second.values())
+    assert not set(first.values()) & set(noise(GarmentLoader(ds, 2, seed=1)).values())
+    stopped, resumed = GarmentLoader(ds, 2), GarmentLoader(ds, 2)
+    next(iter(stopped))
+    resumed.load_state_dict(stopped.state_dict())
+    assert noise(resumed).items() < first.items()
+
+
+@pytest.mark.parametrize(
+    "wrapped",
+    [
+        lambda ds: ds[2:],
+        lambda ds: Augmented(ds, Yaw()),
+        lambda ds: Augmented(ds, lambda item, chance: jittered(item)),
+        lambda ds: MixedDataset([ds, ds[::2]], [2, 1], transform=lambda item: item),
+        lambda ds: Subset(ds, range(8)),
+    ],
+)
+def test_items_are_those_of_the_data_set(folder: Path, wrapped: Any) -> None:
+    """Read in a thread, and changed where the training runs."""
+    fields = ["panels", "edges", "meta"]
+    plain = wrapped(GarmentDataset(folder, fields=fields))
+    marked = wrapped(
+        GarmentDataset(folder, fields=fields, transform=lambda item: {**item, "mark": item["meta"]["index"]})
+    )
+    torch.manual_seed(0)
+    before = torch.get_rng_state()
+    batches = GarmentLoader(marked, 4, collate_fn=collate_list)
+    for first, second in zip(batches, GarmentLoader(plain, 4, collate_fn=collate_list), strict=True):
+        for item, without in zip(first, second, strict=True):
+            assert item["mark"] == item["meta"]["index"] == without["meta"]["index"]
+            assert torch.equal(item["panels"], without["panels"])
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+class Theirs(Dataset):
+    """A data set of a user's own, which draws from the model's random numbers."""
+
+    def __len__(self) -> int:
+        return 8
+
+    def __getitem__(self, index: int) -> float:
+        return index + float(torch.rand(()))
+
+
+class TheirStream(IterableDataset):
+    def __iter__(self) -> Iterator[int]:
+        return iter(torch.randperm(8).tolist())
+
+
+def test_data_sets_of_others_leave_the_model_alone_too() -> None:
+    for workers in (0, 1):
+        assert list(GarmentLoader(Theirs(), 4, num_workers=workers, collate_fn=collate_list)) == list(
+            GarmentLoader(Theirs(), 4, collate_fn=collate_list)
+        )
+    torch.manual_seed(0)
+    before = torch.get_rng_state()
+    list(GarmentLoader(Theirs(), 4, collate_fn=collate_list))
+    loader = GarmentLoader(TheirStream(), 4, shuffle=False, collate_fn=collate_list)
+    first, second = ([number for batch in loader for number in batch] for _ in range(2))
+    assert torch.equal(torch.get_rng_state(), before)
+    assert first != second
+    assert sorted(first) == sorted(second) == list(range(8))
+    resumed = GarmentLoader(TheirStream(), 4, shuffle=False, collate_fn=collate_list)
+    resumed.load_state_dict({**loader.state_dict(), "epoch": 1, "position": 4})
+    assert list(resumed) == [second[4:]]
+
+
+# ---------------------------------------------------------------------------------------------------------------- ranks
+
+
+@pytest.mark.parametrize("world_size", [1, 2, 3])
+@pytest.mark.parametrize("workers", [0, 1, 2])
+def test_ranks_share_an_epoch(folder: Path, ranks: Callable, world_size: int, workers: int) -> None:
+    """Seven garments a rank would be more than there are: every way to end an epoch."""
+    ds = GarmentDataset(folder, fields=["meta"]).select(range(11))
+    whole = 11 // world_size * world_size
+    for drop_last, count in ((False, whole), (True, 11 // world_size // 2 * 2 * world_size)):
+        seen = Counter[int]()
+        for rank in range(world_size):
+            ranks(rank, world_size)
+            loader = GarmentLoader(ds, 2, drop_last=drop_last, num_workers=workers)
+            own = every(loader)
+            assert len(own) * world_size == count
+            assert len(loader) == -(-len(own) // 2)
+            seen.update(own)
+        assert set(seen.values()) == {1}
+        assert seen.total() == count
+    real = Counter[int]()
+    for rank in range(world_size):
+        ranks(rank, world_size)
+        for batch in GarmentLoader(ds, 2, pad="repeat", num_workers=workers):
+            real.update(n for n, again in zip(ids(batch), batch["repeated"], strict=True) if not again)
+    assert real == Counter(range(11))
+
+
+def test_the_rank_is_that_of_the_pass(folder: Path, ranks: Callable) -> None:
+    """A loader built before ``torchrun``'s environment, or a framework, has told the rank."""
+    ds = GarmentDataset(folder, fields=["meta"])
+    loaders = [GarmentLoader(ds, 2) for _ in range(2)]
+    samplers = [ElasticSampler(ds) for _ in range(2)]
+    fixed = GarmentLoader(ds, 2, rank=0, world_size=1)
+    assert [len(loaders[0]), len(samplers[0])] == [6, 12]
+    seen, numbers = [], []
+    for rank in range(2):
+        ranks(rank, 2)
+        assert [len(loaders[rank]), len(samplers[rank]), samplers[rank].rank] == [3, 6, rank]
+        seen += every(loaders[rank])
+        numbers += list(samplers[rank])
+    assert sorted(seen) == sorted(numbers) == list(range(N))
+    assert sorted(every(fixed)) == list(range(N))
+
+
+def test_an_environment_without_a_rank_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2)
+    for rank, world_size in (("2", "2"), ("", "2"), ("-1", "2"), ("x", "y")):
+        monkeypatch.setenv("RANK", rank)
+        monkeypatch.setenv("WORLD_SIZE", world_size)
+        with pytest.raises(ConfigError, match=f"the environment has RANK='{rank}' and WORLD_SIZE='{world_size}'"):
+            next(iter(loader))
+    monkeypatch.setenv("RANK", "0")
+    monkeypatch.setenv("WORLD_SIZE", "13")
+    with pytest.raises(ConfigError, match="12 garments for 13 ranks: give pad='repeat', or fewer ranks"):
+        next(iter(loader))
+    monkeypatch.setenv("WORLD_SIZE", "7")
+    whole = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 1, drop_last=True)
+    assert len(whole) == 1
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    with pytest.raises(ConfigError, match="no rank has 7 of 12 garments: leave out drop_last"):
+        GarmentLoader(GarmentDataset(folder, fields=["meta"]), 7, drop_last=True)
+
+
+def gloo(rank: int, place: Path, folder: Path, tell: Connection) -> None:
+    """A rank that builds its loaders before it joins the others."""
+    for name in ("RANK", "WORLD_SIZE"):
+        os.environ.pop(name, None)
+    torch.set_num_threads(1)
+    ds = GarmentDataset(folder, fields=["meta"])
+    loader = GarmentLoader(ds, 2)
+    sampler = ElasticSampler(ds)
+    plain = DataLoader(ds, 2, sampler=sampler, collate_fn=collate_packed, num_workers=1)
+    stream = GarmentDataset(folder, fields=["meta"], streaming=True)
+    spawned = DataLoader(stream, 2, collate_fn=collate_packed, num_workers=1, multiprocessing_context="spawn")
+    torch.distributed.init_process_group("gloo", f"file://{place}", rank=rank, world_size=2)
+    seen = [every(it) for it in (loader, loader, plain, DataLoader(stream, 2, collate_fn=collate_packed), spawned)]
+    torch.distributed.destroy_process_group()
+    tell.send((seen, loader.state_dict()["position"], sampler.state_dict(received=6)["position"]))
+
+
+def test_two_processes_that_meet_after_their_loaders_were_built(folder: Path, tmp_path: Path) -> None:
+    fork = multiprocessing.get_context("fork")
+    pipes = [fork.Pipe(duplex=False) for _ in range(2)]
+    children = [
+        fork.Process(target=gloo, args=(rank, tmp_path / "meet", folder, tell)) for rank, (_, tell) in enumerate(pipes)
+    ]
+    for child in children:
+        child.start()
+    assert all(hear.poll(120) for hear, _ in pipes)
+    (first, *states), (second, *others) = (hear.recv() for hear, _ in pipes)
+    for child in children:
+        child.join()
+    for own, other in zip(first, second, strict=True):
+        assert len(own) == len(other) == N // 2
+        assert sorted(own + other) == list(range(N))
+    assert states == others == [2 * N, N]
+
+
+def test_lightning_takes_the_sampler_for_its_own(folder: Path) -> None:
+    assert isinstance(ElasticSampler(range(4)), DistributedSampler)
+
+
+def test_a_framework_sets_the_epoch(folder: Path) -> None:
+    ds, sampler = GarmentDataset(folder, fields=["meta"]), ElasticSampler(range(N))
+    epochs = [list(sampler) for _ in range(4)]
+    again = ElasticSampler(range(N))
+    for epoch in (2, 0, 3, 3):
+        again.set_epoch(epoch)
+        assert list(again) == epochs[epoch]
+    # Loaded in the midst of epoch 1, by somebody who counts from 0.
+    resumed = ElasticSampler(range(N))
+    resumed.load_state_dict({**again.state_dict(), "position": N + 5})
+    for epoch, expected in enumerate((epochs[1][5:], epochs[2], epochs[3])):
+        resumed.set_epoch(epoch)
+        assert list(resumed) == expected
+    with pytest.raises(ConfigError, match="epoch=-1"):
+        sampler.set_epoch(-1)
+    assert len(ds) == len(sampler)
+
+
+# --------------------------------------------------------------------------------------------------------------- passes
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_pass_that_broke_off_is_over(folder: Path, workers: int) -> None:
+    """As a framework tries out a validation on two batches: the first whole one covers everything."""
+    ds = GarmentDataset(folder, fields=["meta"])
+    loader = GarmentLoader(ds, 2, shuffle=False, num_workers=workers)
+    for _, _ in zip(range(2), loader, strict=False):
+        pass
+    assert every(loader) == every(loader) == list(range(N))
+    trained = GarmentLoader(ds, 2)
+    epochs = [every(trained) for _ in range(3)]
+    broken = GarmentLoader(ds, 2)
+    starts = [ids(next(iter(broken))) for _ in range(3)]
+    assert starts == [epoch[:2] for epoch in epochs]  # not the same garments for ever
+    unused = GarmentLoader(ds, 2)
+    iter(unused), iter(unused)
+    assert every(unused) == epochs[0]
+
+
+def test_a_pass_goes_on_from_a_state(folder: Path) -> None:
+    loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2)
+    whole = every(GarmentLoader(loader.dataset, 2))
+    seen = [number for _, batch in zip(range(2), loader, strict=False) for number in ids(batch)]
+    loader.load_state_dict(loader.state_dict())
+    iter(loader)  # takes nothing
+    assert seen + every(loader) == whole
+    sampler = ElasticSampler(range(N))
+    first = [number for _, number in zip(range(5), sampler, strict=False)]
+    again = ElasticSampler(range(N))
+    again.load_state_dict(sampler.state_dict())
+    assert first + list(again) == list(ElasticSampler(range(N)))
+    assert list(sampler) == list(again)  # epoch 1, here after a break
+
+
+# --------------------------------------------------------------------------------------------------------------- states
+
+
+def test_the_state_of_other_garments_is_refused(folder: Path, tmp_path: Path) -> None:
+    ds = GarmentDataset(folder, fields=["meta"])
+    other = GarmentDataset(sewn(tmp_path, N, seed=1), fields=["meta"])
+    named = (
+        r"its dataset is GarmentDataset of 12, seed 0, numbers 0 to 11 \('\w{16}'\), and here it is GarmentDataset of "
+        r"12, seed 1, numbers 0 to 11 \('\w{16}'\): load it with the same data set"
+    )
+    with pytest.raises(ConfigError, match=named):
+        GarmentLoader(other, 2).load_state_dict(GarmentLoader(ds, 2).state_dict())
+    pairs: list[tuple[Any, Any]] = [
+        (FreshGarments(ds), FreshGarments(other)),
+        (FreshGarments(ds), FreshGarments(ds, replay=2)),
+        (FreshGarments(ds), FreshGarments(ds, seed=1)),
+        (Subset(ds, [0, 1, 2]), Subset(ds, [0, 1, 3])),
+        (Subset(ds, [0, 1]), Subset(other, [0, 1])),
+        (torch.utils.data.ConcatDataset([ds, ds]), torch.utils.data.ConcatDataset([ds, other])),
+    ]
+    for first, second in pairs:
+        state, fresh = GarmentLoader(first, 1, shuffle=False).state_dict(), GarmentLoader(second, 1, shuffle=False)
+        with pytest.raises(ConfigError, match="the state of another order: its dataset is"):
+            fresh.load_state_dict(state)
+        GarmentLoader(first, 1, shuffle=False).load_state_dict(state)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {"seed": np.zeros(3)},
+        {"seed": torch.zeros(2, 2)},
+        {"shuffle": np.zeros(3)},
+        {"length": float("nan")},
+        {"length": None},
+        {"dataset": np.zeros((40, 40))},
+        {"dataset": {}},
+        {"position": 2**70},
+        {"position": float("nan")},
+        {"position": np.zeros((40, 40))},
+        {"position": -1},
+        {"position": "8"},
+        {"position": [1, 2]},
+    ],
+)
+def test_a_state_that_is_none_is_told_on_one_line(folder: Path, entry: dict[str, Any]) -> None:
+    loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2)
+    with pytest.raises(ConfigError, match=next(iter(entry))) as told:
+        loader.load_state_dict({**loader.state_dict(), **entry})
+    assert "\n" not in str(told.value)
+    assert len(str(told.value)) < 400
+    none: tuple[Any, ...] = (None, [], 3, "state")
+    for nothing in none:
+        with pytest.raises(ConfigError, match="a state that is no dict but"):
+            loader.load_state_dict(nothing)
+
+
+def test_whole_numbers_of_any_kind_make_a_state(folder: Path) -> None:
+    loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2, seed=2**70)
+    loader.load_state_dict({**loader.state_dict(), "position": np.int64(4), "length": torch.tensor(N)})
+    assert len(every(loader)) == N - 4
+
+
+# -------------------------------------------------------------------------------------------------------------- streams
+
+
+@pytest.mark.parametrize("workers", [0, 1, 2, 3])
+@pytest.mark.parametrize("world_size", [1, 2, 3])
+def test_a_stream_is_shared_out_by_garments(
+    folder: Path, three: Path, ranks: Callable, world_size: int, workers: int
+) -> None:
+    for where in (folder, three):
+        stream = GarmentDataset(where, fields=["meta"], streaming=True)
+        seen, counts = [], []
+        for rank in range(world_size):
+            ranks(rank, world_size)
+            own = every(DataLoader(stream, 2, collate_fn=collate_packed, num_workers=workers))
+            counts.append(len(own))
+            seen += own
+        assert sorted(seen) == list(range(N))
+        assert max(counts) - min(counts) <= 1
+        assert workers or seen == list(range(N))
+
+
+def test_parts_of_splits_are_shared_out_too(three: Path, ranks: Callable) -> None:
+    stream = GarmentDataset(three, "train[1:4]+train[9:11]+train[-1:]", fields=["meta"], streaming=True)
+    seen = []
+    for rank in range(4):
+        ranks(rank, 4)
+        seen.append([item["meta"]["index"] for item in stream])
+    assert seen == [[1], [2, 3], [9], [10, 11]]
+
+
+def test_a_name_that_comes_twice_in_a_stream_is_told(tmp_path: Path) -> None:
+    shard = sewn(tmp_path, 2) / "train-00000.tar"
+    stream = GarmentDataset(tmp_path, streaming=True)
+    content = bytearray(shard.read_bytes())
+    second = 512 + -(-int(content[124:135], 8) // 512) * 512
+    header = content[second : second + 512]
+    header[:100] = content[:100]
+    header[148:156] = 8 * b" "
+    header[148:156] = b"%06o\0 " % sum(header)
+    content[second : second + 512] = header
+    shard.write_bytes(content)
+    with pytest.raises(ShardError, match=r"train-00000\.tar: a damaged archive \(.*duplicate.*\): copy"):
+        list(stream)
+
+
+# ----------------------------------------------------------------------------------------------------------- transforms
+
+
+def fails_at_7(item: dict[str, Any]) -> dict[str, Any]:
+    if item["meta"]["index"] == 7:
+        raise ZeroDivisionError("not\nthis one")
+    return item
+
+
+@pytest.mark.parametrize("streaming", [False, True])
+def test_an_error_of_a_transform_names_the_garment(folder: Path, streaming: bool) -> None:
+    """The original is its cause; where a worker process sends it, what it says."""
+    ds = GarmentDataset(folder, "train[2:]", fields=["meta"], transform=fails_at_7, streaming=streaming)
+    told = rf"the transform of gcd_000000007, number 5 of \w+\(train of {folder}\): ZeroDivisionError: not this one"
+    ways: list[Any] = [ds, GarmentLoader(ds, 3)]
+    if not streaming:
+        ways += [ds.select([1, 5]), Augmented(ds, Yaw()), MixedDataset([ds], [1])]
+    for way in ways:
+        with pytest.raises(TransformError, match=told) as raised:
+            for _ in way:
+                pass
+        assert isinstance(raised.value.__cause__, ZeroDivisionError)
+    with pytest.raises(TransformError, match=told):
+        list(DataLoader(ds, 3, num_workers=1, collate_fn=collate_list))
+
+
+def test_an_error_of_an_augment_names_the_garment(folder: Path) -> None:
+    ds = Augmented(GarmentDataset(folder, fields=["meta"])[2:], lambda item, chance: fails_at_7(item))
+    with pytest.raises(TransformError, match=r"gcd_000000007, number 5 of Augmented\(.*\): ZeroDivisionError"):
+        list(GarmentLoader(ds, 3))
+
+
+def test_what_cannot_be_called_is_refused(folder: Path) -> None:
+    ds, three = GarmentDataset(folder), cast(Any, 3)
+    ways: dict[str, list[Callable[[], Any]]] = {
+        "transform": [
+            lambda: GarmentDataset(folder, transform=three),
+            lambda: FakeGarments(3, transform=three),
+            lambda: MixedDataset([ds], [1], transform=three),
+        ],
+        "augment": [lambda: Augmented(ds, three), lambda: FreshGarments(ds, augment=three)],
+        "collate_fn": [lambda: GarmentLoader(ds, 2, collate_fn=three)],
+    }
+    for option, makes in ways.items():
+        for make in makes:
+            with pytest.raises(ConfigError, match=f"{option}=3: give a function"):
+                make()
