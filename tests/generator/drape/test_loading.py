@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +111,7 @@ def test_garments_under_way_stop_where_nobody_waits_for_them(monkeypatch: pytest
 
     before = threading.active_count()
     drapes = drape_all(jobs(), device="cpu", at_once=2)
+    assert isinstance(drapes, Generator)
     next(drapes)
     left = time.perf_counter()
     drapes.close()
