@@ -242,19 +242,21 @@ def _asking_hub(repo: str) -> Iterator[None]:
     """Turn what ``huggingface_hub`` raises into a ``RemoteError``."""
     from huggingface_hub.errors import HfHubHTTPError
 
+    unreached = (ConnectionError, *_errors_of_clients("TransportError", "ConnectionError", "ReadTimeout"))
+    failed = (HfHubHTTPError, RuntimeError, ValueError, *_errors_of_clients("HTTPError", "RequestException"))
     try:
         yield
-    except (*_errors_of_clients("TransportError", "ConnectionError", "ReadTimeout"), ConnectionError) as error:
+    except unreached as error:
         raise _unpublished(repo, error, "see to the network and to HF_ENDPOINT") from error
-    except (*_errors_of_clients("HTTPError", "RequestException"), HfHubHTTPError, RuntimeError, ValueError) as error:
+    except failed as error:
         # An upload that fails comes as a RuntimeError or ValueError.
         raise _unpublished(repo, error, "see to the token (hf auth login) and your rights") from error
 
 
-def _errors_of_clients(*names: str) -> list[type[Exception]]:
+def _errors_of_clients(*names: str) -> tuple[type[Exception], ...]:
     """The exceptions of these names, of whichever HTTP client this version of ``huggingface_hub`` has loaded."""
     loaded = [sys.modules[client] for client in CLIENTS if client in sys.modules]
-    return [getattr(client, name) for client in loaded for name in names if hasattr(client, name)]
+    return tuple(getattr(client, name) for client in loaded for name in names if hasattr(client, name))
 
 
 def _require_endpoint(endpoint: str) -> None:
