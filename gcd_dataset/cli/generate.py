@@ -6,9 +6,8 @@ from functools import partial
 from itertools import groupby
 from pathlib import Path
 
-from gcd_dataset.cli.plan import Plan
+from gcd_dataset.cli.plan import Plan, check_count
 from gcd_dataset.cli.workers import side_by_side
-from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.pipeline import make_many
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of
 from gcd_dataset.records import Sample
@@ -32,8 +31,7 @@ def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | Non
     set of another recipe or seed, ``OutputError`` where it cannot be written.
     """
     config = config or MakeConfig()
-    if count < 1:
-        raise ConfigError(f"count is {count}: give 1 or more")
+    check_count(count)
     if config.stage == "drape":
         from gcd_dataset.generator.drape import resolve_device
 
