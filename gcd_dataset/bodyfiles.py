@@ -1,8 +1,8 @@
 """What is told about a body in files: GarmentCode's measurement YAML and its part segmentation JSON."""
 
-import json
 import reprlib
 from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,10 @@ import yaml
 from jaxtyping import UInt8
 
 from gcd_dataset.errors import BodyError, shown
-from gcd_dataset.files import write_whole
+from gcd_dataset.files import read_whole, write_whole
+from gcd_dataset.jsonfile import read_json
 from gcd_dataset.records import ANGLES, MEASURES, BodyPart, Measurements
+from gcd_dataset.yamlfile import LARGEST_YAML, strict_yaml
 
 __all__ = [
     "file_content",
@@ -23,11 +25,18 @@ __all__ = [
     "write_measurements",
 ]
 
+LARGEST_BODY_FILE = 512 << 20  # bytes: of a mesh, or of a shape space with its components
+LONGEST_NAME = 40  # letters of a name, in a message
 LARGEST_MEASURE = 1e4  # cm, or degrees: no giant has more
 LONGEST_NUMBER = 10**15  # from here on a whole number is not printed
+SHORT = reprlib.Repr()
+SHORT.maxlevel = 2
 
 OPTIONAL = frozenset({"underbust", "vert_bust_line"})
 """No pattern needs them, and GarmentCode's SMPL bodies lack the second."""
+
+LIMBS = frozenset({"left_arm", "right_arm", "left_leg", "right_leg"})
+"""Parts without which no garment can be put on."""
 
 SEGMENTS = {
     "body": BodyPart.TRUNK,
@@ -80,32 +89,29 @@ def measurements_tree(measurements: Measurements) -> dict[str, float]:
 
 
 def read_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray, " v"]:
-    """``BodyPart`` of each vertex."""
-    try:
-        lists = json.loads(file_content(path))
-    except ValueError as error:  # broken JSON, broken UTF-8, a number of thousands of digits
-        raise BodyError(f"{path}: not JSON ({error}): give a map from part names to vertex ids") from error
-    except RecursionError as error:
-        raise BodyError(f"{path}: nested too deeply: give a map from part names to lists of vertex ids") from error
+    """``BodyPart`` of each vertex. Raises ``BodyError``."""
+    lists = read_json(path, "segmentation JSON", error=BodyError)
     if not isinstance(lists, dict):
         raise BodyError(f"{path}: a {type(lists).__name__}: give a map from part names to lists of vertex ids")
-    if not {"left_arm", "right_arm", "left_leg", "right_leg"} <= lists.keys():
-        names = ", ".join(map(shown, lists)) or "nothing"
+    if not lists.keys() >= LIMBS:
+        names = ", ".join(shown(name[:LONGEST_NAME]) for name in islice(lists, 9)) or "nothing"
         raise BodyError(f"{path}: names {names}: name left_arm, right_arm, left_leg and right_leg")
     parts = np.full(n_vertices, BodyPart.TRUNK.value, np.uint8)
     for name, ids in lists.items():
-        vertices = _vertex_ids(path, shown(name), ids)
+        vertices = _vertex_ids(path, shown(name[:LONGEST_NAME]), ids)
         if max(vertices, default=0) >= n_vertices:
             raise BodyError(
-                f"{path}: {shown(name)} names vertex {_found(max(vertices))}, {mesh} has {n_vertices}: "
+                f"{path}: {shown(name[:LONGEST_NAME])} names vertex {_found(max(vertices))}, {mesh} has {n_vertices}: "
                 "give the segmentation of this mesh"
             )
+        if not vertices and name in LIMBS:
+            raise BodyError(f"{path}: {name} has no vertices: name those of the limb")
         parts[vertices] = SEGMENTS.get(name, BodyPart.TRUNK).value
     return parts
 
 
 def _vertex_ids(path: Path, name: str, ids: Any) -> list[int]:
-    if not isinstance(ids, list) or not all(type(i) is int and i >= 0 for i in ids):  # True is an int as well
+    if not isinstance(ids, list) or not all(type(i) is int and i >= 0 for i in ids):  # True is an int, too
         raise BodyError(f"{path}: {name} is no list of vertex ids: give whole numbers of 0 and more")
     return ids
 
@@ -132,15 +138,24 @@ BROKEN_SCALARS = (ValueError, KeyError, IndexError, AttributeError)
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
+    content = read_whole(path, "measurement YAML", limit=LARGEST_YAML, error=BodyError)
     try:
-        table = yaml.safe_load(file_content(path))
-    except yaml.YAMLError as error:
-        raise BodyError(f"{path}: not YAML ({' '.join(str(error).split())}): mend that line") from error
-    except BROKEN_SCALARS as error:
-        raise BodyError(f"{path}: not YAML ({error}): give one 'key: number' a line") from error
+        table = strict_yaml(content)
+    except yaml.MarkedYAMLError as error:
+        raise BodyError(f"{path}: not YAML ({_told(error)}): mend that line") from error
+    except (yaml.YAMLError, *BROKEN_SCALARS) as error:
+        raise BodyError(
+            f"{path}: not YAML ({' '.join(str(error).split())[:160]}): give one 'key: number' a line"
+        ) from error
     except RecursionError as error:
         raise BodyError(f"{path}: nested too deeply: give one 'key: number' a line") from error
     return table if isinstance(table, dict) else {}
+
+
+def _told(error: yaml.MarkedYAMLError) -> str:
+    mark = error.problem_mark or error.context_mark
+    place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+    return f"{place}{shown(str(error.problem or error.context)[:160])}"
 
 
 def _is_measure(key: str, value: Any) -> bool:
@@ -153,12 +168,9 @@ def _found(value: Any) -> str:
     """A value as it stands in a message: short, whatever it is."""
     if isinstance(value, int) and abs(value) >= LONGEST_NUMBER:
         return f"{'-' if value < 0 else ''}10**15 or more"
-    return reprlib.repr(value)
+    return SHORT.repr(value)[:100]
 
 
 def file_content(path: Path) -> bytes:
     """All bytes of a file. Raises ``BodyError``."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise BodyError(f"{path}: cannot be read ({error.strerror}): check the path") from error
+    return read_whole(path, "file of a body", limit=LARGEST_BODY_FILE, error=BodyError)

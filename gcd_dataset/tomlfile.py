@@ -5,17 +5,21 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import read_whole
 
 __all__ = ["read_toml"]
 
+LARGEST_TOML = 1 << 20  # bytes, a second to parse; a config file has some kilobytes
+
 
 def read_toml(path: Path | str) -> dict[str, Any]:
-    """What is in the file. Raises ``ConfigError`` where it is missing or broken."""
+    """What is in the file. Raises ``ConfigError`` where it is missing, broken or too large."""
+    content = read_whole(path, "TOML file", limit=LARGEST_TOML, error=ConfigError)
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}): give a TOML file that you may read") from error
+        return tomllib.loads(content.decode("utf-8"))
     except RecursionError as error:
         raise ConfigError(f"{path}: nested too deep: flatten the TOML") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: {error}: mend the TOML") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: byte {error.start} is no text in UTF-8: mend the TOML") from error
+    except ValueError as error:  # of a number of thousands of digits, too
+        raise ConfigError(f"{path}: {str(error).partition(';')[0]}: mend the TOML") from error

@@ -23,6 +23,12 @@ KINDS = {
 }
 USUAL_FABRIC = "default"
 FINEST, COARSEST = 0.2, 10.0  # cm
+LIMITS = {
+    "points": (0, 1 << 20),  # 12 MB a sample
+    "picture": (0, 4096),  # pixels; 50 MB while it is taken
+    "max_attempts": (1, 10_000),  # 17 of 20 designs are accepted at once
+    "bodies_each": (1, 10_000),
+}
 MOST_ARMS = 15.0  # degrees; flat panels hang round arms in the A-pose
 
 
@@ -72,9 +78,10 @@ class MakeConfig:
             raise ConfigError(f"arms is {self.arms}°: give an angle from 0 to {MOST_ARMS}")
         if self.fabric != USUAL_FABRIC:
             _require_fabric(self.fabric)
-        for name, least in {"points": 0, "picture": 0, "max_attempts": 1, "bodies_each": 1}.items():
-            if getattr(self, name) < least:
-                raise ConfigError(f"{name} is {getattr(self, name)}: give {least} or more")
+        for name, (least, most) in LIMITS.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ConfigError(f"{name} is {value if value < 10**15 else '10**15 or more'}: give {least} to {most}")
         if self.bodies == "neutral" and self.bodies_each > 1:
             raise ConfigError(f"bodies_each is {self.bodies_each}, and there is one neutral body: give other bodies")
 

@@ -56,6 +56,15 @@ def one_line(text: str) -> str:
     return lines[0]
 
 
+@pytest.mark.parametrize("stage", ["pattern", "body"])
+def test_more_than_any_disk_holds_is_refused_before_it_is_planned(
+    stage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["generate", str(tmp_path / "data"), "--count", str(10**12), "--stage", stage]) == 2
+    assert "count is 1000000000000: give 1 to 10000000" in one_line(capsys.readouterr().err)
+    assert not (tmp_path / "data").exists()
+
+
 def test_generate_makes_a_data_set_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "data"
     assert main(["generate", str(out), "--count", "2", "--seed", "3", *FLAT]) == 0

@@ -76,7 +76,7 @@ LAYERS = {
     "validate": {"errors", "curves", "records", "crossings"},
     "tensors": {"errors", "curves", "records"},
     "bodies": {"errors", "records"},
-    "bodyfiles": {"errors", "files", "records"},
+    "bodyfiles": {"errors", "files", "jsonfile", "records", "yamlfile"},
     "seeding": set(),
     "curves": {"errors"},
 }

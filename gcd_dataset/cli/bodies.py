@@ -6,8 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from gcd_dataset.bodies import Person
-from gcd_dataset.cli.plan import Plan
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.cli.plan import Plan, check_count
 from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, own_mesh
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.shards.people import BodyWriter
@@ -32,8 +31,7 @@ def plan_people(out: Path | str, count: int, *, seed: int = 0) -> PeoplePlan:
     What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError`` where ``out`` holds bodies of
     another seed, ``ShardError`` where it holds garments, ``OutputError`` where it cannot be written.
     """
-    if count < 1:
-        raise ConfigError(f"count is {count}: give 1 or more")
+    check_count(count)
     with _writer(out, seed) as writer:
         done = writer.done
     return PeoplePlan(Path(out), count, tuple(index for index in range(count) if index not in done), seed)

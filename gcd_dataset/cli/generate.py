@@ -4,8 +4,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gcd_dataset.cli.plan import Plan
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.cli.plan import Plan, check_count
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.records import Sample
@@ -30,8 +29,7 @@ def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | Non
     set of another recipe or seed, ``OutputError`` where it cannot be written.
     """
     config = config or MakeConfig()
-    if count < 1:
-        raise ConfigError(f"count is {count}: give 1 or more")
+    check_count(count)
     if config.stage == "drape":
         from gcd_dataset.generator.drape import resolve_device
 

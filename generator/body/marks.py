@@ -4,7 +4,6 @@ Given by hand, they are a JSON file such as ``{"shoulder_right": 1557, "waist": 
 one vertex id or one position in the coordinates of the mesh file, a ring has a list of them.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,15 +12,16 @@ from typing import Any, Protocol, Self
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.bodyfiles import file_content
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body.asset import landmarks
+from gcd_dataset.jsonfile import found, read_json
 from gcd_dataset.records import Record
 
 __all__ = ["LEVEL_RINGS", "GivenMarks", "Marks", "levels_of", "own_marks", "read_marks"]
 
 LEVEL_RINGS = ("bust", "underbust", "waist", "hips", "leg_right")
 """Rings that only say at which height a girth is taken."""
+OUTSIDE = 0.05  # of the mesh's size: as far off its box may a landmark be
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +89,14 @@ class GivenMarks(Record):
 
 def read_marks(path: Path, vertices: Float[np.ndarray, "v 3"], unit: float) -> GivenMarks:
     """The landmarks in a JSON file; ``vertices`` and positions come out times ``unit``. Raises ``BodyError``."""
-    try:
-        table = json.loads(file_content(path))
-    except (ValueError, RecursionError) as error:
-        raise BodyError(f"{path}: not JSON ({error}): give a map from landmarks to vertex ids or positions") from error
+    table = read_json(path, "map from landmarks to vertex ids or positions", error=BodyError)
     if not isinstance(table, dict):
         raise BodyError(f"{path}: a {type(table).__name__}: give a map from landmarks to vertex ids or positions")
     known = landmarks()
     for name in table:
         if name not in known.points and name not in known.rings:
             names = ", ".join([*known.points, *known.rings])
-            raise BodyError(f"{path}: no landmark is called {shown(name)}: there are {names}")
+            raise BodyError(f"{path}: no landmark is called {shown(name[:40])}: there are {names}")
     points = {name: _position(path, name, at, vertices) * unit for name, at in table.items() if name in known.points}
     rings = {name: _ring(path, name, at, vertices) * unit for name, at in table.items() if name in known.rings}
     return GivenMarks(points, rings)
@@ -107,7 +104,7 @@ def read_marks(path: Path, vertices: Float[np.ndarray, "v 3"], unit: float) -> G
 
 def _ring(path: Path, name: str, value: Any, vertices: np.ndarray) -> Float[np.ndarray, "n 3"]:
     if not isinstance(value, list) or not value:
-        raise BodyError(f"{path}: {name} is {shown(repr(value)[:40])}: a ring is a list of vertex ids or positions")
+        raise BodyError(f"{path}: {name} is {_short(value)}: a ring is a list of vertex ids or positions")
     if name not in LEVEL_RINGS and len(value) < 3 and name != "bust_line":
         raise BodyError(f"{path}: {name} has {len(value)} points: its length is a measure, so give them all, in order")
     return np.stack([_position(path, name, at, vertices) for at in value])
@@ -116,9 +113,14 @@ def _ring(path: Path, name: str, value: Any, vertices: np.ndarray) -> Float[np.n
 def _position(path: Path, name: str, value: Any, vertices: np.ndarray) -> Float[np.ndarray, "3"]:
     if type(value) is int and 0 <= value < len(vertices):
         return vertices[value]
-    numbers = isinstance(value, list) and len(value) == 3 and all(type(n) in (int, float) for n in value)
-    if not numbers or not np.isfinite(np.array(value, float)).all():
-        raise BodyError(
-            f"{path}: {name} is {shown(repr(value)[:40])}: give a vertex id under {len(vertices)}, or [x, y, z]"
-        )
+    if not (isinstance(value, list) and len(value) == 3 and all(type(n) in (int, float) for n in value)):
+        raise BodyError(f"{path}: {name} is {_short(value)}: give a vertex id under {len(vertices)}, or [x, y, z]")
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    room = OUTSIDE * float((high - low).max())
+    if not all(least - room <= n <= most + room for n, least, most in zip(value, low, high, strict=True)):
+        raise BodyError(f"{path}: {name} is {_short(value)}, outside of the mesh: give it in the mesh's coordinates")
     return np.array(value, float)
+
+
+def _short(value: Any) -> str:
+    return shown(found(value))

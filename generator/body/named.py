@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcd_dataset.bodyfiles import read_measurements
-from gcd_dataset.errors import BodyError
+from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.files import read_body
 from gcd_dataset.generator.body.measuring import measure
@@ -14,6 +14,7 @@ from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["named_body", "shape_by_name"]
 
+MOST_DIGITS = 100  # of a seed
 DRAWN = {"random": None, "female": "female", "male": "male"}
 """What stands before a seed, and of which sex who is drawn is."""
 
@@ -56,7 +57,9 @@ def shape_by_name(name: str, *, legs_apart: bool) -> BodyShape | None:
 
 
 def _seed(name: str, text: str) -> int:
-    if not text.isdecimal():
+    if not (text.isdecimal() and len(text) <= MOST_DIGITS):
         kind = name.partition(":")[0]
-        raise BodyError(f"{name}: the seed is {text!r}: give a whole number of 0 or more, such as {kind}:7")
+        raise BodyError(
+            f"{shown(name[:60])}: the seed is {text[:60]!r}: give a whole number of 0 or more, such as {kind}:7"
+        )
     return int(text)

@@ -11,10 +11,10 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.parameter import Space, plain
 from gcd_dataset.generator.garments.space import DesignSpace, from_dict, to_dict
+from gcd_dataset.yamlfile import strict_yaml
 
 __all__ = ["design_tree", "read_design", "write_design"]
 
-LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 WANTED = "give GarmentCode's design_params.yaml"
 
@@ -46,7 +46,7 @@ def design_tree(design: OutfitDesign) -> dict[str, Any]:
 
 def _parsed(path: Path) -> Any:
     try:
-        return yaml.load(path.read_text(encoding="utf-8"), Loader=LOADER)
+        return strict_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}): {WANTED}") from error
     except UnicodeDecodeError as error:

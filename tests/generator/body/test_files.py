@@ -105,6 +105,13 @@ def test_inward_faces_are_turned(mannequin: dict[str, Path]) -> None:
     assert body.parts.tolist() == [0, 0, 0, 0, 1, 2, 3, 4]
 
 
+LAUGHS = "".join(f"l{i}: &l{i} [{', '.join([f'*l{i - 1}'] * 9) if i else 'ha'}]\n" for i in range(12)) + (
+    "body: {height: *l11}"
+)
+"""Nine to the power of eleven lists, in 600 bytes."""
+MERGED_LAUGHS = "".join(
+    f"l{i}: &l{i} {{{'<<: [' + ', '.join([f'*l{i - 1}'] * 9) + ']' if i else 'a: 1'}}}\n" for i in range(12)
+) + ("body: *l11")
 PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}'
 
 
@@ -115,11 +122,17 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("parts", '{"left_arm": 4, "right_arm": [5], "left_leg": [6], "right_leg": [7]}', "left_arm is no list"),
         ("parts", '{"body": [0]}', "name left_arm, right_arm, left_leg and right_leg"),
         ("parts", "[1, 2]", "a list: give a map"),
-        ("parts", "{", "not JSON"),
+        ("parts", "{", "line 1, column 2: Expecting property name"),
+        ("parts", PARTS.replace("[4]", "[]") % 7, "left_arm has no vertices: name those of the limb"),
+        ("parts", PARTS % '7], "left_leg": [5', "key left_leg stands twice in one object"),
+        ("parts", PARTS % -1, "right_leg is no list of vertex ids: give whole numbers of 0 and more"),
+        ("parts", PARTS % 7.0, "right_leg is no list of vertex ids"),
+        ("parts", '{"%s": 1}' % ("a" * 10**5), "name left_arm, right_arm"),
         ("parts", PARTS % 10**30, "right_leg names vertex 10**15 or more"),
         ("parts", PARTS % "true", "right_leg is no list of vertex ids"),
-        ("parts", 100_000 * "[", "nested too deeply"),
-        ("parts", "9" * 5000, "not JSON"),
+        ("parts", 100_000 * "[", "64 levels deep"),
+        ("parts", "9" * 5000, "Exceeds the limit (4300 digits)"),
+        ("size", 100_000 * "[" + 100_000 * "]", "nested too deeply"),
         ("size", 10_000 * "[", "nested too deeply"),
         ("size", "body: {height: " + 10_000 * "[", "nested too deeply"),
         ("size", "9" * 5000, "not YAML"),
@@ -134,6 +147,15 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
             "body.height is [[0], [1], [2], [3], [4], [5], ...]",
         ),
         ("size", "body: {height: 170", "not YAML"),
+        ("size", "body:\n  waist: 70\n  waist: 90\n", "line 2, column 3: a key that stands twice"),
+        ("size", "body: {waist: 070}", "the number 070, which is not in base 10"),
+        ("size", "body: {height: 1:50}", "the number 1:50, which is not in base 10"),
+        ("size", "body: {height: 1:50.5}", "the number 1:50.5, which is not in base 10"),
+        ("size", "a: &a {x: 1}\nbody:\n  <<: *a\n", "line 3, column 3: a merge key (<<): write the entries out"),
+        ("size", LAUGHS, "body.height is [[[...], [...], "),
+        ("size", MERGED_LAUGHS, "a merge key"),
+        ("size", "body: {height: !!python/object:os.system 1}", "not YAML (line 1, column 16: could not determine"),
+        ("size", "# much\n" * 200_000, "more than 1 MB: give the path of a measurement YAML"),
         ("size", "height: 170", "no map named body"),
         ("size", "body: {height: 170}", "body lacks head_l, neck_w"),
         ("size", "body: {height: tall}", "body.height is 'tall': give a positive number"),
@@ -154,7 +176,8 @@ def test_broken_files_are_named_with_place_and_remedy(
     message = str(caught.value)
     assert message.startswith(str(mannequin[name]))
     assert said in message
-    assert "\n" not in message
+    assert message.isprintable()
+    assert len(message.removeprefix(str(mannequin[name]))) < 400
 
 
 def test_what_is_not_told_is_sought_and_a_box_has_no_landmarks(mannequin: dict[str, Path]) -> None:

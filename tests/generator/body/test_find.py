@@ -92,7 +92,7 @@ def test_our_own_measures_scale_exactly() -> None:
 
 RIGHT = ("some faces flipped", "facing away")
 ERRORS = {
-    "not a number": "no numbers",
+    "not a number": "the position of vertex 3121 is no number",
     "collapsed": "with an area",
     "on a floor": "off the body in it",
     "no hands": "wrist|hands",
@@ -145,13 +145,16 @@ def test_given_landmarks_take_the_place_of_those_found(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("{", "not JSON"),
+        ("{", "line 1, column 2"),
         ("[]", "a list: give a map"),
         ('{"elbow": 3}', "no landmark is called elbow"),
         ('{"nape_of_neck": 99999999}', "nape_of_neck is 99999999: give a vertex id under"),
         ('{"nape_of_neck": [1, 2]}', r"nape_of_neck is \[1, 2\]"),
-        ('{"nape_of_neck": [1, 2, NaN]}', "nape_of_neck is"),
-        ('{"nape_of_neck": true}', "nape_of_neck is True"),
+        ('{"nape_of_neck": [1, 2, NaN]}', "NaN is no number"),
+        ('{"nape_of_neck": true}', "nape_of_neck is true"),
+        ('{"nape_of_neck": [1, 2, 1e300]}', r"nape_of_neck is \[1, 2, 1e\+300\], outside of the mesh"),
+        ('{"nape_of_neck": [1, 2], "nape_of_neck": 3}', "stands twice"),
+        ("[" * 100_000, "64 levels deep"),
         ('{"waist": 7}', "a ring is a list"),
         ('{"neck_back": [1, 2]}', "neck_back has 2 points"),
     ],
@@ -181,7 +184,7 @@ def test_gcd_measure_writes_what_the_pattern_programs_read(tmp_path: Path, capsy
         ([], 2, "give a mesh file or --shape"),
         (["a.obj", "--shape", "female"], 2, "one of them"),
         (["--shape", "female", "--landmarks", "x.json"], 2, "are for a mesh file"),
-        (["nowhere.obj"], 1, "nowhere.obj: cannot be read"),
+        (["nowhere.obj"], 1, "nowhere.obj: no such file"),
         (["--shape", "giant"], 1, "no body named giant"),
     ],
 )

@@ -171,7 +171,7 @@ def test_a_bad_overlay_is_told_in_one_line_with_its_name(text: str, tmp_path: Pa
 
 
 def test_an_overlay_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"missing\.toml: cannot be read \(No such file or directory\)"):
+    with pytest.raises(ConfigError, match=r"missing\.toml: no such file: give the path of a TOML file"):
         read_overlay(tmp_path / "missing.toml")
 
 

@@ -1,0 +1,61 @@
+"""YAML by people and by other programs: read so that every value is what it looks like, at a cost that is known."""
+
+import re
+from typing import Any
+
+import yaml
+
+__all__ = ["LARGEST_YAML", "strict_yaml"]
+
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+LARGEST_YAML = 1 << 20  # bytes, a second to parse; a measurement file has 1 kB, a design file 14
+DEEPEST = 64  # levels; libyaml ends the process where its stack does
+OTHER_BASE = re.compile(r"[+-]?0[0-7_]+|.*:.*")  # octal, sexagesimal: 070 is 56 in YAML 1.1, and 1:50 is 110
+
+
+def strict_yaml(content: str | bytes) -> Any:
+    """YAML's plain values, without what a reader takes for something else.
+
+    A key that stands twice, a number in base 8 or 60, and merge keys (``<<``), of which a page may hold millions of
+    entries, are a ``yaml.MarkedYAMLError`` with their line; more than 64 levels are a ``RecursionError``.
+    """
+    depth = 0
+    for event in yaml.parse(content, Loader=LOADER):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST:
+            raise RecursionError(f"more than {DEEPEST} levels deep")
+    return yaml.load(content, Loader=_StrictLoader)
+
+
+class _StrictLoader(LOADER):  # type: ignore[misc,valid-type]
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        for key, _ in node.value:
+            if key.tag == "tag:yaml.org,2002:merge":
+                raise _refused("a merge key (<<): write the entries out", key)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        table: dict[Any, Any] = super().construct_mapping(node, deep=deep)
+        if len(table) < len(node.value):
+            names = [key.value for key, _ in node.value]
+            twice = next((key for key, _ in node.value if names.count(key.value) > 1), node)
+            raise _refused("a key that stands twice: take one of them out", twice)
+        return table
+
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        return int(super().construct_yaml_int(self._plain(node)))
+
+    def construct_yaml_float(self, node: yaml.ScalarNode) -> float:
+        return float(super().construct_yaml_float(self._plain(node)))
+
+    def _plain(self, node: yaml.ScalarNode) -> yaml.ScalarNode:
+        if OTHER_BASE.fullmatch(node.value):
+            raise _refused(f"the number {node.value[:20]}, which is not in base 10: write it plainly", node)
+        return node
+
+
+_StrictLoader.add_constructor("tag:yaml.org,2002:int", _StrictLoader.construct_yaml_int)
+_StrictLoader.add_constructor("tag:yaml.org,2002:float", _StrictLoader.construct_yaml_float)
+
+
+def _refused(what: str, node: yaml.Node) -> yaml.MarkedYAMLError:
+    return yaml.constructor.ConstructorError(None, None, what, node.start_mark)
