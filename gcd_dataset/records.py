@@ -301,7 +301,7 @@ class Seam:
     """Two edges sewn together.
 
     By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
-    starts meet. Unequal lengths are gathered.
+    starts meet, and one of the panels is sewn in wrong side out. Unequal lengths are gathered.
     """
 
     left: EdgeRef
@@ -341,7 +341,12 @@ class BoxMesh(Record):
     vertices: Float[np.ndarray, "v 3"]
     """Start positions [cm]; a seam vertex stands in the middle of the points it joins."""
     faces: Int[np.ndarray, "f 3"]
-    """Triangles, counter-clockwise on the cloth's right side."""
+    """Triangles, counter-clockwise on the garment's outside, so that they run alike across every seam.
+
+    The outside is the cloth's right side, but for panels that a ``right_wrong`` seam turns over, as a lapel: their
+    faces run against the panel's loop (``generator.mesh.turned_panels``). Published meshes are kept as they were
+    published: all their faces are counter-clockwise on the right side, and disagree along such seams.
+    """
     uv: Float[np.ndarray, "c 2"]
     """Panel-plane coordinates [cm] of the seam-split vertices."""
     corners: Int[np.ndarray, "f 3"]
@@ -372,10 +377,13 @@ class Outcome(Enum):
 
     SETTLED = "hangs still, within the limits for crossings"
     NOT_SETTLED = "still moving at the last frame: allow more frames, or look for a garment that slides"
-    THROUGH_BODY = "too many edges cross the body: a looser fit, or a body with arms and legs further apart"
+    THROUGH_BODY = "too many edges of cloth and body cross: a looser fit, or a body with arms and legs further apart"
     THROUGH_ITSELF = "too many edges cross other cloth: panels start tangled; place them further apart"
     OVERSTRETCHED = "cloth is stretched out of shape: it is caught on the body, or cut too small for it"
-    SLID_OFF = "slid off the body: nothing holds it up; narrow the waist, or label the edge that should be held"
+    SLID_OFF = "slid off the body: narrow the waist or the neckline, or label the edge that should be held"
+    FELL = (
+        "fell below the floor: nothing held it; check its seams and where its panels hang, or label the edge to be held"
+    )
     OVERFULL = "more contacts than there was room for: raise the contact capacity"
     DIVERGED = "positions stopped being numbers: the mesh holds a degenerate triangle, or the time step is too long"
 
@@ -397,6 +405,8 @@ class Drape(Record):
     """Median over the edges of length against flat length; 1 is unstretched."""
     stretch_p99: float
     """99th percentile of the same."""
+    body_through: int = 0
+    """Edges of the body that cross the cloth; 0 in samples that were stored before these were counted."""
 
 
 # -------------------------------------------------------------------------------------------------------------- sample

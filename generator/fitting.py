@@ -57,6 +57,7 @@ class Fitting:
             "frames": self.drape.frames,
             "self_crossings": self.drape.self_crossings,
             "body_crossings": self.drape.body_crossings,
+            "body_through": self.drape.body_through,
             "stretch_median": round(self.drape.stretch_median, 4),
             "stretch_p99": round(self.drape.stretch_p99, 4),
             "mesh_seconds": round(self.mesh_seconds, 3),

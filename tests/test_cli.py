@@ -17,6 +17,10 @@ import pytest
 from PIL import Image
 
 from gcd_dataset.cli import main
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.garments import OutfitDesign, outfit
+from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
+from gcd_dataset.generator.garments.design import Bottom, MetaDesign
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.pipeline import make
 from gcd_dataset.generator.recipe import MakeConfig
@@ -24,6 +28,7 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.records import Pattern
 from gcd_dataset.shards import read_index
 from gcd_dataset.spec import spec_from_pattern, write_pattern
+from tests.generator.drape.garments import stouter
 from tests.helpers import napkins
 from tests.test_validate import sewn_unequally
 
@@ -204,6 +209,61 @@ def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -
     assert sum(line.startswith("v ") for line in lines) == row["vertices"]
     assert row["outcome"] == "SETTLED"
     assert np.asarray(Image.open(out / "garment_front.png")).std() > 10
+
+
+def test_a_garment_that_slides_off_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And leaves its files all the same; who wants such garments asks for 0."""
+    size = measure(build_body(neutral_shape()))
+    design = OutfitDesign(
+        meta=MetaDesign(upper=None, bottom=Bottom.CIRCLE), flare_skirt=FlareSkirtDesign(length=0.2, suns=0.5)
+    )
+    spec = tmp_path / "wide_specification.json"
+    write_pattern(outfit(stouter(size, 1.5), design), spec)
+    options = ["drape", str(spec), "--out", str(tmp_path), "--resolution", "5", "--device", "cpu", "--quiet"]
+    assert main(options) == 1
+    assert "SLID_OFF" in capsys.readouterr().out
+    [row] = json.loads((tmp_path / "report.json").read_text())["garments"]
+    assert (row["outcome"], row["body_through"]) == ("SLID_OFF", 0)
+    assert main([*options, "--allow-unsettled"]) == 0
+
+
+SIGNALLED = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sent = []
+def send():
+    if not sent:
+        sent.append(os.kill(os.getpid(), signal.SIGINT))
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == WHERE:
+            send()
+sys.meta_path.insert(0, Finder())
+if WHERE == "frame":
+    from gcd_dataset.generator.drape.solver import Solver
+    frame = Solver.frame
+    def signalled(solver, *between):
+        frame(solver, *between)
+        send()
+    Solver.frame = signalled
+from gcd_dataset.cli import main
+code = main(sys.argv[1:])
+assert sent
+sys.exit(code)
+"""
+
+
+@pytest.mark.parametrize("where", ["networkx", "frame"])
+def test_ctrl_c_ends_a_drape_wherever_it_comes(where: str, spec: Path, tmp_path: Path) -> None:
+    """While trimesh looks for a package that it can do without, and between time steps."""
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", SIGNALLED.replace("WHERE", repr(where)), "drape", str(spec), "--out", str(out)]
+    options = ["--resolution", "1.5", "--device", "cpu", "--quiet"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    assert done.returncode == 130, done.stderr
+    assert "gcd drape: stopped" in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+    assert not out.exists() or not list(out.iterdir())
 
 
 def test_what_drape_assumes_is_told_and_reported(spec: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -183,6 +183,7 @@ def _failed(worn: Sequence[Worn], drapes: Sequence[Drape]) -> list[dict[str, Any
             "frames": drape.frames,
             "self_crossings": drape.self_crossings,
             "body_crossings": drape.body_crossings,
+            "body_through": drape.body_through,
             "stretch_p99": round(drape.stretch_p99, 2),
         }
         for one, drape in zip(worn, drapes, strict=True)

@@ -57,7 +57,7 @@ def picture_failure(worn: Worn, drape: Drape, *, device: str) -> Picture:
         contact_sheet(tiles, columns=len(columns)),
         f"{drape.outcome.name}: {drape.outcome.value.split(':')[0]}",
         f"{worn.index} {kind}, {worn.body_name}: {drape.frames} frames, crossings {drape.self_crossings} with itself, "
-        f"{drape.body_crossings} with the body, stretch {drape.stretch_p99:.2f}",
+        f"{drape.body_crossings} + {drape.body_through} with the body, stretch {drape.stretch_p99:.2f}",
     )
 
 

@@ -13,8 +13,9 @@ from benchmarks.cases.figures import Figure, Measured
 from benchmarks.draping.quality import quality
 from benchmarks.peers.newton import PeerDrapes, drape_with_newton
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
+from gcd_dataset.generator.drape.holds import fell, off_body
 from gcd_dataset.generator.drape.model import build_model
-from gcd_dataset.generator.drape.outcome import slid_off
+from gcd_dataset.generator.drape.outcome import is_through_body, slid_off
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import coarse_start
 from gcd_dataset.records import Drape, Outcome
@@ -85,7 +86,8 @@ def _judged(jobs: Sequence[DrapeJob], made: PeerDrapes, device: str) -> list[Dra
     config = DrapeConfig()
     solver = Solver(build_model(jobs, config, device), config)
     solver.state.x.assign(wp.array(np.concatenate(made.vertices), dtype=wp.vec3, device=device))
-    own, body, stretches = solver.self_crossings(), solver.body_crossings(), solver.stretches()
+    own, body, through = solver.self_crossings(), solver.body_crossings(), solver.body_through()
+    stretches = solver.stretches()
     parts = np.split(stretches, solver.model.topology.edge_offset[1:-1])
     drapes = []
     for k, (job, vertices) in enumerate(zip(jobs, made.vertices, strict=True)):
@@ -98,18 +100,22 @@ def _judged(jobs: Sequence[DrapeJob], made: PeerDrapes, device: str) -> list[Dra
             body_crossings=int(body[k]),
             stretch_median=float(median),
             stretch_p99=float(p99),
+            body_through=int(through[k]),
         )
-        drapes.append(replace(drape, outcome=_outcome(job, drape, config, rested=bool(made.rested[k]))))
+        through = is_through_body(drape, config, solver.model.usual_length[k])
+        outcome = _outcome(job, drape, config, rested=bool(made.rested[k]), through=through)
+        drapes.append(replace(drape, outcome=outcome))
     return drapes
 
 
-def _outcome(job: DrapeJob, drape: Drape, config: DrapeConfig, *, rested: bool) -> Outcome:
+def _outcome(job: DrapeJob, drape: Drape, config: DrapeConfig, *, rested: bool, through: bool) -> Outcome:
     """The first that applies, in the order of ``Outcome`` for ours."""
     failures = {
         Outcome.DIVERGED: not np.isfinite(drape.vertices).all(),
-        Outcome.SLID_OFF: slid_off(job, drape.vertices),
+        Outcome.FELL: fell(job, drape.vertices),
+        Outcome.SLID_OFF: slid_off(job, drape.vertices) or off_body(job, drape.vertices),
         Outcome.NOT_SETTLED: not rested,
-        Outcome.THROUGH_BODY: drape.body_crossings > config.max_body_crossings,
+        Outcome.THROUGH_BODY: through,
         Outcome.THROUGH_ITSELF: drape.self_crossings > config.max_self_crossings,
         Outcome.OVERSTRETCHED: drape.stretch_p99 > config.max_stretch,
     }

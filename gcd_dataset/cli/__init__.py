@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, exchange
-from gcd_dataset.cli.verb import ANYWHERE, INTERRUPTED, add_quiet, add_server, add_verb, natural, open_anywhere, stopped
+from gcd_dataset.cli.verb import (
+    ANYWHERE,
+    INTERRUPTED,
+    add_quiet,
+    add_server,
+    add_verb,
+    interrupts_after_imports,
+    natural,
+    open_anywhere,
+    stopped,
+)
 from gcd_dataset.errors import ConfigError, GcdError, SpecError
 from gcd_dataset.files import user_path
 from gcd_dataset.tomlfile import read_toml
@@ -36,7 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.getLogger("gcd_dataset").setLevel(logging.INFO)
     options = _at_home(_parser().parse_args(arguments))
     try:
-        return int(options.run(options))
+        with interrupts_after_imports():
+            return int(options.run(options))
     except KeyboardInterrupt:
         print(f"gcd {options.verb}: stopped; what was finished is kept", file=sys.stderr)
         return INTERRUPTED
@@ -114,10 +125,10 @@ def _drape(options: argparse.Namespace) -> int:
 
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.body import named_body
-    from gcd_dataset.generator.drape import fabric_named, resolve_device
+    from gcd_dataset.generator.drape import fabric_named, resolve_device, tell_wait
     from gcd_dataset.generator.fitting import Fitting, fit, read_patterns, write_fitting, write_report
     from gcd_dataset.generator.recipe import check_resolution
-    from gcd_dataset.records import Body, Measurements
+    from gcd_dataset.records import Body, Measurements, Outcome
 
     patterns, device = read_patterns(options.spec), resolve_device(options.device)
     resolution, fabric = check_resolution(options.resolution), fabric_named(options.fabric)
@@ -132,6 +143,7 @@ def _drape(options: argparse.Namespace) -> int:
     wearer(False)  # what is wrong with it is told before anything is written
     folder = make_folder(options.out)
     fittings: list[Fitting] = []
+    tell_wait(len(patterns), device, resolution)
     try:
         done = fit(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
         for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):
@@ -139,17 +151,20 @@ def _drape(options: argparse.Namespace) -> int:
             fittings.append(fitting)
     finally:
         made_by = {"body": options.body, "fabric": options.fabric, "device": device}
-        write_report(fittings, folder / "report.json", resolution=resolution, **made_by)
+        if fittings:
+            write_report(fittings, folder / "report.json", resolution=resolution, **made_by)
     for fitting in fittings:
         drape = fitting.drape
         print(
             f"{fitting.pattern.name}: {drape.outcome.name}, {len(drape.vertices)} vertices, "
-            f"{drape.self_crossings} self and {drape.body_crossings} body crossings, {fitting.drape_seconds:.1f} s"
+            f"{drape.self_crossings} self crossings, {drape.body_crossings} edges through the body, "
+            f"{drape.body_through} of the body through the cloth, {fitting.drape_seconds:.1f} s"
         )
-        if drape.outcome.name != "SETTLED":
+        if drape.outcome is not Outcome.SETTLED:
             print(f"  {drape.outcome.value}")
     print(f"{folder}: meshes, pictures and report.json")
-    return 0
+    settled = all(fitting.drape.outcome is Outcome.SETTLED for fitting in fittings)
+    return 0 if settled or options.allow_unsettled else 1
 
 
 def _measure(options: argparse.Namespace) -> int:
@@ -267,6 +282,12 @@ def _parser() -> argparse.ArgumentParser:
         "--resolution", type=float, default=1.0, metavar="CM", help="length of mesh edges [cm] (default: 1.0)"
     )
     drape.add_argument("--device", default="auto", help="auto, cpu or cuda:0 (default: auto)")
+    drape.add_argument(
+        "--allow-unsettled",
+        action="store_true",
+        help="exit 0 even if a garment did not settle: fell, slid off, still moves, crosses itself or the body "
+        "(default: exit 1; the report is written either way)",
+    )
     add_quiet(drape)
 
     measure = add_verb(verbs, "measure", _measure, "the tailor's measures of a body, as YAML [cm, degrees]")

@@ -1,9 +1,14 @@
 """What the verbs of ``gcd`` have in common: how they are put into its parser, and how they end when stopped."""
 
 import argparse
+import contextlib
+import os
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset.errors import ConfigError
@@ -17,6 +22,7 @@ __all__ = [
     "add_quiet",
     "add_server",
     "add_verb",
+    "interrupts_after_imports",
     "natural",
     "open_anywhere",
     "require_folder",
@@ -24,6 +30,7 @@ __all__ = [
 ]
 
 INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
+RETRY = 0.05  # s between two looks whether an import has ended
 ANYWHERE = "folder, URL, or repository ORG/NAME of the Hub"
 
 
@@ -49,6 +56,48 @@ def natural(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text} is no whole number of 0 or more")
     return int(text)
+
+
+@contextlib.contextmanager
+def interrupts_after_imports() -> Iterator[None]:
+    """Deliver Ctrl-C when no import is under way: trimesh takes it for a missing package, and goes on.
+
+    Nothing is different where Python does not handle Ctrl-C itself, or outside the main thread.
+    """
+    inside = threading.current_thread() is threading.main_thread()
+    if not inside or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    later: list[threading.Timer] = []
+
+    def interrupted(number: int, frame: FrameType | None) -> None:
+        for timer in later:
+            timer.cancel()
+        later.clear()
+        if not _importing(frame):
+            raise KeyboardInterrupt
+        later.append(threading.Timer(RETRY, os.kill, (os.getpid(), signal.SIGINT)))
+        later[0].daemon = True
+        later[0].start()
+
+    signal.signal(signal.SIGINT, interrupted)
+    try:
+        yield
+        if later:
+            raise KeyboardInterrupt
+    finally:
+        for timer in later:
+            timer.cancel()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Whether an import is among the calls that led here."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def stopped(verb: str, there: str) -> int:

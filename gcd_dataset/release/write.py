@@ -36,6 +36,7 @@ FAIL_CLASSES: Mapping[Outcome, str] = {
     Outcome.THROUGH_ITSELF: "cloth_self_intersection",
     Outcome.OVERSTRETCHED: "crashes",
     Outcome.SLID_OFF: "crashes",
+    Outcome.FELL: "crashes",
     Outcome.OVERFULL: "crashes",
     Outcome.DIVERGED: "crashes",
 }

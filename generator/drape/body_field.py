@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Float, Int, UInt8
 
-from gcd_dataset.generator.body.holes import Skin
+from gcd_dataset.generator.body.holes import Skin, sides_of
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Voxels, fill_fields, measure_blocks
 from gcd_dataset.records import Body, BodyPart
 
@@ -62,6 +62,8 @@ class BodyField:
     """Ends of the axes of ``AXES``, the upper one first [cm]."""
     mesh: wp.Mesh
     """The skin without what is internal, in cm."""
+    edges: wp.array
+    """(e) the two vertices of every edge of the skin, in the mesh's numbering; without the lids over openings."""
 
 
 def body_field(body: Body, device: str) -> BodyField:
@@ -92,6 +94,8 @@ class HostField:
 
     triangles: Int[np.ndarray, " 3g"]
     """The skin's faces."""
+    edges: Int[np.ndarray, "e 2"]
+    """Its edges, without those of the lids over openings."""
     points: Float[np.ndarray, "w 3"]
     """Single precision [cm]."""
     parts: UInt8[np.ndarray, " g"]
@@ -112,6 +116,7 @@ class HostField:
         size = np.ceil((seen.max(axis=1) + BAND + CELL - low) / CELL).astype(int) + 1
         return cls(
             triangles=known.triangles,
+            edges=known.edges,
             points=np.asarray(points, np.float32),
             parts=_with_forearms(points, known),
             low=low,
@@ -141,6 +146,8 @@ class _KnownSkin:
     skin: Skin
     triangles: Int[np.ndarray, " 3g"]
     """Its faces as the device has them."""
+    edges: Int[np.ndarray, "e 2"]
+    """Its edges, as the device has them."""
     vertices: Int[np.ndarray, " v"]
     """The vertices that faces have."""
     arms: tuple[Int[np.ndarray, " l"], Int[np.ndarray, " r"]]
@@ -159,6 +166,7 @@ class _KnownSkin:
         return cls(
             skin,
             np.asarray(skin.faces, np.int32).ravel(),
+            _edges_of_body(skin),
             np.unique(skin.faces),
             (left, right),
             hands,
@@ -177,11 +185,22 @@ def _skin(digest: bytes, body: Body) -> _KnownSkin:
         return _skins[digest]
 
 
+def _edges_of_body(skin: Skin) -> Int[np.ndarray, "e 2"]:
+    """Edges between vertices of the body: lids have one more vertex each, the last in the skin's numbering."""
+    sides, _ = sides_of(skin.faces)
+    low, high = np.sort(sides, axis=1).astype(np.int64).T
+    edges = np.unique((low << 32) + high)
+    edges = np.stack([edges >> 32, edges & 0xFFFFFFFF], axis=1)
+    of_body = edges[:, 1] < skin.faces.max() + 1 - len(skin.rims)
+    return edges[of_body].astype(np.int32)
+
+
 def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
     """All in one launch each of two kernels."""
     if not hosts:
         return []
     triangles = {id(host.triangles): wp.array(host.triangles, dtype=int, device=device) for host in hosts}
+    edges = {id(host.edges): wp.array(host.edges, dtype=wp.vec2i, device=device) for host in hosts}
     voxels, made = [], []
     for host in hosts:
         points = wp.array(host.points, dtype=wp.vec3, device=device)
@@ -194,7 +213,7 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
         entry.part = wp.zeros(host.shape, dtype=wp.uint8, device=device)
         voxels.append(entry)
         x, y, z = host.low.tolist()
-        made.append(BodyField(entry.distance, entry.part, (x, y, z), CELL, host.axes, mesh))
+        made.append(BodyField(entry.distance, entry.part, (x, y, z), CELL, host.axes, mesh, edges[id(host.edges)]))
     bodies = wp.array(voxels, dtype=Voxels, device=device)
     most = max(entry.blocks.size for entry in voxels)
     for kernel, threads in ((measure_blocks, most), (fill_fields, most * int(BLOCK) ** 3)):

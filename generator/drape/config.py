@@ -83,8 +83,9 @@ class DrapeConfig:
     moving_share: float = 0.015
     """A garment rests when no more than this share of its vertices moves."""
     max_body_crossings: int = 35
-    """Edges that cross the skin, of arms that the cloth may pass through too; this limit and the next are those of
-    Korosteleva et al., ECCV 2024."""
+    """Edges of the cloth that cross the skin, of arms that the cloth may pass through too. This limit and the next are
+    those of Korosteleva et al. (ECCV 2024). They count edges of the cloth alone; here edges of the skin that cross the
+    cloth are added, each for 0.3 cm of the cloth's (``is_through_body``), so what passes here passes there too."""
     max_self_crossings: int = 300
     max_stretch: float = 1.6
     """Length over flat length of the hundredth edge that is stretched most."""

@@ -1,17 +1,21 @@
 """Which device Warp runs on, and its kernels loaded there."""
 
+import contextlib
 import logging
 import os
+import stat
 import sys
+import tempfile
 import threading
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 
 import warp as wp
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, OutputError
 
-__all__ = ["load_kernels", "one_at_a_time", "resolve_device"]
+__all__ = ["cores", "kernels_cached", "load_kernels", "one_at_a_time", "resolve_device"]
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -40,23 +44,82 @@ def resolve_device(name: str) -> str:
 
 @cache
 def _begin() -> None:
-    """Start Warp without the line that its library prints, past Python, on machines that have no GPU driver."""
+    """Start Warp without the line that its library prints, past Python, on machines that have no GPU driver.
+
+    Raises ``OutputError`` where no folder can be written that compiled kernels may be kept in.
+    """
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
-        wp.init()
+        refused = _start_warp()
     finally:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
+    if refused is not None:
+        logger.warning(
+            "compiled kernels are kept in %s, since %s: set WARP_CACHE_PATH to keep them elsewhere",
+            wp.config.kernel_cache_dir,
+            refused,
+        )
+
+
+def _start_warp() -> str | None:
+    """Start Warp with a cache that can be written; why it is not Warp's own, if it is not."""
+    try:
+        wp.init()
+        with tempfile.TemporaryFile(dir=wp.config.kernel_cache_dir):
+            return None
+    except OSError as error:
+        refused = f"{error.filename or wp.config.kernel_cache_dir} cannot be written ({error.strerror})"
+    wp.config.kernel_cache_dir = str(_own_folder())
+    wp.init()
+    return refused
+
+
+def _own_folder() -> Path:
+    """A folder among the temporary ones that nobody else may write: what lies in it is run."""
+    try:
+        folder = Path(tempfile.gettempdir()) / f"gcd_dataset-kernels-{os.getuid()}"
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(mode=0o700)
+        found = folder.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022:
+            return folder
+        return Path(tempfile.mkdtemp(prefix="gcd_dataset-kernels-"))
+    except OSError as error:
+        raise OutputError(
+            f"no folder for compiled kernels can be written ({error.strerror}): set WARP_CACHE_PATH to one"
+        ) from error
+
+
+def cores() -> int:
+    """Those that this process may use; all of them where the system does not tell, as macOS."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def load_kernels(task: str, *modules: ModuleType, device: str) -> None:
-    """Have the kernels of ``modules`` ready on a device; says so, since compiling them takes time."""
-    missing = [module for module in modules if (module.__name__, device) not in _loaded]
-    if missing:
-        logger.info("loading the kernels of the %s for %s: compiled if they are new here, in about 10 s", task, device)
-    for module in missing:
-        wp.load_module(module, device=device)
-        _loaded.add((module.__name__, device))
+    """Have the kernels of ``modules`` ready on a device; says so before it compiles any, which takes time."""
+    _begin()
+    with one_at_a_time:
+        missing = [module for module in modules if (module.__name__, device) not in _loaded]
+        if missing and not kernels_cached(*missing, device=device):
+            logger.warning("compiling the kernels of the %s for %s, once on this machine: half a minute", task, device)
+        for module in missing:
+            wp.load_module(module, device=device)
+            _loaded.add((module.__name__, device))
+
+
+def kernels_cached(*modules: ModuleType, device: str) -> bool:
+    """Whether the kernels of ``modules`` were compiled for a device before."""
+    _begin()
+    return all(_is_cached(wp.get_module(module.__name__), wp.get_device(device)) for module in modules)
+
+
+def _is_cached(module: wp.Module, device: wp.Device) -> bool:
+    folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim=1 if device.is_cpu else None)
+    endings = (".o",) if device.is_cpu else (".cubin", ".ptx")
+    return any(path.suffix in endings for path in folder.glob("*"))

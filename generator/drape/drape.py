@@ -1,6 +1,6 @@
 """Box meshes and bodies in, garments at rest out."""
 
-import os
+import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,7 +9,8 @@ import warp as wp
 
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import resolve_device
+from gcd_dataset.generator.drape.device import cores, resolve_device
+from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.queue import drape_in_turn
 from gcd_dataset.records import Drape
 
@@ -39,9 +40,9 @@ def drape_all(
 ) -> Iterator[Drape]:
     """The same for any number of jobs, which are taken as there is room for them, and given back in their order."""
     device = resolve_device(device)
-    checked = _checked(jobs)
+    checked = _checked(jobs, device)
     if device == "cpu":
-        yield from _by_threads(checked, config, at_once or _cores())
+        yield from _by_threads(checked, config, at_once or cores())
         return
     early: dict[int, Drape] = {}
     following = 0
@@ -66,25 +67,32 @@ def places_in(free: float) -> int:
     return min(max(int(SHARE * free / ROOM), 1), AT_ONCE)
 
 
-def _cores() -> int:
-    """Those that this process may use; all of them where the system does not tell, as macOS."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _checked(jobs: Iterable[DrapeJob]) -> Iterator[DrapeJob]:
+def _checked(jobs: Iterable[DrapeJob], device: str) -> Iterator[DrapeJob]:
+    """The jobs; kernels are compiled with the first, in the thread that asks, which Ctrl-C reaches."""
     for number, job in enumerate(jobs):
         if len(job.box_mesh.faces) == 0:
             raise DrapeError(f"garment {number} has no faces: build its box mesh from a pattern with panels")
+        if number == 0:
+            load_drape(device)
         yield job
 
 
+class _Left(Exception):  # noqa: N818 - no error: seen by nobody
+    """Ends a drape that nobody waits for any more."""
+
+
 def _by_threads(jobs: Iterable[DrapeJob], config: DrapeConfig, threads: int) -> Iterator[Drape]:
-    """One garment a thread: a graph is played without the interpreter's lock."""
+    """One garment a thread: a graph is played without the interpreter's lock. Those under way stop where the caller
+    does, as by Ctrl-C."""
+
+    left = threading.Event()
+
+    def require_wanted() -> None:
+        if left.is_set():
+            raise _Left
 
     def drape(job: DrapeJob) -> Drape:
-        [(_, done)] = drape_in_turn([job], config, device="cpu", at_once=1)
+        [(_, done)] = drape_in_turn([job], config, device="cpu", at_once=1, between=require_wanted)
         return done
 
     ahead: deque[Future[Drape]] = deque()
@@ -100,6 +108,7 @@ def _by_threads(jobs: Iterable[DrapeJob], config: DrapeConfig, threads: int) -> 
                 if ahead:
                     yield ahead.popleft().result()
         finally:
+            left.set()
             for future in ahead:
                 future.cancel()
     if not isinstance(ended, StopIteration):

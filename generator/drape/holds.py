@@ -11,16 +11,21 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.generator.drape.body_field import AXES, FOREARM
 from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.records import BodyPart, BoxMesh, Measurements
 
-__all__ = ["Wear", "held_from_below", "holds", "own_parts", "unseen_parts"]
+__all__ = ["Wear", "fell", "floor", "held_from_below", "holds", "off_body", "own_parts", "unseen_parts"]
 
 NECKLINE = frozenset({"left_collar", "right_collar"})
 SLIDING_DROP = 18.0  # cm below its level at which a held edge counts as slid off: about armpits to waist
 UNDER_HIPS = 4.0  # cm below the hips at which they hold nothing any more
+KNEES = 0.4  # of the waist's height: what hung from the hips up and ends here is off the body
+HIPS = 0.75  # of the same
+TOP = 0.9  # quantile of the heights above which cloth without a labelled edge is taken to hold the rest
 COLLAR_SLACK = 2.0  # cm by which the collar may lie nearer to the middle than the neck is wide
 
 
@@ -34,10 +39,11 @@ class Wear:
     own_part: Int[np.ndarray, " v"]
     keepers: Int[np.ndarray, " n"]
     lowest: float
+    floor: float
 
     @classmethod
     def of(cls, job: DrapeJob) -> Self:
-        return cls(*holds(job), unseen_parts(job.box_mesh), own_parts(job.box_mesh), *held_from_below(job))
+        return cls(*holds(job), unseen_parts(job.box_mesh), own_parts(job.box_mesh), *held_from_below(job), floor(job))
 
 
 def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " v"]]:
@@ -77,6 +83,39 @@ def held_from_below(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
         if label in labels and np.isfinite(lowest) and not _hangs_from_shoulders(job):
             return np.asarray(labels[label]), lowest
     return np.zeros(0, int), 0.0
+
+
+def off_body(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
+    """Whether a garment that is not held from below has come off the body without falling past it.
+
+    A neckline has where it lies below the waist; a garment without labels that hung from the hips or higher, where its
+    top lies below the knees.
+    """
+    mesh, waist = job.box_mesh, job.measurements.waist_level
+    if len(held_from_below(job)[0]) or not np.isfinite(waist):
+        return False
+    if _hangs_from_shoulders(job):
+        neckline = np.concatenate([mesh.labels[label] for label in sorted(NECKLINE & mesh.labels.keys())])
+        return bool(vertices[neckline, 1].mean() < waist)
+    start = mesh.vertices[:, 1]
+    top = start >= np.quantile(start, TOP)
+    return bool(start.max() > HIPS * waist and vertices[top, 1].mean() < KNEES * waist)
+
+
+def floor(job: DrapeJob) -> float:
+    """The height that the body stands on [cm]."""
+    return min(0.0, float(job.body.vertices[:, 1].min()))
+
+
+def fell(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
+    """Whether the garment, or a piece that nothing is sewn to, lies below the floor with all of its vertices."""
+    low = vertices[:, 1] <= np.float32(floor(job))
+    if not low.any():
+        return False
+    sides = job.box_mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    graph = coo_array((np.ones(len(sides), bool), sides.T), shape=(len(vertices), len(vertices)))
+    _, piece = connected_components(graph, directed=False)
+    return bool((np.bincount(piece, ~low) == 0).any())
 
 
 def _hangs_from_shoulders(job: DrapeJob) -> bool:

@@ -41,6 +41,8 @@ class ClothModel:
     topology: Topology
     face_world: wp.array
     """(f) the garment of each face."""
+    usual_length: tuple[float, ...]
+    """(w) median flat length of each garment's edges [cm]."""
     bodies: tuple[BodyField, ...]
     """Kept alive for the handles in ``cloth``."""
 
@@ -76,16 +78,16 @@ def build_model(
     topology = build_topology(jobs, [wear.keepers for wear in worn], device)
     bodies = body_fields([job.body for job in jobs], device, fields)
     field, offsets, parts = _join_fields(bodies, device)
-    steps = _time_steps(topology)
+    steps, lengths = _time_steps(topology), _usual_lengths(topology)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0) for k, job in enumerate(jobs)]
     for k, world in enumerate(worlds):
         world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
-    for world, step, lengths, start, end in zip(
-        worlds, steps, _usual_lengths(topology), topology.vertex_offset, topology.vertex_offset[1:], strict=False
+    for world, step, length, start, end in zip(
+        worlds, steps, lengths, topology.vertex_offset, topology.vertex_offset[1:], strict=False
     ):
-        _add_garment(world, config, float(step), float(lengths), int(start), int(end - start))
+        _add_garment(world, config, float(step), length, int(start), int(end - start))
     for world, body, offset, wear in zip(worlds, bodies, offsets, worn, strict=True):
-        world.keepers, world.lowest = len(wear.keepers), wear.lowest
+        world.keepers, world.lowest, world.floor = len(wear.keepers), wear.lowest, wear.floor
         world.field_offset = offset
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
@@ -102,6 +104,7 @@ def build_model(
         rows=topology.rows,
         topology=topology,
         face_world=wp.array(face_world, dtype=int, device=device),
+        usual_length=tuple(lengths),
         bodies=bodies,
     )
 

@@ -1,4 +1,4 @@
-"""How a drape ended: at rest, through the body, through itself, or on the floor."""
+"""How a drape ended: at rest, through the body, through itself, off the body, or below the floor."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,12 +8,14 @@ from jaxtyping import Float
 
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import one_at_a_time
-from gcd_dataset.generator.drape.holds import held_from_below
+from gcd_dataset.generator.drape.holds import fell, held_from_below, off_body
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Drape, Outcome
 
-__all__ = ["collect", "slid_off"]
+__all__ = ["collect", "is_through_body", "slid_off"]
+
+SKIN_EDGE = 0.3  # cm: edges of ears, fingers and toes, which come through cloth between its own edges
 
 
 def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> list[Drape]:
@@ -26,6 +28,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
         if solver.config.exact_finish:
             solver.leave_skin(chosen)
         self_crossings, body_crossings = solver.self_crossings(chosen), solver.body_crossings(chosen)
+        body_through = solver.body_through(chosen)
         stretches = solver.stretches()
     x, status, frames, overfull = (a.numpy() for a in (state.x, state.status, state.frames, state.contacts.overfull))
     drapes = []
@@ -40,23 +43,35 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
             body_crossings=int(body_crossings[w]),
             stretch_median=float(median),
             stretch_p99=float(p99),
+            body_through=int(body_through[w]),
         )
-        outcome = _judge(job, drape, solver.config, int(status[w]), overfull=bool(overfull[w]))
+        through = is_through_body(drape, solver.config, solver.model.usual_length[w])
+        outcome = _judge(job, drape, solver.config, int(status[w]), overfull=bool(overfull[w]), through=through)
         drapes.append(replace(drape, outcome=outcome))
     return drapes
 
 
-def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> Outcome:
+def is_through_body(drape: Drape, config: DrapeConfig, usual_length: float) -> bool:
+    """Whether more edges of cloth and body cross than ``config`` allows, of cloth whose edges have this length [cm].
+
+    Along one curve a finer mesh has more crossings, in proportion: edges of the body count as so many of the cloth.
+    """
+    return drape.body_crossings + drape.body_through * SKIN_EDGE / usual_length > config.max_body_crossings
+
+
+def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool, through: bool) -> Outcome:
     """The first of the failures that applies, gravest first; else settled."""
     if status == DIVERGED or not np.isfinite(drape.vertices).all():
         return Outcome.DIVERGED
     if overfull:
         return Outcome.OVERFULL
-    if slid_off(job, drape.vertices):
+    if fell(job, drape.vertices):
+        return Outcome.FELL
+    if slid_off(job, drape.vertices) or off_body(job, drape.vertices):
         return Outcome.SLID_OFF
     if status != DONE:
         return Outcome.NOT_SETTLED
-    if drape.body_crossings > config.max_body_crossings:
+    if through:
         return Outcome.THROUGH_BODY
     if drape.self_crossings > config.max_self_crossings:
         return Outcome.THROUGH_ITSELF

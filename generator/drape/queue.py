@@ -22,7 +22,7 @@ from gcd_dataset.generator.drape.holds import Wear
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect
-from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.drape.solver import Solver, nothing
 from gcd_dataset.generator.mesh import Coarse, coarse_start
 from gcd_dataset.records import Drape
 
@@ -60,18 +60,21 @@ def drape_in_turn(
     device: str,
     at_once: int,
     arrived: Callable[[], int] = no_more,
+    between: Callable[[], None] = nothing,
 ) -> Iterator[tuple[int, Drape]]:
     """The number and the drape of each job, in the order in which they come to rest; ``at_once`` share the device.
 
     ``jobs`` may arrive while others are draped: a ``None`` among them, which counts as no job, says that there is none
-    at this moment, and ``arrived`` how many have come since. It ends when all are draped and none is there.
+    at this moment, and ``arrived`` how many have come since. It ends when all are draped and none is there, or by what
+    ``between`` raises, which is called between steps.
     """
     waiting = _Waiting(jobs, config)
     turns = waiting.taken(at_once)
     before = None
     while turns:
+        between()
         solver = _begin(turns, before, config, device)
-        running = _run(solver, turns, not waiting.ended, partial(_as_fit, arrived, at_once - len(turns)))
+        running = _run(solver, turns, not waiting.ended, partial(_as_fit, arrived, at_once - len(turns)), between)
         frames = solver.state.frames.numpy()
         ended = [k for k in np.flatnonzero(~running).tolist() if turns[k].coarse is None]
         for k, drape in zip(ended, collect(solver, [turns[k].whole for k in ended], ended), strict=True):
@@ -189,7 +192,13 @@ def _begin(turns: Sequence[_Turn], before: Solver | None, config: DrapeConfig, d
     return solver
 
 
-def _run(solver: Solver, turns: Sequence[_Turn], any_wait: bool, arrived: Callable[[], int]) -> Bool[np.ndarray, " w"]:
+def _run(
+    solver: Solver,
+    turns: Sequence[_Turn],
+    any_wait: bool,
+    arrived: Callable[[], int],
+    between: Callable[[], None],
+) -> Bool[np.ndarray, " w"]:
     """Step until nothing moves, or many places stand empty that others wait for; which garments still move."""
     refining = np.array([turn.coarse is not None for turn in turns])
     while True:
@@ -198,4 +207,4 @@ def _run(solver: Solver, turns: Sequence[_Turn], any_wait: bool, arrived: Callab
         if not running.any() or idle.sum() + arrived() >= max(1, IDLE * len(turns)):
             return running
         for _ in range(POLL_EVERY):
-            solver.frame()
+            solver.frame(between)

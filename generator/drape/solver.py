@@ -1,61 +1,37 @@
 """The time steps of a batch: recorded as graphs, on the CPU as on a GPU, and played until all is at rest."""
 
 from collections.abc import Callable
-from types import ModuleType
 
 import numpy as np
 import warp as wp
 from jaxtyping import Bool, Int
 
 from gcd_dataset.errors import DrapeError
+from gcd_dataset.generator.drape.body_field import BodyField
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import load_kernels, one_at_a_time
-from gcd_dataset.generator.drape.kernels import (
-    boxes,
-    carry,
-    contacts,
-    crossing,
-    field,
-    finish,
-    refine,
-    rows,
-    search,
-    sides,
-    step,
-    stillness,
-    topology,
-)
+from gcd_dataset.generator.drape.device import one_at_a_time
+from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, finish, search, sides, step, stillness
 from gcd_dataset.generator.drape.kernels.world import RUNNING
+from gcd_dataset.generator.drape.loading import load_drape
 from gcd_dataset.generator.drape.model import ClothModel
 from gcd_dataset.generator.drape.state import new_state
 
-__all__ = ["Solver"]
+__all__ = ["Solver", "nothing"]
 
-KERNELS: tuple[ModuleType, ...] = (
-    boxes,
-    carry,
-    contacts,
-    crossing,
-    field,
-    finish,
-    refine,
-    rows,
-    search,
-    sides,
-    step,
-    stillness,
-    topology,
-)
 REBUILD_EVERY = 10  # frames after which the tree of boxes is built anew
 FINISHING_ROUNDS = 4
 GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; longer lists are walked in strides
+
+
+def nothing() -> None:
+    """What is done between steps by default."""
 
 
 class Solver:
     """Steps a batch frame by frame. The first frame records its graphs; the rest replay them."""
 
     def __init__(self, model: ClothModel, config: DrapeConfig) -> None:
-        load_kernels("drape", *KERNELS, device=model.device)
+        load_drape(model.device)
         self.model, self.config = model, config
         self.state = new_state(model, config)
         self.frames = 0
@@ -65,8 +41,11 @@ class Solver:
         self._none = wp.zeros_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
 
-    def frame(self) -> None:
-        """One frame: ``config.substeps`` time steps, and the count of what still moves."""
+    def frame(self, between: Callable[[], None] = nothing) -> None:
+        """One frame: ``config.substeps`` time steps, and the count of what still moves.
+
+        ``between`` is called every few steps; what it raises ends the drape.
+        """
         if self.frames % REBUILD_EVERY == 0:
             with one_at_a_time:
                 self._bound()
@@ -77,6 +56,7 @@ class Solver:
                 rounds = self.config.substeps // self.config.search_every
                 self._graphs = [self._recorded(self._record_start), *rounds * [steps], self._recorded(self._record_end)]
         for graph in self._graphs:
+            between()
             wp.capture_launch(graph)
         self.frames += 1
 
@@ -113,9 +93,7 @@ class Solver:
         m = self.model
         asked = self._asked(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
-        self._bound()
-        self._bvh.refit()
-        self._launch(crossing.find_roots, m.n_worlds, [self._bvh.id], [self._roots])
+        self._fit_tree()
         self._launch(
             crossing.count_self_crossings,
             m.n_edges,
@@ -130,6 +108,22 @@ class Solver:
         asked = self._asked(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
         self._launch(crossing.count_body_crossings, m.n_edges, [m.cloth, asked, self.state.x], [counts])
+        return counts.numpy()
+
+    def body_through(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
+        """Edges of each world's body that cross its cloth; 0 for those that are not asked for."""
+        m = self.model
+        asked = self._asked(worlds)
+        counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
+        edges = wp.array([_edges_of(body) for body in m.bodies], dtype=crossing.BodyEdges, device=m.device)
+        self._fit_tree()
+        most = max(len(body.edges) for body in m.bodies)
+        self._launch(
+            crossing.count_body_through,
+            (m.n_worlds, most),
+            [m.cloth, edges, self._bvh.id, self._roots, asked, self.state.x],
+            [counts],
+        )
         return counts.numpy()
 
     def stretches(self) -> np.ndarray:
@@ -165,7 +159,7 @@ class Solver:
             self._step(odd=turn % 2 == 1, before_search=turn + 1 == self.config.search_every)
 
     def _record_end(self) -> None:
-        """What ends a frame: garments that rest, and those that have slid off, are done."""
+        """What ends a frame: garments that rest, and those that have slid off or fallen, are done."""
         m, s = self.model, self.state
         s.any_crossing.zero_()
         threads = 1 if m.device == "cpu" else 256
@@ -173,13 +167,14 @@ class Solver:
             stillness.watch_frame,
             (m.n_worlds, threads),
             [m.worlds, m.cloth, threads, s.frames, s.x],
-            [s.status, s.x_seen, s.moving, s.hasty, s.kept_height],
+            [s.status, s.x_seen, s.moving, s.hasty, s.kept_height, s.above_floor],
         )
         self._launch(
             stillness.end_frame,
             m.n_worlds,
             [m.worlds, s.time],
             [s.crossing_due, s.contacts.crossing_count, s.status, s.moving, s.hasty, s.kept_height]
+            + [s.above_floor]
             + [
                 s.held,
                 s.loose_after,
@@ -212,9 +207,7 @@ class Solver:
     def _find_crossings(self) -> None:
         """Where the cloth crosses itself: marked, so that contacts do not lock it in."""
         m, s = self.model, self.state
-        self._bound()
-        self._bvh.refit()
-        self._launch(crossing.find_roots, m.n_worlds, [self._bvh.id], [self._roots])
+        self._fit_tree()
         self._launch(crossing.forget_crossings, m.n_vertices, [m.cloth, s.untangling], [s.tangled])
         self._launch(
             crossing.find_crossings,
@@ -266,6 +259,12 @@ class Solver:
         self._launch(sides.mark_passed, threads, inputs, [s.passed])
         self._launch(sides.keep_sides, threads, [m.worlds, threads, s.status, s.searching, s.passed], [s.contacts])
 
+    def _fit_tree(self) -> None:
+        """Fit the tree of boxes to the cloth where it is."""
+        self._bound()
+        self._bvh.refit()
+        self._launch(crossing.find_roots, self.model.n_worlds, [self._bvh.id], [self._roots])
+
     def _bound(self) -> None:
         m, s = self.model, self.state
         self._launch(boxes.bound_faces, len(m.face_world), [m.cloth, s.x], [s.lower, s.upper])
@@ -278,3 +277,9 @@ class Solver:
     def _launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
         block = 64 if self.model.n_vertices < GPU_THREADS else 256  # small blocks, lest one garment fills half of a GPU
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.model.device, block_dim=block)
+
+
+def _edges_of(body: BodyField) -> crossing.BodyEdges:
+    edges = crossing.BodyEdges()
+    edges.mesh, edges.ends = body.mesh.id, body.edges
+    return edges

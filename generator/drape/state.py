@@ -56,6 +56,8 @@ class ClothState:
     """(w) vertices that moved in this frame, those that moved fast, and the sum of the keepers' heights."""
     hasty: wp.array
     kept_height: wp.array
+    above_floor: wp.array
+    """(w) vertices that are not below the floor."""
     moved_far: wp.array
     """(w) whether a vertex has moved so far that contacts must be searched anew."""
     fewest: wp.array
@@ -119,6 +121,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         moving=zeros(worlds, int),
         hasty=zeros(worlds, int),
         kept_height=zeros(worlds, int),
+        above_floor=zeros(worlds, int),
         moved_far=wp.ones(worlds, dtype=int, device=model.device),
         fewest=wp.full(worlds, NEVER_COUNTED, dtype=int, device=model.device),
         fewest_at=zeros(worlds, int),

@@ -7,11 +7,11 @@ import numpy as np
 import warp as wp
 
 from gcd_dataset.generator.drape.config import DrapeJob
-from gcd_dataset.generator.drape.device import load_kernels
 from gcd_dataset.generator.drape.kernels import rows as row_kernels
 from gcd_dataset.generator.drape.kernels import topology as kernels
 from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring
 from gcd_dataset.generator.drape.kernels.sheet import Sheet, sheet_of
+from gcd_dataset.generator.drape.loading import load_drape
 
 __all__ = ["Topology", "build_topology"]
 
@@ -53,7 +53,7 @@ class Topology:
 
 def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], device: str) -> Topology:
     """The topology of all garments, in the order of the jobs; ``keepers`` are the vertices that keep each one up."""
-    load_kernels("drape's topology", kernels, row_kernels, device=device)
+    load_drape(device)
     meshes = [job.box_mesh for job in jobs]
     vertices = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     corners = np.cumsum([0, *(len(mesh.uv) for mesh in meshes)])

@@ -1,5 +1,6 @@
 """A pattern as one triangle mesh: panels meshed flat, put in their place round the body, and joined along the seams."""
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -10,11 +11,14 @@ from jaxtyping import Float, Int
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.lattice import lattice_size
 from gcd_dataset.generator.mesh.sample import MOST_POINTS, Border, edge_counts, sample_border
+from gcd_dataset.generator.mesh.sides import flat_areas, turned_over
 from gcd_dataset.generator.mesh.stitch import merge_points, middles, seam_name, sew
 from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern
 
 __all__ = ["build_box_mesh"]
+
+log = logging.getLogger(__name__)
 
 NARROWEST = 0.05  # spacings: mean width of a panel under which its triangles would be slivers
 TOUCH = 1e-6  # cm between an edge and the point where it is said to cross another
@@ -27,6 +31,9 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     and 1.43 at most; angles are over 20° except where the outline's own points leave no room for that: in sharper
     corners, beside slits, and along edges much shorter than the spacing.
 
+    Faces on both sides of a seam are wound alike, counter-clockwise on the garment's outside. That is the right side of
+    the cloth, but for panels whose seams turn them over, as those of a lapel: ``turned_panels`` names them.
+
     Raises ``MeshError`` for a panel or a seam that cannot be meshed, with its name and what to do.
     """
     if not 0.0 < spacing < np.inf:
@@ -37,16 +44,17 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     edges = cut.edges(pattern)
     sewn = sew(pattern.seams, [(edges[seam.left], edges[seam.right]) for seam in pattern.seams])
     vertex = merge_points(sewn, cut.panel_of_point, pattern.seams)
-    faces = vertex[cut.corners]
+    corners = _wound_alike(cut, pattern)
+    faces = vertex[corners]
     whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)  # a seam may close a triangle on itself
     _require_faces(faces[whole], vertex, cut, pattern)
     return BoxMesh(
         vertices=middles(cut.placed, vertex),
         faces=faces[whole],
         uv=cut.flat,
-        corners=cut.corners[whole],
+        corners=corners[whole],
         uv_vertex=vertex,
-        panel_id=cut.panel_of_point[cut.corners[whole, 0]],
+        panel_id=cut.panel_of_point[corners[whole, 0]],
         panel_names=tuple(panel.name for panel in pattern.panels),
         panel_labels=tuple(panel.label for panel in pattern.panels),
         seams=np.stack([vertex[sewn.left], sewn.seam], axis=1),
@@ -92,6 +100,20 @@ def _cut(pattern: Pattern, spacing: float) -> _Cut:
         borders=borders,
         first=first,
     )
+
+
+def _wound_alike(cut: _Cut, pattern: Pattern) -> Int[np.ndarray, "f 3"]:
+    """The corners of all faces, those of panels that are sewn in wrong side out the other way round."""
+    panel = cut.panel_of_point[cut.corners[:, 0]]
+    areas = np.bincount(panel, np.abs(flat_areas(cut.flat[cut.corners])), minlength=len(pattern.panels))
+    names = [panel.name for panel in pattern.panels]
+    turned = turned_over(names, areas, pattern.seams)
+    over = dict(zip(names, turned.tolist(), strict=True))
+    for number, seam in enumerate(pattern.seams):
+        if seam.right_wrong != (over[seam.left.panel] != over[seam.right.panel]):
+            name = seam_name(number, seam)
+            log.warning("%s: %s closes a band with one side only: faces disagree along it", pattern.name, name)
+    return np.where(turned[panel, None], cut.corners[:, [0, 2, 1]], cut.corners)
 
 
 def _mesh_panel(panel: Panel, border: Border, spacing: float, known: Fillings) -> Filling:

@@ -47,6 +47,13 @@ def test_the_papers_checks_know_no_stretch() -> None:
     assert [outcome for outcome in Outcome if pass_paper(drape(outcome))] == [Outcome.SETTLED, Outcome.OVERSTRETCHED]
 
 
+def test_the_papers_checks_count_edges_of_the_cloth_alone() -> None:
+    failed = drape(Outcome.THROUGH_BODY)
+    assert pass_paper(replace(failed, body_crossings=30, body_through=6))
+    assert not pass_paper(replace(failed, body_crossings=36, body_through=6))
+    assert not pass_paper(replace(failed, body_crossings=30, body_through=6, self_crossings=301))
+
+
 def test_shares_and_percentiles() -> None:
     drapes = [drape(Outcome.SETTLED), drape(Outcome.OVERSTRETCHED), drape(Outcome.THROUGH_ITSELF, crossings=400)]
     figures = {figure.metric: figure.value for figure in quality(drapes)}

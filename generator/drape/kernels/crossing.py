@@ -185,6 +185,44 @@ def count_self_crossings(
             return
 
 
+@wp.struct
+class BodyEdges:
+    """The edges of one body."""
+
+    mesh: wp.uint64
+    ends: wp.array(dtype=wp.vec2i)  # vertices of the mesh
+
+
+@wp.kernel
+def count_body_through(
+    # model
+    cloth: Cloth,
+    bodies: wp.array(dtype=BodyEdges),
+    bvh: wp.uint64,
+    roots: wp.array(dtype=int),
+    asked: wp.array(dtype=int),
+    # state in
+    x: wp.array(dtype=wp.vec3),
+    # out
+    crossings: wp.array(dtype=int),
+):
+    """Count the edges of each world's body that cross at least one triangle of its cloth."""
+    w, e = wp.tid()
+    if asked[w] == 0 or e >= bodies[w].ends.shape[0]:
+        return
+    ends = bodies[w].ends[e]
+    mesh = wp.mesh_get(bodies[w].mesh)
+    p = mesh.points[ends[0]]
+    q = mesh.points[ends[1]]
+    query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), roots[w])
+    f = int(0)
+    while wp.bvh_query_next(query, f):
+        face = cloth.faces[f]
+        if segment_crosses(p, q, x[face[0]], x[face[1]], x[face[2]]):
+            wp.atomic_add(crossings, w, 1)
+            return
+
+
 @wp.func
 def crosses_skin(mesh: wp.uint64, p: wp.vec3, q: wp.vec3) -> bool:
     """Whether the segment pq meets the skin of a body."""

@@ -1,4 +1,4 @@
-"""The end of a frame: which garments hang still, have slid off or have diverged, and which have not."""
+"""The end of a frame: which garments hang still, have slid off, fallen or diverged, and which have not."""
 
 import warp as wp
 
@@ -34,8 +34,11 @@ def watch_frame(
     moving: wp.array(dtype=int),
     hasty: wp.array(dtype=int),
     kept_height: wp.array(dtype=int),
+    above_floor: wp.array(dtype=int),
 ):
-    """Count the vertices that moved in the frame, and those that moved fast; add up the heights of the keepers."""
+    """Count the vertices that moved in the frame, those that moved fast, and those above the floor; add up the heights
+    of the keepers.
+    """
     w, thread = wp.tid()
     if status[w] != RUNNING:
         return
@@ -44,6 +47,7 @@ def watch_frame(
     count = int(0)
     fast = int(0)
     height = int(0)
+    above = int(0)
     for i in range(world.first + thread, world.first + world.size, threads):
         moved = wp.length(x[i] - x_seen[i])
         if not wp.isfinite(moved):
@@ -54,6 +58,8 @@ def watch_frame(
             fast += 1
         if cloth.keeper[i] != wp.uint8(0):
             height += int(wp.clamp(x[i][1], -1000.0, 1000.0) * HEIGHT_SCALE)
+        if x[i][1] > world.floor:
+            above += 1
         x_seen[i] = x[i]
     if count > 0:
         wp.atomic_add(moving, w, count)
@@ -61,6 +67,8 @@ def watch_frame(
         wp.atomic_add(hasty, w, fast)
     if height != 0:
         wp.atomic_add(kept_height, w, height)
+    if above > 0:
+        wp.atomic_add(above_floor, w, above)
 
 
 @wp.kernel
@@ -76,6 +84,7 @@ def end_frame(
     moving: wp.array(dtype=int),
     hasty: wp.array(dtype=int),
     kept_height: wp.array(dtype=int),
+    above_floor: wp.array(dtype=int),
     held: wp.array(dtype=int),
     loose_after: wp.array(dtype=float),
     fewest: wp.array(dtype=int),
@@ -108,11 +117,14 @@ def end_frame(
                 and float(kept_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers)
             ):
                 status[w] = STOPPED
+        if above_floor[w] == 0 and time[w] >= world.sewing_time + world.held_time and status[w] == RUNNING:
+            status[w] = STOPPED
         if status[w] == RUNNING and frames[w] >= world.max_frames:
             status[w] = STOPPED
     moving[w] = 0
     hasty[w] = 0
     kept_height[w] = 0
+    above_floor[w] = 0
     if untangling[w] != 0 and (crossing_count[w] < fewest[w] or crossing_count[w] == 0 or held[w] != 0):
         fewest[w] = crossing_count[w]
         fewest_at[w] = frames[w]

@@ -7,7 +7,7 @@ wp.set_module_options({"enable_backward": False})
 RUNNING = 0
 DONE = 1
 DIVERGED = 2
-STOPPED = 3  # out of frames, or sliding off
+STOPPED = 3  # out of frames, sliding off, or below the floor
 
 
 @wp.struct
@@ -44,6 +44,7 @@ class World:
     falling: float  # vertices that may move fast in a garment that is let go
     frame: float  # s
     lowest: float  # cm, below which the mean of the vertices that keep it up has slid off
+    floor: float  # cm, below which a garment has fallen
     keepers: int  # how many vertices keep it up
     field_offset: wp.int64  # first voxel of the body's distance field
     field_size: wp.vec3i  # voxels along x, y, z

@@ -1,0 +1,119 @@
+"""What is waited for, where compiled kernels are kept, and how a drape is left."""
+
+import os
+import stat
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Generator, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import warp as wp
+
+from gcd_dataset.generator.drape import (
+    DrapeJob,
+    drape_all,
+    kernels_compiled,
+    seconds_per_garment,
+    seconds_to_drape,
+    tell_wait,
+)
+from gcd_dataset.generator.drape import device as devices
+from gcd_dataset.generator.drape.kernels import refine
+from gcd_dataset.generator.drape.solver import Solver
+from tests.helpers import SIZE, far_ball, patch
+
+
+def started(home: Path | str, code: str) -> subprocess.CompletedProcess[str]:
+    """A fresh interpreter whose home is another."""
+    bare = {key: value for key, value in os.environ.items() if key not in ("WARP_CACHE_PATH", "XDG_CACHE_HOME")}
+    environment = {**bare, "HOME": str(home), "TMPDIR": str(home) if Path(home).is_dir() else "/tmp"}
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+
+
+START = "from gcd_dataset.generator.drape import resolve_device; print(resolve_device('cpu'), resolve_device('cpu'))"
+
+
+def test_kernels_are_kept_elsewhere_where_the_home_cannot_be_written(tmp_path: Path) -> None:
+    """And that is said once."""
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / ".cache").write_text("no folder")
+    done = started(home, START)
+    assert (done.returncode, done.stdout) == (0, "cpu cpu\n"), done.stderr
+    [line] = done.stderr.splitlines()
+    kept = home / f"gcd_dataset-kernels-{os.getuid()}"
+    assert line.startswith(f"compiled kernels are kept in {kept}")
+    assert "WARP_CACHE_PATH" in line
+    assert stat.S_IMODE(kept.stat().st_mode) == 0o700
+
+
+def test_a_folder_that_others_may_write_keeps_no_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What lies in it is run."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    own = devices._own_folder()
+    assert devices._own_folder() == own
+    own.chmod(0o777)
+    assert devices._own_folder() != own
+
+
+def test_kernels_that_are_compiled_are_told_of_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert devices.resolve_device("cpu") == "cpu"
+    monkeypatch.setattr(devices, "_loaded", set())
+    devices.load_kernels("test", refine, device="cpu")
+    caplog.clear()
+    monkeypatch.setattr(devices, "_loaded", set())
+    devices.load_kernels("test", refine, device="cpu")
+    assert not caplog.records
+    monkeypatch.setattr(devices, "_loaded", set())
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    assert not kernels_compiled("cpu")
+    devices.load_kernels("test", refine, device="cpu")
+    assert [record.getMessage().split(",")[0] for record in caplog.records] == [
+        "compiling the kernels of the test for cpu"
+    ]
+    assert caplog.records[0].levelname == "WARNING"  # seen in a program that has set up no logging
+
+
+def test_waits_grow_with_garments_and_finer_meshes(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.drape.loading.cores", lambda: 2)
+    assert seconds_to_drape(5, "cpu", 1.0) == 3 * seconds_per_garment("cpu", 1.0)
+    assert seconds_per_garment("cpu", 2.0) < seconds_per_garment("cpu", 1.0) / 4
+    with caplog.at_level("INFO", logger="gcd_dataset"):
+        tell_wait(1, "cpu", 5.0)
+        assert not caplog.records
+        tell_wait(40, "cpu", 1.0)
+    assert "40 garments at 1 cm on this CPU takes about 7 min" in caplog.text
+
+
+def test_garments_under_way_stop_where_nobody_waits_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those after the first would fall for hundreds of frames: none is begun once its drape is not wanted any more."""
+    frames: list[float] = []
+    frame = Solver.frame
+
+    def counted(solver: Solver, *between: Any) -> None:
+        frames.append(time.perf_counter())
+        frame(solver, *between)
+
+    monkeypatch.setattr(Solver, "frame", counted)
+    mesh = patch(40, 40, origin=(0.0, 1e5, 0.0))
+
+    def jobs() -> Iterator[DrapeJob]:
+        yield DrapeJob(patch(2, 2, origin=(0.0, -50.0, 0.0)), far_ball(), SIZE)
+        yield from [DrapeJob(mesh, far_ball(), SIZE)] * 3
+
+    before = threading.active_count()
+    drapes = drape_all(jobs(), device="cpu", at_once=2)
+    assert isinstance(drapes, Generator)
+    next(drapes)
+    left = time.perf_counter()
+    drapes.close()
+    assert threading.active_count() == before
+    assert sum(moment > left for moment in frames) <= 2  # one for each thread

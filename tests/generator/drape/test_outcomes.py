@@ -1,0 +1,200 @@
+"""Garments that do not stay on the body, and crossings of cloth and body counted both ways."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
+from gcd_dataset.generator.drape.holds import fell, off_body
+from gcd_dataset.generator.drape.model import build_model
+from gcd_dataset.generator.drape.outcome import is_through_body
+from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.pipeline import prepare
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.records import Body, BodyPart, BoxMesh, Drape, Outcome
+from tests.helpers import SIZE, body_from, far_ball, joined, patch, tube
+
+LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
+HOOD = MakeConfig(
+    bodies="random",
+    stage="mesh",
+    resolution=3.0,
+    design=Overlay.from_dict(
+        {"meta": {"upper": {"options": ["Shirt", "FittedShirt"]}}, "collar": {"component": {"style": "Hood2Panels"}}}
+    ),
+)
+EARS_OUT = (5, 3)  # seed and number of a design whose hood the ears come through
+
+
+def table() -> Body:
+    top = trimesh.creation.box(extents=[40.0, 20.0, 40.0])
+    top.apply_translation([0.0, 60.0, 0.0])
+    return body_from(top)
+
+
+def on_a_table(mesh: BoxMesh) -> DrapeJob:
+    return DrapeJob(mesh, table(), SIZE)
+
+
+def beside(mesh: BoxMesh) -> BoxMesh:
+    return replace(mesh, vertices=mesh.vertices + [80.0, 0.0, 0.0])
+
+
+SHEET = patch(16, 16, place=LYING, origin=(-8.0, 72.0, 8.0))
+
+
+def test_a_garment_that_falls_past_the_body_fell_below_the_floor() -> None:
+    """Whoever is in the batch, and as soon as all of it is below."""
+    falls, stays = on_a_table(beside(SHEET)), on_a_table(SHEET)
+    together = drape_batch([stays, falls], device="cpu")
+    assert [drape.outcome for drape in together] == [Outcome.SETTLED, Outcome.FELL]
+    assert drape_batch([falls], device="cpu") == [together[1]]
+    assert -30.0 < together[1].vertices[:, 1].max() < 0.0
+    assert together[1].frames < DrapeConfig().max_frames
+
+
+def test_a_piece_that_nothing_is_sewn_to_fell_alone() -> None:
+    scrap = patch(4, 4, place=LYING, origin=(80.0, 66.0, 1.0))
+    [drape] = drape_batch([on_a_table(joined(SHEET, scrap))], DrapeConfig(max_frames=100), device="cpu")
+    assert drape.outcome is Outcome.FELL
+    assert drape.vertices[0, 1] > 70.0
+
+
+def test_a_hem_below_the_floor_is_no_fall() -> None:
+    mesh = patch(4, 30, origin=(0.0, -10.0, 0.0))
+    assert not fell(DrapeJob(mesh, far_ball(), SIZE), mesh.vertices)
+    assert fell(DrapeJob(mesh, far_ball(), SIZE), mesh.vertices - [0.0, 20.0, 0.0])
+
+
+def test_a_ring_at_rest_round_the_feet_has_slid_off() -> None:
+    """Nothing is labelled: a wide ring drops from the waist onto the foot of a post, and lies there still."""
+    post = trimesh.creation.cylinder(radius=6.0, height=130.0, sections=24)
+    foot = trimesh.creation.cylinder(radius=40.0, height=6.0, sections=48)
+    shape = trimesh.util.concatenate([post, foot])
+    shape.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    shape.apply_translation([0.0, 3.0, 0.0])
+    shape = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(shape.vertices, shape.faces, 8.0))
+    ring = tube(36, 3, radius=11.5, spacing=2.0, height=95.0)
+    [drape] = drape_batch([DrapeJob(ring, body_from(shape), SIZE)], device="cpu")
+    assert np.ptp(drape.vertices[:, 1]) < 8.0 < 12.0
+    assert 6.0 < drape.vertices[:, 1].min() < drape.vertices[:, 1].max() < 20.0
+    assert drape.outcome is Outcome.SLID_OFF
+
+
+def test_a_neckline_belongs_above_the_waist() -> None:
+    dress = patch(
+        5, 5, spacing=2.0, origin=(0.0, SIZE.waist_level + 20.0, 0.0), labels={"left_collar": np.arange(30, 36)}
+    )
+    job = DrapeJob(dress, far_ball(), SIZE)
+    assert not off_body(job, dress.vertices)
+    assert off_body(job, dress.vertices - [0.0, 40.0, 0.0])
+
+
+def test_edges_of_a_spike_through_cloth_are_counted() -> None:
+    """Its tip comes through the middle of a face, in which no edge of the cloth is hit: three edges of the body."""
+    spike = trimesh.Trimesh(
+        [[50.0, 105.0, -25.0], [40.0, 60.0, -20.0], [60.0, 60.0, -20.0], [50.0, 60.0, -40.0]],
+        [[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]],
+    )
+    cloth = patch(1, 1, spacing=100.0, place=LYING, origin=(0.0, 100.0, 0.0))
+    jobs = [DrapeJob(cloth, far_ball(), SIZE), DrapeJob(cloth, body_from(spike), SIZE)]
+    solver = Solver(build_model(jobs, DrapeConfig(), "cpu"), DrapeConfig())
+    assert solver.body_crossings().tolist() == [0, 0]
+    assert solver.body_through().tolist() == [0, 3]
+    assert solver.body_through(np.array([True, False])).tolist() == [0, 0]
+
+
+def test_what_is_inside_a_body_does_not_come_through_cloth() -> None:
+    """An eye is no skin, and neither is the lid over the opening that it leaves."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
+    ball.apply_translation([0.0, 100.0, 0.0])
+    inside = ball.vertices[:, 1] > 106.0
+    parts = np.where(inside, BodyPart.INTERNAL.value, 0).astype(np.uint8)
+    body = replace(body_from(ball), parts=parts)
+    sheet = patch(1, 1, spacing=100.0, place=LYING, origin=(-31.0, 106.5, 52.0))
+    counts = [
+        Solver(build_model([DrapeJob(sheet, one, SIZE)], DrapeConfig(), "cpu"), DrapeConfig()).body_through()[0]
+        for one in (body_from(ball), body)
+    ]
+    above = ball.vertices[ball.edges_unique][:, :, 1] > 106.5
+    assert counts == [int((above[:, 0] != above[:, 1]).sum()), 0]
+
+
+@pytest.fixture(scope="module")
+def hooded() -> tuple[DrapeJob, Float[np.ndarray, "v 3"]]:
+    """A hood at rest, with the ears through it."""
+    [worn] = prepare(*EARS_OUT, HOOD).dressed
+    assert worn.box_mesh is not None
+    job = DrapeJob(worn.box_mesh, worn.body, worn.size)
+    [drape] = drape_batch([job], DrapeConfig(max_body_crossings=10), device="cpu")
+    assert drape.body_through == len(piercing(job, drape.vertices)) > 0
+    assert drape.body_crossings < 10
+    assert drape.outcome is Outcome.THROUGH_BODY  # by the edges of the ears
+    return job, drape.vertices
+
+
+def test_ears_through_a_hood_are_counted(hooded: tuple[DrapeJob, Float[np.ndarray, "v 3"]]) -> None:
+    job, vertices = hooded
+    ears = piercing(job, vertices)
+    ears = ears[(job.body.parts[ears] == BodyPart.HEAD.value).all(axis=1)]
+    assert len(ears) > 40
+    assert np.ptp(job.body.vertices[ears][..., 1]) < 8.0
+
+
+def test_edges_of_the_body_count_by_their_length() -> None:
+    """At 1 cm a hundred edges of toes are as long as thirty of the cloth; at 3 cm as ten."""
+    drape = Drape(np.zeros((3, 3), np.float32), Outcome.SETTLED, 10, 0, 10, 1.0, 1.0, body_through=100)
+    config = DrapeConfig(max_body_crossings=35)
+    assert is_through_body(drape, config, 1.0)
+    assert not is_through_body(drape, config, 3.0)
+    assert not is_through_body(replace(drape, body_through=83), config, 1.0)
+    assert is_through_body(replace(drape, body_crossings=36, body_through=0), config, 3.0)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 3.0), (2.0, 1.0, 0.0), (0.0, -12.0, 0.0)])
+def test_crossings_agree_with_exact_arithmetic(
+    hooded: tuple[DrapeJob, Float[np.ndarray, "v 3"]], shift: tuple[float, float, float]
+) -> None:
+    """A garment moved through its wearer: the skin's edges against all triangles near them, by signs of volumes."""
+    job, vertices = hooded
+    solver = Solver(build_model([job], DrapeConfig(), "cpu"), DrapeConfig())
+    moved = (vertices + shift).astype(np.float32)
+    solver.state.x.assign(moved)
+    expected = len(piercing(job, moved))
+    assert expected > 100
+    assert solver.body_through()[0] == expected
+
+
+def piercing(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> Int[np.ndarray, "n 2"]:
+    """The edges of the skin that cross the cloth."""
+    body = job.body
+    points = body.vertices.astype(np.float32).astype(float)
+    skin = body.faces[(body.parts[body.faces] != BodyPart.INTERNAL.value).all(axis=1)]
+    edges = np.unique(np.sort(skin[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    ends, triangles = points[edges], np.asarray(vertices, float)[job.box_mesh.faces]
+    tree = cKDTree(triangles.mean(axis=1))
+    reach = np.linalg.norm(triangles - triangles.mean(axis=1, keepdims=True), axis=2).max()
+    half = 0.5 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    near = tree.query_ball_point(ends.mean(axis=1), reach + half)
+    edge = np.repeat(np.arange(len(edges)), [len(one) for one in near])
+    face = np.concatenate([np.asarray(one, int) for one in near])
+    hit = crosses(*ends[edge].transpose(1, 0, 2), *triangles[face].transpose(1, 0, 2))
+    return edges[np.unique(edge[hit])]
+
+
+def crosses(*points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Whether segments pq cross triangles abc: the ends on either side, and the line on one side of all three sides."""
+    p, q, a, b, c = points
+    apart = volume(a, b, c, p) * volume(a, b, c, q) <= 0
+    sides = np.sign([volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)])
+    return apart & ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0))
+
+
+def volume(*points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    a, b, c, d = points
+    return (np.cross(b - a, c - a) * (d - a)).sum(axis=1)
