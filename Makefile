@@ -1,9 +1,11 @@
 # make demo         install into .venv, make a few garments on the CPU, load them, leave pictures in demo/
 # make test         install into .venv, then lint, types and tests
 # make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks
+# make fuzz N=10000  give every reader of files N damaged inputs, and print what came of them
 # make lint         format and lint in place
 
 PYTHON ?= python3
+N ?= 200
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 EXTRAS := .venv-extras/bin
@@ -11,7 +13,7 @@ EXTRAS_INSTALLED := .venv-extras/.installed
 # A process a core, of one thread each; more than eight would have too little memory to themselves.
 SHARED_OUT := --numprocesses logical --maxprocesses 8 --dist worksteal
 
-.PHONY: demo test test-extras lint
+.PHONY: demo test test-extras fuzz lint
 
 demo: $(INSTALLED)
 	$(BIN)/python -m benchmarks.demo --out demo
@@ -24,6 +26,9 @@ test: $(INSTALLED)
 
 test-extras: $(EXTRAS_INSTALLED)
 	OMP_NUM_THREADS=1 $(EXTRAS)/python -m pytest tests/extras
+
+fuzz: $(INSTALLED)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz.campaign --examples $(N)
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format
