@@ -242,8 +242,16 @@ def _asking_hub(repo: str) -> Iterator[None]:
     """Turn what ``huggingface_hub`` raises into a ``RemoteError``."""
     from huggingface_hub.errors import HfHubHTTPError
 
-    unreached = (ConnectionError, *_errors_of_clients("TransportError", "ConnectionError", "ReadTimeout"))
-    failed = (HfHubHTTPError, RuntimeError, ValueError, *_errors_of_clients("HTTPError", "RequestException"))
+    unreached: tuple[type[Exception], ...] = (
+        ConnectionError,
+        *_errors_of_clients("TransportError", "ConnectionError", "ReadTimeout"),
+    )
+    failed: tuple[type[Exception], ...] = (
+        HfHubHTTPError,
+        RuntimeError,
+        ValueError,
+        *_errors_of_clients("HTTPError", "RequestException"),
+    )
     try:
         yield
     except unreached as error:
