@@ -6,9 +6,9 @@ from itertools import islice
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import torch
-from gcd_dataset.loaders.by_thread import by_thread
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
+from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, items_of
 from gcd_dataset.loaders.chance import own_chance

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from gcd_dataset.generator.pipeline import make
+from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.shards import ShardWriter
 
