@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from gcd_dataset.errors import ConfigError, TransformError
+from gcd_dataset.errors import ConfigError, ShardError, TransformError
 from gcd_dataset.loaders.held import fields_held
 from gcd_dataset.loaders.indexing import (
     UnknownKeyError,
@@ -349,7 +349,11 @@ def kept_item(item: Any) -> Any:
 def tensor_of(array: np.ndarray, dtype: torch.dtype | None = None) -> torch.Tensor:
     """The array as a tensor, floating numbers as ``dtype``; without a copy where it is of that and writable."""
     if array.dtype == np.float64 and dtype is torch.float32:  # most arrays of a pattern: NumPy takes half the time
-        return torch.from_numpy(array.astype(np.float32))
+        try:
+            with np.errstate(over="raise"):
+                return torch.from_numpy(array.astype(np.float32))
+        except FloatingPointError as error:
+            raise ShardError("numbers beyond float32: dtype=None keeps them as they are stored") from error
     # Views of ``bytes`` are read-only, which no tensor can be.
     tensor = torch.from_numpy(array if array.flags.writeable else array.copy())
     return tensor if dtype is None or not tensor.is_floating_point() else as_type(tensor, dtype)

@@ -12,7 +12,7 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import (
@@ -30,6 +30,7 @@ from gcd_dataset.loaders import (
     collate_packed,
     collate_padded,
 )
+from gcd_dataset.loaders.base import tensor_of
 from gcd_dataset.shards import FIELDS, ShardReader, ShardWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
 from tests.loaders.test_shards import assert_all_same, same
@@ -309,3 +310,10 @@ def test_all_are_told_in_a_line(sets: dict[str, Path], tmp_path: Path) -> None:
         assert "\n" not in told
         assert "garments" in told
         assert len(told) < 300
+
+
+def test_a_number_beyond_float32_is_not_made_infinite() -> None:
+    large = np.array([1.0, 1e300])
+    with pytest.raises(ShardError, match="dtype=None keeps them"):
+        tensor_of(large, torch.float32)
+    assert tensor_of(large, None).tolist() == [1.0, 1e300]
