@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gcd_dataset.errors import BodyError, ShardError, SpecError
 from gcd_dataset.jsonfile import DEEPEST, found, parse_json, read_json
 
-BROKEN = {
+BROKEN: dict[str, str | bytes] = {
     "deep": "[" * 100_000 + "]" * 100_000,
     "deep and open": '{"a":' * 100_000,
     "one level too deep": "[" * (DEEPEST + 1) + "]" * (DEEPEST + 1),
