@@ -25,9 +25,8 @@ SHORTEST_EDGE = 0.5  # cm: an edge under it has defeated cloth simulators (a fif
 LARGEST = 1000.0  # cm: no piece of a garment is ten metres across; a pattern in the wrong unit is
 LONGEST_OUTLINE = 10_000.0  # cm: an outline of 100 m is a scribble; that of a ruffle of 8 m has 20
 MOST_NAMES = 40  # in a message
-MOST_EDGES = (
-    2000  # of a panel: an outline of 10 m in steps of half a centimetre; published and sampled panels have up to 36
-)
+MOST_PANELS = 500  # of a garment; published and sampled garments have up to 24, a quilt a hundred
+MOST_EDGES = 2000  # of a panel: 10 m in steps of half a centimetre; published and sampled panels have up to 36
 WIDE = 400.0  # cm: a ruffle may be wider, though not a garment of which most edges are LONG, too
 LONG = 60.0  # cm: the median edge of a garment is shorter, and that of one ten times too large longer
 HIGH = 400.0  # cm: nobody is so tall that a panel would hang there
@@ -53,6 +52,7 @@ class Rule(Enum):
     """What a pattern can break; the value is the text for people."""
 
     NO_PANEL = "no panels"
+    MANY_PANELS = "too many panels"
     PANEL_NAME = "name that tells no panel"
     FEW_EDGES = "too few edges"
     MANY_EDGES = "too many edges"
@@ -106,6 +106,9 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     """Every fault of a pattern, panel by panel, then seam by seam; empty for one that can be sewn as it is."""
     if not pattern.panels:
         return (Fault(Rule.NO_PANEL, "", None, "there is nothing to sew: draw one"),)
+    if len(pattern.panels) > MOST_PANELS:
+        figure = f"{len(pattern.panels)}, more than {MOST_PANELS}: leave one garment in the file"
+        return (Fault(Rule.MANY_PANELS, "", None, figure),)
     faults = {number: list(_loop_faults(panel)) for number, panel in enumerate(pattern.panels)}
     units = _units(pattern)
     drawn = {number: edge_hulls(panel) for number, panel in enumerate(pattern.panels) if not faults[number]}

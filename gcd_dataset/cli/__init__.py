@@ -26,7 +26,7 @@ from gcd_dataset.cli.verb import (
     open_anywhere,
     stopped,
 )
-from gcd_dataset.errors import ConfigError, GcdError, SpecError
+from gcd_dataset.errors import ConfigError, GcdError, SpecError, shown
 from gcd_dataset.files import user_path
 from gcd_dataset.tomlfile import read_toml
 
@@ -369,7 +369,7 @@ def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
     """The options in a TOML file. Raises ``ConfigError`` with the line, or the name that is not known."""
     values = {name.replace("-", "_"): value for name, value in read_toml(path).items()}
     if unknown := sorted(set(values) - known):
-        raise ConfigError(f"{path}: no option is called {unknown[0]}: there are {', '.join(sorted(known))}")
+        raise ConfigError(f"{path}: no option is called {shown(unknown[0])}: there are {', '.join(sorted(known))}")
     if "design" in values:
         values["design"] = _overlay(path, values["design"])
     return values

@@ -2,7 +2,7 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model, landmarks
@@ -70,7 +70,10 @@ def narrowest_ring(
         raise BodyError("the skin round the right wrist has a hole: close it, and give a whole hand")
     loops = [points[level == offset] for offset in offsets]
     narrowest = min(loops, key=lambda loop: girth(loop[:, [0, 2]]))
-    hull = narrowest[ConvexHull(narrowest[:, [0, 2]]).vertices]
+    try:
+        hull = narrowest[ConvexHull(narrowest[:, [0, 2]]).vertices]
+    except QhullError as error:  # of a sliver, whose points lie in one line
+        raise BodyError("no skin goes all round the right wrist: mend the mesh there") from error
     return hull @ np.stack([across, normal, along]) + middle
 
 

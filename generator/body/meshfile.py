@@ -1,8 +1,10 @@
 """Meshes of bodies in OBJ, PLY, STL and GLB files, as arrays in the file's own order and unit."""
 
+import contextlib
 import io
+import logging
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +38,8 @@ def read_mesh(path: Path) -> _Mesh:
         raise BodyError(f"{path}: a body is read from {', '.join(READERS)}: convert it")
     content = read_whole(path, "mesh", limit=LARGEST_FILE, error=BodyError)
     try:
-        vertices, faces = reader(content, path)
+        with _trimesh_silent():
+            vertices, faces = reader(content, path)
     except BodyError:
         raise
     except Exception as error:  # of a file that is none trimesh lets through whatever Python raises
@@ -106,6 +109,17 @@ def _loaded(stream: io.StringIO | io.BytesIO, kind: str) -> trimesh.Trimesh:
 
 def _arrays(mesh: trimesh.Trimesh) -> _Mesh:
     return np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, int).reshape(-1, 3)
+
+
+@contextlib.contextmanager
+def _trimesh_silent() -> Iterator[None]:
+    """Keep trimesh from logging tracebacks of what it could not read: the caller tells it in one line."""
+    logger = logging.getLogger("trimesh")
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 def _first_line(error: BaseException) -> str:

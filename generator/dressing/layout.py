@@ -6,6 +6,7 @@ other, seams within a layer side by side. The flat garment is set before and beh
 sleeves along the arms.
 """
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -31,6 +32,7 @@ OVER = 0.2  # share of a panel that covers another of its layer, from which it i
 STEP = 5.0  # cm further out
 ARMHOLE = 4.0  # cm of an armhole's middle below the armpit, as GarmentCode hangs bodices
 UNDER_NAPE = 5.0  # cm of the highest point of a neckline below the nape, as GarmentCode hangs bodices
+PAIRED = 40  # openings that are compared pair by pair, the longest; a garment has up to ten
 UNPAIRED = 15.0  # cm that an opening without a counterpart counts
 BODICE = ("torso", "bodice", "top", "bust")  # in the names of panels that hang from the armpits
 ASIDE = 8.0  # cm from the middle: the centre of an opening further out is that of an arm or a leg
@@ -55,7 +57,7 @@ class _Laid:
         ends = self.panel.edge_ends(index)
         return self.points(sample_curve(*ends, self.panel.edges[index].curve, ON_SEAM))
 
-    @property
+    @functools.cached_property
     def polygon(self) -> shapely.Polygon:
         points = self.points(outline(self.panel))
         return shapely.make_valid(shapely.Polygon(np.stack([points.real, points.imag], axis=1)))
@@ -231,6 +233,8 @@ def _middle(openings: Sequence[Opening]) -> float:
     """The x about which the openings are most nearly mirror images of each other."""
     if not openings:
         return 0.0
+    if len(openings) > PAIRED:
+        openings = sorted(openings, key=lambda opening: -opening.length)[:PAIRED]
     centres = np.array([o.centre[0] for o in openings])
     kinds = np.array([[0.2 * o.length, 0.5 * o.centre[1]] for o in openings])
     unlike = np.abs(kinds[:, None] - kinds).sum(axis=2)

@@ -141,6 +141,7 @@ NONE = {
     "nothing.stl": (b"", ""),
     "short.stl": (bytes(80) + struct.pack("<I", 10**9) + bytes(50), ""),
     "words.stl": (b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\nendloop\nendfacet\nendsolid\n", ""),
+    "normal.stl": (b"solid a\nfacet normal 0 0 x\nouter loop\nvertex 0 0 0\nvertex 0 nan 0\nvertex 9 0 0\n", ""),
     "nothing.glb": (b"", "no binary glTF 2.0"),
     "deep.glb": (glb(b"[" * 100_000), "levels deep"),
     "list.glb": (glb([1]), "its JSON is no object"),
@@ -157,7 +158,7 @@ NONE = {
 
 
 @pytest.mark.parametrize("name", NONE)
-def test_what_is_no_mesh_is_told_in_one_line(name: str, tmp_path: Path) -> None:
+def test_what_is_no_mesh_is_told_in_one_line(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     content, said = NONE[name]
     (tmp_path / name).write_bytes(content)
     with pytest.raises(BodyError) as caught:
@@ -167,6 +168,7 @@ def test_what_is_no_mesh_is_told_in_one_line(name: str, tmp_path: Path) -> None:
     assert message.startswith(f"{tmp_path / name}: ")
     assert message.isprintable()
     assert len(message.removeprefix(str(tmp_path))) < 250
+    assert "Traceback" not in caplog.text
 
 
 def test_a_file_of_gigabytes_is_not_read(tmp_path: Path) -> None:

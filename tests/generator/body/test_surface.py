@@ -90,6 +90,14 @@ def test_the_narrowest_ring_of_an_hourglass() -> None:
     assert found[:, 1] == pytest.approx(found[0, 1])
 
 
+def test_a_limb_without_breadth_has_no_ring() -> None:
+    strip = np.array([[-3.0, -9.0, 0.0], [3.0, -9.0, 0.0], [3.0, 9.0, 0.0], [-3.0, 9.0, 0.0]])
+    ring = np.array([[-3.0, 0.0, -1.0], [3.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    with pytest.raises(BodyError, match="no skin goes all round the right wrist"):
+        narrowest_ring(strip, faces, ring, np.array([-1.0, 0.0, 1.0]), np.zeros(2, bool))
+
+
 def test_a_scan_is_welded_and_its_holes_are_patched() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=50.0)
     open_faces = ball.faces[ball.vertices[ball.faces][:, :, 1].max(axis=1) < 45.0]

@@ -10,9 +10,12 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.dressing import dress, has_legs
+from gcd_dataset.generator.dressing.layout import lay_on_body
+from gcd_dataset.generator.dressing.openings import openings_of
+from gcd_dataset.generator.dressing.wearer import wearer_of
 from gcd_dataset.generator.fitting import fit
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.records import Body, Measurements, Outcome, Panel, Pattern, Placement
+from gcd_dataset.records import Body, Edge, EdgeRef, Measurements, Outcome, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
 from tests.generator.dressing.test_openings import rectangle, tube
 
@@ -180,3 +183,20 @@ def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> No
 def _at_depth(panel: Panel, z: float) -> Panel:
     x, y, _ = panel.placement.translation
     return replace(panel, placement=Placement(np.array([x, y, z]), panel.placement.rotation))
+
+
+def test_a_net_of_hundreds_of_openings_hangs_in_the_middle(wearer: tuple[Body, Measurements]) -> None:
+    """Two hundred strips in a row, each sewn to the next above and below a slit."""
+    corners = np.array([[0, 0], [1, 0], [1, 4], [1, 6], [1, 10], [0, 10], [0, 6], [0, 4]], float)
+    edges = tuple(Edge(i, (i + 1) % 8) for i in range(8))
+    panels = tuple(Panel(f"strip_{i}", corners, edges, UNPLACED) for i in range(200))
+    seams = tuple(
+        Seam(EdgeRef(f"strip_{i}", right), EdgeRef(f"strip_{i + 1}", left))
+        for i in range(199)
+        for right, left in ((1, 7), (3, 5))
+    )
+    net = Pattern("net", panels, seams)
+    hung, _ = lay_on_body(net, wearer_of(*wearer))
+    assert len(openings_of(hung)) > 190
+    places = np.concatenate([panel.placement.apply(panel.vertices) for panel in hung.panels])
+    assert np.isfinite(places).all()
