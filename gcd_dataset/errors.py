@@ -18,6 +18,8 @@
 Messages are one line and say what was met, where, and what to do about it: ``gcd`` prints them as they are.
 """
 
+from collections.abc import Iterable
+
 __all__ = [
     "BodyError",
     "ConfigError",
@@ -33,6 +35,7 @@ __all__ = [
     "ShardError",
     "SpecError",
     "TransformError",
+    "did_you_mean",
     "shown",
 ]
 
@@ -40,6 +43,18 @@ __all__ = [
 def shown(text: str) -> str:
     """Text from outside as it may stand in a message: in quotes, escaped, where something in it does not print."""
     return text if text.isprintable() else ascii(text)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown word: the nearest of those that are known, if one is near.
+
+    >>> did_you_mean("drap", ["body", "drape"]), did_you_mean("xyz", ["body"])
+    (': did you mean drape?', '')
+    """
+    import difflib  # only where something has gone wrong
+
+    nearest = difflib.get_close_matches(word, list(known), 1)
+    return f": did you mean {nearest[0]}?" if nearest else ""
 
 
 class GcdError(Exception):

@@ -29,6 +29,7 @@ from gcd_dataset.shards.layout import MEMBERS, Bytes, key_of
 
 __all__ = ["PublishedGarmentCodeData"]
 
+LARGEST_PICTURE = 8192  # pixels a side; published ones have 800
 POINTS = 8192  # of a garment's surface, as in our own data sets
 META, MEASURES = "meta.json", "measures.json"
 MESH = ("spec", "sim", "box", "segmentation", "vertex_labels")
@@ -202,9 +203,11 @@ def _points(garment: PublishedGarment, source: str) -> Float[np.ndarray, "n 6"]:
 def _on_white(garment: PublishedGarment, side: str) -> bytes:
     """A picture as JPEG, its background white where it had none. Raises ``ShardError``."""
     try:
-        with Image.open(io.BytesIO(garment.picture(side))) as image:
+        with Image.open(io.BytesIO(garment.picture(side)), formats=["PNG"]) as image:
+            if max(image.size) > LARGEST_PICTURE:
+                raise ValueError(f"{image.width} by {image.height} pixels, where {LARGEST_PICTURE} are read")
             cut_out = image.convert("RGBA")
-    except OSError as error:
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:  # the second for a broken chunk
         raise garment.broken(side, f"not a picture ({error})") from error
     return jpeg_bytes(
         np.asarray(Image.alpha_composite(Image.new("RGBA", cut_out.size, "white"), cut_out).convert("RGB"))

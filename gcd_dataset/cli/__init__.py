@@ -1,6 +1,8 @@
 """The ``gcd`` command: reads the options, calls one function of the library, prints what came back.
 
-Errors are one line on stderr. Exit 2 for wrong usage, 1 for bad input, 130 after Ctrl-C.
+Errors are one line on stderr. Exit 2 for wrong usage: a verb, option, value or name that there is not, and options that
+do not fit together, this machine, or the data set that is gone on with. Exit 1 for bad input: what is missing, damaged,
+or lacks what was asked for. Exit 130 after Ctrl-C.
 """
 
 import argparse
@@ -18,15 +20,18 @@ from gcd_dataset.cli import datasets, exchange
 from gcd_dataset.cli.verb import (
     ANYWHERE,
     INTERRUPTED,
+    NAMES,
+    Parser,
     add_quiet,
     add_server,
     add_verb,
+    body_name,
     interrupts_after_imports,
     natural,
     open_anywhere,
     stopped,
 )
-from gcd_dataset.errors import ConfigError, GcdError, SpecError, shown
+from gcd_dataset.errors import ConfigError, GcdError, ShardError, SpecError, shown
 from gcd_dataset.files import user_path
 from gcd_dataset.tomlfile import read_toml
 
@@ -35,7 +40,6 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-NAMES = "neutral, female, male, random:SEED, female:SEED, male:SEED"  # of bodies
 FABRICS = "denim, drill, interlock, wool_light ...; a name that is not there is answered with those that are"
 BODY_STAGE = "body"  # the wearers alone, in both poses, with their measures
 
@@ -44,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``gcd`` with ``arguments`` and return its exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     logging.getLogger("gcd_dataset").setLevel(logging.INFO)
-    options = _at_home(_parser().parse_args(arguments))
+    options = _at_home(_parsed(arguments))
     try:
         with interrupts_after_imports():
             return int(options.run(options))
@@ -68,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _generate(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from gcd_dataset.cli.generate import generate, plan
+    from gcd_dataset.cli.generate import generate, plan, waiting_line
     from gcd_dataset.generator.recipe import MakeConfig
     from gcd_dataset.records import Outcome
 
@@ -79,6 +83,8 @@ def _generate(options: argparse.Namespace) -> int:
         return _generate_people(options, given)
     config = MakeConfig(**given)
     task = plan(options.out, options.count, seed=options.seed, config=config)
+    if wait := waiting_line(task, options.workers):
+        print(wait, file=sys.stderr)
     made = rejected = failed = 0
     samples = generate(task, workers=options.workers)
     try:
@@ -232,8 +238,18 @@ def _show(options: argparse.Namespace) -> int:
 # ------------------------------------------------------------------------------------------------------------- options
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="gcd", description="Made-to-measure garments with their sewing patterns.")
+def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The options of a command line. Exits 2 where it is not one."""
+    parser, verbs = _parser()
+    options, left = parser.parse_known_args(arguments)
+    if left:
+        verbs[options.verb].unknown(left)
+    return options
+
+
+def _parser() -> tuple[Parser, Mapping[str, Parser]]:
+    """The parser of all verbs, and that of each."""
+    parser = Parser(prog="gcd", description="Made-to-measure garments with their sewing patterns.")
     parser.add_argument("--version", action="version", version=f"gcd_dataset {__version__}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
 
@@ -272,7 +288,7 @@ def _parser() -> argparse.ArgumentParser:
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
     )
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
-    drape.add_argument("--body", default="neutral", help=f"{NAMES} or a mesh file (default: neutral)")
+    drape.add_argument("--body", type=body_name, default="neutral", help=f"{NAMES} or a mesh file (default: neutral)")
     drape.add_argument(
         "--measurements", type=Path, metavar="YAML", help="of a body from a mesh file [cm, degrees]; else taken"
     )
@@ -300,7 +316,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="MESH",
         help="OBJ, PLY, STL or GLB of one body in m, cm or mm, closed or with small holes",
     )
-    measure.add_argument("--shape", metavar="NAME", help=f"{NAMES}, instead of a mesh")
+    measure.add_argument("--shape", type=body_name, metavar="NAME", help=f"{NAMES}, instead of a mesh")
     measure.add_argument(
         "--landmarks", type=Path, metavar="JSON", help="landmarks by name: vertex id or [x, y, z] as in the mesh file"
     )
@@ -321,7 +337,7 @@ def _parser() -> argparse.ArgumentParser:
 
     datasets.add_verbs(verbs)
     exchange.add_verbs(verbs)
-    return parser
+    return parser, verbs.choices
 
 
 def _at_home(options: argparse.Namespace) -> argparse.Namespace:
@@ -354,7 +370,7 @@ def _sample(options: argparse.Namespace) -> "Sample":
 
     reader = ShardReader(open_anywhere(options.what, options.endpoint), options.split)
     if options.index >= len(reader):
-        raise ConfigError(f"{options.what}: sample {options.index} of {len(reader)}, counted from 0")
+        raise ShardError(f"{options.what}: sample {options.index} of {len(reader)}: give one from 0 on")
     return reader.sample(options.index)
 
 

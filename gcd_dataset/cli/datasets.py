@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli.verb import ANYWHERE, add_quiet, add_server, add_verb, open_anywhere, require_folder
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
 
 __all__ = ["add_verbs"]
 
@@ -78,14 +78,14 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 def _index(options: argparse.Namespace) -> int:
-    from gcd_dataset.errors import ShardError
     from gcd_dataset.shards import rebuild_index
     from gcd_dataset.shards.contents import layout_in, require_splits
 
     folder = require_folder(options.dataset)
     splits = require_splits(folder)
     if options.split not in (None, *splits):
-        raise ShardError(f"{folder}: no shards of split {options.split}: there is {', '.join(splits)}")
+        there = f"there is {', '.join(splits)}{did_you_mean(options.split, splits)}"
+        raise ShardError(f"{folder}: no shards of split {options.split}: {there}")
     for split in splits if options.split is None else [options.split]:
         index = rebuild_index(folder, split, layout_in(folder, split))
         print(f"{folder}: {split}: {len(index)} samples in {len(index.shards)} shards")

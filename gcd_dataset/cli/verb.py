@@ -6,12 +6,13 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.cli.examples import EXAMPLES
+from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
 
 if TYPE_CHECKING:
     from gcd_dataset.shards.store import Store
@@ -19,9 +20,12 @@ if TYPE_CHECKING:
 __all__ = [
     "ANYWHERE",
     "INTERRUPTED",
+    "NAMES",
+    "Parser",
     "add_quiet",
     "add_server",
     "add_verb",
+    "body_name",
     "interrupts_after_imports",
     "natural",
     "open_anywhere",
@@ -31,12 +35,55 @@ __all__ = [
 
 INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
 RETRY = 0.05  # s between two looks whether an import has ended
+WRONG_USAGE = 2
 ANYWHERE = "folder, URL, or repository ORG/NAME of the Hub"
+MEAN, DRAWN = ("neutral", "female", "male"), ("random", "female", "male")
+NAMES = ", ".join((*MEAN, *(f"{kind}:SEED" for kind in DRAWN)))
+"""Of bodies."""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, with the nearest word that it knows."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit 2."""
+        self.exit(WRONG_USAGE, f"{self.prog}: {message} ({self.prog} --help lists what there is)\n")
+
+    def unknown(self, words: Sequence[str]) -> NoReturn:
+        """Exit 2 for words that are left over."""
+        options = [option for action in self._actions for option in action.option_strings]
+        what = "no option" if words[0].startswith("-") else "more than is asked for:"
+        self.error(f"{what} {shown(words[0])}{did_you_mean(words[0].partition('=')[0], options)}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            known = list(map(str, action.choices))
+            said = f"no {shown(str(value))}: there is {', '.join(known)}{did_you_mean(str(value), known)}"
+            raise argparse.ArgumentError(action, said)
+
+
+def body_name(text: str) -> str:
+    """An option that is the name of a body, or a mesh file."""
+    kind, drawn, seed = text.partition(":")
+    if drawn and kind in DRAWN and not seed.isdecimal():
+        raise argparse.ArgumentTypeError(
+            f"{shown(text)}: the seed is {shown(seed) or 'nothing'}: give a whole number of 0 or more, such as {kind}:7"
+        )
+    if (drawn and kind in DRAWN) or text in MEAN or Path(text).suffix or Path(text).exists():
+        return text
+    nearest = did_you_mean(kind, DRAWN if drawn else {*MEAN, *DRAWN})
+    raise argparse.ArgumentTypeError(f"no body named {shown(text)}: there are {NAMES}, or a mesh file{nearest}")
 
 
 def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
     """The parser of a verb, put among ``verbs``; ``run`` gives the exit code."""
-    parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        name,
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}.",
+        epilog="\n  ".join(["examples:", *EXAMPLES[name]]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.set_defaults(run=run)
     return parser
 
@@ -107,7 +154,7 @@ def stopped(verb: str, there: str) -> int:
 
 
 def require_folder(source: str) -> Path:
-    """The folder of a data set. Raises ``ConfigError`` for anything else, and says how what is elsewhere comes here."""
+    """The folder of a data set. Raises ``ShardError`` where there is none, ``ConfigError`` for one elsewhere."""
     from gcd_dataset.hub.place import Folder, find_place
     from gcd_dataset.shards.access import reading
 
@@ -121,15 +168,20 @@ def require_folder(source: str) -> Path:
     with reading(Path(source)):
         if Path(source).is_dir():
             return Path(source)
-    raise ConfigError(
-        f"{source}: no such folder: give a folder of shards; for a repository of the Hub, run gcd download first"
+        met = "a file, not a folder of shards" if Path(source).exists() else "no such folder"
+    raise ShardError(
+        f"{shown(source)}: {met}: give a folder of shards; for a repository of the Hub, run gcd download first"
     )
 
 
 def open_anywhere(source: str, endpoint: str | None) -> "Store":
-    """The data set in a folder, at a URL, or in a repository at ``endpoint``. Raises ``ConfigError``."""
+    """The data set in a folder, at a URL, or in a repository at ``endpoint``. Raises ``ShardError``."""
     from gcd_dataset.hub.opening import open_store
     from gcd_dataset.hub.place import Repo, find_place
     from gcd_dataset.hub.site import Remote
 
-    return open_store(source, Remote(endpoint=endpoint if isinstance(find_place(source), Repo) else None))
+    try:
+        place = find_place(source)
+    except ConfigError as error:  # a path that leads nowhere is bad input, to every verb
+        raise ShardError(str(error)) from error
+    return open_store(source, Remote(endpoint=endpoint if isinstance(place, Repo) else None))

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import BinaryIO, TypeVar
 
-from gcd_dataset.errors import MissingError, RemoteError, ShardError, shown
+from gcd_dataset.errors import MissingError, RemoteError, ShardError, did_you_mean, shown
 from gcd_dataset.hub.cache import Cache, Piece
 from gcd_dataset.hub.listing import foreign_site_index
 from gcd_dataset.hub.site import Site
@@ -50,7 +50,8 @@ class RemoteStore(Store):
     def index(self, split: str, layout: Layout) -> ShardIndex:
         manifest, name = self.manifest(), index_name(split)
         if manifest is not None and split not in manifest.splits:
-            raise ShardError(f"{self.place()}: no samples of split {split}: there is {', '.join(manifest.splits)}")
+            there = f"there is {', '.join(manifest.splits)}{did_you_mean(split, manifest.splits)}"
+            raise ShardError(f"{self.place()}: no samples of split {split}: {there}")
         try:
             content = self.site.small(name)
             index = ShardIndex.parse(content, self.place(name), layout, partial=True, remedy=REPUBLISH)

@@ -233,7 +233,7 @@ class PublishedGarment:
             own = panel_of_row == row
             known = own & free
             offset = (flat - scaled)[known].mean(axis=0) if known.any() else _offset(scaled[own], panel)
-            if np.abs((scaled + offset - flat)[known]).max(initial=0.0) > FLATNESS:
+            if not np.abs((scaled + offset - flat)[known]).max(initial=0.0) <= FLATNESS:  # nor for what is no number
                 raise self.broken("box", f"texture coordinates of panel {panel.name} are not those of its plane")
             flat[own & ~free] = scaled[own & ~free] + offset
         return flat

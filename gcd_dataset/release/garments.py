@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
 from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garment import PublishedGarment
 from gcd_dataset.release.layout import BODY_FOLDERS, REMEDY, SPLIT_FILE, SPLIT_NAMES
@@ -127,7 +127,8 @@ def _split_name(split: str) -> str:
         if split == name or split in others:
             return name
     if split != ALL:
-        raise ConfigError(f"split={split!r}: there is {', '.join(SPLIT_NAMES)}, and {ALL}")
+        nearest = did_you_mean(split, [*SPLIT_NAMES, ALL])
+        raise ConfigError(f"split={split!r}: there is {', '.join(SPLIT_NAMES)}, and {ALL}{nearest}")
     return ALL
 
 

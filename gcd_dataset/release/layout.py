@@ -12,7 +12,7 @@ garments_5000_0/random_body/…                                        the same 
 import re
 from collections.abc import Mapping
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, did_you_mean
 
 __all__ = [
     "BODY_FOLDERS",
@@ -70,7 +70,8 @@ def body_folders(bodies: str) -> tuple[str, ...]:
     if bodies == "both":
         return tuple(BODY_FOLDERS.values())
     if bodies not in BODY_FOLDERS:
-        raise ConfigError(f"bodies={bodies!r}: there is {', '.join(BODY_FOLDERS)}, and both")
+        nearest = did_you_mean(bodies, [*BODY_FOLDERS, "both"])
+        raise ConfigError(f"bodies={bodies!r}: there is {', '.join(BODY_FOLDERS)}, and both{nearest}")
     return (BODY_FOLDERS[bodies],)
 
 

@@ -5,6 +5,7 @@ vertex of a seam once for every panel it lies in: numbers in the other files of 
 Vertices at the very same place, in the order of their first mention, are the vertices that the other files number.
 """
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,8 @@ property list uchar int vertex_indices
 end_header
 """
 END = b"end_header\n"
+DIGITS = re.compile(r"[0-9]{1,9}")
+LARGEST = 1e6  # cm
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +51,10 @@ class Ply(Record):
 def read_ply(content: bytes) -> Ply:
     """The mesh in a file. Raises ``ShardError`` for one of another form, or that is cut off."""
     header, _, body = content.partition(END)
-    counts = [line.split()[2] for line in header.decode("ascii", "replace").split("\n") if line.startswith("element ")]
+    counts = re.findall(r"^element \S+ (\S+)$", header.decode("ascii", "replace"), re.MULTILINE)
     lines = (line for line in (header + END).decode("ascii", "replace").split("\n") if not line.startswith("comment"))
-    form = (line for line in HEADER.format(*counts[:2], *"??").split("\n") if not line.startswith("comment"))
-    if list(lines) != list(form) or not all(count.isdecimal() for count in counts):
+    form = (line for line in HEADER.format(*counts, *"??").split("\n") if not line.startswith("comment"))
+    if len(counts) != 2 or list(lines) != list(form) or not all(DIGITS.fullmatch(count) for count in counts):
         raise ShardError("not a binary PLY of float x y z, double s t and triangles")
     n, m = map(int, counts)
     if len(body) != n * VERTEX.itemsize + m * FACE.itemsize:
@@ -61,6 +64,9 @@ def read_ply(content: bytes) -> Ply:
     rows = faces["rows"].astype(np.int64)
     if (faces["corners"] != 3).any() or (m and not 0 <= rows.min() <= rows.max() < n):
         raise ShardError(f"a face that is no triangle of its {n} vertices")
+    for name, what in (("place", "position"), ("texture", "texture coordinate")):
+        if not np.abs(vertices[name]).max(initial=0.0) <= LARGEST:  # nor for what is no number
+            raise ShardError(f"a {what} beyond {LARGEST:g}, or that is no number")
     return Ply(vertices["place"].copy(), vertices["texture"].copy(), rows)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from gcd_dataset.errors import ShardError
+from gcd_dataset.errors import ShardError, did_you_mean
 from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.contents import read_index, splits_in, way_out
@@ -101,7 +101,7 @@ class FolderStore(Store):
         if any(shard_number(name.removesuffix(".part"), split) is not None for name in names):
             return "a run has not finished its first shard: run gcd generate again to finish it"
         whole = splits_in(self.folder)
-        return f"there is {', '.join(whole)}" if whole else way_out(self.folder)
+        return f"there is {', '.join(whole)}{did_you_mean(split, whole)}" if whole else way_out(self.folder)
 
 
 class _LastSample(NamedTuple):

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, did_you_mean
 from gcd_dataset.names import require_name
 
 __all__ = [
@@ -244,7 +244,9 @@ def known_fields(fields: Iterable[str] | None, there: Iterable[str] = FIELDS) ->
         return known
     asked = {fields} if isinstance(fields, str) else set(fields)
     if unknown := sorted(asked - set(known)):
-        raise ConfigError(f"no field {', '.join(unknown)}: there are {', '.join(known)}")
+        raise ConfigError(
+            f"no field {', '.join(unknown)}: there are {', '.join(known)}{did_you_mean(unknown[0], known)}"
+        )
     return tuple(field for field in known if field in asked)
 
 

@@ -1,0 +1,57 @@
+"""Examples for the help of each verb of ``gcd``."""
+
+from collections.abc import Mapping
+
+__all__ = ["EXAMPLES"]
+
+EXAMPLES: Mapping[str, tuple[str, str]] = {
+    "generate": (
+        "gcd generate patterns --count 100 --stage pattern",
+        "gcd generate shards --count 1000 --bodies both --resolution 2 --workers 8",
+    ),
+    "drape": (
+        "gcd drape shirt_specification.json --out draped",
+        "gcd drape *_specification.json --body female:7 --fabric denim --out draped --resolution 2",
+    ),
+    "measure": (
+        "gcd measure scan.obj --out measures.yaml",
+        "gcd measure --shape random:7",
+    ),
+    "validate": (
+        "gcd validate shirt_specification.json",
+        "gcd validate *_specification.json --errors",
+    ),
+    "show": (
+        "gcd show shards --index 3 --png garment.png",
+        "gcd show shirt_specification.json --svg pattern.svg",
+    ),
+    "info": (
+        "gcd info shards",
+        "gcd info org/garments",
+    ),
+    "verify": (
+        "gcd verify shards",
+        "gcd verify shards --full",
+    ),
+    "index": (
+        "gcd index shards",
+        "gcd index shards --split test",
+    ),
+    "download": (
+        "gcd download org/garments --split test",
+        "gcd download org/garments --fields points panels edges stitches --out garments",
+    ),
+    "publish": (
+        "gcd publish shards org/garments --dry-run",
+        "gcd publish shards org/garments --shares 90,5,5 --license cc-by-4.0",
+    ),
+    "convert": (
+        "gcd convert GarmentCodeData_v2 shards",
+        "gcd convert GarmentCodeData_v2 shards --bodies default --workers 8",
+    ),
+    "export": (
+        "gcd export shards --hdf5 train.h5",
+        "gcd export shards --layout published GarmentCodeData",
+    ),
+}
+"""Verb to two commands."""

@@ -1,0 +1,176 @@
+"""Wrong words and missing files, of every verb: one line, the same exit codes, and what to do."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.cli import _parser, main
+from gcd_dataset.cli.examples import EXAMPLES
+from gcd_dataset.cli.generate import GarmentPlan, waiting_line
+from gcd_dataset.errors import did_you_mean
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.records import Sample
+from tests.test_cli import SKIRT, exit_code, one_line
+
+VERBS = tuple(EXAMPLES)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A set of patterns, a specification file, and a text."""
+    from gcd_dataset.generator.maker import make
+    from gcd_dataset.spec import write_pattern
+
+    folder = tmp_path_factory.mktemp("place")
+    assert main(["generate", str(folder / "shards"), "--count", "2", "--stage", "pattern", "--quiet"]) == 0
+    write_pattern(make(1, 0, SKIRT).pattern, folder / "spec.json")
+    (folder / "text.txt").write_text("neither\n")
+    return folder
+
+
+WRONG_USAGE = [
+    ("", "the following arguments are required: VERB"),
+    ("drapee spec.json", "no drapee: .*did you mean drape?"),
+    *((verb, "the following arguments are required|give ") for verb in VERBS),
+    *((f"{example} --qiuet", "no option --qiuet") for verb in VERBS for example in [EXAMPLES[verb][0][4:]]),
+    ("generate out --count 1 --stage drap", "no drap: there is body, pattern, mesh, drape: did you mean drape?"),
+    ("generate out --count 1 --bodies femal", "did you mean female?"),
+    ("generate out --count 1 --on-fail kep", "did you mean keep?"),
+    ("generate out --count 1 --resolutoin 2", "no option --resolutoin: did you mean --resolution?"),
+    ("generate out --count 0", "count is 0: give 1 or more"),
+    ("generate out --count -1", "-1 is no whole number"),
+    ("generate out --count 1 --resolution 99", "give a length from 0.2 to 10.0"),
+    ("generate out --count 1 --device gpu", "device gpu"),
+    ("generate out --count 1 --fabric denin", "fabric is 'denin': known are"),
+    ("generate shards --count 1 --seed 9 --stage pattern", "made with seed=0, asked for seed=9"),
+    ("drape spec.json --out out --body neutrl", "no body named neutrl: .*did you mean neutral?"),
+    ("drape spec.json --out out --body rnadom:7", "no body named rnadom:7: .*did you mean random?"),
+    ("drape spec.json --out out --body random:x", "the seed is x: give a whole number of 0 or more"),
+    ("drape spec.json --out out --fabric denin", "fabric is 'denin': known are"),
+    ("drape spec.json --out out --device cuda:99", "device cuda:99: there is"),
+    ("measure --shape femael", "did you mean female?"),
+    ("measure a.obj b.obj", "more than is asked for: b.obj"),
+    ("measure --shape neutral --landmarks x.json", "are for a mesh file"),
+    ("show shards --png a.jpg", "end the name in .png"),
+    ("show shards", "give --png FILE or --svg FILE"),
+    ("verify https://example.org/a", "run gcd download https://example.org/a first"),
+    ("download shards", "a folder of this machine"),
+    ("download org/name --fields vertz", "no field vertz: there are .*: did you mean verts?"),
+    ("publish shards nobody --dry-run --out out", "neither a URL nor a repository"),
+    ("publish shards me/garments --dry-run --out out --shares 1,2", "write per cent"),
+    ("convert shards out --bodies defualt", "did you mean default?"),
+    ("export shards", "one of them"),
+    ("export shards --layout publishd out", "there is published"),
+]
+
+BAD_INPUT = [
+    ("generate text.txt --count 1 --stage pattern --quiet", "text.txt: cannot be written"),
+    ("drape missing.json --out out", "missing.json: no such file"),
+    ("drape spec.json --out out --body missing.obj", "missing.obj: cannot be read"),
+    ("drape text.txt --out out", "text.txt: "),
+    ("measure missing.obj", "missing.obj: cannot be read"),
+    ("measure text.txt", "text.txt: a body is read from"),
+    ("validate missing.json", "missing.json: no such file"),
+    ("validate text.txt", "text.txt: "),
+    ("show missing --png a.png", "missing: no such folder"),
+    ("show missing.json --png a.png", "missing.json: no such file"),
+    ("show shards --png a.png --index 2", "sample 2 of 2"),
+    ("show shards --png a.png --split trian", "no samples of split trian: there is train: did you mean train?"),
+    ("info missing", "missing: no such folder"),
+    ("info text.txt", "text.txt: a file, not a folder of shards"),
+    ("verify missing", "missing: no such folder"),
+    ("verify text.txt", "text.txt: a file, not a folder of shards"),
+    ("index missing", "missing: no such folder"),
+    ("index shards --split trian", "no shards of split trian: there is train: did you mean train?"),
+    ("publish missing me/garments --dry-run", "missing: no such folder"),
+    ("convert missing out", "missing: no such folder"),
+    ("convert shards out", "no folder such as garments_5000_0"),
+    ("export missing --hdf5 a.h5", "missing: no such folder"),
+    ("export shards --hdf5 a.h5 --split trian", "no samples of split trian: there is train: did you mean train?"),
+    ("export shards --layout published late --quiet", "is not draped"),
+]
+
+
+@pytest.mark.parametrize(
+    ("code", "line", "told"), [(2, *case) for case in WRONG_USAGE] + [(1, *case) for case in BAD_INPUT]
+)
+def test_exit_codes_are_the_same_for_every_verb(
+    code: int, line: str, told: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """2 for wrong usage, 1 for bad input; one line either way, which says what there is, or what to do."""
+    monkeypatch.chdir(place)
+    assert exit_code(shlex.split(line)) == code
+    said = one_line(capsys.readouterr().err)
+    assert re.search(told.replace("?", r"\?"), said), said
+    assert said.startswith("gcd")
+    assert not (place / "out").exists()
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_the_help_of_every_verb_has_examples_that_parse(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    parser, verbs = _parser()
+    assert set(verbs) == set(EXAMPLES)
+    assert exit_code([verb, "--help"]) == 0
+    text = capsys.readouterr().out
+    for example in EXAMPLES[verb]:
+        assert f"\n  {example}\n" in text
+        assert parser.parse_args(shlex.split(example)[1:]).verb == verb
+
+
+def test_no_verb_ends_with_the_code_of_ctrl_c_but_after_ctrl_c(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(place)
+    monkeypatch.setattr("gcd_dataset.cli.inspect.info_lines", interrupted)
+    assert main(["info", "shards"]) == 130
+    assert "gcd info: stopped" in one_line(capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("word", "known", "told"),
+    [
+        ("tarin", ["train", "test"], ": did you mean train?"),
+        ("x", ["train", "test"], ""),
+        ("", [], ""),
+    ],
+)
+def test_the_nearest_word_is_told(word: str, known: list[str], told: str) -> None:
+    assert did_you_mean(word, known) == told
+
+
+# -------------------------------------------------------------------------------------------------- waits
+
+
+def plan_of(count: int, **options: object) -> GarmentPlan:
+    return GarmentPlan(Path("out"), count, tuple(range(count)), 0, MakeConfig(device="cpu", **options))  # type: ignore[arg-type]
+
+
+def test_a_long_wait_on_a_cpu_is_told_with_the_ways_out() -> None:
+    told = waiting_line(plan_of(10_000))
+    assert told is not None
+    assert "10000 garments to drape at 1 cm: about " in told
+    assert "each on a core of a CPU" in told
+    assert "--resolution 2 takes a fifth" in told
+    assert waiting_line(plan_of(1, resolution=5.0)) is None
+    assert waiting_line(plan_of(10_000, stage="mesh")) is None
+    assert waiting_line(plan_of(0)) is None
+
+
+def test_generate_tells_the_wait_before_it_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said_before: list[str] = []
+
+    def made(*_: object, **__: object) -> Iterator[Sample]:
+        said_before.append(capsys.readouterr().err)
+        yield from ()
+
+    monkeypatch.setattr("gcd_dataset.cli.generate.generate", made)
+    assert main(["generate", str(tmp_path), "--count", "500", "--device", "cpu", "--quiet"]) == 0
+    assert "500 garments to drape at 1 cm: about " in one_line(said_before[0])
