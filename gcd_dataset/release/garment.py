@@ -25,6 +25,9 @@ __all__ = ["PublishedGarment"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 SEAM = "stitch_"  # how a line of the segmentation file begins where panels are sewn together
+MOST_VALUES = 1_000_000  # of a YAML file; an alias may stand for another alias, and so on
+BROKEN = (yaml.YAMLError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError)
+"""What PyYAML lets through of a date that is none, ``!!bool maybe``, a map that is its own key, …"""
 FLATNESS = 0.02  # cm: how far a vertex in the middle of a panel may be from where its texture coordinates put it
 
 
@@ -258,14 +261,30 @@ class PublishedGarment:
             raise error if str(error).startswith(self.place) else self.broken(kind, str(error)) from error
 
     def _yaml(self, kind: str) -> dict[str, Any]:
+        content = self._file(kind)
         try:
-            table = yaml.load(self._file(kind), Loader=LOADER)
-        except (yaml.YAMLError, ValueError, RecursionError) as error:
+            table = yaml.load(content, Loader=LOADER)
+        except BROKEN as error:
             raise self.broken(kind, f"not YAML ({' '.join(str(error).split())})") from error
+        if b"*" in content and not _is_small(table):
+            raise self.broken(kind, f"aliases that stand for more than {MOST_VALUES} values")
         return table if isinstance(table, dict) else {}
 
     def _path(self, kind: str) -> str:
         return f"{self.place}/{self.name}{ENDINGS[kind]}"
+
+
+def _is_small(table: Any) -> bool:
+    """Whether a tree has few values, each counted as often as aliases name it."""
+    left, count = [table], 0
+    while left and count <= MOST_VALUES:
+        value = left.pop()
+        count += 1
+        if isinstance(value, Mapping):
+            left += value.values()
+        elif isinstance(value, list | tuple | set):
+            left += value
+    return not left
 
 
 def _pieces(faces: Int[np.ndarray, "f 3"], rows: int) -> tuple[int, Int[np.ndarray, " c"]]:

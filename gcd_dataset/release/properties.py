@@ -45,15 +45,25 @@ class Properties:
 def read_properties(path: Path, cache_dir: Path | None) -> Properties:
     """The properties of a batch. Raises ``ShardError`` for a broken file, ``OutputError`` where they cannot be kept."""
     stamp, kept = [SCHEMA, *stamp_of(path)], kept_path(path, cache_dir, ".json")
-    try:
-        entry = json.loads(kept.read_bytes())
-        if entry["stamp"] == stamp:
-            return Properties(entry["fails"], {n: Facts(**f) for n, f in entry["facts"].items()})
-    except (OSError, ValueError, KeyError, TypeError):
-        pass  # not there yet, of another file, or broken: it is made anew
+    there = _kept(kept, stamp)
+    if there is not None:
+        return there
     properties = _parsed(path)
     keep(kept, json.dumps({"stamp": stamp} | asdict(properties), separators=(",", ":")).encode())
     return properties
+
+
+def _kept(path: Path, stamp: list[int]) -> Properties | None:
+    """What is kept; ``None`` where there is nothing yet, or what is there is broken, or of another file."""
+    try:
+        entry = json.loads(path.read_bytes())
+        if entry["stamp"] != stamp:
+            return None
+        fails = {name: str(kind) for name, kind in entry["fails"].items()}
+        facts = {name: Facts(**{key: int(count) for key, count in f.items()}) for name, f in entry["facts"].items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+        return None
+    return Properties(fails, facts)
 
 
 def _parsed(path: Path) -> Properties:
@@ -67,7 +77,7 @@ def _parsed(path: Path) -> Properties:
         names = dict.fromkeys(name for values in counts.values() for name in values)
         facts = {n: Facts(**{key: int(values.get(n, -1)) for key, values in counts.items()}) for n in names}
         return Properties(fails, facts)
-    except (yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         found = " ".join(str(error).split()) or type(error).__name__
         raise ShardError(f"{path}: not the properties of a batch ({found}): {REMEDY}") from error
 

@@ -183,7 +183,7 @@ def _pax(text: bytes) -> dict[str, str]:
             raise ShardError("a damaged header of extended attributes")
         told[_text(match[2])] = _text(text[match.end() : place + int(match[1]) - 1])
         place += int(match[1])
-    if not told.get("size", "0").isdecimal():
+    if not re.fullmatch(r"[0-9]{1,18}", told.get("size", "0")):  # Python refuses to read thousands of digits
         raise ShardError("a damaged header of extended attributes")
     return told
 

@@ -247,3 +247,39 @@ def test_what_is_no_archive_is_told(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.tar").write_bytes(content)
     with pytest.raises(ShardError, match=r"no tar header|no sample in a\.tar"):
         GarmentDataset(tmp_path)
+
+
+@pytest.mark.parametrize("size", ["9" * 5000, "-1", "1e3", "\u0663", "", "0x10"])
+def test_a_size_that_is_no_number_is_told(tmp_path: Path, size: str) -> None:
+    """In extended attributes a size may have any number of digits."""
+    path = tmp_path / "a-train.tar"
+    with tarfile.open(path, "w", format=tarfile.PAX_FORMAT) as tar:
+        info = tarfile.TarInfo("a.txt")
+        info.pax_headers, info.size = {"size": size}, 2
+        tar.addfile(info, io.BytesIO(b"hi"))
+    with pytest.raises(ShardError, match=r"a-train\.tar: a damaged header of extended attributes: get it anew"):
+        GarmentDataset(tmp_path)
+
+
+def test_mutated_headers_are_told_or_read() -> None:
+    """Names, sizes, kinds and extended attributes, with checksums that hold."""
+    content = io.BytesIO()
+    with tarfile.open(fileobj=content, mode="w", format=tarfile.PAX_FORMAT) as tar:
+        for name in ("d/a.json", "d/a.npy", "x" * 150 + ".txt", "d/b.cls"):
+            info = tarfile.TarInfo(name)
+            info.size = 600
+            tar.addfile(info, io.BytesIO(bytes(600)))
+    whole, random = content.getvalue(), np.random.default_rng(2)
+    headers = [place for place in range(0, len(whole), 512) if whole[place + 257 : place + 262] == b"ustar"]
+    for _ in range(300):
+        mutated, place = bytearray(whole), int(random.choice(headers))
+        for byte in random.integers(0, 600, 2).tolist():
+            mutated[place + byte] = int(random.choice([0, 57, 128, 255]))
+        mutated[place + 148 : place + 156] = b" " * 8
+        mutated[place + 148 : place + 156] = b"%06o\0 " % sum(mutated[place : place + 512])
+        try:
+            found = list(samples_of(io.BytesIO(mutated)))
+        except ShardError as error:
+            assert "\n" not in str(error)
+        else:
+            assert sum(len(sample.members) for sample in found) <= 4

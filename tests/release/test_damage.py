@@ -1,0 +1,173 @@
+"""Files of published garments that were damaged, or written by other programs: each is told by its name."""
+
+import io
+import re
+import shutil
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gcd_dataset.errors import ConfigError, GcdError, ShardError
+from gcd_dataset.loaders import PublishedGarmentCodeData
+from gcd_dataset.release.layout import ENDINGS, properties_name
+from tests.release.published import BATCH, BODIES, TRAIN, file_of, publish
+
+EXAMPLES = Path(__file__).parents[2].parent / "shared" / "examples" / "published" / "GarmentCodeData_v2_unpacked"
+VERTEX = 28  # bytes of a vertex of a ply file
+READ = ("spec", "design", "measures", "box", "sim", "segmentation", "vertex_labels", "front")
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return publish(tmp_path_factory.mktemp("folders"))
+
+
+@pytest.fixture
+def own(folders: Path, tmp_path: Path) -> Path:
+    """A copy to be spoiled."""
+    return Path(shutil.copytree(folders, tmp_path / "own"))
+
+
+def read_first(root: Path) -> None:
+    garments = PublishedGarmentCodeData(root, bodies="default")
+    assert garments.names[0].endswith(TRAIN[0])
+    garments[0]
+
+
+def without_elements(content: bytes) -> bytes:
+    return content.replace(b"element vertex ", b"element ", 1)
+
+
+def of_thousands_of_digits(content: bytes) -> bytes:
+    return re.sub(rb"element vertex \d+", b"element vertex " + b"9" * 5000, content, count=1)
+
+
+def with_number(number: float) -> Callable[[bytes], bytes]:
+    def change(content: bytes) -> bytes:
+        start = content.index(b"end_header\n") + len(b"end_header\n")
+        return content[:start] + struct.pack("<f", number) + content[start + 4 :]
+
+    return change
+
+
+def with_broken_chunk(content: bytes) -> bytes:
+    return content[:33] + b"\0\0\0\0\xc3D\rD" + content[33:]
+
+
+def of_many_pixels(content: bytes) -> bytes:
+    header = b"IHDR" + struct.pack(">IIBBBBB", 60_000, 60_000, 8, 6, 0, 0, 0)
+    return content[:8] + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header)) + content[33:]
+
+
+def as_gif(content: bytes) -> bytes:
+    file = io.BytesIO()
+    Image.new("RGB", (4, 4)).save(file, "GIF")
+    return file.getvalue()
+
+
+def doubling(name: str, times: int) -> bytes:
+    """A small file of 2^times values."""
+    lines = [f"l{i + 1}: &l{i + 1} [*l{i}, *l{i}]" for i in range(times)]
+    return "\n".join(["l0: &l0 [1]", *lines, f"{name}: {{a: *l{times}}}"]).encode()
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "told"),
+    [
+        ("box", without_elements, "not a binary PLY"),
+        ("box", of_thousands_of_digits, "not a binary PLY"),
+        ("sim", lambda content: b"", "not a binary PLY"),
+        ("sim", with_number(float("nan")), "a position beyond 1e\\+06, or that is no number"),
+        ("sim", with_number(3e38), "a position beyond 1e\\+06"),
+        ("box", with_number(float("inf")), "a position beyond 1e\\+06"),
+        ("front", with_broken_chunk, "not a picture"),
+        ("front", of_many_pixels, "not a picture"),
+        ("front", as_gif, "not a picture"),
+        ("spec", lambda content: b"[" * 100_000, "Expecting value|levels deep|recursion"),
+        ("spec", lambda content: content.replace(b"100", b"1" * 5000, 1), "digits|is no number"),
+        ("design", lambda content: b"[" * 5000, "not YAML"),
+        ("design", lambda content: doubling("design", 60), "aliases that stand for more than 1000000 values"),
+        ("design", lambda content: b"design: &a {b: *a}", "aliases that stand for more than 1000000 values"),
+        ("design", lambda content: b"design: !!bool maybe", "not YAML"),
+        ("measures", lambda content: b"body: {height: " + b"9" * 5000 + b"}", "not YAML|height is"),
+        ("vertex_labels", lambda content: b"a: [99999999]", "is no list of the mesh's vertices"),
+        ("segmentation", lambda content: b"stitch_" + b"9" * 5000 + b"\n" + content, "labels"),
+    ],
+)
+def test_a_file_of_another_form_is_named(own: Path, kind: str, change: Callable[[bytes], bytes], told: str) -> None:
+    path = file_of(own, TRAIN[0], kind)
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(ShardError, match=told) as caught:
+        read_first(own)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [
+        b"[" * 100_000,
+        b'{"stamp": STAMP, "fails": 3, "facts": {}}',
+        b'{"stamp": STAMP, "fails": {}, "facts": {"a": 3}}',
+        b'{"stamp": STAMP, "fails": {}, "facts": {"a": {"frames": "many"}}}',
+        b'{"stamp": STAMP, "fails": ["rand_AAAAAAAAA0"], "facts": {}}',
+    ],
+)
+def test_kept_properties_that_nobody_keeps_are_made_anew(own: Path, kept: bytes) -> None:
+    read_first(own)
+    (path,) = (own / BATCH / BODIES[0]).glob(".*.gcd.json")
+    stamp = re.search(rb"\[[\d, ]+\]", path.read_bytes())
+    assert stamp is not None
+    path.write_bytes(kept.replace(b"STAMP", stamp[0]))
+    read_first(own)
+
+
+def test_properties_of_many_kinds_are_told(own: Path) -> None:
+    path = own / BATCH / BODIES[0] / properties_name(BODIES[0])
+    for content in (
+        b"[" * 3000,
+        b"sim: {stats: {fails: 3}}",
+        b"sim: {stats: {fails: {}, fin_frame: {a: x}}}",
+        b"\xff",
+        b"",
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ShardError, match="not the properties of a batch") as caught:
+            read_first(own)
+        assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_the_nearest_split_and_bodies_are_told(folders: Path) -> None:
+    with pytest.raises(ConfigError, match=r"split='trian': there is .*: did you mean train\?"):
+        PublishedGarmentCodeData(folders, "trian")
+    with pytest.raises(ConfigError, match=r"bodies='defualt': there is .*: did you mean default\?"):
+        PublishedGarmentCodeData(folders, bodies="defualt")
+
+
+@pytest.mark.skipif(not EXAMPLES.exists(), reason="takes the published examples")
+def test_mutated_published_garments_are_told_or_read(tmp_path: Path) -> None:
+    """Every file of a garment that others have made, byte by byte."""
+    root = tmp_path / "root"
+    source = next(path for path in EXAMPLES.glob("*/default_body/data/*") if path.is_dir())
+    place = root / source.relative_to(EXAMPLES)
+    shutil.copytree(source, place)
+    random = np.random.default_rng(4)
+    for kind in READ:
+        path = place / f"{place.name}{ENDINGS[kind]}"
+        whole = path.read_bytes()
+        for _ in range(4):
+            mutated = bytearray(whole)
+            for at in random.integers(0, min(len(whole), 2000), 2).tolist():
+                mutated[at] = int(random.choice([0, 34, 45, 57, 91, 123, 255]))
+            path.write_bytes(mutated)
+            try:
+                PublishedGarmentCodeData(root, "all")[0]
+            except GcdError as error:
+                assert str(root) in str(error)
+                assert "\n" not in str(error)
+        path.write_bytes(whole)
