@@ -29,6 +29,7 @@ from gcd_dataset.cli.verb import (
     interrupts_after_imports,
     natural,
     open_anywhere,
+    processes,
     stopped,
 )
 from gcd_dataset.errors import ConfigError, GcdError, ShardError, SpecError, shown
@@ -89,9 +90,9 @@ def _generate(options: argparse.Namespace) -> int:
     samples = generate(task, workers=options.workers)
     try:
         with tqdm(samples, total=task.count, initial=task.there, unit="garment", disable=options.quiet) as bar:
-            for sample in bar:
-                made, rejected = made + 1, rejected + len(sample.provenance.rejects)
-                failed += sample.drape is not None and sample.drape.outcome is not Outcome.SETTLED
+            for stored in bar:
+                made, rejected = made + 1, rejected + len(stored.rejects)
+                failed += stored.outcome not in (None, Outcome.SETTLED)
                 bar.set_postfix(rejected=rejected, unsettled=failed, refresh=False)
     except KeyboardInterrupt:
         samples.close()
@@ -114,7 +115,7 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
     if given.get("bodies", "random") != "random":
         raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
     task = plan_people(options.out, options.count, seed=options.seed)
-    people = generate_people(task, workers=options.workers)
+    people = generate_people(task, workers=options.workers or 0)
     made = 0
     try:
         for _ in tqdm(people, total=task.count, initial=task.there, unit="body", disable=options.quiet):
@@ -270,10 +271,13 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     )
     generate.add_argument("--fabric", metavar="NAME", help=f"{FABRICS} (default: default)")
     generate.add_argument("--resolution", type=float, metavar="CM", help="length of mesh edges [cm] (default: 1.0)")
-    generate.add_argument("--device", help="auto, cpu or cuda:0 (default: auto)")
+    generate.add_argument("--device", help="cpu, cuda:0, cuda:0,1 (default: auto, every GPU or the CPU)")
     generate.add_argument("--on-fail", choices=("retry", "keep"), help="a drape that fails (default: retry)")
     generate.add_argument(
-        "--workers", type=natural, default=0, help="processes, on a CPU; a GPU drapes for one (default: this one)"
+        "--workers",
+        type=processes,
+        metavar="K|auto",
+        help="processes that make garments; on each GPU two more drape for them (default: auto, one for each core)",
     )
     generate.add_argument(
         "--config",

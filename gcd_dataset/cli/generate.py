@@ -1,20 +1,34 @@
 """Making a data set: samples into shards, going on where an earlier run was stopped."""
 
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from gcd_dataset.cli.plan import Plan, check_count
 from gcd_dataset.generator.maker import produce
-from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of
-from gcd_dataset.records import Sample
-from gcd_dataset.shards import ShardWriter
+from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
+from gcd_dataset.records import Outcome, Sample
+from gcd_dataset.shards import ShardWriter, encode_sample
+from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.unfinished import filling
 
-__all__ = ["GarmentPlan", "generate", "plan", "waiting_line"]
+__all__ = ["GarmentPlan", "Stored", "generate", "plan", "waiting_line", "workers_for"]
 
 LONG = 10.0  # s: a shorter wait is not worth a line
+BEGUN = 4.0  # s that a worker takes to start
+MADE = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # CPU-s of a worker for a garment of a stage, without the drape
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A sample that was stored, in short."""
+
+    index: int
+    rejects: tuple[str, ...]
+    """Why earlier attempts were turned down, in order."""
+    outcome: Outcome | None
+    """How the drape ended; ``None`` at an earlier stage."""
 
 
 @dataclass(frozen=True)
@@ -36,29 +50,47 @@ def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | Non
     if config.stage == "drape":
         from gcd_dataset.generator.drape import resolve_device
 
-        resolve_device(config.device)  # told before anything is written
+        for device in devices_of(config):
+            resolve_device(device)  # told before anything is written
     with ShardWriter(out, seed=seed, recipe=recipe_of(config)) as writer:
         done = writer.done
     return GarmentPlan(Path(out), count, tuple(index for index in range(count) if index not in done), seed, config)
 
 
-def generate(plan: GarmentPlan, *, workers: int = 0) -> Generator[Sample, None, None]:
-    """Make and store what is missing, yielding each sample as it is stored.
+def generate(plan: GarmentPlan, *, workers: int | None = None) -> Generator[Stored, None, None]:
+    """Make and store what is missing, telling of each sample once it is stored.
 
     Stopped at any moment and planned again it goes on; the shards come out as the same bytes. ``workers`` processes
-    make samples side by side on a CPU. On a GPU garments are draped together, by this process alone.
-    Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
+    make samples side by side, by default as ``workers_for`` counts them; on each GPU of the config two more processes
+    drape for them. Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
     """
+    workers = workers_for(plan) if workers is None else workers
     with filling(plan.out, plan.count):
         if not plan.missing:
             return
         with ShardWriter(plan.out, seed=plan.seed, recipe=recipe_of(plan.config)) as writer:
-            for sample in produce(plan.seed, plan.missing, plan.config, workers=workers):
-                writer.write(sample)
-                yield sample
+            for stored, members in produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encoded):
+                writer.add(stored.index, members)
+                yield stored
 
 
-def waiting_line(plan: GarmentPlan, workers: int = 0) -> str | None:
+def workers_for(plan: GarmentPlan) -> int:
+    """The processes that make samples soonest: one for each core, or fewer where there is little to do."""
+    from gcd_dataset.generator.drape import seconds_per_garment
+    from gcd_dataset.generator.drape.device import cores
+
+    each = MADE[plan.config.stage]
+    if plan.config.stage == "drape" and device_kind(plan.config) == "cpu":
+        each += seconds_per_garment("cpu", plan.config.resolution)
+    return min(cores(), int(each * len(plan.missing) / BEGUN), math.ceil(len(plan.missing) / plan.config.wearers))
+
+
+def _encoded(sample: Sample) -> tuple[Stored, Mapping[str, Bytes]]:
+    outcome = None if sample.drape is None else sample.drape.outcome
+    return Stored(sample.provenance.index, sample.provenance.rejects, outcome), encode_sample(sample)
+
+
+def waiting_line(plan: GarmentPlan, workers: int | None = None) -> str | None:
     """How long the drapes of a plan are to take, and what makes them faster; ``None`` for a short wait.
 
     An estimate from measured figures of other machines; designs and drapes that are turned down come on top.
@@ -69,14 +101,16 @@ def waiting_line(plan: GarmentPlan, workers: int = 0) -> str | None:
     from gcd_dataset.generator.drape.device import cores
 
     count, spacing, is_cpu = len(plan.missing), plan.config.resolution, device_kind(plan.config) == "cpu"
-    each, processes = seconds_per_garment(plan.config.device, spacing), min(max(workers, 1), cores()) if is_cpu else 1
+    # Without workers the garments share the cores, one each.
+    processes = min(workers or cores(), cores()) if is_cpu else len(devices_of(plan.config))
+    each = seconds_per_garment(devices_of(plan.config)[0], spacing)
     seconds = each * math.ceil(count / processes)
     if seconds < LONG:
         return None
     told = f"{count} garments to drape at {spacing:g} cm: about {_duration(seconds)}"
     if not is_cpu:
         return told
-    faster = f"--workers {cores()} uses all cores; " if processes < min(cores(), count) else ""
+    faster = f"--workers auto uses all {cores()} cores; " if processes < min(cores(), count) else ""
     return f"{told}, {_duration(each)} each on a core of a CPU: {faster}--resolution {2 * spacing:g} takes a fifth"
 
 

@@ -29,6 +29,7 @@ __all__ = [
     "interrupts_after_imports",
     "natural",
     "open_anywhere",
+    "processes",
     "require_folder",
     "stopped",
 ]
@@ -96,6 +97,11 @@ def add_quiet(parser: argparse.ArgumentParser) -> None:
 def add_server(parser: argparse.ArgumentParser) -> None:
     """Give a verb that reads or writes repositories the option to say where they are."""
     parser.add_argument("--endpoint", metavar="URL", help="of the Hub (default: HF_ENDPOINT, or huggingface.co)")
+
+
+def processes(text: str) -> int | None:
+    """An option that is a number of processes, or ``auto``, which is ``None``."""
+    return None if text == "auto" else natural(text)
 
 
 def natural(text: str) -> int:
