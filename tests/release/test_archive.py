@@ -129,10 +129,13 @@ def test_a_bomb_takes_little_memory_and_time(archive: Path, content: bytes) -> N
 def test_files_far_apart_are_read_one_by_one(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = Archive.opened(archive, None).read(TRAIN[0], list(ENDINGS))
     monkeypatch.setattr("gcd_dataset.release.archive.APART", 0)
-    opened, read = Archive.opened(archive, None), []
-    monkeypatch.setattr(
-        Archive, "_block", lambda self, first, size, kept=Archive._block: read.append(size) or kept(self, first, size)
-    )
+    opened, block, read = Archive.opened(archive, None), Archive._block, []
+
+    def noted(archive: Archive, first: int, size: int) -> bytes:
+        read.append(size)
+        return block(archive, first, size)
+
+    monkeypatch.setattr(Archive, "_block", noted)
     assert opened.read(TRAIN[0], list(ENDINGS)) == before
     assert len(read) == len(ENDINGS)
 
@@ -162,7 +165,7 @@ def test_an_index_that_no_archive_gives_is_made_anew(archive: Path, change: dict
     path, arrays = kept_arrays(archive)
     before = Archive.opened(archive, None).read(TRAIN[1], list(ENDINGS))
     with path.open("wb") as file:
-        np.savez(file, **(arrays | change))
+        np.savez(file, **(arrays | change))  # type: ignore[arg-type] -- none is called allow_pickle
     assert Archive.opened(archive, None).read(TRAIN[1], list(ENDINGS)) == before
 
 
