@@ -165,7 +165,7 @@ def test_an_index_that_no_archive_gives_is_made_anew(archive: Path, change: dict
     path, arrays = kept_arrays(archive)
     before = Archive.opened(archive, None).read(TRAIN[1], list(ENDINGS))
     with path.open("wb") as file:
-        np.savez(file, **(arrays | change))  # type: ignore[arg-type] -- none is called allow_pickle
+        np.savez(file, **(arrays | change))  # type: ignore[arg-type]
     assert Archive.opened(archive, None).read(TRAIN[1], list(ENDINGS)) == before
 
 
