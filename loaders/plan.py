@@ -18,7 +18,7 @@ from gcd_dataset.loaders.ranks import present_rank, require_rank
 from gcd_dataset.loaders.states import named, position_of, require_whole
 from gcd_dataset.loaders.worker import begin_worker
 
-__all__ = ["AHEAD", "ByNumber", "Collate", "Place", "Plan", "Streamed"]
+__all__ = ["AHEAD", "ByNumber", "Collate", "Making", "Place", "Plan", "Streamed", "Turn"]
 
 Collate: TypeAlias = Callable[[list[Any]], Any]
 Place: TypeAlias = Any
@@ -90,7 +90,7 @@ class ByNumber:
         num_workers: int,
     ) -> None:
         self._sampler, self._batch_size, self._drop_last, self._start = sampler, batch_size, drop_last, 0
-        self._making, self._workers = _Making(dataset, collate_fn, sampler.order.seed), num_workers
+        self._making, self._workers = Making(dataset, collate_fn, sampler.order.seed), num_workers
         self._reads_only = isinstance(dataset, Garments) and dataset.reads_only
         self.in_thread = self._reads_only and num_workers == 0 and not self._making.has_code_of_users
         self._division = self._present()
@@ -167,7 +167,7 @@ class ByNumber:
         return range(0, own // self._batch_size * self._batch_size if self._drop_last else own, self._batch_size)
 
 
-class _Making(Dataset):
+class Making(Dataset):
     """Batches of a data set, by turns; its errors say which garments they came up with.
 
     What is read or made by this package may be so anywhere. Code of users gets random numbers of its own, which depend
@@ -216,7 +216,7 @@ class _Making(Dataset):
 class _Pass(IterableDataset):
     """The batches of the pass that was begun; ``ahead``: their garments are read by a thread meanwhile."""
 
-    def __init__(self, turns: ByNumber, making: _Making, ahead: bool) -> None:
+    def __init__(self, turns: ByNumber, making: Making, ahead: bool) -> None:
         self._turns, self._making, self._ahead = turns, making, ahead
 
     def __iter__(self) -> Iterator[Any]:

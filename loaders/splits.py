@@ -13,7 +13,7 @@ from gcd_dataset.errors import ConfigError
 
 __all__ = ["SplitPart", "parse_splits"]
 
-BOUND = r"-?\d+%?"
+BOUND = r"-?[0-9]{1,18}%?"  # no data set holds more
 PART = re.compile(rf"\s*(?P<name>\w[\w.-]*)\s*(?:\[\s*(?P<start>{BOUND})?\s*:\s*(?P<stop>{BOUND})?\s*\])?\s*")
 
 
@@ -32,10 +32,10 @@ class SplitPart:
 
 def parse_splits(text: str) -> tuple[SplitPart, ...]:
     """The parts that ``split=`` names. Raises ``ConfigError``."""
-    matches = [PART.fullmatch(part) for part in text.split("+")]
+    matches = [PART.fullmatch(part) for part in text.split("+")] if isinstance(text, str) else [None]
     parts = tuple(SplitPart(match["name"], match["start"], match["stop"]) for match in matches if match)
     if len(parts) < len(matches):
-        raise ConfigError(f"split={text!r}: write train, train[:10%], train[100:200] or train+test")
+        raise ConfigError(f"split={text!r:.99}: write train, train[:10%], train[100:200] or train+test")
     for bound in (bound for part in parts for bound in (part.start, part.stop) if bound and bound.endswith("%")):
         if abs(int(bound[:-1])) > 100:
             raise ConfigError(f"split={text!r}: {bound} is beyond the whole: give -100% to 100%")

@@ -374,14 +374,22 @@ def _pickled_lengths(content: bytes) -> dict[tuple[int, int], float]:
     return {(int(a), int(b)): float(length) for (a, b), length in pickle.loads(content).items()}
 
 
-def test_garments_are_read_beside_the_training_loop(folders: Path) -> None:
-    readers: set[int] = set()
+def test_garments_are_read_beside_the_training_loop(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And changed in it: a transform may draw from the model's random numbers."""
+    readers, changers = set[int](), set[int]()
+    members = PublishedGarmentCodeData._members
 
-    def noted(item: Item) -> Item:
+    def noted(ds: PublishedGarmentCodeData, *asked: Any) -> Any:
         readers.add(threading.get_ident())
+        return members(ds, *asked)
+
+    def changed(item: Item) -> Item:
+        changers.add(threading.get_ident())
         return item
 
-    ds = PublishedGarmentCodeData(folders, fields=["verts"], transform=noted)
+    monkeypatch.setattr(PublishedGarmentCodeData, "_members", noted)
+    ds = PublishedGarmentCodeData(folders, fields=["verts"], transform=changed)
     assert sum(len(batch.verts_ptr) - 1 for batch in GarmentLoader(ds, 3)) == len(ds)
     assert readers
     assert threading.get_ident() not in readers
+    assert changers == {threading.get_ident()}

@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -98,3 +99,10 @@ def test_a_sample_is_found_in_any_part(folder: Path) -> None:
     assert [ds.recipe(i)["index"] for i in (0, 2, 3, -1)] == [20, 22, 4, 9]
     ds.verify(4)
     assert len(read_index(folder, "test")) == TESTED
+
+
+@pytest.mark.parametrize("text", [f"train[:{5000 * '9'}]", f"train[-{20 * '9'}%:]", 3, None, ["train"]])
+def test_what_names_no_split_is_told_on_one_short_line(text: Any) -> None:
+    with pytest.raises(ConfigError, match="write train, ") as told:
+        parse_splits(text)
+    assert len(str(told.value)) < 200

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pickle
 import random
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -27,6 +28,7 @@ from gcd_dataset.loaders import (
     collate_list,
     collate_packed,
 )
+from gcd_dataset.loaders.plan import Making, Turn
 from tests.loaders.patterns import sewn
 
 N = 12
@@ -144,6 +146,22 @@ def test_items_are_those_of_the_data_set(folder: Path, wrapped: Any) -> None:
             assert item["mark"] == item["meta"]["index"] == without["meta"]["index"]
             assert torch.equal(item["panels"], without["panels"])
     assert torch.equal(torch.get_rng_state(), before)
+
+
+@pytest.mark.parametrize(
+    "wrapped",
+    [
+        lambda ds: ds,
+        lambda ds: ds[2:],
+        lambda ds: Augmented(ds, Yaw()),
+        lambda ds: MixedDataset([ds, ds[::2]], [2, 1], transform=jittered),
+    ],
+)
+def test_what_workers_are_sent_can_be_pickled(folder: Path, wrapped: Any) -> None:
+    """Spawned ones are."""
+    making = Making(wrapped(GarmentDataset(folder, fields=["meta"], transform=jittered)), collate_packed, 0)
+    sent, turn = pickle.loads(pickle.dumps(making)), Turn(1, [3, 0])
+    assert torch.equal(making.__getitems__(turn)["noise"], sent.__getitems__(turn)["noise"])
 
 
 class Theirs(Dataset):

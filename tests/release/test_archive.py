@@ -129,11 +129,11 @@ def test_a_bomb_takes_little_memory_and_time(archive: Path, content: bytes) -> N
 def test_files_far_apart_are_read_one_by_one(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = Archive.opened(archive, None).read(TRAIN[0], list(ENDINGS))
     monkeypatch.setattr("gcd_dataset.release.archive.APART", 0)
-    opened, read, block = Archive.opened(archive, None), [], Archive._block
+    opened, block, read = Archive.opened(archive, None), Archive._block, []
 
-    def noted(self: Archive, first: int, size: int) -> bytes:
+    def noted(archive: Archive, first: int, size: int) -> bytes:
         read.append(size)
-        return block(self, first, size)
+        return block(archive, first, size)
 
     monkeypatch.setattr(Archive, "_block", noted)
     assert opened.read(TRAIN[0], list(ENDINGS)) == before

@@ -15,7 +15,8 @@ import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, GcdError, OutputError, ShardError
-from gcd_dataset.generator import MakeConfig, make
+from gcd_dataset.generator import make
+from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, Hdf5Garments, collate_list
 from gcd_dataset.loaders.base import Item
 from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, hdf5
