@@ -18,6 +18,7 @@ from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, png_bytes
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset, collate_packed
+from gcd_dataset.shards.layout import key_of
 from gcd_dataset.spec import pattern_from_spec
 
 SEED = 4
@@ -45,9 +46,9 @@ def main() -> None:
     config = MakeConfig(bodies="both", resolution=2.0, device="cpu", picture=384, design=SHORT)
     task = plan(out / "garments", 2 * DESIGNS, seed=SEED, config=config)
     print(f"Making {len(task.missing)} garments: {DESIGNS} designs, each for two bodies, draped at 2 cm on the CPU")
-    for sample in tqdm(generate(task), total=len(task.missing), unit="garment"):
-        assert sample.drape is not None
-        tqdm.write(f"  {sample.key} on {sample.provenance.body_name}: {sample.drape.outcome.name.lower()}")
+    for stored in tqdm(generate(task), total=len(task.missing), unit="garment"):
+        assert stored.outcome is not None
+        tqdm.write(f"  {key_of(stored.index)} on {stored.body_name}: {stored.outcome.name.lower()}")
 
     dataset = GarmentDataset(out / "garments")
     loader = DataLoader(dataset, batch_size=4, num_workers=0, collate_fn=collate_packed)

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, collate_packed
-from gcd_dataset.loaders.base import Item
+from gcd_dataset.loaders.base import Item, tensor_of
 from gcd_dataset.loaders.order import Permutation
 from gcd_dataset.shards import read_index
 from gcd_dataset.shards.codec import decode_fields
@@ -50,7 +50,7 @@ class _Decoded:
 
     def __call__(self, sample: dict[str, Any]) -> Item:
         values = decode_fields(sample, self._fields)
-        return {name: torch.tensor(v) if isinstance(v, np.ndarray) else v for name, v in values.items()}
+        return {n: tensor_of(v, torch.float32) if isinstance(v, np.ndarray) else v for n, v in values.items()}
 
 
 def by_litdata(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any] | None:

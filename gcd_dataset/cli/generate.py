@@ -25,6 +25,7 @@ class Stored:
     """A sample that was stored, in short."""
 
     index: int
+    body_name: str
     rejects: tuple[str, ...]
     """Why earlier attempts were turned down, in order."""
     outcome: Outcome | None
@@ -86,8 +87,8 @@ def workers_for(plan: GarmentPlan) -> int:
 
 
 def _encoded(sample: Sample) -> tuple[Stored, Mapping[str, Bytes]]:
-    outcome = None if sample.drape is None else sample.drape.outcome
-    return Stored(sample.provenance.index, sample.provenance.rejects, outcome), encode_sample(sample)
+    made, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
+    return Stored(made.index, made.body_name, made.rejects, outcome), encode_sample(sample)
 
 
 def waiting_line(plan: GarmentPlan, workers: int | None = None) -> str | None:

@@ -21,7 +21,7 @@ from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.index import ShardIndex
-from gcd_dataset.shards.layout import FOREIGN, index_name, lock_name, shard_name, shards_in
+from gcd_dataset.shards.layout import FOREIGN, fields_of, index_name, lock_name, shard_name, shards_in
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.unfinished import unfinished
@@ -159,7 +159,7 @@ def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
     for split, reader in readers.items():
         if reader.layout.kind == FOREIGN or reader.manifest is None or split not in reader.manifest.splits:
             raise ConfigError(f"{dataset}: {MANIFEST} does not tell how split {split} was made: run gcd generate again")
-        if missing := [member for member in (DESIGN, BODY) if member not in reader.layout.members]:
+        if missing := [field for field in (DESIGN, BODY) if field not in fields_of(reader.layout.members)]:
             raise ConfigError(f"{dataset}: its garments have no {missing[0]} to divide them by: publish the whole")
     if len(readers) == 1:
         ((split, reader),) = readers.items()
