@@ -198,9 +198,10 @@ def _boxes_apart(
 
 def _sectors_apart(before: Complex[np.ndarray, "e 4"], after: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
     """Whether edges and those that follow them lie in two sectors round their common corner."""
-    middle_before, half_before = _sector(before[:, ::-1])
-    middle_after, half_after = _sector(after)
-    between = np.abs(np.angle(middle_before / middle_after))
+    with np.errstate(all="ignore"):  # chords of nearly no length give NaN, which no sector holds
+        middle_before, half_before = _sector(before[:, ::-1])
+        middle_after, half_after = _sector(after)
+        between = np.abs(np.angle(middle_before / middle_after))
     convex = np.maximum(half_before, half_after) < 0.5 * np.pi
     return convex & (between > half_before + half_after + APART)
 

@@ -158,3 +158,9 @@ def test_two_thousand_edges_take_little_memory() -> None:
 def test_a_scribble_is_told_by_its_first_crossings() -> None:
     scribble = panel([(float(x), float(y)) for x, y in np.random.default_rng(0).uniform(0, 100, (300, 2))])
     assert len(found(scribble)) == crossings.MOST_TOLD
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_edge_of_nearly_no_length_is_looked_at_without_a_warning() -> None:
+    tiny = 5e-324
+    assert isinstance(find_crossings(panel([(0, 0), (tiny, 0), (1e9, 1e9), (0, 1)])), tuple | list)
