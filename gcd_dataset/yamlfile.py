@@ -3,13 +3,16 @@
 import re
 from typing import Any
 
+import numpy as np
 import yaml
 
-__all__ = ["LARGEST_YAML", "strict_yaml"]
+__all__ = ["LARGEST_YAML", "require_shallow", "strict_yaml"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 LARGEST_YAML = 1 << 20  # bytes, a second to parse; a measurement file has 1 kB, a design file 14
 DEEPEST = 64  # levels; libyaml ends the process where its stack does
+DEEPEST_BYTES = 1000  # brackets open at once, or columns that a line begins with: libyaml holds tens of thousands
+BLOCK_START = re.compile(rb"^[ ?:-]{64,}", re.MULTILINE)
 OTHER_BASE = re.compile(r"[+-]?0[0-7_]+|.*:.*")  # octal, sexagesimal: 070 is 56 in YAML 1.1, and 1:50 is 110
 
 
@@ -25,6 +28,19 @@ def strict_yaml(content: str | bytes) -> Any:
         if depth > DEEPEST:
             raise RecursionError(f"more than {DEEPEST} levels deep")
     return yaml.load(content, Loader=_StrictLoader)
+
+
+def require_shallow(content: bytes) -> None:
+    """Raise ``RecursionError`` for YAML that may be nested deeper than libyaml's stack holds, by a look at its bytes.
+
+    Faster than to parse it twice: for files of megabytes that programs have written.
+    """
+    step = np.zeros(256, np.int8)
+    step[list(b"[{")], step[list(b"]}")] = 1, -1
+    flow = np.cumsum(step[np.frombuffer(content, np.uint8)], dtype=np.int32).max(initial=0)
+    block = max(map(len, BLOCK_START.findall(content)), default=0)
+    if max(flow, block) > DEEPEST_BYTES:
+        raise RecursionError(f"more than {DEEPEST_BYTES} levels deep, it may be")
 
 
 class _StrictLoader(LOADER):  # type: ignore[misc,valid-type]

@@ -3,16 +3,15 @@
 import io
 import shutil
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.loaders import GarmentDataset
-from gcd_dataset.records import Sample
 from gcd_dataset.shards import ShardWriter, read_index
-from gcd_dataset.shards.layout import MEMBERS
+from gcd_dataset.shards.layout import MEMBERS, Bytes
 from gcd_dataset.shards.unfinished import filling, unfinished
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, read_folder, running_hub
@@ -155,15 +154,15 @@ def small(out: Path, count: int) -> list[str]:
 def test_a_set_whose_making_was_stopped_says_so(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write, left = ShardWriter.write, iter(range(3))
+    add, left = ShardWriter.add, iter(range(3))
 
-    def stopping(self: ShardWriter, sample: Sample) -> None:
+    def stopping(self: ShardWriter, index: int, members: Mapping[str, Bytes]) -> None:
         if next(left, None) is None:
             raise KeyboardInterrupt
-        write(self, sample)
+        add(self, index, members)
 
     out, publish = tmp_path / "data", ["publish", str(tmp_path / "data"), "me/garments", "--dry-run"]
-    monkeypatch.setattr(ShardWriter, "write", stopping)
+    monkeypatch.setattr(ShardWriter, "add", stopping)
     assert main(small(out, 8)) == 130
     monkeypatch.undo()
     said(capsys)

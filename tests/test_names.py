@@ -153,9 +153,9 @@ def test_a_split_of_a_data_set(victims: Path, shards: Path, name: str) -> None:
 def test_a_manifest(victims: Path, shards: Path, name: str, what: str) -> None:
     data = shutil.copytree(shards, victims / "data")
     (data / "manifest.json").write_text(manifest_with(shards, name, what))
-    with pytest.raises(ShardError, match=r"manifest\.json: split.* cannot be a file's name"):
+    with pytest.raises(ShardError, match=r"manifest\.json: .*split.* cannot be a file's name"):
         GarmentDataset(data)
-    with pytest.raises(ShardError, match=r"manifest\.json: split"):
+    with pytest.raises(ShardError, match=r"manifest\.json: .*split"):
         ShardWriter(data, seed=3, recipe=RECIPE)
 
 
@@ -182,7 +182,7 @@ def test_a_shard_of_an_index(victims: Path, shards: Path, name: str) -> None:
 def test_a_shard_of_another_split_is_none_of_this_one(shards: Path, tmp_path: Path) -> None:
     data = shutil.copytree(shards, tmp_path / "data")
     (data / "manifest.json").write_text(manifest_with(shards, "test-00000.tar", "shard"))
-    with pytest.raises(ShardError, match=r"split train tells of a shard 'test-00000\.tar': give train-00000\.tar"):
+    with pytest.raises(ShardError, match=r'split train tells of a shard "test-00000\.tar": give train-00000\.tar'):
         GarmentDataset(data)
 
 
@@ -202,7 +202,7 @@ def test_a_manifest_of_a_server(
     url = f"{hub.endpoint}/files/evil"
     for out in ([], ["--out", "out"]):
         assert main(["download", url, "--quiet", *out]) == 1
-    with pytest.raises(ShardError, match=r"manifest\.json: split"):
+    with pytest.raises(ShardError, match=r"manifest\.json: .*split"):
         download(Url(url), victims / "direct", Remote(cache_dir=victims / "cache"), split="train")
     assert not list(victims.glob("*/*.tar"))
 

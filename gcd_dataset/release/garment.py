@@ -20,6 +20,7 @@ from gcd_dataset.release.layout import DEFAULT_BODY, ENDINGS, REMEDY
 from gcd_dataset.release.ply import Ply, first_mentions, read_ply
 from gcd_dataset.release.properties import Facts
 from gcd_dataset.spec import pattern_from_spec
+from gcd_dataset.yamlfile import require_shallow
 
 __all__ = ["PublishedGarment"]
 
@@ -263,6 +264,7 @@ class PublishedGarment:
     def _yaml(self, kind: str) -> dict[str, Any]:
         content = self._file(kind)
         try:
+            require_shallow(content)
             table = yaml.load(content, Loader=LOADER)
         except BROKEN as error:
             raise self.broken(kind, f"not YAML ({' '.join(str(error).split())})") from error

@@ -16,6 +16,7 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.release.kept import keep, kept_path, stamp_of
 from gcd_dataset.release.layout import REMEDY
 from gcd_dataset.shards.access import reading
+from gcd_dataset.yamlfile import require_shallow
 
 __all__ = ["Facts", "Properties", "read_properties"]
 
@@ -70,6 +71,7 @@ def _parsed(path: Path) -> Properties:
     with reading(path):
         text = path.read_bytes()
     try:
+        require_shallow(text)
         table = yaml.load(text, Loader=_Loader)
         stats = table["sim"]["stats"]
         fails = {str(name): kind for kind, names in stats["fails"].items() for name in names or ()}

@@ -63,8 +63,8 @@ class SplitRecord:
         values = _checked(entry, f"split {name}", SPLIT_TYPES, {"kind": "garments"})
         shards = [_checked(shard, f"split {name}, shard", SHARD_TYPES, {"rejects": {}}) for shard in values["shards"]]
         for shard in shards:
-            if shard_number(shard["name"], name) is None:
-                raise ShardError(f"split {name}, shard {found(shard['name'])}: no name of a shard")
+            if shard_number(require_name(shard["name"], f"split {name}, shard"), name) is None:
+                raise ShardError(f"split {name} tells of a shard {found(shard['name'])}: give {name}-00000.tar, …")
             if not all(map(_is_count, shard["rejects"].values())):
                 raise ShardError(f"split {name}, shard {shard['name']}: rejects is {found(shard['rejects'])}")
         return cls(**{**values, "shards": tuple(ShardRecord(**shard) for shard in shards)})
@@ -114,7 +114,7 @@ def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
             )
         values = _checked(entry, "the file", {"generator": _is_text, "splits": _is_mapping, "schema": _is_count}, {})
         for name in values["splits"]:
-            require_name(name, f"{path}: split")
+            require_name(name, "split")
         splits = {name: SplitRecord.from_json(name, split) for name, split in values["splits"].items()}
         return Manifest(splits, values["generator"], schema)
     except ShardError as error:

@@ -12,6 +12,7 @@ __all__ = ["BLOCK", "END", "Entry", "padded", "require_header", "stream_samples"
 
 BLOCK = 512
 END = 2 * BLOCK  # zeros that end an archive
+CHUNK = 1 << 20  # bytes
 LONGEST_NAME = 100
 LARGEST = 8**11 - 1  # bytes: eleven octal digits
 CHECKSUM = slice(148, 156)
@@ -56,18 +57,28 @@ def tar_entry(name: str, data: Bytes) -> bytes:
 def tar_entries(file: int) -> Iterator[Entry]:
     """The members of the archive open as descriptor ``file``, up to the zeros or the end of the file.
 
-    Raises ``ShardError`` where a header is damaged or a member is cut off.
+    Raises ``ShardError`` where a header is damaged, a member is cut off, or anything but zeros follows the zeros.
     """
     end, position = os.fstat(file).st_size, 0
     while position < end:
         header = os.pread(file, BLOCK, position)
         if header == bytes(BLOCK):
+            _require_zeros(file, position, end)
             return
         name, size = _parse(header, position)
         if position + BLOCK + padded(size) > end:
             raise ShardError(f"member {name} is cut off at byte {end}")
         yield Entry(name, position + BLOCK, size)
         position += BLOCK + padded(size)
+
+
+def _require_zeros(file: int, position: int, end: int) -> None:
+    """Raise ``ShardError`` for content between ``position`` and ``end``: a header before it was wiped out."""
+    while position < end:
+        chunk = os.pread(file, CHUNK, position)
+        if not chunk or chunk.strip(b"\0"):
+            raise ShardError(f"zeros at byte {position}, and content after them")
+        position += len(chunk)
 
 
 def stream_samples(

@@ -337,7 +337,7 @@ def test_a_name_cannot_lead_outside(
     text = hub.static["garments/manifest.json"].decode().replace("train-00000.tar", name)
     hub.static |= {"evil/manifest.json": text.encode(), "evil/index-train.npz": evil.to_bytes()}
     hub.static |= {f"evil/{shard}": hub.static[f"garments/{shard}"] for shard in index.shards}
-    with pytest.raises(ShardError, match="no name of a shard"):
+    with pytest.raises(ShardError, match=r"cannot be a file's name|tells of a shard"):
         bring(hub, tmp_path, Url(f"{hub.endpoint}/files/evil"), fields=fields)
     assert not list(tmp_path.rglob("*escaped*"))
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch.utils.data import ConcatDataset, DataLoader
 
+from gcd_dataset.bodies import BodyMesh
 from gcd_dataset.errors import BodyError, ConfigError, ShardError
 from gcd_dataset.generator.body import build_body, measure
 from gcd_dataset.generator.maker import make
@@ -183,7 +184,9 @@ def test_the_published_layout_gives_the_same_items(ours: Path, published: Path, 
 
 
 def test_published_people_go_into_shards_as_they_are(few: Path, tmp_path: Path) -> None:
-    folder = PublishedBodies(few, segmentation=segmentation(tmp_path / "parts.json", MESH))
+    limbs = [BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG, BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM]
+    mesh = BodyMesh(MESH.faces, np.array([part.value for part in limbs], np.uint8))
+    folder = PublishedBodies(few, segmentation=segmentation(tmp_path / "parts.json", mesh))
     with BodyWriter(tmp_path / "shards", folder.mesh, seed=0, recipe={"published": "few"}) as writer:
         for index in range(len(folder)):
             writer.write(index, folder.person(index))

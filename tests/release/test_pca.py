@@ -118,5 +118,5 @@ def test_what_is_no_shape_space_is_told(tmp_path: Path, changed: dict[str, np.nd
 
 
 def test_no_file_is_told(tmp_path: Path) -> None:
-    with pytest.raises(BodyError, match="No such file"):
+    with pytest.raises(BodyError, match="no such file"):
         read_pca(tmp_path / "point.pca")

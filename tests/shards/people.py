@@ -16,7 +16,7 @@ RECIPE = {"fake": True}
 MESH = BodyMesh(
     faces=np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
     parts=np.array(
-        [BodyPart.LEFT_LEG.value, BodyPart.RIGHT_LEG.value, BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value], np.uint8
+        [BodyPart.LEFT_LEG.value, BodyPart.RIGHT_LEG.value, BodyPart.TRUNK.value, BodyPart.HEAD.value], np.uint8
     ),
 )
 """A tetrahedron with its tip at the top."""

@@ -18,7 +18,6 @@ from gcd_dataset.errors import ConfigError, GcdError, OutputError, ShardError
 from gcd_dataset.generator import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, Hdf5Garments, collate_list
-from gcd_dataset.loaders.base import Item
 from gcd_dataset.shards import MEMBERS, ShardReader, ShardWriter, hdf5
 from gcd_dataset.shards.hdf5 import Hdf5Reader, write_hdf5
 from tests.shards.folders import fill
@@ -63,14 +62,17 @@ def test_items_are_those_of_the_shards(folder: Path, file: Path) -> None:
         one[COUNT]
 
 
-def test_they_are_read_beside_the_training_loop(file: Path) -> None:
-    readers: set[int] = set()
+def test_they_are_read_beside_the_training_loop(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    readers, read = set[int](), Hdf5Reader.read
 
-    def noted(item: Item) -> Item:
+    def noted(reader: Hdf5Reader, *asked: Any) -> Any:
         readers.add(threading.get_ident())
-        return item
+        return read(reader, *asked)
 
-    assert len(list(GarmentLoader(Hdf5Garments(file, fields=["verts"], transform=noted), 2))) == 3
+    loader = GarmentLoader(Hdf5Garments(file, fields=["verts"]), 2)
+    loader.state_dict()  # which looks at the ends of the data set
+    monkeypatch.setattr(Hdf5Reader, "read", noted)
+    assert len(list(loader)) == 3
     assert readers
     assert threading.get_ident() not in readers
 

@@ -37,10 +37,14 @@ def folder(tmp_path: Path) -> Path:
     return fill(tmp_path / "data", range(6))
 
 
-def shard_of(folder: Path, members: dict[str, bytes]) -> Path:
-    """A folder with one shard of one sample, without index."""
+def shard_of(folder: Path, *samples: dict[str, bytes]) -> Path:
+    """A folder with one shard of these samples, without index."""
     folder.mkdir()
-    entries = [tar_entry(f"gcd_000000000.{member}", data) for member, data in members.items()]
+    entries = [
+        tar_entry(f"gcd_{number:09d}.{member}", data)
+        for number, members in enumerate(samples)
+        for member, data in members.items()
+    ]
     (folder / "train-00000.tar").write_bytes(b"".join([*entries, bytes(END)]))
     return folder
 
@@ -292,7 +296,8 @@ def test_strange_meta_is_one_line(tmp_path: Path, entries: dict[str, Any], strea
 )  # fmt: skip
 def test_strange_members_are_told_with_shard_and_sample(tmp_path: Path, member: str, content: bytes) -> None:
     members = resealed({**encode_sample(fake_sample(0, 0)), member: content})
-    ds = GarmentDataset(shard_of(tmp_path / "data", members))
+    # Beside a sample that holds every field.
+    ds = GarmentDataset(shard_of(tmp_path / "data", members, encode_sample(fake_sample(0, 1))))
     with pytest.raises(ShardError, match=rf"train-00000\.tar: sample gcd_000000000, member {member}: "):
         ds[0]
     with pytest.raises(ShardError):

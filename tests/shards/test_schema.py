@@ -62,8 +62,11 @@ def assert_same(items: list[Any], samples: list[dict[str, bytes]]) -> None:
         assert (item["meta"]["grade"], item["meta"]["tags"], item["meta"]["strain"]) == ("", [], None)
         for field in ("verts", "panels", "points", "faces", "stitches"):
             array = np.load(io.BytesIO(sample[f"{field}.npy"]))
+            if not len(array):  # of a later stage
+                assert field not in item
+                continue
             assert np.array_equal(item[field].numpy(), array.astype(item[field].numpy().dtype))
-        assert str(item["points"].dtype) == "torch.float32"
+        assert "points" not in item or str(item["points"].dtype) == "torch.float32"
 
 
 @pytest.mark.parametrize("name", ["patterns", "drapes"])
@@ -75,8 +78,9 @@ def test_schema_1_is_read(first: Path, name: str, streaming: bool, alone: bool) 
         (folder / "index-train.npz").unlink()
         (folder / "manifest.json").unlink()
     assert_same(list(GarmentDataset(folder, streaming=streaming)), told(folder))
-    points = list(GarmentDataset(folder, fields=["points"], streaming=streaming))
-    assert [set(item) for item in points] == [{"points"}] * len(points)
+    field = "points" if name == "drapes" else "panels"
+    items = list(GarmentDataset(folder, fields=[field], streaming=streaming))
+    assert [set(item) for item in items] == [{field}] * len(items)
 
 
 def test_schema_1_is_verified_and_indexed(first: Path, capsys: pytest.CaptureFixture[str]) -> None:

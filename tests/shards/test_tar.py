@@ -217,12 +217,25 @@ def test_a_member_that_is_there_twice_is_refused(tmp_path: Path) -> None:
 
 def test_a_sample_that_is_there_twice_is_refused(tmp_path: Path) -> None:
     folder = fill(tmp_path, range(2))
-    content = (folder / "train-00000.tar").read_bytes()[:-END]
-    (folder / "train-00000.tar").write_bytes(content + content + bytes(END))
-    index = ShardIndex.of(folder, {"train-00000.tar": scan_shard(folder / "train-00000.tar")[:2]})
+    content = (folder / "train-00000.tar").read_bytes()
+    first = content[: int(scan_shard(folder / "train-00000.tar").offset[1, 0]) - BLOCK]
+    (folder / "train-00000.tar").write_bytes(first + content)
+    index = ShardIndex.of(folder, {"train-00000.tar": scan_shard(folder / "train-00000.tar")[[0, 2]]})
     index.write(folder / "index-train.npz")
     with pytest.raises(ShardError, match="is there twice"):
         list(GarmentDataset(folder, streaming=True))
+
+
+def test_a_header_that_was_wiped_out_is_no_end(tmp_path: Path) -> None:
+    """Without index and manifest nothing else tells that samples are missing."""
+    shard = fill(tmp_path, range(2)) / "train-00000.tar"
+    content, second = bytearray(shard.read_bytes()), int(scan_shard(shard).offset[1, 0]) - BLOCK
+    content[second : second + BLOCK] = bytes(BLOCK)
+    shard.write_bytes(content)
+    with pytest.raises(ShardError, match=f"zeros at byte {second}, and content after them"):
+        scan_shard(shard)
+    shard.write_bytes(content[:second] + bytes(10240))  # as other programs fill up the last block
+    assert len(scan_shard(shard)) == 1
 
 
 @pytest.mark.parametrize("field", [b"-0000000777", b"0000000-777", b"00000000_77", b"           ", b"7777777777x"])

@@ -1,0 +1,18 @@
+"""YAML that would end the process is refused before libyaml reads it."""
+
+import pytest
+import yaml
+
+from gcd_dataset.yamlfile import require_shallow, strict_yaml
+
+
+@pytest.mark.parametrize("content", [b"[" * 100_000, b"{a: " * 50_000, b"- " * 50_000, b"? " * 50_000], ids=repr)
+def test_deep_nesting_is_refused(content: bytes) -> None:
+    with pytest.raises(RecursionError, match="levels deep"):
+        require_shallow(content)
+
+
+def test_a_page_of_lists_is_read() -> None:
+    page = yaml.safe_dump({"labels": {name: list(range(3000)) for name in "abc"}, "ranges": [[1, [2]]] * 2000})
+    require_shallow(page.encode())
+    assert strict_yaml(page)["labels"]["b"][-1] == 2999
