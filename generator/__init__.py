@@ -11,9 +11,10 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch, fabric_named
     from gcd_dataset.generator.garments import OutfitDesign, sample_design
     from gcd_dataset.generator.garments.overlay import Overlay, read_overlay
+    from gcd_dataset.generator.maker import make, produce
     from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
     from gcd_dataset.generator.people import make_person
-    from gcd_dataset.generator.pipeline import build_pattern, fit, make, make_many
+    from gcd_dataset.generator.pipeline import build_pattern, fit
     from gcd_dataset.generator.recipe import MakeConfig
 
 __all__ = [
@@ -34,10 +35,10 @@ __all__ = [
     "fit",
     "fit_shape",
     "make",
-    "make_many",
     "make_person",
     "measure",
     "named_body",
+    "produce",
     "read_overlay",
     "sample_design",
 ]
@@ -49,7 +50,8 @@ _HOMES = {
     "garments.overlay": ("Overlay", "read_overlay"),
     "mesh": ("build_box_mesh", "coarse_start"),
     "people": ("make_person",),
-    "pipeline": ("build_pattern", "fit", "make", "make_many"),
+    "pipeline": ("build_pattern", "fit"),
+    "maker": ("make", "produce"),
     "recipe": ("MakeConfig",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

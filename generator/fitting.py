@@ -12,9 +12,12 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset import __version__
-from gcd_dataset.errors import ConfigError, GcdError, MeshError
+from gcd_dataset.errors import ConfigError, MeshError
 from gcd_dataset.files import make_folder, write_whole
-from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric, drape_batch, resolve_device
+from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
+from gcd_dataset.generator.drapers import Draped
+from gcd_dataset.generator.drapers.here import DraperHere
+from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -28,7 +31,6 @@ __all__ = ["Fitting", "fit", "read_patterns", "write_fitting", "write_report"]
 
 log = logging.getLogger(__name__)
 
-BATCH = {"cpu": 4, "cuda": 16}  # garments draped at a time
 PICTURE = 800  # pixels
 
 
@@ -86,57 +88,33 @@ def fit(
     fabric: Fabric = FABRICS[DEFAULT_FABRIC],
     resolution: float = 1.0,
     device: str = "auto",
-    batch: int | None = None,
 ) -> Iterator[Fitting]:
-    """Each pattern on a body, in order; ``batch`` at a time (4 on a CPU, 16 on a GPU).
+    """Each pattern on a body, in order; as many at a time as the device drapes at once.
 
     ``wearer(legs_apart)`` gives the body with its legs together or, for a garment with legs, apart: they must not
     touch there. What a file does not say is assumed (see ``dress``), told in the log and kept in the ``Fitting``.
     Raises ``PatternError`` for a pattern whose panels cannot be placed, ``MeshError`` with the pattern and its panel or
     seam, and ``ConfigError`` for a device that is not there.
     """
-    device = resolve_device(device)
-    load: list[_Ready] = []
-    for pattern in patterns:
-        try:
-            load.append(_ready(pattern, wearer, fabric, resolution))
-        except GcdError:
-            yield from _drape(load, device)  # those before it are not lost
-            raise
-        if len(load) == (batch or BATCH[device.split(":")[0]]):
-            yield from _drape(load, device)
-            load = []
-    yield from _drape(load, device)
+    work = (_work(pattern, wearer, fabric, resolution) for pattern in patterns)
+    with DraperHere(device) as draper:
+        yield from in_order(work, draper, ahead=draper.at_once, at_once=draper.at_once)
 
 
-@dataclass(frozen=True)
-class _Ready:
-    """A garment to be draped."""
-
-    dressing: Dressing
-    job: DrapeJob
-    mesh_seconds: float
-
-
-def _ready(
+def _work(
     pattern: Pattern, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
-) -> _Ready:
+) -> Work[Fitting]:
+    """A pattern to be draped."""
     dressing, on = _dressed(pattern, wearer)
     start = time.perf_counter()
     mesh = _box_mesh(dressing.pattern, resolution)
-    return _Ready(dressing, DrapeJob(mesh, *on, fabric), time.perf_counter() - start)
+    seconds = time.perf_counter() - start
 
+    def finish(draped: Sequence[Draped]) -> Fitting:
+        [garment] = draped
+        return Fitting(dressing.pattern, on[0], dressing.assumed, mesh, garment.drape, seconds, garment.seconds)
 
-def _drape(load: Sequence[_Ready], device: str) -> Iterator[Fitting]:
-    """All of them at once."""
-    start = time.perf_counter()
-    drapes = drape_batch([ready.job for ready in load], device=device)
-    each = (time.perf_counter() - start) / max(len(load), 1)
-    for ready, drape in zip(load, drapes, strict=True):
-        dressing = ready.dressing
-        yield Fitting(
-            dressing.pattern, ready.job.body, dressing.assumed, ready.job.box_mesh, drape, ready.mesh_seconds, each
-        )
+    return Work([DrapeJob(mesh, *on, fabric)], finish)
 
 
 def _dressed(

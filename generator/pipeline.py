@@ -1,94 +1,41 @@
-"""The whole way of a sample on one page: body, measures, design, pattern, box mesh, drape, points, pictures.
+"""The steps of a sample: body, measures, design, pattern, box mesh, then the drape's jobs, points, pictures.
 
 A sample is named by ``(seed, index)`` and comes out the same alone, in a batch, in any order and in any process.
+``produce`` runs the steps.
 """
 
 import math
-from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import chain, islice
+from typing import TYPE_CHECKING
 
 from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.body.population import SEXES
+from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
 from gcd_dataset.generator.garments.design import Bottom
-from gcd_dataset.generator.last_design import LastDesign, MadeDesign
 from gcd_dataset.generator.mesh import Coarse, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
-from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of, versions
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.records import Body, BodyShape, BoxMesh, Drape, Measurements, Outcome, Pattern, Provenance, Sample
 from gcd_dataset.seeding import Stage, rng
+
+if TYPE_CHECKING:
+    from gcd_dataset.generator.drape import DrapeJob
+    from gcd_dataset.generator.drapers import Draped
 
 __all__ = [
     "Dressed",
     "DressedDesign",
     "build_pattern",
+    "drape_jobs",
     "finish",
     "fit",
-    "make",
-    "make_many",
     "prepare",
     "sample_key",
     "turned_down",
 ]
-
-BATCH = {"cpu": 1, "cuda": 64}  # garments draped at a time
-DEFAULT = MakeConfig()
-
-
-def make(seed: int, index: int, config: MakeConfig = DEFAULT) -> Sample:
-    """Sample ``index`` of ``seed``. Raises ``PatternError`` where ``config.max_attempts`` designs were turned down."""
-    return next(make_many(seed, [index], config))
-
-
-def make_many(
-    seed: int,
-    indices: Iterable[int],
-    config: MakeConfig = DEFAULT,
-    *,
-    batch: int | None = None,
-    last: LastDesign | None = None,
-    pictured: bool = True,
-) -> Iterator[Sample]:
-    """The samples of ``indices``, in order; up to ``batch`` garments are draped at a time (1 on a CPU, 64 on a GPU).
-
-    With ``bodies="both"`` a design is taken or turned down for both of its bodies, so both are draped even if one index
-    is asked for: a ``last`` that is given to the next call too holds the other meanwhile. Without ``pictured`` nothing
-    else is different but that pictures are missing. Raises ``PatternError`` as ``make`` does.
-    """
-    order = deque(indices)
-    asked = Counter(order)
-    last = last or LastDesign()
-    waiting = deque(dict.fromkeys(index // config.wearers for index in order))
-    at_once = max((batch or BATCH[device_kind(config)]) // config.wearers, 1) if config.stage == "drape" else 1
-    again = deque[DressedDesign]()
-    done: dict[int, Sample] = {}
-    made = last.made
-    if made is not None and made.number in waiting:
-        waiting.remove(made.number)
-        first = made.number * config.wearers
-        done |= {index: made.sample_of(index) for index in range(first, first + config.wearers) if index in asked}
-    while True:
-        while order and order[0] in done:
-            index = order.popleft()
-            asked[index] -= 1
-            yield done[index] if asked[index] else done.pop(index)
-        if not order:
-            return
-        load = [prepare(seed, failed.number, config, failed.rejects) for failed in again]
-        again.clear()
-        load += [prepare(seed, waiting.popleft(), config) for _ in range(min(at_once - len(load), len(waiting)))]
-        for design, drapes in zip(load, _drape(load, config), strict=True):
-            if failed := turned_down(design, drapes, config):
-                again.append(failed)
-                continue
-            made = MadeDesign(design.number, partial(_finished, design, drapes, config, pictured))
-            done |= {worn.index: made.sample_of(worn.index) for worn in design.dressed if worn.index in asked}
-            if any(worn.index not in asked for worn in design.dressed):
-                last.made = made
 
 
 def build_pattern(size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Pattern:
@@ -231,57 +178,42 @@ def _held(seed: int, wearer: _Wearer, config: MakeConfig) -> BodyShape:
     return replace(wearer.shape, arm_angle=math.radians(turn))
 
 
-def _drape(load: Sequence[DressedDesign], config: MakeConfig) -> Iterator[tuple[Drape | None, ...]]:
-    """The drapes of each design's wearers, all draped together; none at an earlier stage."""
+def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", ...]:
+    """What is to be draped for each wearer; nothing at an earlier stage."""
     if config.stage != "drape":
-        return iter([(None,) * len(design.dressed) for design in load])
-    from gcd_dataset.generator.drape import DrapeJob, drape_batch, fabric_named
+        return ()
+    from gcd_dataset.generator.drape import DrapeJob, fabric_named
 
-    everyone = chain.from_iterable(design.dressed for design in load)
     fabric = fabric_named(config.fabric)
-    jobs = [
+    return tuple(
         DrapeJob(worn.box_mesh, worn.body, worn.size, fabric, worn.coarse)
-        for worn in everyone
+        for worn in design.dressed
         if worn.box_mesh is not None
-    ]
-    drapes = iter(drape_batch(jobs, device=config.device))
-    return (tuple(islice(drapes, len(design.dressed))) for design in load)
+    )
 
 
-def turned_down(design: DressedDesign, drapes: Sequence[Drape | None], config: MakeConfig) -> DressedDesign | None:
-    """The design with the reason why the next is tried instead, if one of its drapes asks for that."""
-    failed = next((drape.outcome for drape in drapes if drape and drape.outcome is not Outcome.SETTLED), None)
+def turned_down(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig) -> DressedDesign | None:
+    """The design with the reason for another attempt, if one of its drapes failed and may be tried again."""
+    failed = next((drape.outcome for drape in drapes if drape.outcome is not Outcome.SETTLED), None)
     last = len(design.rejects) + 1 >= config.max_attempts
     if failed is None or config.on_fail == "keep" or last:
         return None
     return replace(design, rejects=design.rejects + (f"drape: {failed.name.lower()}",))
 
 
-def _finished(
-    design: DressedDesign, drapes: Sequence[Drape | None], config: MakeConfig, pictured: bool, index: int
-) -> Sample:
-    place = index % config.wearers
-    return finish(design, design.dressed[place], config, drapes[place], pictured=pictured)
-
-
-def finish(
-    design: DressedDesign,
-    dressed: Dressed,
-    config: MakeConfig,
-    drape: Drape | None,
-    pictures: tuple[bytes, bytes] | None = None,
-    pictured: bool = True,
-) -> Sample:
-    """The sample of a dressed body: points are taken, and ``pictures`` too where none are given and they are wanted."""
+def finish(design: DressedDesign, index: int, config: MakeConfig, draped: "Draped | None") -> Sample:
+    """The sample of one wearer: points are taken, pictures encoded. ``draped``: ``None`` at an earlier stage."""
+    dressed = design.dressed[index % config.wearers]
     mesh, points = dressed.box_mesh, None
     if mesh is not None:
-        surface = drape.vertices if drape is not None else mesh.vertices
-        points = sample_surface(surface, mesh.faces, config.points, rng(design.seed, dressed.index, Stage.POINTS))
-    sample = Sample(
-        key=sample_key(dressed.index),
+        surface = mesh.vertices if draped is None else draped.drape.vertices
+        points = sample_surface(surface, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
+    front, back = (None, None) if draped is None or draped.pictures is None else map(jpeg_bytes, draped.pictures)
+    return Sample(
+        key=sample_key(index),
         provenance=Provenance(
             seed=design.seed,
-            index=dressed.index,
+            index=index,
             attempts=len(design.rejects) + 1,
             rejects=design.rejects,
             versions=versions(),
@@ -293,13 +225,8 @@ def finish(
         design=design_to_dict(design.design),
         shape=dressed.shape,
         box_mesh=mesh,
-        drape=drape,
+        drape=None if draped is None else draped.drape,
         points=points,
+        front=front,
+        back=back,
     )
-    if drape is None or not (config.picture and pictured):
-        return sample
-    if pictures is None:
-        from gcd_dataset.generator.render import render_sample
-
-        pictures = render_sample(sample, dressed.body, size=config.picture, device=config.device)
-    return replace(sample, front=pictures[0], back=pictures[1])

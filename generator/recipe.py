@@ -10,7 +10,7 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 
-__all__ = ["MakeConfig", "check_resolution", "device_kind", "recipe_of", "versions"]
+__all__ = ["MakeConfig", "check_resolution", "device_kind", "devices_of", "named_devices", "recipe_of", "versions"]
 
 Bodies = Literal["neutral", "random", "female", "male", "both"]
 LastStage = Literal["pattern", "mesh", "drape"]
@@ -44,7 +44,8 @@ class MakeConfig:
     resolution: float = 1.0
     """Length of the mesh's edges [cm]."""
     device: str = "auto"
-    """Where cloth is draped and pictures are taken: ``auto``, ``cpu`` or ``cuda:0``."""
+    """Where cloth is draped and pictures are taken: ``cpu``, ``cuda:0``, ``cuda:0,1``; ``auto``: every GPU, or the
+    CPU where there is none."""
     on_fail: OnFail = "retry"
     """A drape that does not settle: the next design instead (for both bodies, with ``both``), or the sample as it is,
     with its outcome."""
@@ -103,19 +104,37 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
 
 def device_kind(config: MakeConfig) -> str:
     """``cpu`` or ``cuda``. Raises ``ConfigError`` for a device that cannot be; whether it is there, its user sees."""
+    return devices_of(config)[0].partition(":")[0]
+
+
+def devices_of(config: MakeConfig) -> tuple[str, ...]:
+    """The devices that the config names: ``cpu``, or one GPU or more; ``auto`` is every GPU, or the CPU.
+
+    Raises ``ConfigError`` for a name that cannot be.
+
+    >>> devices_of(MakeConfig(device="cuda:0,2"))
+    ('cuda:0', 'cuda:2')
+    """
+    # By its name alone: to ask starts CUDA, which a process does not survive that was forked from one that uses it.
     if config.device != "auto":
-        # By its name alone: to ask starts CUDA, which a process does not survive that was forked from one that uses it.
-        return device_named(config.device)
-    from gcd_dataset.generator.drape import resolve_device
+        return named_devices(config.device)
+    from gcd_dataset.generator.drape import every_device
 
-    return device_named(resolve_device("auto"))
+    return every_device()
 
 
-def device_named(name: str) -> str:
-    """``cpu`` or ``cuda``, by a device's name. Raises ``ConfigError``."""
-    if not re.fullmatch(r"cpu|cuda(:\d+)?", name):
-        raise ConfigError(f"device {name}: give auto, cpu, or a GPU as cuda:0")
-    return name.partition(":")[0]
+def named_devices(name: str) -> tuple[str, ...]:
+    """The devices of a name such as ``cuda:0,1``. Raises ``ConfigError``.
+
+    >>> named_devices("cuda")
+    ('cuda:0',)
+    """
+    if not re.fullmatch(r"cpu|cuda(:\d+(,\d+)*)?", name):
+        raise ConfigError(f"device {name}: give auto, cpu, a GPU as cuda:0, or several as cuda:0,1")
+    kind, _, numbers = name.partition(":")
+    if kind == "cpu":
+        return ("cpu",)
+    return tuple(dict.fromkeys(f"cuda:{int(number)}" for number in (numbers or "0").split(",")))
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,17 @@ from gcd_dataset.generator.colours import PALETTE, PAPER
 from gcd_dataset.generator.drape import load_kernels, resolve_device
 from gcd_dataset.generator.drape.device import one_at_a_time
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.render_kernels import Camera, Scene, cast_rays, develop, look_up
+from gcd_dataset.generator.render_kernels import (
+    LEVELS,
+    Camera,
+    Scene,
+    cast_rays,
+    develop,
+    encode,
+    look_up,
+    scale_normals,
+    sum_normals,
+)
 from gcd_dataset.records import Body, BoxMesh, Sample
 
 __all__ = [
@@ -110,7 +121,9 @@ def _picture(scene: Scene, camera: Camera, n: int, size: int, device: str) -> UI
     wp.launch(look_up, (2, n), inputs=[scene, seen], outputs=[sky], device=device)
     inputs = [scene, camera, hit_face, hit_place, sky, SAMPLES]
     wp.launch(develop, (size, size), inputs=inputs, outputs=[picture], device=device)
-    return np.asarray(np.rint(255 * _srgb(np.clip(picture.numpy(), 0, 1))), np.uint8)
+    coded = wp.empty((size, size, 3), dtype=wp.uint8, device=device)
+    wp.launch(encode, (size, size), inputs=[picture, _thresholds(device)], outputs=[coded], device=device)
+    return coded.numpy()
 
 
 def _camera(points: Float[np.ndarray, "v 3"], view: View) -> Camera:
@@ -141,7 +154,7 @@ def _scene(shown: Painted, device: str) -> tuple[Scene, wp.Mesh]:
     scene.mesh = mesh.id
     scene.face = wp.array(faces, dtype=wp.vec3i, device=device)
     scene.position = points
-    scene.normal = wp.array(_vertex_normals(shown.vertices, shown.faces), dtype=wp.vec3, device=device)
+    scene.normal = _vertex_normals(scene.face, points, device)
     scene.paint = wp.array(np.asarray(shown.paint, np.int32), dtype=int, device=device)
     scene.colour = wp.array(linear, dtype=wp.vec3, device=device)
     scene.inside = wp.array(WRONG_SIDE * linear, dtype=wp.vec3, device=device)
@@ -149,20 +162,22 @@ def _scene(shown: Painted, device: str) -> tuple[Scene, wp.Mesh]:
     return scene, mesh
 
 
-def _vertex_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> np.ndarray:
+def _vertex_normals(faces: wp.array, points: wp.array, device: str) -> wp.array:
     """Unit normals at vertices: of their faces, weighted by area."""
-    a, b, c = np.asarray(vertices, float)[faces].transpose(1, 0, 2)
-    face = np.cross(b - a, c - a)
-    corner = faces.ravel()
-    total = [np.bincount(corner, np.repeat(face[:, axis], 3), minlength=len(vertices)) for axis in range(3)]
-    normals = np.stack(total, axis=1)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    total = wp.zeros((len(points), 3), dtype=wp.int64, device=device)
+    normals = wp.empty(len(points), dtype=wp.vec3, device=device)
+    wp.launch(sum_normals, len(faces), inputs=[faces, points], outputs=[total], device=device)
+    wp.launch(scale_normals, len(points), inputs=[total], outputs=[normals], device=device)
+    return normals
 
 
-def _srgb(linear: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+@cache
+def _thresholds(device: str) -> wp.array:
+    """The least linear value of each sRGB byte from 1 on."""
+    least = _linear((np.arange(LEVELS) + 0.5) / LEVELS)
+    return wp.array(least.astype(np.float32), dtype=float, device=device)
 
 
 def _linear(srgb: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

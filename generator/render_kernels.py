@@ -1,6 +1,7 @@
 """Ray casting of one garment on one body: the kernels of ``render``.
 
-Three passes: what each ray meets, how much sky each vertex seen has over it, and the colour of each pixel.
+Passes: the normals of vertices, what each ray meets, how much sky each vertex seen has over it, the colour of each
+pixel, and its sRGB bytes.
 """
 
 import warp as wp
@@ -14,6 +15,8 @@ SKY_RAYS = 24
 GOLDEN_ANGLE = 2.39996323
 KEY, FILL, SKY = 0.74, 0.18, 0.26  # shares of the light
 DARKEST = 0.25  # of the sky: light that comes round every corner
+FIXED = 2.0**36  # steps of fixed-point normals in a cm²: sums of integers do not depend on their order
+LEVELS = 255
 WRAP = 0.2  # cloth scatters: light creeps this far past the terminator
 
 
@@ -42,6 +45,27 @@ class Camera:
     focal: float  # in half pictures
     key_light: wp.vec3  # direction to it
     fill_light: wp.vec3
+
+
+@wp.kernel
+def sum_normals(face: wp.array(dtype=wp.vec3i), position: wp.array(dtype=wp.vec3),
+                total: wp.array2d(dtype=wp.int64)):  # fmt: skip
+    """Add the normal of each face, twice its area long, to its corners (v, 3)."""
+    corners = face[wp.tid()]
+    a = wp.vec3d(position[corners[0]])
+    normal = wp.cross(wp.vec3d(position[corners[1]]) - a, wp.vec3d(position[corners[2]]) - a)
+    for axis in range(3):
+        share = wp.int64(wp.round(normal[axis] * wp.float64(FIXED)))
+        for k in range(3):
+            wp.atomic_add(total, corners[k], axis, share)
+
+
+@wp.kernel
+def scale_normals(total: wp.array2d(dtype=wp.int64), normal: wp.array(dtype=wp.vec3)):
+    """Unit normals at vertices."""
+    i = wp.tid()
+    normal[i] = wp.vec3(wp.normalize(wp.vec3d(
+        wp.float64(total[i, 0]), wp.float64(total[i, 1]), wp.float64(total[i, 2]))))  # fmt: skip
 
 
 @wp.func
@@ -149,3 +173,20 @@ def develop(scene: Scene, camera: Camera, hit_face: wp.array2d(dtype=int), hit_p
             else:
                 total += shade(scene, camera, sky, hit, hit_place[row * samples + i, column * samples + j])
     picture[row, column] = total / float(samples * samples)
+
+
+@wp.kernel
+def encode(picture: wp.array2d(dtype=wp.vec3), least: wp.array(dtype=float), coded: wp.array3d(dtype=wp.uint8)):
+    """The sRGB byte of each channel: how many of the ``LEVELS`` thresholds in ``least`` it reaches."""
+    row, column = wp.tid()
+    for channel in range(3):
+        value = picture[row, column][channel]
+        low = int(0)
+        high = int(LEVELS)
+        while low < high:
+            middle = (low + high) // 2
+            if value >= least[middle]:
+                low = middle + 1
+            else:
+                high = middle
+        coded[row, column, channel] = wp.uint8(low)

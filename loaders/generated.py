@@ -4,6 +4,7 @@ import logging
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,15 +12,14 @@ import torch
 from torch.utils.data import get_worker_info
 
 from gcd_dataset import __version__
+from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import user_path
-from gcd_dataset.generator.drapers import make_ahead, place_for
+from gcd_dataset.generator.drapers import SharedDraper, place_for
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
-from gcd_dataset.generator.last_design import LastDesign
-from gcd_dataset.generator.pipeline import make_many
+from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.loaders.base import Garments, Transform, natural
-from gcd_dataset.loaders.by_thread import by_thread
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.kept import KeptSamples
@@ -30,12 +30,6 @@ __all__ = ["GeneratedGarments", "Stage"]
 Stage = Literal["pattern", "mesh", "drape"]
 
 logger = logging.getLogger("gcd_dataset")
-
-# Of a stream, in each process. A garment that fails is made and draped again: those after it go on meanwhile, or the
-# draper would stand idle. If more were draped at once, they would only wait there for each other.
-AT_ONCE = 8  # designs that are draped
-AHEAD = 48  # garments that may be begun before the first of them is done
-READY = 16  # garments that may be done before the first of them is taken
 
 
 class GeneratedGarments(Garments):
@@ -121,7 +115,7 @@ class GeneratedGarments(Garments):
         """Raise ``ShardError`` unless garment ``index``, made anew, is the one in the cache, or the one made before."""
         position = self._position(index)
         before = None if self._kept is None else self._kept.read(position)
-        before, now = before or self._made([position])[0], self._made([position])[0]
+        before, now = before or self._made(position), self._made(position)
         for member, data in now.items():
             if data != before[member]:
                 raise ShardError(f"{key_of(position)}, member {member}: comes out different when it is made again")
@@ -141,40 +135,27 @@ class GeneratedGarments(Garments):
         return [self._item(members) for members in self._several(positions)]
 
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
-        """Garments one after the other, of numbers that may be endless; on a GPU the next are made meanwhile."""
+        """Stream garments; ``indices`` may be infinite. On a GPU the next are made while one is handed out."""
         positions = (self._position(index) for index in indices)
         if self._place is None:
             return (self._item(self._several([position])[0]) for position in positions)
-        return map(self._item, by_thread(self._by_draper(positions, AHEAD, AT_ONCE), READY))
+        return map(self._item, by_thread(self._produced(positions, ahead=AHEAD), READY))
 
     def _several(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
-        if self._apart:
-            return list(self._by_draper(positions, len(positions)))
-        there = {position: self._known(position) for position in positions}
-        missing = [position for position, members in there.items() if members is None]
-        made = (
-            dict(zip(missing, map(self._keep, missing, self._made(missing, self._last)), strict=True))
-            if missing
-            else {}
-        )
-        return [there[position] or made[position] for position in positions]
+        return list(self._produced(positions))
 
-    def _by_draper(
-        self, positions: Iterable[int], ahead: int, at_once: int | None = None
-    ) -> Iterator[Mapping[str, Bytes]]:
-        assert self._place is not None
-        return make_ahead(
-            self._seed,
-            positions,
-            self.config,
-            self._place,
-            ahead=ahead,
-            at_once=at_once,
-            known=self._known,
-            finished=self._encoded,
-            last=self._last,
-            pictured=self._pictured,
-        )
+    def _produced(self, positions: Iterable[int], *, ahead: int | None = None) -> Iterator[Mapping[str, Bytes]]:
+        """Garments of the cache or made now; by the draper of the device where this process must not drape."""
+        apart = ahead is not None or self._apart
+        options = {"finished": self._encoded, "known": self._known, "last": self._last, "pictured": self._pictured}
+        return self._by(apart, positions, ahead=ahead, **options)
+
+    def _by(self, apart: bool, positions: Iterable[int], **options: Any) -> Iterator[Mapping[str, Bytes]]:
+        with ExitStack() as opened:
+            draper = None
+            if apart and self._place is not None:
+                draper = opened.enter_context(SharedDraper(self._place))
+            yield from produce(self._seed, positions, self.config, draper=draper, **options)
 
     @property
     def _pictured(self) -> bool:
@@ -190,22 +171,9 @@ class GeneratedGarments(Garments):
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return self._several([position])[0]
 
-    def _made(self, positions: Sequence[int], last: LastDesign | None = None) -> list[Mapping[str, Bytes]]:
-        """Garments made, whatever is in the cache; without a ``last`` all anew."""
-        if self._apart and self._place is not None:
-            samples = make_ahead(
-                self._seed,
-                positions,
-                self.config,
-                self._place,
-                ahead=len(positions),
-                finished=_whole,
-                last=last,
-                pictured=self._pictured,
-            )
-        else:
-            samples = make_many(self._seed, positions, self.config, last=last, pictured=self._pictured)
-        return [encode_sample(sample) for sample in samples]
+    def _made(self, position: int) -> Mapping[str, Bytes]:
+        """A garment made anew, whatever is in the cache."""
+        return next(self._by(self._apart, [position], finished=encode_sample, pictured=self._pictured))
 
     def _encoded(self, sample: Sample) -> Mapping[str, Bytes]:
         return self._keep(sample.provenance.index, encode_sample(sample))
@@ -233,10 +201,6 @@ class GeneratedGarments(Garments):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._process = os.getpid()  # unpickled: spawned, not forked
-
-
-def _whole(sample: Sample) -> Sample:
-    return sample
 
 
 def _named(device: str) -> str:

@@ -8,9 +8,9 @@ from typing import Any, cast
 import torch
 from torch.utils.data import Dataset, IterableDataset
 
+from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, natural
-from gcd_dataset.loaders.by_thread import by_thread
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
 from gcd_dataset.loaders.plan import ByNumber, Plan, Streamed

@@ -22,7 +22,7 @@ from gcd_dataset.generator.garments import OutfitDesign, outfit
 from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.design import Bottom, MetaDesign
 from gcd_dataset.generator.garments.overlay import Overlay
-from gcd_dataset.generator.pipeline import make
+from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.records import Pattern

@@ -17,7 +17,7 @@ from gcd_dataset.cli.convert import convert, plan_convert
 from gcd_dataset.cli.export import export_published, exported_splits
 from gcd_dataset.cli.statistics import garment_type
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.pipeline import make
+from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
 from gcd_dataset.loaders.fake import fake_sample

@@ -19,6 +19,7 @@ CASES: Mapping[str, str] = {
     "parity": "benchmarks.cases.parity",
     "patterns": "benchmarks.cases.patterns",
     "reconstruction": "benchmarks.cases.reconstruction",
+    "scale": "benchmarks.cases.scale",
 }
 """Case to its module: one needs a simulator, another a network."""
 

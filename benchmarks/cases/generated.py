@@ -11,25 +11,16 @@ nvidia-smi tells, whoever uses the GPU.
 """
 
 import argparse
-import shutil
-import subprocess
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
-from itertools import cycle, islice, pairwise
+from itertools import pairwise
 from typing import Any
 
-import numpy as np
 import torch
 from torch import nn
 
 from benchmarks.cases.figures import Figure, Measured
+from benchmarks.draper import gpu_idle, own_rate
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drape import DrapeJob
-from gcd_dataset.generator.drapers import Asking, Order, place_for
-from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.loaders import FreshGarments, GarmentLoader, GeneratedGarments
 
 __all__ = ["add_arguments", "run"]
@@ -37,8 +28,6 @@ __all__ = ["add_arguments", "run"]
 MANY = 10**6  # garments: more than any run makes
 FIELDS = {"pattern": ("panels", "edges", "stitches", "body"), "mesh": ("points", "body", "box", "faces")}
 FIELDS["drape"] = ("points", "body", "verts", "faces")
-TRIFLE = 1e-6  # cm
-TOLD_EVERY = 200  # ms between two readings of nvidia-smi
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,15 +57,15 @@ def run(options: argparse.Namespace) -> Measured:
         fields=FIELDS[options.stage],
     )
     on_gpu = garments.config.device != "cpu"
-    with _busy(garments.config.device) as idle:
+    with gpu_idle(garments.config.device) as idle:
         rate = _rate(garments, options)
     figures = [Figure("per_second", rate, "garments")]
     figures += [Figure("gpu_idle_alone", idle[0], "of the time, nothing is trained")] if idle else []
     if options.stage == "drape" and on_gpu:
-        own = _own_rate(garments, options)
+        own = own_rate(garments.config, prepared=options.prepared, warm=options.warm, seconds=options.seconds)
         figures += [Figure("own_per_second", own, "garments"), Figure("share", rate / own, "of the draper's own rate")]
     if options.stage != "pattern" and on_gpu:
-        with _busy(garments.config.device) as idle:
+        with gpu_idle(garments.config.device) as idle:
             figures += _trained(garments, options)
         figures += [Figure("gpu_idle", idle[0], "of the time, a network is trained")] if idle else []
     return Measured(figures)
@@ -93,31 +82,6 @@ def _rate(garments: GeneratedGarments, options: argparse.Namespace) -> float:
         next(batches)
         count += options.batch
     return count / (time.perf_counter() - begun)
-
-
-def _own_rate(garments: GeneratedGarments, options: argparse.Namespace) -> float:
-    """Garments a second of the draping process alone, which is given as many as it takes."""
-    config, counted = garments.config, 0
-    prepared = [worn for number in range(options.prepared) for worn in prepare(1, number, config).dressed]
-    jobs = [DrapeJob(worn.box_mesh, worn.body, worn.size, coarse=worn.coarse) for worn in prepared if worn.box_mesh]
-    with Asking(place_for(config.device)) as asking:
-        orders = (Order(number, _on_another(job, number)) for number, job in enumerate(cycle(jobs)))
-        for order in islice(orders, 256):  # more than it drapes at a time
-            asking.ask(order)
-        for order in islice(orders, options.warm):
-            asking.answer()
-            asking.ask(order)
-        begun = time.perf_counter()
-        while time.perf_counter() - begun < options.seconds:
-            asking.answer()
-            counted += 1
-            asking.ask(next(orders))
-        return counted / (time.perf_counter() - begun)
-
-
-def _on_another(job: DrapeJob, number: int) -> DrapeJob:
-    """The job on a body of its own, as garments of the loop have: what is known of a body is kept."""
-    return replace(job, body=replace(job.body, vertices=job.body.vertices + TRIFLE * number))
 
 
 def _trained(garments: GeneratedGarments, options: argparse.Namespace) -> list[Figure]:
@@ -167,31 +131,3 @@ class _PointNet(nn.Module):
     def forward(self, points: torch.Tensor) -> torch.Tensor:
         """[B, n, 6] to [B, outputs]."""
         return self.all(self.each(points).amax(dim=1))
-
-
-@contextmanager
-def _busy(device: str) -> Iterator[list[float]]:
-    """A list that holds, after the block, the share of time in which the GPU did nothing; without a GPU none."""
-    idle: list[float] = []
-    if device == "cpu" or shutil.which("nvidia-smi") is None:
-        yield idle
-        return
-    number = device.partition(":")[2] or "0"
-    command = ["nvidia-smi", "-i", number, "--query-gpu=utilization.gpu", "--format=csv,noheader,nounits"]
-    reading = subprocess.Popen([*command, "-lms", str(TOLD_EVERY)], stdout=subprocess.PIPE, text=True)
-    told: list[float] = []
-
-    def listen() -> None:
-        assert reading.stdout is not None
-        told.extend(float(line) for line in reading.stdout if line.strip().isdigit())
-
-    thread = threading.Thread(target=listen)
-    thread.start()
-    try:
-        yield idle
-    finally:
-        reading.terminate()
-        thread.join()
-        reading.wait()
-        if told:
-            idle.append(1 - float(np.mean(told)) / 100)

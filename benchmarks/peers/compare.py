@@ -102,8 +102,8 @@ def _judged(jobs: Sequence[DrapeJob], made: PeerDrapes, device: str) -> list[Dra
             stretch_p99=float(p99),
             body_through=int(through[k]),
         )
-        through = is_through_body(drape, config, solver.model.usual_length[k])
-        outcome = _outcome(job, drape, config, rested=bool(made.rested[k]), through=through)
+        too_many = is_through_body(drape, config, solver.model.usual_length[k])
+        outcome = _outcome(job, drape, config, rested=bool(made.rested[k]), through=too_many)
         drapes.append(replace(drape, outcome=outcome))
     return drapes
 

@@ -283,7 +283,9 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     )
     add_quiet(generate)
 
-    drape = add_verb(verbs, "drape", _drape, "drape GarmentCode specification files on a body")
+    drape = add_verb(
+        verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
+    )
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
     drape.add_argument("--body", type=body_name, default="neutral", help=f"{NAMES} or a mesh file (default: neutral)")
     drape.add_argument(

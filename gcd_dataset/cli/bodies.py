@@ -7,11 +7,11 @@ from pathlib import Path
 
 from gcd_dataset.bodies import Person
 from gcd_dataset.cli.plan import Plan
-from gcd_dataset.cli.workers import side_by_side_in_parts
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, own_mesh
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.shards.people import BodyWriter
+from gcd_dataset.workers import side_by_side_in_parts
 
 __all__ = ["PeoplePlan", "generate_people", "plan_people"]
 

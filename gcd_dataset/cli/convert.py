@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gcd_dataset.cli.plan import Plan
-from gcd_dataset.cli.workers import side_by_side_in_parts
 from gcd_dataset.errors import PatternError, ShardError
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garments import PublishedGarments
 from gcd_dataset.release.layout import SPLIT_NAMES
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
+from gcd_dataset.workers import side_by_side_in_parts
 
 __all__ = ["ConvertPlan", "Converted", "convert", "plan_convert"]
 

@@ -1,16 +1,13 @@
 """Making a data set: samples into shards, going on where an earlier run was stopped."""
 
 import math
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator
 from dataclasses import dataclass
-from functools import partial
-from itertools import groupby
 from pathlib import Path
 
 from gcd_dataset.cli.plan import Plan
-from gcd_dataset.cli.workers import side_by_side
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.pipeline import make_many
+from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, recipe_of
 from gcd_dataset.records import Sample
 from gcd_dataset.shards import ShardWriter
@@ -56,7 +53,7 @@ def generate(plan: GarmentPlan, *, workers: int = 0) -> Generator[Sample, None, 
     if not plan.missing:
         return
     with ShardWriter(plan.out, seed=plan.seed, recipe=recipe_of(plan.config)) as writer:
-        for sample in _made(plan, workers):
+        for sample in produce(plan.seed, plan.missing, plan.config, workers=workers):
             writer.write(sample)
             yield sample
 
@@ -93,17 +90,3 @@ def _duration(seconds: float) -> str:
         if seconds >= 1.5 * size:
             return f"{seconds / size:.2g} {unit}" if seconds < 100 * size else f"{seconds / size:.0f} {unit}"
     return f"{seconds:.2g} s"
-
-
-def _made(plan: GarmentPlan, workers: int) -> Iterator[Sample]:
-    if workers < 2 or (plan.config.stage == "drape" and device_kind(plan.config) == "cuda"):
-        yield from make_many(plan.seed, plan.missing, plan.config)
-        return
-    designs = groupby(plan.missing, key=lambda index: index // plan.config.wearers)
-    make = partial(_make, plan.seed, plan.config)
-    for samples in side_by_side(make, (tuple(indices) for _, indices in designs), workers):
-        yield from samples
-
-
-def _make(seed: int, config: MakeConfig, indices: Sequence[int]) -> list[Sample]:
-    return list(make_many(seed, indices, config))

@@ -15,7 +15,7 @@ import warp as wp
 
 from gcd_dataset.errors import ConfigError, OutputError
 
-__all__ = ["cores", "kernels_cached", "load_kernels", "one_at_a_time", "resolve_device"]
+__all__ = ["cores", "every_device", "kernels_cached", "load_kernels", "one_at_a_time", "resolve_device"]
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -40,6 +40,12 @@ def resolve_device(name: str) -> str:
     if name not in known:
         raise ConfigError(f"device {name}: there is {', '.join(sorted(known))}: use --device auto or cpu")
     return known[name]
+
+
+def every_device() -> tuple[str, ...]:
+    """All GPUs, or the CPU where there is none."""
+    _begin()
+    return tuple(device.alias for device in wp.get_cuda_devices()) or ("cpu",)
 
 
 @cache

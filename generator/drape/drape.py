@@ -42,7 +42,7 @@ def drape_all(
     device = resolve_device(device)
     checked = _checked(jobs, device)
     if device == "cpu":
-        yield from _by_threads(checked, config, at_once or cores())
+        yield from _by_threads(checked, config, at_once or places_on(device))
         return
     early: dict[int, Drape] = {}
     following = 0
@@ -54,7 +54,9 @@ def drape_all(
 
 
 def places_on(device: str) -> int:
-    """Garments that a GPU drapes at once: enough to fill it, as far as its memory goes."""
+    """Garments that a device drapes at once: enough to fill a GPU, as far as its memory goes; one for each core."""
+    if device == "cpu":
+        return cores()
     return places_in(wp.get_device(device).free_memory)
 
 

@@ -1,7 +1,7 @@
-"""Draping by another process: one for each device, which garments from any number of workers share."""
+"""Drapers: in this process, or in one process for each device that garments from any number of workers share."""
 
-from gcd_dataset.generator.drapers.ahead import make_ahead
-from gcd_dataset.generator.drapers.asking import Asking, Draped, Order
+from gcd_dataset.generator.drapers.draper import Draped, Draper, Order
 from gcd_dataset.generator.drapers.place import Place, place_for
+from gcd_dataset.generator.drapers.shared import SharedDraper
 
-__all__ = ["Asking", "Draped", "Order", "Place", "make_ahead", "place_for"]
+__all__ = ["Draped", "Draper", "Order", "Place", "SharedDraper", "place_for"]

@@ -24,7 +24,7 @@ __all__ = ["READY", "Place", "owner_file", "place_for", "socket_file"]
 READY = "ready"
 LONGEST = 90  # characters of a socket's path: systems allow 104 to 108
 
-_places: dict[str, "Place"] = {}
+_places: dict[tuple[str, int], "Place"] = {}
 _held: list[int] = []
 """The owner's locks: open until the process ends."""
 _started: list[subprocess.Popen[str]] = []
@@ -101,11 +101,15 @@ class Place:
             raise DrapeError(line or f"the process that drapes on {self.device} could not be started: see above")
 
 
-def place_for(device: str) -> Place:
-    """The place of a device's draper, the same for all in this process and those forked from it; starts nothing."""
-    if device not in _places or not _places[device].folder.is_dir():  # that of a process that this one has outlived
-        _places[device] = _made(device)
-    return _places[device]
+def place_for(device: str, number: int = 0) -> Place:
+    """The place of a draper, the same for all in this process and those forked from it; starts nothing.
+
+    ``number``: which of several on the device.
+    """
+    key = device, number
+    if key not in _places or not _places[key].folder.is_dir():  # left by a process that has ended
+        _places[key] = _made(device)
+    return _places[key]
 
 
 def socket_file(folder: Path) -> Path:

@@ -19,20 +19,16 @@ from pathlib import Path
 from queue import SimpleQueue
 
 from gcd_dataset.errors import GcdError
-from gcd_dataset.generator.drape import DrapeJob, resolve_device
+from gcd_dataset.generator.drape import DrapeJob, places_on, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.drape import places_on
 from gcd_dataset.generator.drape.queue import Readied, drape_in_turn
-from gcd_dataset.generator.drapers.asking import Draped, Order
+from gcd_dataset.generator.drapers.draper import Draped, Order, draped
 from gcd_dataset.generator.drapers.parcel import receive_parcel
 from gcd_dataset.generator.drapers.place import READY, owner_file, socket_file
-from gcd_dataset.records import Drape
 
 __all__ = ["main"]
 
 CONFIG = DrapeConfig()
-AT_ONCE_ON_GPU = 64  # with 128 there are a tenth more, and each takes twice as long: what comes after it waits
-AT_ONCE_ON_CPU = 2  # one core drapes them: more of them would only wait for each other
 
 
 def main(folder: Path, device: str) -> None:
@@ -133,12 +129,12 @@ class Inbox:
         """Wait for a garment, then drape until none is left."""
         with self._some:
             self._some.wait_for(lambda: bool(self._waiting))
-        at_once = AT_ONCE_ON_CPU if device == "cpu" else min(places_on(device), AT_ONCE_ON_GPU)
-        drapes = drape_in_turn(self._jobs(), CONFIG, device=device, at_once=at_once, arrived=self._waiting.__len__)
+        at_once, arrived = places_on(device), self._waiting.__len__
+        drapes = drape_in_turn(self._jobs(), CONFIG, device=device, at_once=at_once, arrived=arrived)
         for number, drape in drapes:
             asker, order = self._at_work.pop(number)
             if asker.there:
-                asker.tell(Draped(order.number, drape, _pictures(order, drape, device)))
+                asker.tell(draped(order, drape, device))
 
     def _jobs(self) -> Iterator[DrapeJob | Readied | None]:
         """Those that wait, whenever asked; ``None`` where there is none at this moment."""
@@ -169,14 +165,6 @@ def _readied(job: DrapeJob) -> DrapeJob | Readied:
         return Readied.of(job)
     except Exception:  # noqa: BLE001 - whatever it is, it comes again
         return job
-
-
-def _pictures(order: Order, drape: Drape, device: str) -> "tuple | None":
-    if not order.picture:
-        return None
-    from gcd_dataset.generator.render import render_garment
-
-    return render_garment(drape.vertices, order.job.box_mesh, order.job.body, size=order.picture, device=device)
 
 
 def _allow_many_files() -> None:

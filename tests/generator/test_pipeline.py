@@ -3,10 +3,9 @@
 import io
 import json
 import re
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections import Counter, deque
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal, Self
 
 import numpy as np
 import pytest
@@ -14,13 +13,15 @@ from PIL import Image
 
 from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
-from gcd_dataset.generator.body import build_body, draw_shape, measure
+from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
+from gcd_dataset.generator.drapers import Draped, Order
 from gcd_dataset.generator.garments import Reject, design_from_dict
 from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.pipeline import build_pattern, fit, make, make_many
+from gcd_dataset.generator.pipeline import build_pattern, fit
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
-from gcd_dataset.records import BoxMesh, Drape, Outcome, Pattern
+from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Pattern
 from gcd_dataset.seeding import Stage, rng
 
 FLAT = MakeConfig(stage="pattern")
@@ -29,8 +30,8 @@ DRAPED = MakeConfig(resolution=4.0, points=64, picture=48, device="cpu")
 
 
 def test_alone_or_in_any_order_it_is_the_same_sample() -> None:
-    in_order = list(make_many(5, range(4), MESHED))
-    backwards = list(make_many(5, [3, 2, 1, 0], MESHED))
+    in_order = list(produce(5, range(4), MESHED))
+    backwards = list(produce(5, [3, 2, 1, 0], MESHED))
     assert in_order == backwards[::-1]
     assert make(5, 2, MESHED) == in_order[2]
     assert [sample.provenance.index for sample in in_order] == [0, 1, 2, 3]
@@ -56,7 +57,7 @@ def test_a_stage_leaves_out_what_comes_after_it() -> None:
 
 def test_both_bodies_wear_one_design() -> None:
     config = replace(FLAT, bodies="both")
-    neutral, random, following = make_many(9, [4, 5, 6], config)
+    neutral, random, following = produce(9, [4, 5, 6], config)
     assert neutral.design == random.design != following.design
     assert neutral.provenance.body_name == following.provenance.body_name == "neutral"
     assert random.measurements != neutral.measurements == following.measurements
@@ -65,13 +66,13 @@ def test_both_bodies_wear_one_design() -> None:
 
 def test_one_design_may_have_many_wearers() -> None:
     config = replace(FLAT, bodies="female", bodies_each=3)
-    first, second, third, following = make_many(9, [3, 4, 5, 6], config)
+    first, second, third, following = produce(9, [3, 4, 5, 6], config)
     assert first.design == second.design == third.design != following.design
     assert len({sample.provenance.body_name for sample in (first, second, third)}) == 3
     assert first.measurements != second.measurements != third.measurements != first.measurements
     assert first.measurements == make(9, 1, replace(config, bodies_each=1)).measurements
     assert second == make(9, 4, config)
-    neutral, *others = make_many(9, range(3), replace(config, bodies="both", bodies_each=2))
+    neutral, *others = produce(9, range(3), replace(config, bodies="both", bodies_each=2))
     assert neutral.provenance.body_name == "neutral"
     assert {sample.design == neutral.design for sample in others} == {True}
     with pytest.raises(ConfigError, match="one neutral body"):
@@ -79,8 +80,8 @@ def test_one_design_may_have_many_wearers() -> None:
 
 
 def test_arms_held_otherwise_wear_the_same_pattern() -> None:
-    in_pose = list(make_many(5, range(4), FLAT))
-    otherwise = list(make_many(5, range(4), replace(FLAT, arms=15)))
+    in_pose = list(produce(5, range(4), FLAT))
+    otherwise = list(produce(5, range(4), replace(FLAT, arms=15)))
     assert [sample.pattern for sample in otherwise] == [sample.pattern for sample in in_pose]
     assert [sample.measurements for sample in otherwise] == [sample.measurements for sample in in_pose]
     turns = [np.degrees(sample.shape.arm_angle) for sample in otherwise if sample.shape]
@@ -116,27 +117,43 @@ def test_a_draped_sample_is_whole() -> None:
         assert Image.open(io.BytesIO(jpeg)).size == (48, 48)
 
 
-def failing(times: int, monkeypatch: pytest.MonkeyPatch, *, only: str = "") -> None:
-    """The first ``times`` drapes of each design do not settle, on bodies named ``only``; cloth stays where it hangs."""
-    tried: Counter[int] = Counter()
-
-    def drape(load: Sequence[Any], config: MakeConfig) -> Iterator[tuple[Drape, ...]]:
-        for design in load:
-            tried[design.number] += 1
-            drapes = []
-            for dressed in design.dressed:
-                fails = tried[design.number] <= times and dressed.body_name.startswith(only)
-                outcome = Outcome.NOT_SETTLED if fails else Outcome.SETTLED
-                drapes.append(Drape(dressed.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0))
-            yield tuple(drapes)
-
-    monkeypatch.setattr(pipeline, "_drape", drape)
+NEUTRAL = measure(build_body(neutral_shape()))
 
 
-def test_a_drape_that_fails_raises_the_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
-    failing(2, monkeypatch)
+class Failing:
+    """A draper by which the first ``times`` drapes for each wearer do not settle; cloth stays where it hangs."""
+
+    at_once = 2
+
+    def __init__(self, times: int, *, but_neutral: bool = False) -> None:
+        self.times, self.but_neutral = times, but_neutral
+        self.tried = Counter[Measurements]()
+        self.answers = deque[Draped]()
+
+    def ask(self, order: Order) -> None:
+        size = order.job.measurements
+        self.tried[size] += 1
+        fails = self.tried[size] <= self.times and not (self.but_neutral and size == NEUTRAL)
+        outcome = Outcome.NOT_SETTLED if fails else Outcome.SETTLED
+        drape = Drape(order.job.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0)
+        self.answers.append(Draped(order.number, drape, None))
+
+    def answered(self) -> bool:
+        return bool(self.answers)
+
+    def answer(self) -> Draped:
+        return self.answers.popleft()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.answers.clear()
+
+
+def test_a_drape_that_fails_raises_the_attempt() -> None:
     config = replace(DRAPED, picture=0)
-    samples = list(make_many(5, range(3), config, batch=2))
+    samples = list(produce(5, range(3), config, draper=Failing(2)))
     assert [sample.provenance.index for sample in samples] == [0, 1, 2]
     for sample in samples:
         assert sample.provenance.rejects.count("drape: not_settled") == 2
@@ -145,25 +162,22 @@ def test_a_drape_that_fails_raises_the_attempt(monkeypatch: pytest.MonkeyPatch) 
         assert sample.drape.outcome is Outcome.SETTLED
 
 
-def test_a_drape_that_fails_can_be_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drape_that_fails_can_be_kept() -> None:
     rejects = make(5, 0, FLAT).provenance.rejects
-    failing(1, monkeypatch)
-    sample = make(5, 0, replace(DRAPED, picture=0, on_fail="keep"))
+    [sample] = produce(5, [0], replace(DRAPED, picture=0, on_fail="keep"), draper=Failing(1))
     assert sample.drape is not None
     assert sample.drape.outcome is Outcome.NOT_SETTLED
     assert sample.provenance.rejects == rejects
 
 
-def test_a_design_is_turned_down_for_both_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_design_is_turned_down_for_both_bodies() -> None:
     """Only the random body's drape fails, once; the neutral body, which comes first, goes on to the next design too."""
-    failing(1, monkeypatch, only="random")
     config = replace(DRAPED, picture=0, bodies="both")
-    neutral, random = make_many(5, [6, 7], config)
+    neutral, random = produce(5, [6, 7], config, draper=Failing(1, but_neutral=True))
     assert neutral.design == random.design
     assert neutral.provenance.rejects == random.provenance.rejects
     assert neutral.provenance.rejects.count("drape: not_settled") == 1
-    failing(1, monkeypatch, only="random")
-    assert make(5, 6, config) == neutral
+    assert list(produce(5, [6], config, draper=Failing(1, but_neutral=True))) == [neutral]
 
 
 def test_a_mesh_that_fails_turns_a_design_down_for_both_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,15 +189,14 @@ def test_a_mesh_that_fails_turns_a_design_down_for_both_bodies(monkeypatch: pyte
         return build_box_mesh(pattern, spacing=spacing)
 
     monkeypatch.setattr(pipeline, "build_box_mesh", sometimes)
-    neutral, random = make_many(5, [0, 1], replace(MESHED, bodies="both"))
+    neutral, random = produce(5, [0, 1], replace(MESHED, bodies="both"))
     assert neutral.design == random.design
     assert "cannot_be_meshed: panel front is nearly a line" in neutral.provenance.rejects
 
 
-def test_the_last_attempt_is_kept_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_last_attempt_is_kept_as_it_is() -> None:
     """One garment that never settles does not hold up a data set."""
-    failing(99, monkeypatch)
-    sample = make(5, 7, replace(DRAPED, picture=0, max_attempts=3))
+    [sample] = produce(5, [7], replace(DRAPED, picture=0, max_attempts=3), draper=Failing(99))
     assert sample.drape is not None
     assert sample.drape.outcome is Outcome.NOT_SETTLED
     assert sample.provenance.attempts == 3
@@ -200,7 +213,7 @@ def test_an_index_without_a_pattern_is_named(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_an_index_may_be_asked_for_twice() -> None:
-    first, second, third = make_many(5, [1, 0, 1], FLAT)
+    first, second, third = produce(5, [1, 0, 1], FLAT)
     assert first == third != second
 
 

@@ -12,8 +12,8 @@ from torch.utils.data import ConcatDataset, DataLoader
 
 from gcd_dataset.errors import BodyError, ConfigError, ShardError
 from gcd_dataset.generator.body import build_body, measure
+from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, own_mesh
-from gcd_dataset.generator.pipeline import make
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from gcd_dataset.loaders.by_thread import by_thread
+from gcd_dataset.by_thread import by_thread
 
 
 def test_no_more_are_made_than_asked_for() -> None:
@@ -116,7 +116,7 @@ def test_an_error_that_was_caught_keeps_nothing() -> None:
 
 AT_THE_END = """
 import torch
-from gcd_dataset.loaders.by_thread import by_thread
+from gcd_dataset.by_thread import by_thread
 
 def items():
     while True:

@@ -11,8 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from multiprocessing.connection import Listener
 from pathlib import Path
@@ -24,14 +23,15 @@ from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import DrapeJob
-from gcd_dataset.generator.drapers import Asking, Draped, Order, Place, make_ahead, place_for
+from gcd_dataset.generator.drapers import Draped, Order, Place, SharedDraper, place_for
 from gcd_dataset.generator.drapers.place import _made, socket_file
 from gcd_dataset.generator.drapers.process import Asker, Inbox
 from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.pipeline import prepare, sample_key
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentLoader, GeneratedGarments, collate_list
-from gcd_dataset.records import Outcome
+from gcd_dataset.records import Outcome, Sample
 from tests.loaders.test_shards import assert_all_same
 
 COUNT = 3
@@ -108,94 +108,101 @@ def test_a_stream_gives_them_in_order(items: list[dict[str, Any]]) -> None:
     assert_all_same(ds.stream([2, 0, 2, 1]), [items[2], items[0], items[2], items[1]])
 
 
+def made_ahead(
+    indices: Iterable[int], config: MakeConfig, *, ahead: int, at_once: int | None = None
+) -> Iterator[Sample]:
+    with SharedDraper(place_for("cpu"), at_once=at_once or ahead) as draper:
+        yield from produce(5, indices, config, draper=draper, ahead=ahead)
+
+
 def test_a_design_is_draped_once_for_its_bodies_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    sent, ask = [], Asking.ask
+    sent, ask = [], SharedDraper.ask
 
-    def noted(asking: Asking, order: Order) -> None:
+    def noted(draper: SharedDraper, order: Order) -> None:
         sent.append(order.number)
-        ask(asking, order)
+        ask(draper, order)
 
-    monkeypatch.setattr(Asking, "ask", noted)
+    monkeypatch.setattr(SharedDraper, "ask", noted)
     ds = Apart(4, place_for("cpu"), bodies="both", fields=["verts", "front", "meta"])
     one_by_one = [ds[0], ds[1]]
     assert sent == [0, 1]
     assert_all_same(one_by_one, Apart(4, place_for("cpu"), bodies="both", fields=ds.fields).__getitems__([0, 1]))
     sent.clear()
-    made = make_ahead(5, [2, 3, 3, 2], ds.config, place_for("cpu"), ahead=1, finished=lambda sample: sample.key)
-    assert list(made) == [sample_key(index) for index in (2, 3, 3, 2)]
-    assert sent == [2, 3]
+    made = made_ahead([2, 3, 3, 2], ds.config, ahead=1)
+    assert [sample.key for sample in made] == [sample_key(index) for index in (2, 3, 3, 2)]
+    assert sent == [0, 1]
 
 
 def test_a_drape_that_fails_raises_the_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
-    answered, told = Asking.answer, Counter[int]()
+    answered, told = SharedDraper.answer, []
 
-    def failing_once(asking: Asking) -> Draped:
-        answer = answered(asking)
-        told[answer.number] += 1
-        fails = answer.number == 1 and told[1] == 1
+    def failing_once(draper: SharedDraper) -> Draped:
+        answer = answered(draper)
+        told.append(answer.number)
+        fails = answer.number == 1
         # The rest settle, whatever so coarse a cloth does.
         outcome = Outcome.NOT_SETTLED if fails else Outcome.SETTLED
         return replace(answer, drape=replace(answer.drape, outcome=outcome))
 
-    monkeypatch.setattr(Asking, "answer", failing_once)
+    monkeypatch.setattr(SharedDraper, "answer", failing_once)
     config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS)
-    made = make_ahead(5, range(3), config, place_for("cpu"), ahead=2, finished=lambda sample: sample)
+    made = made_ahead(range(3), config, ahead=2)
     rejects = [sample.provenance.rejects for sample in made]
     assert rejects[1][0] == "drape: not_settled"
-    assert told == {number: 1 + len(reasons) for number, reasons in enumerate(rejects)}
+    assert len(told) == sum(1 + len(reasons) for reasons in rejects)
 
 
 def test_while_one_is_draped_for_long_those_after_it_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """As many at once, and as far ahead, as was asked for; the first is answered when nothing else is under way."""
     asked, answered, most = set[int](), set[int](), []
-    ask, answer = Asking.ask, Asking.answer
+    ask, answer = SharedDraper.ask, SharedDraper.answer
     slow: list[Draped] = []
 
-    def noted(asking: Asking, order: Order) -> None:
+    def noted(draper: SharedDraper, order: Order) -> None:
         asked.add(order.number)
         most.append(len(asked - answered))
-        ask(asking, order)
+        ask(draper, order)
 
-    def first_last(asking: Asking) -> Draped:
+    def first_last(draper: SharedDraper) -> Draped:
         if slow and asked - answered == {0}:
             given = slow.pop()
         else:
-            given = answer(asking)
+            given = answer(draper)
             if given.number == 0 and asked - answered != {0}:
                 slow.append(given)
-                return first_last(asking)
+                return first_last(draper)
         answered.add(given.number)
         if given.number == 0:
             assert asked == {0, 1, 2, 3, 4}
         return given
 
-    monkeypatch.setattr(Asking, "ask", noted)
-    monkeypatch.setattr(Asking, "answer", first_last)
-    monkeypatch.setattr(Asking, "answered", lambda asking: False)
+    monkeypatch.setattr(SharedDraper, "ask", noted)
+    monkeypatch.setattr(SharedDraper, "answer", first_last)
+    monkeypatch.setattr(SharedDraper, "answered", lambda draper: False)
     config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS, on_fail="keep")
-    made = make_ahead(5, range(8), config, place_for("cpu"), ahead=5, at_once=3, finished=lambda sample: sample.key)
-    assert list(made) == [sample_key(index) for index in range(8)]
+    made = made_ahead(range(8), config, ahead=5, at_once=3)
+    assert [sample.key for sample in made] == [sample_key(index) for index in range(8)]
     assert max(most) == 3
 
 
 def test_the_draper_has_something_to_do_while_one_is_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Though all that was asked for has been answered before."""
-    under_way, ask, answer = set[int](), Asking.ask, Asking.answer
+    under_way, ask, answer = set[int](), SharedDraper.ask, SharedDraper.answer
 
-    def noted(asking: Asking, order: Order) -> None:
+    def noted(draper: SharedDraper, order: Order) -> None:
         under_way.add(order.number)
-        ask(asking, order)
+        ask(draper, order)
 
-    def taken(asking: Asking) -> Draped:
-        given = answer(asking)
+    def taken(draper: SharedDraper) -> Draped:
+        given = answer(draper)
         under_way.discard(given.number)
         return given
 
-    monkeypatch.setattr(Asking, "ask", noted)
-    monkeypatch.setattr(Asking, "answer", taken)
-    monkeypatch.setattr(Asking, "answered", lambda asking: bool(under_way))
+    monkeypatch.setattr(SharedDraper, "ask", noted)
+    monkeypatch.setattr(SharedDraper, "answer", taken)
+    monkeypatch.setattr(SharedDraper, "answered", lambda draper: bool(under_way))
     config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS, on_fail="keep")
-    made = make_ahead(5, range(4), config, place_for("cpu"), ahead=3, finished=lambda sample: sample.key)
+    made = made_ahead(range(4), config, ahead=3)
     assert [bool(under_way) for _ in made] == [True, True, True, False]
 
 
@@ -219,17 +226,17 @@ def order(number: int, resolution: float = 10.0) -> Order:
 
 
 def test_a_killed_draper_is_told_and_the_next_is_begun(place: Place) -> None:
-    with Asking(place) as asking:
+    with SharedDraper(place) as draper:
         kill_drapers(place, signal.SIGSTOP)  # it would be done, perhaps, before it is killed
-        asking.ask(order(0))
+        draper.ask(order(0))
         kill_drapers(place)
         with pytest.raises(DrapeError, match="drapes on cpu has ended"):
-            asking.answer()
+            draper.answer()
         with pytest.raises(DrapeError, match="drapes on cpu has ended"):
-            asking.ask(order(1))
-    with Asking(place) as asking:
-        asking.ask(order(7))
-        assert asking.answer().number == 7
+            draper.ask(order(1))
+    with SharedDraper(place) as draper:
+        draper.ask(order(7))
+        assert draper.answer().number == 7
 
 
 def test_a_draper_that_is_about_to_end_is_not_taken_for_one(place: Place) -> None:
@@ -237,9 +244,9 @@ def test_a_draper_that_is_about_to_end_is_not_taken_for_one(place: Place) -> Non
     with Listener(str(socket_file(place.folder)), "AF_UNIX") as dying:
         thread = threading.Thread(target=lambda: dying.accept().close())
         thread.start()
-        with Asking(place) as asking:
-            asking.ask(order(7))
-            assert asking.answer().number == 7
+        with SharedDraper(place) as draper:
+            draper.ask(order(7))
+            assert draper.answer().number == 7
         thread.join()
 
 
@@ -261,23 +268,23 @@ def test_a_draper_whose_starter_is_killed_is_met_by_the_next(place: Place, monke
     os.waitpid(child, 0)
     begun = drapers(place)
     assert len(begun) == 1
-    with Asking(place) as asking:
-        asking.ask(order(7))
-        assert asking.answer().number == 7
+    with SharedDraper(place) as draper:
+        draper.ask(order(7))
+        assert draper.answer().number == 7
     assert drapers(place) == begun
 
 
 def test_a_draper_that_fails_says_why_and_takes_no_more_calls(place: Place) -> None:
     """Whatever it is, and though it waits for somebody who does not read before it ends."""
-    with Asking(place) as deaf, Asking(place) as asking:
+    with SharedDraper(place) as deaf, SharedDraper(place) as draper:
         deaf.ask(replace(order(0), picture=400))
         assert deaf._connection.poll(120)  # and more of it is held back
         good = order(1)
         torn = replace(good.job.box_mesh, labels={"strapless_top": np.array([10**6])})
-        asking.ask(replace(good, job=replace(good.job, box_mesh=torn)))
+        draper.ask(replace(good, job=replace(good.job, box_mesh=torn)))
         with pytest.raises(DrapeError, match="while draping on cpu: index 1000000 is out of bounds"):
-            asking.answer()
-        with Asking(place) as other:
+            draper.answer()
+        with SharedDraper(place) as other:
             other.ask(good)
             assert other.answer().number == 1
 
@@ -290,24 +297,24 @@ class Unreadable:
 
 
 def test_an_order_that_cannot_be_read_is_one_error(place: Place) -> None:
-    with Asking(place) as asking:
-        asking.ask(replace(order(0), number=Unreadable()))  # type: ignore[arg-type]
+    with SharedDraper(place) as draper:
+        draper.ask(replace(order(0), number=Unreadable()))  # type: ignore[arg-type]
         with pytest.raises(DrapeError, match="drapes on cpu has ended"):
-            asking.answer()
+            draper.answer()
 
 
 def test_more_garments_may_wait_than_a_process_may_have_files(place: Place) -> None:
     few, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (100, most))
     try:
-        asking = Asking(place)  # its draper has that limit too
+        draper = SharedDraper(place)  # its draper has that limit too
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (few, most))
-    with asking:
+    with draper:
         one = order(0)
         for number in range(150):
-            asking.ask(replace(one, number=number))
-        assert asking.answer().number in range(150)
+            draper.ask(replace(one, number=number))
+        assert draper.answer().number in range(150)
 
 
 def test_a_connection_is_not_closed_while_it_is_read() -> None:
@@ -341,29 +348,29 @@ def test_a_draper_killed_under_a_loader_is_one_error(place: Place) -> None:
 
 
 def test_a_worker_that_is_killed_holds_up_no_other(place: Place) -> None:
-    with Asking(place) as asking:
-        asking.ask(order(0))
-        asking.answer()
+    with SharedDraper(place) as draper:
+        draper.ask(order(0))
+        draper.answer()
         child = os.fork()
         if child == 0:
             try:
-                other = Asking(place)
+                other = SharedDraper(place)
                 for number in range(20):
                     other.ask(order(number))
             finally:
                 os.kill(os.getpid(), signal.SIGKILL)
         os.waitpid(child, 0)
-        asking.ask(order(1))
-        assert asking.answer().number == 1
+        draper.ask(order(1))
+        assert draper.answer().number == 1
 
 
 def test_a_worker_that_does_not_read_holds_up_no_other(place: Place) -> None:
-    with Asking(place) as deaf, Asking(place) as asking:
+    with SharedDraper(place) as deaf, SharedDraper(place) as draper:
         large = order(0, 3.0)
         for _ in range(3):
             deaf.ask(large)
-        asking.ask(order(1))
-        assert asking.answer().number == 1
+        draper.ask(order(1))
+        assert draper.answer().number == 1
 
 
 def test_a_device_that_is_not_there_is_told() -> None:

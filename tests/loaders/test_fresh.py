@@ -138,7 +138,7 @@ def test_a_design_is_made_once_for_all_its_bodies(monkeypatch: pytest.MonkeyPatc
             designs.value += 1
         return prepare(*options)
 
-    monkeypatch.setattr("gcd_dataset.generator.pipeline.prepare", counted)
+    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", counted)
     whole = GeneratedGarments(5, seed=5, bodies="both", stage="pattern", fields=["panels", "body"])
     made = list(FreshGarments(whole, room=1, workers=2))
     assert designs.value == 3

@@ -11,7 +11,8 @@ import torch
 from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import ConfigError, ShardError
-from gcd_dataset.generator.pipeline import DressedDesign, make_many, prepare
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.pipeline import DressedDesign, prepare
 from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.loaders import GarmentDataset, GarmentLoader, GeneratedGarments, collate_list, collate_packed
 from gcd_dataset.shards import ShardWriter
@@ -33,7 +34,7 @@ def items() -> list[dict[str, Any]]:
 def test_they_are_what_a_shard_gives(items: list[dict[str, Any]], tmp_path: Path) -> None:
     config = garments().config
     with ShardWriter(tmp_path, seed=5, recipe=recipe_of(config)) as writer:
-        for sample in make_many(5, range(COUNT), config):
+        for sample in produce(5, range(COUNT), config):
             writer.write(sample)
     stored = GarmentDataset(tmp_path)
     assert_all_same(items, [stored[i] for i in range(COUNT)])
@@ -73,7 +74,7 @@ def test_pictures_that_nobody_asked_for_are_not_taken(monkeypatch: pytest.Monkey
     def refuse(*_: Any, **__: Any) -> None:
         raise AssertionError("a picture was taken")
 
-    monkeypatch.setattr("gcd_dataset.generator.render.render_sample", refuse)
+    monkeypatch.setattr("gcd_dataset.generator.render.render_garment", refuse)
     fields = [field for field in whole if field not in ("front", "back", "meta")]
     assert_all_same([GeneratedGarments(1, fields=fields, **options)[0]], [{name: whole[name] for name in fields}])
     with pytest.raises(AssertionError, match="a picture was taken"):
@@ -86,7 +87,7 @@ def test_the_cache_is_read_and_not_made_again(
     ds = garments(cache_dir=tmp_path)
     assert same(ds[1], items[1])
     assert_all_same(ds.__getitems__([0, 1]), items[:2])
-    monkeypatch.setattr("gcd_dataset.loaders.generated.make_many", no_more)
+    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", no_more)
     assert same(garments(cache_dir=tmp_path)[1], items[1])
 
 
@@ -165,7 +166,7 @@ def test_another_version_has_another_cache(tmp_path: Path, monkeypatch: pytest.M
 
 def test_the_recipe_is_known_before_the_garment_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     ds = garments()
-    monkeypatch.setattr("gcd_dataset.loaders.generated.make_many", no_more)
+    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", no_more)
     assert ds.recipe(-1)["index"] == COUNT - 1
     with pytest.raises(IndexError):
         ds.recipe(COUNT)
@@ -175,7 +176,7 @@ def test_verify_finds_what_does_not_come_out_the_same(monkeypatch: pytest.Monkey
     ds = garments()
     ds.verify(1)
     made = ds._made
-    monkeypatch.setattr(ds, "_made", lambda positions: [{**made(positions)[0], "design.json": os.urandom(8)}])
+    monkeypatch.setattr(ds, "_made", lambda position: {**made(position), "design.json": os.urandom(8)})
     with pytest.raises(ShardError, match=r"gcd_000000001, member design\.json"):
         ds.verify(1)
 
@@ -189,7 +190,7 @@ def designed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         numbers.append(number)
         return prepare(seed, number, *options)
 
-    monkeypatch.setattr("gcd_dataset.generator.pipeline.prepare", noted)
+    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", noted)
     return numbers
 
 

@@ -11,15 +11,17 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import chain, islice
 from multiprocessing.connection import Connection
-from typing import TypeVar
+from multiprocessing.context import SpawnContext
+from typing import Any, TypeVar
 
 from gcd_dataset.errors import GcdError
 
-__all__ = ["side_by_side", "side_by_side_in_parts"]
+__all__ = ["side_by_side", "side_by_side_in_parts", "streams"]
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
+KILLED = "a worker process was killed, by lack of memory perhaps: go on with fewer --workers"
 AHEAD = 2  # tasks in work for each process, so that none waits for the writer
 
 
@@ -51,20 +53,72 @@ def side_by_side_in_parts(
     return chain.from_iterable(side_by_side(work, tasks, workers))
 
 
+@contextmanager
+def streams(work: Callable[[Task], Iterable[Result]], tasks: Sequence[Task]) -> Iterator[list[Iterator[Result]]]:
+    """The results of each task as a stream, each from a process of its own, which goes on while others are read.
+
+    The processes end with the block. The streams raise what ``work`` raises, and ``GcdError`` where one is killed.
+    """
+    context = _spawning()
+    lifeline, held = context.Pipe(duplex=False)
+    processes, streamed = [], []
+    try:
+        for task in tasks:
+            ours, theirs = context.Pipe(duplex=False)
+            process = context.Process(target=_stream, args=(work, task, theirs, lifeline), daemon=True)
+            process.start()
+            theirs.close()
+            processes.append(process)
+            streamed.append(_received(ours))
+        yield streamed
+    finally:
+        held.close()
+        for process in processes:
+            process.terminate()
+
+
+def _stream(work: Callable[[Task], Iterable[Result]], task: Task, results: Connection, lifeline: Connection) -> None:
+    """In a process: send the results, then what ended them."""
+    _begin(lifeline)
+    try:
+        for result in work(task):
+            results.send((result, None))
+        results.send((None, StopIteration()))
+    except Exception as error:  # noqa: BLE001 -- raised where the results are read
+        results.send((None, error))
+
+
+def _received(connection: Connection) -> Iterator[Any]:
+    while True:
+        try:
+            result, error = connection.recv()
+        except (EOFError, OSError) as gone:
+            raise GcdError(KILLED) from gone
+        if isinstance(error, StopIteration):
+            return
+        if error is not None:
+            raise error
+        yield result
+
+
 def _result(task: Future[Result]) -> Result:
     try:
         return task.result()
     except BrokenProcessPool as error:
-        raise GcdError("a worker process was killed, by lack of memory perhaps: go on with fewer --workers") from error
+        raise GcdError(KILLED) from error
+
+
+def _spawning() -> SpawnContext:
+    """How processes are started: not forked, since threads of Warp or torch would not live on in them."""
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # of each worker: there is one a core
+    return multiprocessing.get_context("spawn")
 
 
 @contextmanager
 def _processes(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that leave Ctrl-C to this one, and that end with the block, or with this process however it ends."""
-    for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # of each worker: there is one a core
-    # Not forked: threads that Warp or torch may have started here would not live on there.
-    context = multiprocessing.get_context("spawn")
+    context = _spawning()
     lifeline, held = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(lifeline,))
     try:

@@ -1,75 +1,44 @@
-"""The side that has garments to be draped."""
+"""The draper that many processes share: a process of its own for each device, reached through a socket."""
 
 import contextlib
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Self
-
-import numpy as np
-from jaxtyping import UInt8
+from typing import Self
 
 from gcd_dataset.errors import DrapeError
+from gcd_dataset.generator.drapers.draper import Draped, Order, require_faces
 from gcd_dataset.generator.drapers.parcel import send_parcel
 from gcd_dataset.generator.drapers.place import Place
-from gcd_dataset.records import Drape
 
-if TYPE_CHECKING:
-    from gcd_dataset.generator.drape import DrapeJob
+__all__ = ["SharedDraper"]
 
-__all__ = ["Asking", "Draped", "Order"]
+AT_ONCE = 24  # garments of each caller: fifteen of them keep two draping processes of a GPU busy
 
 
-@dataclass(frozen=True)
-class Order:
-    """A garment to be draped."""
+class SharedDraper:
+    """A connection to the draping process of a place, for one thread.
 
-    number: int
-    """The asker's own."""
-    job: "DrapeJob"
-    picture: int = 0
-    """Side of the pictures to be taken [pixels]; 0 for none."""
-    again: bool = False
-    """Another try, for which those after it wait already: it comes before whatever waits."""
-
-
-@dataclass(frozen=True)
-class Draped:
-    """A garment at rest."""
-
-    number: int
-    drape: Drape
-    pictures: tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]] | None
-    """From the front and from behind."""
-
-
-class Asking:
-    """A connection to the draper of a place, for one thread; it is closed at the end of the ``with`` block.
-
-    All its methods raise ``DrapeError`` where the draper cannot be started, cannot drape, or is no more.
+    Raises ``DrapeError`` where that process cannot be started; its methods where it cannot drape, or has ended.
     """
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: Place, *, at_once: int = AT_ONCE) -> None:
         self._place = place
+        self.at_once = at_once
         self._connection: Connection = place.connect()
 
     def ask(self, order: Order) -> None:
-        """Have a garment draped; the answer comes by ``answer``."""
-        if not len(order.job.box_mesh.faces):
-            raise DrapeError("a garment has no faces: build its box mesh from a pattern with panels")
+        require_faces(order)
         try:
             send_parcel(self._connection, order)
         except OSError as error:
             raise self._gone() from error
 
     def answered(self) -> bool:
-        """Whether an answer waits to be taken."""
         try:
             return self._connection.poll()
         except OSError as error:
             raise self._gone() from error
 
     def answer(self) -> Draped:
-        """The next garment at rest, as soon as there is one."""
         try:
             answer = self._connection.recv()
         except (EOFError, OSError) as error:
@@ -85,7 +54,7 @@ class Asking:
         self._connection.close()
 
     def _gone(self) -> DrapeError:
-        """What the draper has said last, or that it said nothing."""
+        """The error that the draping process sent last, or that it ended without one."""
         with contextlib.suppress(EOFError, OSError):
             while self._connection.poll():
                 if isinstance(last := self._connection.recv(), str):

@@ -1,0 +1,124 @@
+"""Finished garments written into shards: how many a second, beside what the draper of the same machine does alone.
+
+    python -m benchmarks.run scale --device cuda:0 --workers 15 --count 2000
+
+Garments with pictures, as ``gcd generate --bodies both`` makes them, into a folder that is deleted afterwards. The
+clock of ``garments_per_s`` starts with the first garment written, when kernels are loaded and every worker is at work,
+and ends with the last. ``own_per_s``: the draping process alone, whose orders never run out, without pictures;
+``share``: the one divided by the other; ``gpu_waits``: the share of time in which nvidia-smi finds no kernel running;
+``cpu_*``: CPU seconds a garment of each step, in this process, over ``--staged`` designs.
+"""
+
+import argparse
+import json
+import resource
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.cases.figures import Figure, Measured
+from benchmarks.draper import gpu_idle, own_rate
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.drapers import Draped
+from gcd_dataset.generator.drawing import jpeg_bytes
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.pipeline import drape_jobs, finish, prepare
+from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
+from gcd_dataset.records import Drape, Outcome
+from gcd_dataset.shards import ShardWriter
+from gcd_dataset.shards.codec import encode_sample
+from gcd_dataset.shards.index import has_settled
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the case."""
+    parser.add_argument("--count", type=int, default=64, help="garments written")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=2, help="processes that make garments")
+    parser.add_argument("--device", default="auto", help="where cloth is draped; several GPUs as cuda:0,1")
+    parser.add_argument("--bodies", default="both", help="who wears them")
+    parser.add_argument("--resolution", type=float, default=1.0, help="[cm]")
+    parser.add_argument("--picture", type=int, default=512, help="side of the pictures [pixels]; 0 for none")
+    parser.add_argument("--seconds", type=float, default=30.0, help="of the draper's own measurement; 0 for none")
+    parser.add_argument("--prepared", type=int, default=32, help="designs for the draper's own rate")
+    parser.add_argument("--staged", type=int, default=8, help="designs for the CPU seconds of each step")
+
+
+def run(options: argparse.Namespace) -> Measured:
+    """Write, then measure the draper and the steps alone."""
+    if options.count < 2:
+        raise ConfigError(f"--count is {options.count}: give 2 or more")
+    config = MakeConfig(
+        bodies=options.bodies, resolution=options.resolution, device=options.device, picture=options.picture
+    )
+    devices = devices_of(config)
+    with gpu_idle(devices[0]) as idle:
+        rate, unsettled = _written(config, options)
+    figures = [Figure("garments_per_s", rate, "garments"), Figure("unsettled", unsettled, "of the garments")]
+    figures += [Figure("gpu_waits", idle[0], "of the time")] if idle else []
+    if device_kind(config) == "cuda" and options.seconds:
+        for name, pictured in (("own_per_s", False), ("own_pictured_per_s", True)):
+            own = own_rate(config, prepared=options.prepared, warm=256, seconds=options.seconds, pictured=pictured)
+            figures.append(Figure(name, own, "garments, by one GPU"))
+            if not pictured:
+                figures.append(Figure("share", rate / own / len(devices), "of the drapers' own rate"))
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return Measured(
+        [*figures, Figure("memory", memory, "MB, the writing process at its peak"), *_steps(config, options)]
+    )
+
+
+def _written(config: MakeConfig, options: argparse.Namespace) -> tuple[float, float]:
+    """Garments a second from the first to the last, and the share of them that did not settle."""
+    begun, unsettled = 0.0, 0
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ShardWriter(Path(folder), seed=options.seed, recipe=recipe_of(config)) as writer,
+    ):
+        made = produce(options.seed, range(options.count), config, workers=options.workers, finished=encode_sample)
+        for index, members in enumerate(made):
+            writer.add(index, members)
+            begun = begun or time.perf_counter()
+            unsettled += not has_settled(json.loads(members["meta.json"]))
+        seconds = time.perf_counter() - begun
+    return (options.count - 1) / seconds, unsettled / options.count
+
+
+def _steps(config: MakeConfig, options: argparse.Namespace) -> list[Figure]:
+    """CPU seconds of each step, for one garment."""
+    spent: dict[str, float] = {}
+
+    def timed(name: str, step: Callable[..., Any], *arguments: Any) -> Any:
+        begun = time.process_time()
+        result = step(*arguments)
+        spent[name] = spent.get(name, 0.0) + time.process_time() - begun
+        return result
+
+    garments = 0
+    for number in range(options.staged):
+        design = timed("prepare", prepare, options.seed, number, config)
+        for job, worn in zip(drape_jobs(design, config), design.dressed, strict=True):
+            drape = Drape(job.box_mesh.vertices, Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
+            sample = timed("finish", finish, design, worn.index, config, Draped(worn.index, drape, None))
+            timed("encode", encode_sample, sample)
+            garments += 1
+    figures = [Figure(f"cpu_{name}", seconds / garments, "CPU-s a garment") for name, seconds in spent.items()]
+    return [*figures, Figure("cpu_jpeg", _jpeg_seconds(options.picture), "CPU-s a garment")]
+
+
+def _jpeg_seconds(size: int) -> float:
+    """CPU seconds to encode two pictures of a garment's size and detail: noise would be slower."""
+    import numpy as np
+
+    if not size:
+        return 0.0
+    row, column = np.mgrid[:size, :size]
+    picture = np.stack([128 + 100 * np.sin(row / 9), 128 + 100 * np.cos(column / 7), 0 * row], axis=2).astype(np.uint8)
+    begun = time.process_time()
+    for _ in range(10):
+        jpeg_bytes(picture)
+    return (time.process_time() - begun) / 5

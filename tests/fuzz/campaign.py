@@ -1,0 +1,86 @@
+"""Every reader tried with many inputs: ``python -m tests.fuzz.campaign --examples 10000 --report FILE``."""
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from hypothesis import HealthCheck, Phase, given, settings
+
+from benchmarks.cases.figures import Measured
+from benchmarks.report import report_text
+from tests.fuzz.readers import DOCUMENTS, READERS, damaged, edited_documents, reader_named
+from tests.fuzz.trial import Tally, Verdict, try_all
+
+__all__ = ["documents", "try_documents", "try_files"]
+
+ABOUT = """
+Readers of files from outside, each given damaged files and documents: `make fuzz N=10000`. A file is damaged by one to
+three edits of its bytes (bits, ranges, binary integers, numbers in text); a document by one to three edits of its tree.
+`read` counts the inputs that were accepted: where checksums protect the file (shards, index, HDF5, body sets) an
+accepted input read as the original, else it is counted as `silent`. Limits for one input: 10 s and 1 GiB.
+"""
+
+
+def try_files(name: str, folder: Path, count: int) -> Tally:
+    """What a reader makes of ``count`` damaged files."""
+    reader = reader_named(name, folder)
+    return try_all(reader.read, damaged(reader, name, count), expected=reader.expected())
+
+
+def try_documents(name: str, folder: Path, count: int) -> Tally:
+    """What a reader makes of up to ``count`` edited documents; fewer where the strategy repeats itself."""
+    reader = reader_named(name, folder)
+    contents: list[bytes] = []
+
+    @settings(
+        max_examples=count,
+        database=None,
+        derandomize=True,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+        deadline=None,
+    )
+    @given(edited_documents(reader, name))
+    def collect(content: bytes) -> None:
+        contents.append(content)
+
+    collect()
+    return try_all(reader.read, contents, expected=reader.expected())
+
+
+def documents() -> tuple[str, ...]:
+    """Readers of documents."""
+    return tuple(DOCUMENTS)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Try all readers, or those named, and print a table. Exit 1 for any fault."""
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz.campaign", description=__doc__)
+    parser.add_argument("readers", nargs="*", metavar="READER", help=f"default: all of {', '.join(READERS)}")
+    parser.add_argument("--examples", type=int, default=200, help="inputs for each reader (default: 200)")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the table as Markdown, too")
+    options = parser.parse_args(arguments)
+    rows, faults = [], []
+    for kind, name, tally in _tallies(options.readers or list(READERS), options.examples):
+        row = {"reader": name, "inputs": kind, "tried": tally.tried} | {v.value: tally.counts[v] for v in Verdict}
+        rows.append(row)
+        faults += [f"{name}, {kind}: {fault}" for fault in tally.faults]
+        print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+    print("\n".join(faults[:200]))
+    if options.report:
+        command = ["tests.fuzz.campaign", "--examples", str(options.examples)]
+        options.report.write_text(report_text("robustness", ABOUT, Measured([], rows), command))
+    return 1 if faults else 0
+
+
+def _tallies(names: Sequence[str], count: int) -> Iterator[tuple[str, str, Tally]]:
+    for name in names:
+        for kind, trial in {"bytes": try_files, "documents": try_documents}.items():
+            if kind == "bytes" or name in DOCUMENTS:
+                with tempfile.TemporaryDirectory() as folder:
+                    yield kind, name, trial(name, Path(folder), count)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

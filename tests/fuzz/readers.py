@@ -1,0 +1,341 @@
+"""Every reader of files from outside: what it is given, how its result is told from another, what it may not change."""
+
+import json
+import random
+import shutil
+import tarfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+from hypothesis.strategies import SearchStrategy
+
+from gcd_dataset.bodyfiles import measurements_text
+from gcd_dataset.cli.bodies import generate_people, plan_people
+from gcd_dataset.cli.export import export_published, exported_splits
+from gcd_dataset.errors import GcdError
+from gcd_dataset.generator.body import read_body
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.loaders import (
+    BodyDataset,
+    GarmentDataset,
+    GarmentLoader,
+    Hdf5Garments,
+    PublishedGarmentCodeData,
+)
+from gcd_dataset.shards import ShardReader
+from gcd_dataset.shards.codec import decode_field, decode_sample, encode_sample
+from gcd_dataset.shards.hdf5 import write_hdf5
+from gcd_dataset.shards.layout import FIELDS
+from gcd_dataset.spec import read_pattern, spec_from_pattern
+from gcd_dataset.tomlfile import read_toml
+from gcd_dataset.validate import check_pattern
+from tests.fuzz.documents import edited, json_bytes
+from tests.fuzz.mutation import mutated
+from tests.fuzz.workshop import garments, small_body, write_shards
+from tests.release.published import pack
+
+__all__ = ["DOCUMENTS", "READERS", "Reader", "damaged", "edited_documents", "reader_named"]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader, and a file that it reads."""
+
+    content: bytes
+    """Of the file as it should be."""
+    read: Callable[[bytes], Any]
+    """Reads the file with other content."""
+    protected: bool
+    """Whether checksums cover the file: changed content is refused, or reads as the original."""
+
+    def expected(self) -> object:
+        """The result that no damage may change; ``None`` where nothing protects it."""
+        return self.read(self.content) if self.protected else None
+
+
+def damaged(reader: Reader, name: str, count: int) -> Iterator[bytes]:
+    """The file ``count`` times, each time with other damage, the same in every run."""
+    return (mutated(reader.content, random.Random(f"{name}:{number}")) for number in range(count))
+
+
+def reader_named(name: str, folder: Path) -> Reader:
+    """The reader, with its files in ``folder``."""
+    return READERS[name](folder)
+
+
+def _plain(value: Any) -> Any:
+    """The value with arrays and tensors as bytes, to be compared."""
+    if isinstance(value, torch.Tensor):
+        value = value.numpy()
+    if isinstance(value, np.ndarray):
+        return (str(value.dtype), value.shape, value.tobytes())
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+# -------------------------------------------------------------------------------------------------------------- shards
+
+
+def _shards(folder: Path, name: str, *, streaming: bool = False, without: str = "") -> Reader:
+    """A data set of one shard, in which file ``name`` is replaced, and ``without`` is missing."""
+    write_shards(folder)
+    content = (folder / name).read_bytes()
+    kept = {path.name: path.read_bytes() for path in folder.iterdir() if path.name not in (without, name)}
+
+    def read(data: bytes) -> Any:
+        for path in folder.iterdir():
+            path.unlink()
+        for other, its in {**kept, name: data}.items():
+            (folder / other).write_bytes(its)
+        dataset = GarmentDataset(folder, streaming=streaming)
+        return [_plain(item) for item in (dataset if streaming else (dataset[i] for i in range(len(dataset))))]
+
+    return Reader(content, read, protected=True)
+
+
+SHARD, INDEX, MANIFEST = "train-00000.tar", "index-train.npz", "manifest.json"
+
+
+def _hdf5(folder: Path) -> Reader:
+    path = folder / "train.h5"
+    for _ in write_hdf5(ShardReader(write_shards(folder / "shards")), path):
+        pass
+    content = path.read_bytes()
+
+    def read(data: bytes) -> Any:
+        path.write_bytes(data)
+        dataset = Hdf5Garments(path)
+        return [_plain(dataset[index]) for index in range(len(dataset))]
+
+    return Reader(content, read, protected=True)
+
+
+def _people(folder: Path) -> Reader:
+    for _ in generate_people(plan_people(folder, 2)):
+        pass
+    path = folder / SHARD
+    content, index = path.read_bytes(), (folder / INDEX).read_bytes()
+
+    def read(data: bytes) -> Any:
+        path.write_bytes(data)
+        (folder / INDEX).write_bytes(index)
+        dataset = BodyDataset(folder)
+        return [_plain(dataset[index]) for index in range(len(dataset))]
+
+    return Reader(content, read, protected=True)
+
+
+def _member(_: Path, field: str) -> Reader:
+    """One member of a sample, as a reader without checksums gets it."""
+    return Reader(encode_sample(garments()[0])[FIELDS[field]], partial(_decoded, field), protected=False)
+
+
+def _sample(_: Path, field: str) -> Reader:
+    """A whole sample, of which one member is replaced."""
+    members = encode_sample(garments()[0])
+
+    def read(data: bytes) -> Any:
+        return _plain(encode_sample(decode_sample({**members, FIELDS[field]: data})))
+
+    return Reader(members[FIELDS[field]], read, protected=False)
+
+
+def _decoded(field: str, data: bytes) -> Any:
+    return _plain(decode_field(field, data))
+
+
+def _foreign(folder: Path) -> Reader:
+    """An archive by others, which has no checksums."""
+    write_shards(folder / "shards")
+    path, out = folder / "theirs" / "a-train.tar", folder / "theirs"
+    out.mkdir()
+    with tarfile.open(folder / "shards" / SHARD) as ours, tarfile.open(path, "w") as theirs:
+        for number, member in enumerate(ours.getmembers()):
+            member.name = f"sample{number % 2}.{member.name.partition('.')[2].replace('/', '_')}"
+            theirs.addfile(member, ours.extractfile(member))
+    content = path.read_bytes()
+
+    def read(data: bytes) -> Any:
+        for file in out.iterdir():
+            file.unlink()
+        path.write_bytes(data)
+        dataset = GarmentDataset(out)
+        return [_plain(dataset[index]) for index in range(len(dataset))]
+
+    return Reader(content, read, protected=False)
+
+
+def _state(folder: Path) -> Reader:
+    """The state of a loader, as a checkpoint holds it."""
+    dataset = GarmentDataset(write_shards(folder), fields=["panels"])
+    loader = GarmentLoader(dataset, batch_size=1)
+    content = json.dumps(loader.state_dict()).encode()
+
+    def read(data: bytes) -> Any:
+        try:
+            state = json.loads(data)
+        except (ValueError, RecursionError) as error:  # the checkpoint's reader, not ours
+            raise GcdError("no JSON") from error
+        fresh = GarmentLoader(dataset, batch_size=1)
+        fresh.load_state_dict(state)
+        return [len(batch) for batch in fresh]
+
+    return Reader(content, read, protected=False)
+
+
+# ----------------------------------------------------------------------------------------------------------- published
+
+
+def _published(folder: Path, ending: str) -> Reader:
+    """A release in folders, in which one file is replaced."""
+    root = _release(folder)
+    path = next(path for path in sorted(root.rglob("*")) if path.name.endswith(ending))
+    return Reader(path.read_bytes(), partial(_read_release, root, path), protected=False)
+
+
+def _archive(folder: Path) -> Reader:
+    root = pack(_release(folder))
+    path = next(iter(sorted(root.rglob("data.tar.gz"))))
+    return Reader(path.read_bytes(), partial(_read_release, root, path), protected=False)
+
+
+def _release(folder: Path) -> Path:
+    root = folder / "release"
+    for _ in export_published(exported_splits(write_shards(folder / "shards", count=1)), root):
+        pass
+    return root
+
+
+def _read_release(root: Path, path: Path, data: bytes) -> Any:
+    path.write_bytes(data)
+    shutil.rmtree(root.parent / "kept", ignore_errors=True)
+    dataset = PublishedGarmentCodeData(root, cache_dir=root.parent / "kept")
+    return [_plain(dataset[index]) for index in range(len(dataset))]
+
+
+# ------------------------------------------------------------------------------------------------- patterns and bodies
+
+
+def _specification(folder: Path) -> Reader:
+    path = folder / "garment_specification.json"
+
+    def read(data: bytes) -> Any:
+        path.write_bytes(data)
+        return [str(fault) for fault in check_pattern(read_pattern(path))]
+
+    return Reader(json.dumps(spec_from_pattern(garments()[0].pattern)).encode(), read, protected=False)
+
+
+def _config(folder: Path) -> Reader:
+    path = folder / "config.toml"
+    content = (
+        'bodies = "both"\npoints = 64\nresolution = 2.0\n'
+        '[design.meta]\nupper = { options = ["Shirt", "FittedShirt"] }\n'
+        '[design.sleeve]\nlength = { range = [0.7, 1.1], keep = 0.5 }\n[design.collar.component]\nstyle = "Turtle"\n'
+    )
+
+    def read(data: bytes) -> Any:
+        path.write_bytes(data)
+        table = read_toml(path)
+        return Overlay.from_dict(table.get("design", {})).to_dict()
+
+    return Reader(content.encode(), read, protected=False)
+
+
+def _body(folder: Path, changed: str) -> Reader:
+    """A body in three files, of which one is replaced."""
+    shape = small_body()
+    count = len(shape.vertices)
+    parts = {
+        name: list(range(k, count, 9)) for k, name in enumerate(("left_arm", "right_arm", "left_leg", "right_leg"))
+    }
+    files = {
+        "body.obj": shape.export(file_type="obj").encode(),
+        "body.ply": shape.export(file_type="ply"),
+        "measures.yaml": measurements_text(garments()[0].measurements).encode(),
+        "parts.json": json.dumps(parts).encode(),
+    }
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    mesh = folder / (changed if changed.startswith("body") else "body.obj")
+
+    def read(data: bytes) -> Any:
+        (folder / changed).write_bytes(data)
+        body, size = read_body(mesh, folder / "measures.yaml", folder / "parts.json")
+        if not (np.isfinite(body.vertices).all() and 0 <= body.faces.min() <= body.faces.max() < len(body.vertices)):
+            raise ValueError("a body with faces beyond its vertices, or vertices that are no numbers")
+        return size.to_file_values()
+
+    return Reader(files[changed], read, protected=False)
+
+
+READERS: dict[str, Callable[[Path], Reader]] = {
+    "shard-indexed": partial(_shards, name=SHARD),
+    "shard-scanned": partial(_shards, name=SHARD, without=INDEX),
+    "shard-streamed": partial(_shards, name=SHARD, streaming=True),
+    "index": partial(_shards, name=INDEX),
+    "manifest": partial(_shards, name=MANIFEST),
+    "hdf5": _hdf5,
+    "body-set": _people,
+    "member-meta": partial(_member, field="meta"),
+    "member-array": partial(_member, field="edges"),
+    "member-ids": partial(_member, field="faces"),
+    "member-picture": partial(_member, field="front"),
+    "sample-meta": partial(_sample, field="meta"),
+    "sample-measures": partial(_sample, field="measures"),
+    "sample-spec": partial(_sample, field="spec"),
+    "sample-faces": partial(_sample, field="faces"),
+    "foreign-archive": _foreign,
+    "loader-state": _state,
+    "release-archive": _archive,
+    "release-specification": partial(_published, ending="_specification.json"),
+    "release-measures": partial(_published, ending="_body_measurements.yaml"),
+    "release-design": partial(_published, ending="_design_params.yaml"),
+    "release-drape": partial(_published, ending="_sim.ply"),
+    "release-box-mesh": partial(_published, ending="_boxmesh.ply"),
+    "release-segmentation": partial(_published, ending="_sim_segmentation.txt"),
+    "release-labels": partial(_published, ending="_vertex_labels.yaml"),
+    "release-properties": partial(_published, ending="_body.yaml"),
+    "release-split": partial(_published, ending="split.json"),
+    "specification": _specification,
+    "config": _config,
+    "body-obj": partial(_body, changed="body.obj"),
+    "body-ply": partial(_body, changed="body.ply"),
+    "measurements": partial(_body, changed="measures.yaml"),
+    "body-parts": partial(_body, changed="parts.json"),
+}
+"""Name to what makes the reader, in a folder of its own."""
+
+
+# ----------------------------------------------------------------------------------------------------------- documents
+
+
+DOCUMENTS: dict[str, Callable[[bytes], Any]] = {
+    **dict.fromkeys(
+        (
+            "specification",
+            "manifest",
+            "loader-state",
+            "body-parts",
+            "release-split",
+            "member-meta",
+            "sample-meta",
+            "sample-measures",
+        ),
+        json.loads,
+    ),
+    **dict.fromkeys(("measurements", "release-design", "release-labels"), yaml.safe_load),
+}
+"""Readers of documents, and what parses these: their trees are edited too, beside their bytes."""
+
+
+def edited_documents(reader: Reader, name: str) -> SearchStrategy[bytes]:
+    """The reader's file with some of its branches changed, as JSON, which is YAML too."""
+    return edited(DOCUMENTS[name](reader.content)).map(json_bytes)

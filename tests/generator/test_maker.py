@@ -1,0 +1,77 @@
+"""The maker gives the same samples by any draper and any number of workers."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from gcd_dataset.errors import ConfigError, PatternError
+from gcd_dataset.generator import pipeline
+from gcd_dataset.generator.drapers import SharedDraper, place_for
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.recipe import MakeConfig, devices_of
+from gcd_dataset.records import Sample
+from gcd_dataset.shards.codec import encode_sample
+
+FLAT = MakeConfig(stage="pattern", bodies="both")
+MESHED = MakeConfig(stage="mesh", resolution=8.0, points=16, bodies="both")
+DRAPED = MakeConfig(resolution=10.0, points=16, picture=16, device="cpu", on_fail="keep")
+
+
+def test_workers_make_the_samples_of_one_process() -> None:
+    alone = list(produce(5, range(7), MESHED))
+    assert list(produce(5, range(7), MESHED, workers=3)) == alone
+
+
+def test_workers_hand_over_what_is_asked_for() -> None:
+    alone = [encode_sample(sample) for sample in produce(5, [4, 0, 1], FLAT)]
+    assert list(produce(5, [4, 0, 1], FLAT, workers=2, finished=encode_sample)) == alone
+
+
+def test_another_process_drapes_the_same() -> None:
+    here = list(produce(5, range(2), DRAPED))
+    with SharedDraper(place_for("cpu")) as draper:
+        assert list(produce(5, range(2), DRAPED, draper=draper)) == here
+
+
+def test_indices_may_be_infinite() -> None:
+    def forever() -> Iterator[int]:
+        while True:
+            yield from (0, 1)
+
+    made = produce(5, forever(), FLAT)
+    first, second, third = next(made), next(made), next(made)
+    assert first == third != second
+
+
+def test_samples_before_a_failure_are_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(seed: int, number: int, *_: object) -> pipeline.DressedDesign:
+        if number == 2:
+            raise PatternError("sample 4: 3 designs were turned down")
+        return pipeline.prepare(seed, number, FLAT)
+
+    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", never)
+    made: list[Sample] = []
+    with pytest.raises(PatternError, match="sample 4"):
+        made.extend(produce(5, range(6), FLAT, ahead=6))
+    assert [sample.provenance.index for sample in made] == [0, 1, 2, 3]
+
+
+def test_a_failure_in_a_worker_is_raised_here() -> None:
+    heavy = Overlay.from_dict({"meta": {"upper": "none", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.9}})
+    with pytest.raises(PatternError, match="2 designs were turned down, the last for: too_heavy"):
+        list(produce(5, range(4), replace(FLAT, design=heavy, max_attempts=2), workers=2))
+
+
+@pytest.mark.parametrize(
+    ("name", "devices"),
+    [("cpu", ("cpu",)), ("cuda", ("cuda:0",)), ("cuda:1", ("cuda:1",)), ("cuda:0,1,1", ("cuda:0", "cuda:1"))],
+)
+def test_devices_are_named(name: str, devices: tuple[str, ...]) -> None:
+    assert devices_of(MakeConfig(device=name)) == devices
+
+
+def test_a_device_that_cannot_be_is_refused() -> None:
+    with pytest.raises(ConfigError, match="several as cuda:0,1"):
+        devices_of(MakeConfig(device="gpu"))
