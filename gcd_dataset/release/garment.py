@@ -2,8 +2,10 @@
 
 import functools
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -24,7 +26,8 @@ __all__ = ["PublishedGarment"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 SEAM = "stitch_"  # how a line of the segmentation file begins where panels are sewn together
-MOST_VALUES = 1_000_000  # of a YAML file; an alias may stand for another alias, and so on
+SEAM_NUMBER = re.compile(r"[0-9]{1,9}")
+MOST_VALUES, DEEPEST = 1_000_000, 64  # of a YAML file; an alias may stand for another alias, and so on
 BROKEN = (yaml.YAMLError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError)
 """What PyYAML lets through of a date that is none, ``!!bool maybe``, a map that is its own key, …"""
 FLATNESS = 0.02  # cm: how far a vertex in the middle of a panel may be from where its texture coordinates put it
@@ -82,7 +85,9 @@ class PublishedGarment:
     @property
     def body_name(self) -> str:
         """Whose the measures are: ``mean_all``, or a person and pose, as ``00345_straight``."""
-        name = self._yaml("measures").get("body", {}).get("body_sample", DEFAULT_BODY if self.default_body else None)
+        table = self._yaml("measures").get("body")
+        given = table if isinstance(table, Mapping) else {}
+        name = given.get("body_sample", DEFAULT_BODY if self.default_body else None)
         if not isinstance(name, str):
             raise self.broken("measures", "does not say who wears the garment, as body_sample: 00345_straight would")
         return name
@@ -164,7 +169,7 @@ class PublishedGarment:
     @functools.cached_property
     def _seams(self) -> Int[np.ndarray, "s 2"]:
         rows = [
-            (vertex, int(number) if (number := entry.removeprefix(SEAM)).isdecimal() else -1)
+            (vertex, int(number) if SEAM_NUMBER.fullmatch(number := entry.removeprefix(SEAM)) else -1)
             for vertex, segment in enumerate(self._segments)
             if segment.startswith(SEAM)
             for entry in segment.split(",")
@@ -253,13 +258,12 @@ class PublishedGarment:
             raise error if str(error).startswith(self.place) else self.broken(kind, str(error)) from error
 
     def _yaml(self, kind: str) -> dict[str, Any]:
-        content = self._file(kind)
         try:
-            table = yaml.load(content, Loader=LOADER)
+            table = yaml.load(self._file(kind), Loader=LOADER)
         except BROKEN as error:
             raise self.broken(kind, f"not YAML ({' '.join(str(error).split())})") from error
-        if b"*" in content and not _is_small(table):
-            raise self.broken(kind, f"aliases that stand for more than {MOST_VALUES} values")
+        if not _is_small(table):
+            raise self.broken(kind, f"more than {DEEPEST} levels, or {MOST_VALUES} values")
         return table if isinstance(table, dict) else {}
 
     def _path(self, kind: str) -> str:
@@ -267,16 +271,19 @@ class PublishedGarment:
 
 
 def _is_small(table: Any) -> bool:
-    """Whether a tree has few values, each counted as often as aliases name it."""
-    left, count = [table], 0
-    while left and count <= MOST_VALUES:
-        value = left.pop()
-        count += 1
-        if isinstance(value, Mapping):
-            left += value.values()
-        elif isinstance(value, list | tuple | set):
-            left += value
-    return not left
+    """Whether a tree has few levels and values, each counted as often as aliases name it."""
+    level, count = [table], 1
+    for _ in range(DEEPEST):
+        inner = (value.values() if isinstance(value, Mapping) else value for value in level if _holds(value))
+        level = list(islice(chain.from_iterable(inner), MOST_VALUES))
+        count += len(level)
+        if not level or count > MOST_VALUES:
+            break
+    return not level and count <= MOST_VALUES
+
+
+def _holds(value: Any) -> bool:
+    return isinstance(value, Mapping | list | tuple | set)
 
 
 def _pieces(faces: Int[np.ndarray, "f 3"], rows: int) -> tuple[int, Int[np.ndarray, " c"]]:
