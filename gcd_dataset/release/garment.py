@@ -62,9 +62,15 @@ class PublishedGarment:
     def pattern(self) -> Pattern:
         """Its sewing pattern; whether it can be sewn is left to ``validate``."""
         try:
-            return pattern_from_spec(json.loads(self._file("spec")), self.name, source=self._path("spec"))
+            pattern = pattern_from_spec(json.loads(self._file("spec")), self.name, source=self._path("spec"))
         except (ValueError, RecursionError, SpecError) as error:
             raise self.broken("spec", str(error).removeprefix(f"{self._path('spec')}: ")) from error
+        edges = {panel.name: len(panel.edges) for panel in pattern.panels}
+        for number, seam in enumerate(pattern.seams):
+            for side in (seam.left, seam.right):
+                if not 0 <= side.edge < edges.get(side.panel, 0):
+                    raise self.broken("spec", f"seam {number} joins {shown(side.panel)}, edge {side.edge}: not there")
+        return pattern
 
     @functools.cached_property
     def design(self) -> Mapping[str, Any]:

@@ -90,6 +90,7 @@ def doubling(name: str, times: int) -> bytes:
         ("front", as_gif, "not a picture"),
         ("spec", lambda content: b"[" * 100_000, "Expecting value|levels deep|recursion"),
         ("spec", lambda content: content.replace(b"100", b"1" * 5000, 1), "digits|is no number"),
+        ("spec", lambda content: re.sub(rb'"edge": \d+', b'"edge": 77', content, count=1), "seam 0 joins .*, edge 77"),
         ("design", lambda content: b"[" * 5000, "not YAML"),
         ("design", lambda content: doubling("design", 60), "more than 64 levels, or 1000000 values"),
         ("design", lambda content: b"design: &a {b: *a}", "more than 64 levels, or 1000000 values"),
