@@ -9,9 +9,7 @@ import pytest
 
 from gcd_dataset.cli import _parser, main
 from gcd_dataset.cli.examples import EXAMPLES
-from gcd_dataset.cli.generate import GarmentPlan, waiting_line
 from gcd_dataset.errors import did_you_mean
-from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Sample
 from tests.test_cli import SKIRT, exit_code, one_line
 
@@ -147,30 +145,19 @@ def test_the_nearest_word_is_told(word: str, known: list[str], told: str) -> Non
 # -------------------------------------------------------------------------------------------------- waits
 
 
-def plan_of(count: int, **options: object) -> GarmentPlan:
-    return GarmentPlan(Path("out"), count, tuple(range(count)), 0, MakeConfig(device="cpu", **options))  # type: ignore[arg-type]
-
-
-def test_a_long_wait_on_a_cpu_is_told_with_the_ways_out() -> None:
-    told = waiting_line(plan_of(10_000))
-    assert told is not None
-    assert "10000 garments to drape at 1 cm: about " in told
-    assert "each on a core of a CPU" in told
-    assert "--resolution 2 takes a fifth" in told
-    assert waiting_line(plan_of(1, resolution=5.0)) is None
-    assert waiting_line(plan_of(10_000, stage="mesh")) is None
-    assert waiting_line(plan_of(0)) is None
-
-
 def test_generate_tells_the_wait_before_it_starts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     said_before: list[str] = []
 
     def made(*_: object, **__: object) -> Iterator[Sample]:
-        said_before.append(capsys.readouterr().err)
+        said_before.append(caplog.text)
         yield from ()
 
     monkeypatch.setattr("gcd_dataset.cli.generate.generate", made)
-    assert main(["generate", str(tmp_path), "--count", "500", "--device", "cpu", "--quiet"]) == 0
-    assert "500 garments to drape at 1 cm: about " in one_line(said_before[0])
+    command = ["generate", str(tmp_path), "--device", "cpu", "--quiet"]
+    assert main([*command, "--count", "500"]) == 0
+    assert "draping 500 garments at 1 cm on this CPU takes about " in said_before[0]
+    caplog.clear()
+    assert main([*command, "--count", "500", "--stage", "pattern"]) == 2  # another recipe than that of the set
+    assert "takes about" not in caplog.text

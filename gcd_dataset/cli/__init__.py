@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _generate(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from gcd_dataset.cli.generate import generate, plan, waiting_line
+    from gcd_dataset.cli.generate import generate, plan
     from gcd_dataset.generator.recipe import MakeConfig
     from gcd_dataset.records import Outcome
 
@@ -84,8 +84,10 @@ def _generate(options: argparse.Namespace) -> int:
         return _generate_people(options, given)
     config = MakeConfig(**given)
     task = plan(options.out, options.count, seed=options.seed, config=config)
-    if wait := waiting_line(task, options.workers):
-        print(wait, file=sys.stderr)
+    if config.stage == "drape":
+        from gcd_dataset.generator.drape import tell_wait
+
+        tell_wait(len(task.missing), config.device, config.resolution)
     made = rejected = failed = 0
     samples = generate(task, workers=options.workers)
     try:

@@ -13,9 +13,8 @@ from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.unfinished import filling
 
-__all__ = ["GarmentPlan", "Stored", "generate", "plan", "waiting_line", "workers_for"]
+__all__ = ["GarmentPlan", "Stored", "generate", "plan", "workers_for"]
 
-LONG = 10.0  # s: a shorter wait is not worth a line
 BEGUN = 4.0  # s that a worker takes to start
 MADE = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # CPU-s of a worker for a garment of a stage, without the drape
 
@@ -89,39 +88,3 @@ def workers_for(plan: GarmentPlan) -> int:
 def _encoded(sample: Sample) -> tuple[Stored, Mapping[str, Bytes]]:
     made, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
     return Stored(made.index, made.body_name, made.rejects, outcome), encode_sample(sample)
-
-
-def waiting_line(plan: GarmentPlan, workers: int | None = None) -> str | None:
-    """How long the drapes of a plan are to take, and what makes them faster; ``None`` for a short wait.
-
-    An estimate from measured figures of other machines; designs and drapes that are turned down come on top.
-    """
-    if plan.config.stage != "drape":
-        return None
-    from gcd_dataset.generator.drape import seconds_per_garment
-    from gcd_dataset.generator.drape.device import cores
-
-    count, spacing, is_cpu = len(plan.missing), plan.config.resolution, device_kind(plan.config) == "cpu"
-    # Without workers the garments share the cores, one each.
-    processes = min(workers or cores(), cores()) if is_cpu else len(devices_of(plan.config))
-    each = seconds_per_garment(devices_of(plan.config)[0], spacing)
-    seconds = each * math.ceil(count / processes)
-    if seconds < LONG:
-        return None
-    told = f"{count} garments to drape at {spacing:g} cm: about {_duration(seconds)}"
-    if not is_cpu:
-        return told
-    faster = f"--workers auto uses all {cores()} cores; " if processes < min(cores(), count) else ""
-    return f"{told}, {_duration(each)} each on a core of a CPU: {faster}--resolution {2 * spacing:g} takes a fifth"
-
-
-def _duration(seconds: float) -> str:
-    """A length of time to two figures.
-
-    >>> _duration(22.0), _duration(330.0), _duration(40_000.0)
-    ('22 s', '5.5 min', '11 h')
-    """
-    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 1.5 * size:
-            return f"{seconds / size:.2g} {unit}" if seconds < 100 * size else f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.2g} s"

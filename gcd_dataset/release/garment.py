@@ -3,8 +3,10 @@
 import functools
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -26,7 +28,8 @@ __all__ = ["PublishedGarment"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 SEAM = "stitch_"  # how a line of the segmentation file begins where panels are sewn together
-MOST_VALUES = 1_000_000  # of a YAML file; an alias may stand for another alias, and so on
+SEAM_NUMBER = re.compile(r"[0-9]{1,9}")
+MOST_VALUES, DEEPEST = 1_000_000, 64  # of a YAML file; an alias may stand for another alias, and so on
 BROKEN = (yaml.YAMLError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError)
 """What PyYAML lets through of a date that is none, ``!!bool maybe``, a map that is its own key, …"""
 FLATNESS = 0.02  # cm: how far a vertex in the middle of a panel may be from where its texture coordinates put it
@@ -61,9 +64,15 @@ class PublishedGarment:
     def pattern(self) -> Pattern:
         """Its sewing pattern; whether it can be sewn is left to ``validate``."""
         try:
-            return pattern_from_spec(json.loads(self._file("spec")), self.name, source=self._path("spec"))
+            pattern = pattern_from_spec(json.loads(self._file("spec")), self.name, source=self._path("spec"))
         except (ValueError, RecursionError, SpecError) as error:
             raise self.broken("spec", str(error).removeprefix(f"{self._path('spec')}: ")) from error
+        edges = {panel.name: len(panel.edges) for panel in pattern.panels}
+        for number, seam in enumerate(pattern.seams):
+            for side in (seam.left, seam.right):
+                if not 0 <= side.edge < edges.get(side.panel, 0):
+                    raise self.broken("spec", f"seam {number} joins {shown(side.panel)}, edge {side.edge}: not there")
+        return pattern
 
     @functools.cached_property
     def design(self) -> Mapping[str, Any]:
@@ -91,7 +100,9 @@ class PublishedGarment:
     @property
     def body_name(self) -> str:
         """Whose the measures are: ``mean_all``, or a person and pose, as ``00345_straight``."""
-        name = self._yaml("measures").get("body", {}).get("body_sample", DEFAULT_BODY if self.default_body else None)
+        table = self._yaml("measures").get("body")
+        given = table if isinstance(table, Mapping) else {}
+        name = given.get("body_sample", DEFAULT_BODY if self.default_body else None)
         if not isinstance(name, str):
             raise self.broken("measures", "does not say who wears the garment, as body_sample: 00345_straight would")
         return name
@@ -173,7 +184,7 @@ class PublishedGarment:
     @functools.cached_property
     def _seams(self) -> Int[np.ndarray, "s 2"]:
         rows = [
-            (vertex, int(number) if (number := entry.removeprefix(SEAM)).isdecimal() else -1)
+            (vertex, int(number) if SEAM_NUMBER.fullmatch(number := entry.removeprefix(SEAM)) else -1)
             for vertex, segment in enumerate(self._segments)
             if segment.startswith(SEAM)
             for entry in segment.split(",")
@@ -262,14 +273,14 @@ class PublishedGarment:
             raise error if str(error).startswith(self.place) else self.broken(kind, str(error)) from error
 
     def _yaml(self, kind: str) -> dict[str, Any]:
-        content = self._file(kind)
         try:
+            content = self._file(kind)
             require_shallow(content)
             table = yaml.load(content, Loader=LOADER)
         except BROKEN as error:
             raise self.broken(kind, f"not YAML ({' '.join(str(error).split())})") from error
-        if b"*" in content and not _is_small(table):
-            raise self.broken(kind, f"aliases that stand for more than {MOST_VALUES} values")
+        if not _is_small(table):
+            raise self.broken(kind, f"more than {DEEPEST} levels, or {MOST_VALUES} values")
         return table if isinstance(table, dict) else {}
 
     def _path(self, kind: str) -> str:
@@ -277,16 +288,19 @@ class PublishedGarment:
 
 
 def _is_small(table: Any) -> bool:
-    """Whether a tree has few values, each counted as often as aliases name it."""
-    left, count = [table], 0
-    while left and count <= MOST_VALUES:
-        value = left.pop()
-        count += 1
-        if isinstance(value, Mapping):
-            left += value.values()
-        elif isinstance(value, list | tuple | set):
-            left += value
-    return not left
+    """Whether a tree has few levels and values, each counted as often as aliases name it."""
+    level, count = [table], 1
+    for _ in range(DEEPEST):
+        inner = (value.values() if isinstance(value, Mapping) else value for value in level if _holds(value))
+        level = list(islice(chain.from_iterable(inner), MOST_VALUES))
+        count += len(level)
+        if not level or count > MOST_VALUES:
+            break
+    return not level and count <= MOST_VALUES
+
+
+def _holds(value: Any) -> bool:
+    return isinstance(value, Mapping | list | tuple | set)
 
 
 def _pieces(faces: Int[np.ndarray, "f 3"], rows: int) -> tuple[int, Int[np.ndarray, " c"]]:

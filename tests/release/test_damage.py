@@ -90,13 +90,16 @@ def doubling(name: str, times: int) -> bytes:
         ("front", as_gif, "not a picture"),
         ("spec", lambda content: b"[" * 100_000, "Expecting value|levels deep|recursion"),
         ("spec", lambda content: content.replace(b"100", b"1" * 5000, 1), "digits|is no number"),
+        ("spec", lambda content: re.sub(rb'"edge": \d+', b'"edge": 77', content, count=1), "seam 0 joins .*, edge 77"),
         ("design", lambda content: b"[" * 5000, "not YAML"),
-        ("design", lambda content: doubling("design", 60), "aliases that stand for more than 1000000 values"),
-        ("design", lambda content: b"design: &a {b: *a}", "aliases that stand for more than 1000000 values"),
+        ("design", lambda content: doubling("design", 60), "more than 64 levels, or 1000000 values"),
+        ("design", lambda content: b"design: &a {b: *a}", "more than 64 levels, or 1000000 values"),
+        ("design", lambda content: b"design: {a: " + b"[" * 100 + b"]" * 100 + b"}", "more than 64 levels"),
         ("design", lambda content: b"design: !!bool maybe", "not YAML"),
         ("measures", lambda content: b"body: {height: " + b"9" * 5000 + b"}", "not YAML|height is"),
         ("vertex_labels", lambda content: b"a: [99999999]", "is no list of the mesh's vertices"),
         ("segmentation", lambda content: b"stitch_" + b"9" * 5000 + b"\n" + content, "labels"),
+        ("segmentation", lambda content: content.replace(b"stitch_0", b"stitch_" + b"9" * 5000), "names a stitch"),
     ],
 )
 def test_a_file_of_another_form_is_named(own: Path, kind: str, change: Callable[[bytes], bytes], told: str) -> None:
@@ -106,6 +109,14 @@ def test_a_file_of_another_form_is_named(own: Path, kind: str, change: Callable[
         read_first(own)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
+
+
+def test_a_body_that_is_no_map_names_nobody(own: Path) -> None:
+    path = file_of(own, TRAIN[0], "measures", BODIES[1])
+    path.write_bytes(b"body: text")
+    with pytest.raises(ShardError, match="does not say who wears the garment") as caught:
+        PublishedGarmentCodeData(own, bodies="random", fields=["meta"])[0]
+    assert str(caught.value).startswith(f"{path}: ")
 
 
 @pytest.mark.parametrize(
