@@ -2,13 +2,13 @@
 
 import logging
 
+from gcd_dataset.generator.estimates import core_seconds
 from gcd_dataset.generator.recipe import MakeConfig
 
 __all__ = ["seconds_each", "tell_wait"]
 
 logger = logging.getLogger("gcd_dataset")
 
-ON_CPU, BY_AREA = 0.8, 6.5  # s, and s cm²: measured at 1, 2 and 4 cm on one core, without pictures
 WORTH_TELLING = 2.0  # s
 
 
@@ -20,7 +20,7 @@ def seconds_each(config: MakeConfig) -> float:
     """
     if config.stage != "drape" or config.device != "cpu":
         return 0.0
-    return ON_CPU + BY_AREA / config.resolution**2
+    return core_seconds(config.resolution)
 
 
 def tell_wait(config: MakeConfig) -> None:

@@ -401,8 +401,12 @@ def _read_points(data: Bytes, meta: Bytes) -> Float32[np.ndarray, "n 6"]:
     frame = frame_of(meta)
     points = room_for(4 * stored.size).view(np.float32)
     np.copyto(points, stored.reshape(-1), casting="unsafe")
-    _by_rows(points, np.multiply, (*3 * (frame.scale,), *3 * (frame.normal,)))
-    _by_rows(points, np.add, (*frame.centre, 0.0, 0.0, 0.0))
+    try:
+        with np.errstate(over="raise"):
+            _by_rows(points, np.multiply, (*3 * (frame.scale,), *3 * (frame.normal,)))
+            _by_rows(points, np.add, (*frame.centre, 0.0, 0.0, 0.0))
+    except FloatingPointError as error:
+        raise ShardError(f"its scale {frame.scale} and centre {frame.centre} lead beyond float32") from error
     rows = points.reshape(-1, 6)
     if stored.min(initial=0) == UNDEFINED:
         rows[(stored == UNDEFINED).any(axis=1)] = np.nan

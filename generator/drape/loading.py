@@ -20,6 +20,7 @@ from gcd_dataset.generator.drape.kernels import (
     stillness,
     topology,
 )
+from gcd_dataset.generator.estimates import core_seconds
 
 __all__ = ["kernels_compiled", "load_drape", "seconds_per_garment", "seconds_to_drape", "tell_wait"]
 
@@ -40,10 +41,8 @@ KERNELS: tuple[ModuleType, ...] = (
     stillness,
     topology,
 )
-CORE_SECONDS = 22.0  # a garment at 1 cm on one CPU core: the mean of 12, benchmarks/reports/drape_reference_patterns.md
 GPU_SECONDS = 0.027  # of 1 000 garments at 1 cm on an H200, 128 at a time: benchmarks/reports/drape_sampled.md
 LONG = 10.0  # s: a shorter wait is not worth a line
-COARSER = 2.2  # a dress takes 6.3 s at 1 cm and 1.4 s at 2 cm: benchmarks/reports/drape_log.md
 
 
 def load_drape(device: str) -> None:
@@ -67,10 +66,9 @@ def seconds_per_garment(device: str = "auto", spacing: float = 1.0) -> float:
     Raises ``ConfigError`` for a device that is not there.
 
     >>> seconds_per_garment("cpu"), round(seconds_per_garment("cpu", spacing=2.0), 1)
-    (22.0, 4.8)
+    (7.3, 2.4)
     """
-    usual = CORE_SECONDS if resolve_device(device) == "cpu" else GPU_SECONDS
-    return float(usual * spacing**-COARSER)
+    return core_seconds(spacing) if resolve_device(device) == "cpu" else GPU_SECONDS / spacing**2
 
 
 def seconds_to_drape(garments: int, device: str = "auto", spacing: float = 1.0) -> float:
@@ -87,7 +85,7 @@ def tell_wait(garments: int, device: str = "auto", spacing: float = 1.0) -> None
     seconds = seconds_to_drape(garments, device, spacing)
     if seconds > LONG:
         logger.info(
-            "draping %d garment%s at %g cm on %s takes about %s; at %g cm a fifth of that",
+            "draping %d garment%s at %g cm on %s takes about %s; at %g cm a third of that",
             garments,
             "" if garments == 1 else "s",
             spacing,
