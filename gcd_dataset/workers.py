@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,6 +13,8 @@ from contextlib import contextmanager
 from itertools import chain, islice
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext
+from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any, TypeVar
 
 from gcd_dataset.errors import GcdError
@@ -22,6 +25,10 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 KILLED = "a worker process was killed, by lack of memory perhaps: go on with fewer --workers"
+UNSTARTED = (
+    "a worker process could not start, see above: a script that asks for workers begins its work under "
+    'if __name__ == "__main__":'
+)
 AHEAD = 2  # tasks in work for each process, so that none waits for the writer
 
 
@@ -66,10 +73,11 @@ def streams(work: Callable[[Task], Iterable[Result]], tasks: Sequence[Task]) -> 
         for task in tasks:
             ours, theirs = context.Pipe(duplex=False)
             process = context.Process(target=_stream, args=(work, task, theirs, lifeline), daemon=True)
-            process.start()
+            with _no_program_from_standard_input():
+                process.start()
             theirs.close()
             processes.append(process)
-            streamed.append(_received(ours))
+            streamed.append(_received(ours, process))
         yield streamed
     finally:
         held.close()
@@ -88,12 +96,28 @@ def _stream(work: Callable[[Task], Iterable[Result]], task: Task, results: Conne
         results.send((None, error))
 
 
-def _received(connection: Connection) -> Iterator[Any]:
+@contextmanager
+def _no_program_from_standard_input() -> Iterator[None]:
+    """Have processes started without the main program where it has no file that they could import, as ``python -``."""
+    program = sys.modules["__main__"]
+    file = getattr(program, "__file__", None)
+    if file is None or Path(file).exists():
+        yield
+        return
+    del program.__file__
+    try:
+        yield
+    finally:
+        program.__file__ = file
+
+
+def _received(connection: Connection, process: BaseProcess) -> Iterator[Any]:
     while True:
         try:
             result, error = connection.recv()
         except (EOFError, OSError) as gone:
-            raise GcdError(KILLED) from gone
+            process.join(timeout=5.0)
+            raise GcdError(KILLED if (process.exitcode or -1) < 0 else UNSTARTED) from gone
         if isinstance(error, StopIteration):
             return
         if error is not None:

@@ -15,7 +15,7 @@ from benchmarks.peers.newton import PeerDrapes, drape_with_newton
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.drape.holds import fell, off_body
 from gcd_dataset.generator.drape.model import build_model
-from gcd_dataset.generator.drape.outcome import is_through_body, slid_off
+from gcd_dataset.generator.drape.outcome import slid_off
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import coarse_start
 from gcd_dataset.records import Drape, Outcome
@@ -102,20 +102,19 @@ def _judged(jobs: Sequence[DrapeJob], made: PeerDrapes, device: str) -> list[Dra
             stretch_p99=float(p99),
             body_through=int(through[k]),
         )
-        too_many = is_through_body(drape, config, solver.model.usual_length[k])
-        outcome = _outcome(job, drape, config, rested=bool(made.rested[k]), through=too_many)
+        outcome = _outcome(job, drape, config, rested=bool(made.rested[k]))
         drapes.append(replace(drape, outcome=outcome))
     return drapes
 
 
-def _outcome(job: DrapeJob, drape: Drape, config: DrapeConfig, *, rested: bool, through: bool) -> Outcome:
+def _outcome(job: DrapeJob, drape: Drape, config: DrapeConfig, *, rested: bool) -> Outcome:
     """The first that applies, in the order of ``Outcome`` for ours."""
     failures = {
         Outcome.DIVERGED: not np.isfinite(drape.vertices).all(),
         Outcome.FELL: fell(job, drape.vertices),
         Outcome.SLID_OFF: slid_off(job, drape.vertices) or off_body(job, drape.vertices),
         Outcome.NOT_SETTLED: not rested,
-        Outcome.THROUGH_BODY: through,
+        Outcome.THROUGH_BODY: drape.body_crossings > config.max_body_crossings,
         Outcome.THROUGH_ITSELF: drape.self_crossings > config.max_self_crossings,
         Outcome.OVERSTRETCHED: drape.stretch_p99 > config.max_stretch,
     }

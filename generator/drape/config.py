@@ -84,8 +84,8 @@ class DrapeConfig:
     """A garment rests when no more than this share of its vertices moves."""
     max_body_crossings: int = 35
     """Edges of the cloth that cross the skin, of arms that the cloth may pass through too. This limit and the next are
-    those of Korosteleva et al. (ECCV 2024). They count edges of the cloth alone; here edges of the skin that cross the
-    cloth are added, each for 0.3 cm of the cloth's (``is_through_body``), so what passes here passes there too."""
+    those of Korosteleva et al. (ECCV 2024), who count edges of the cloth alone. Edges of the skin that cross the cloth
+    are counted beside them, in ``Drape.body_through``, and not limited."""
     max_self_crossings: int = 300
     max_stretch: float = 1.6
     """Length over flat length of the hundredth edge that is stretched most."""

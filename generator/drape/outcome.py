@@ -13,9 +13,7 @@ from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Drape, Outcome
 
-__all__ = ["collect", "is_through_body", "slid_off"]
-
-SKIN_EDGE = 0.3  # cm: edges of ears, fingers and toes, which come through cloth between its own edges
+__all__ = ["collect", "slid_off"]
 
 
 def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> list[Drape]:
@@ -45,21 +43,12 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
             stretch_p99=float(p99),
             body_through=int(body_through[w]),
         )
-        through = is_through_body(drape, solver.config, solver.model.usual_length[w])
-        outcome = _judge(job, drape, solver.config, int(status[w]), overfull=bool(overfull[w]), through=through)
+        outcome = _judge(job, drape, solver.config, int(status[w]), overfull=bool(overfull[w]))
         drapes.append(replace(drape, outcome=outcome))
     return drapes
 
 
-def is_through_body(drape: Drape, config: DrapeConfig, usual_length: float) -> bool:
-    """Whether more edges of cloth and body cross than ``config`` allows, of cloth whose edges have this length [cm].
-
-    Along one curve a finer mesh has more crossings, in proportion: edges of the body count as so many of the cloth.
-    """
-    return drape.body_crossings + drape.body_through * SKIN_EDGE / usual_length > config.max_body_crossings
-
-
-def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool, through: bool) -> Outcome:
+def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> Outcome:
     """The first of the failures that applies, gravest first; else settled."""
     if status == DIVERGED or not np.isfinite(drape.vertices).all():
         return Outcome.DIVERGED
@@ -71,7 +60,7 @@ def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, ove
         return Outcome.SLID_OFF
     if status != DONE:
         return Outcome.NOT_SETTLED
-    if through:
+    if drape.body_crossings > config.max_body_crossings:
         return Outcome.THROUGH_BODY
     if drape.self_crossings > config.max_self_crossings:
         return Outcome.THROUGH_ITSELF

@@ -1,7 +1,10 @@
 """The maker gives the same samples by any draper and any number of workers."""
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +13,7 @@ from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.drapers import SharedDraper, place_for
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.pipeline import sample_key
 from gcd_dataset.generator.recipe import MakeConfig, devices_of
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
@@ -33,6 +37,34 @@ def test_another_process_drapes_the_same() -> None:
     here = list(produce(5, range(2), DRAPED))
     with SharedDraper(place_for("cpu")) as draper:
         assert list(produce(5, range(2), DRAPED, draper=draper)) == here
+
+
+SCRIPT = """
+from gcd_dataset.generator import MakeConfig, produce
+config = MakeConfig(stage="pattern")
+if __name__ == "__main__" or not {guarded}:
+    print([sample.key for sample in produce(5, range(2), config, workers=2)])
+"""
+
+
+def run(*arguments: str, given: str = "") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, input=given, capture_output=True, text=True, check=False, timeout=120)
+
+
+def test_workers_serve_scripts_and_standard_input(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(guarded=True))
+    for ended in (run(str(script)), run("-", given=SCRIPT.format(guarded=True))):
+        assert ended.stdout.strip() == str([sample_key(0), sample_key(1)]), ended.stderr
+
+
+def test_a_script_without_a_guard_is_told_of_it(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(guarded=False))
+    ended = run(str(script))
+    assert ended.returncode == 1
+    assert "begins its work under if __name__" in ended.stderr
 
 
 def test_indices_may_be_infinite() -> None:

@@ -90,7 +90,7 @@ def test_waits_grow_with_garments_and_finer_meshes(
         tell_wait(1, "cpu", 5.0)
         assert not caplog.records
         tell_wait(40, "cpu", 1.0)
-    assert "40 garments at 1 cm on this CPU takes about 7 min" in caplog.text
+    assert "40 garments at 1 cm on this CPU takes about 2 min" in caplog.text
 
 
 def test_garments_under_way_stop_where_nobody_waits_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
