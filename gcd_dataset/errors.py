@@ -58,7 +58,21 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 class GcdError(Exception):
-    """Any error of this package."""
+    """Any error of this package; its message is one line, whatever was quoted in it.
+
+    >>> str(GcdError("split a\\nb is empty"))
+    'split a\\\\nb is empty'
+    """
+
+    def __init__(self, *message: object) -> None:
+        super().__init__(*(_one_line(part) if isinstance(part, str) else part for part in message))
+
+
+def _one_line(text: str) -> str:
+    """The text with what does not print, line breaks too, as escapes."""
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
 
 
 class SpecError(GcdError):
