@@ -223,7 +223,7 @@ def shard_number(name: str, split: str) -> int | None:
     >>> shard_number("train-00003.tar", "train"), shard_number("val-00003.tar", "train")
     (3, None)
     """
-    match = re.fullmatch(rf"{re.escape(split)}-(\d{{5,}})\.tar", name)
+    match = re.fullmatch(rf"{re.escape(split)}-(\d{{5,18}})\.tar", name)
     return int(match[1]) if match else None
 
 

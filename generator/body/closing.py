@@ -127,5 +127,6 @@ def _refuse_wide(holes: Holes, name: str) -> None:
 
 def _outward(vertices: np.ndarray, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
     """The faces turned, if they enclose what is outside."""
-    volume = trimesh.Trimesh(vertices, faces, process=False).volume
+    with np.errstate(all="ignore"):  # trimesh divides by the volume, which may be 0
+        volume = trimesh.Trimesh(vertices, faces, process=False).volume
     return faces if volume > 0 else faces[:, ::-1]

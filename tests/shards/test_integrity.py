@@ -377,3 +377,7 @@ def test_brackets_in_words_are_no_depth() -> None:
     members = encode_sample(fake_sample(0, 0))
     recipe = json.dumps({"note": "[" * 3 * DEEPEST})
     assert read_meta(resealed(members, recipe=recipe)["meta.json"])["recipe"]["note"] == "[" * 3 * DEEPEST
+
+
+def test_a_shard_of_a_number_without_end_is_none() -> None:
+    assert shard_number(f"train-{'9' * 5004}.tar", "train") is None
