@@ -22,6 +22,7 @@ from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample, encode_sampl
 from gcd_dataset.shards.arrays import Column, read_arrays
 from gcd_dataset.shards.codec import decode_field
 from gcd_dataset.shards.index import ShardIndex
+from gcd_dataset.shards.layout import shard_number
 from gcd_dataset.shards.meta import read_meta, sealed
 from gcd_dataset.shards.npy import read_any_npy, read_npy, write_npy
 from gcd_dataset.shards.plain import decode_member
