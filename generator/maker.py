@@ -8,7 +8,7 @@ indices ─► prepare (body, measures, design, pattern, box mesh) ─► draper
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import groupby
 from typing import Any, Generic, TypeVar, overload
@@ -17,7 +17,7 @@ from gcd_dataset.by_thread import by_thread
 from gcd_dataset.generator.drapers import Draped, Draper, Place, SharedDraper, place_for
 from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.pipeline import DressedDesign, drape_jobs, finish, prepare, turned_down
-from gcd_dataset.generator.recipe import MakeConfig, devices_of
+from gcd_dataset.generator.recipe import MakeConfig, devices_name, devices_of
 from gcd_dataset.records import Sample
 from gcd_dataset.workers import streams
 
@@ -246,6 +246,8 @@ def _by_workers(
 ) -> Iterator[Any]:
     """The results of workers that have the designs by turns."""
     devices = devices_of(config) if config.stage == "drape" else ("cpu",)
+    # By name: workers that looked for the devices themselves would each start CUDA.
+    config = replace(config, device=devices_name(devices))
     places = [None if device == "cpu" else place_for(device, number) for number in range(DRAPERS) for device in devices]
     shares = [
         _Share(seed, indices, config, k, workers, places[k % len(places)], finished, pictured) for k in range(workers)

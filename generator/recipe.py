@@ -1,6 +1,7 @@
 """What samples are made by: the options, and all else that decides their bytes."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
@@ -10,7 +11,16 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 
-__all__ = ["MakeConfig", "check_resolution", "device_kind", "devices_of", "named_devices", "recipe_of", "versions"]
+__all__ = [
+    "MakeConfig",
+    "check_resolution",
+    "device_kind",
+    "devices_name",
+    "devices_of",
+    "named_devices",
+    "recipe_of",
+    "versions",
+]
 
 Bodies = Literal["neutral", "random", "female", "male", "both"]
 LastStage = Literal["pattern", "mesh", "drape"]
@@ -128,6 +138,17 @@ def devices_of(config: MakeConfig) -> tuple[str, ...]:
     from gcd_dataset.generator.drape import every_device
 
     return every_device()
+
+
+def devices_name(devices: Sequence[str]) -> str:
+    """The name of several devices, as ``named_devices`` reads it.
+
+    >>> devices_name(["cuda:0", "cuda:2"]), devices_name(["cpu"])
+    ('cuda:0,2', 'cpu')
+    """
+    if devices[0] == "cpu":
+        return "cpu"
+    return "cuda:" + ",".join(device.partition(":")[2] for device in devices)
 
 
 def named_devices(name: str) -> tuple[str, ...]:
