@@ -44,7 +44,7 @@ def side_by_side(work: Callable[[Task], Result], tasks: Iterable[Task], workers:
     with _processes(workers) as pool:
 
         def submitted(count: int) -> Iterator[Future[Result]]:
-            return (pool.submit(work, task) for task in islice(waiting, count))
+            return (_submitted(pool, work, task) for task in islice(waiting, count))
 
         at_work = deque(submitted(AHEAD * workers))
         while at_work:
@@ -125,11 +125,20 @@ def _received(connection: Connection, process: BaseProcess) -> Iterator[Any]:
         yield result
 
 
+def _submitted(pool: ProcessPoolExecutor, work: Callable[[Task], Result], task: Task) -> Future[Result]:
+    """The result of a task to come. Raises ``GcdError`` where a process of the pool has died."""
+    try:
+        with _no_program_from_standard_input():  # the pool starts its processes here
+            return pool.submit(work, task)
+    except BrokenProcessPool as error:
+        raise GcdError(f"{KILLED}; or {UNSTARTED}") from error
+
+
 def _result(task: Future[Result]) -> Result:
     try:
         return task.result()
     except BrokenProcessPool as error:
-        raise GcdError(KILLED) from error
+        raise GcdError(f"{KILLED}; or {UNSTARTED}") from error
 
 
 def _spawning() -> SpawnContext:

@@ -109,12 +109,17 @@ class LastDesign:
     """
 
     def __init__(self) -> None:
-        self.number = -1
-        self.sample_of: Callable[[int], Sample] | None = None
+        # One attribute, replaced at once: threads may share a data set.
+        self._kept: tuple[int, Callable[[int], Sample]] | None = None
+
+    def of(self, number: int) -> Callable[[int], Sample] | None:
+        """The samples of a design by their index, if it is the one that is kept."""
+        kept = self._kept
+        return kept[1] if kept is not None and kept[0] == number else None
 
     def keep(self, number: int, sample_of: Callable[[int], Sample]) -> None:
         """Remember a design in the place of the one before; ``sample_of`` takes an index of one of its wearers."""
-        self.number, self.sample_of = number, sample_of
+        self._kept = number, sample_of
 
     def __reduce__(self) -> tuple[type["LastDesign"], tuple[()]]:
         return LastDesign, ()
@@ -157,8 +162,8 @@ class _Asked(Generic[Made]):
 
     def _is_known(self, index: int) -> bool:
         known = self.known(index)
-        if known is None and self.last.sample_of is not None and self.last.number == index // self.config.wearers:
-            known = self.finished(self.last.sample_of(index))
+        if known is None and (sample_of := self.last.of(index // self.config.wearers)) is not None:
+            known = self.finished(sample_of(index))
         if known is not None:
             self.done[index] = known
         return known is not None

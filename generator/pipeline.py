@@ -1,7 +1,7 @@
 """The steps of a sample: body, measures, design, pattern, box mesh, then the drape's jobs, points, pictures.
 
 A sample is named by ``(seed, index)`` and comes out the same alone, in a batch, in any order and in any process.
-``produce`` runs the steps.
+``gcd_dataset.generator.maker.produce`` runs the steps.
 """
 
 import math

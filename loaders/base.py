@@ -78,7 +78,7 @@ class Garments(Dataset[Item], ABC):
     endless = False
     """Whether numbers from ``len()`` on are garments too, those of the epochs that follow in an order of their own."""
     together = 1
-    """So many garments in a row are best made by one process, since they are one design; from any multiple of it on."""
+    """Consecutive garments that share a design, from each multiple of this number: one process makes them fastest."""
 
     def __init__(
         self,
@@ -337,7 +337,10 @@ def as_item(members: Mapping[str, Bytes], fields: Iterable[str], dtype: torch.dt
     item = GarmentItem()
     for field in fields:
         value = decode_field(field, members)
-        item[field] = tensor_of(value, dtype) if isinstance(value, np.ndarray) else value
+        try:
+            item[field] = tensor_of(value, dtype) if isinstance(value, np.ndarray) else value
+        except ShardError as error:
+            raise ShardError(f"member {FIELDS.get(field, field)}: {error}") from error
     return item
 
 

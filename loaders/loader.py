@@ -42,7 +42,8 @@ class GarmentLoader:
       epoch to epoch.
     - A ``transform``, an ``augment`` and a ``collate_fn`` of yours run in the loop's thread or in worker processes.
       What they draw from ``torch.rand`` (on the CPU), ``numpy.random`` and ``random`` depends on ``seed``, epoch and
-      garment, that of a ``collate_fn`` on the batch, and takes nothing from what the model draws.
+      garment, that of a ``collate_fn`` on the batch, and takes nothing from what the model draws. A data set that is
+      asked for whole batches (``__getitems__``), such as a ``Subset`` or a subclass, draws by batch.
     - A transform that fails raises ``TransformError`` with key and data set. Any other error of a garment has a note.
     - On a machine with a GPU batches lie in pinned memory.
     - An ``IterableDataset`` comes as it does, cut to this rank's share: it has to give the same on every rank, is read

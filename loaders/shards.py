@@ -414,7 +414,9 @@ def _check(place: str, sample: Mapping[str, Any], remedy: str) -> None:
         raise ShardError(f"{place}: sample {sample['__key__']}, member {META}: {error}: {remedy}") from error
     if key_of(meta["index"]) != sample["__key__"]:
         raise ShardError(f"{place}: sample {sample['__key__']} says that it is {key_of(meta['index'])}: {remedy}")
-    written = meta.get("crc32", {})
+    written = meta.get("crc32")
+    if not isinstance(written, Mapping):
+        raise ShardError(f"{place}: sample {sample['__key__']}, member {META}: no checksums of its members: {remedy}")
     for member in sample.keys() - {META, "__key__", "__url__"}:
         if zlib.crc32(sample[member]) != written.get(member):
             raise ShardError(

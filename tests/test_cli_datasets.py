@@ -168,6 +168,8 @@ def test_a_set_whose_making_was_stopped_says_so(
     said(capsys)
     assert main(["info", str(out)]) == 0
     assert "  not whole: 3 of 8 samples: its making was stopped, or goes on: run the same command again" in said(capsys)
+    assert main(["verify", str(out)]) == 1
+    assert "split train is not whole: 3 of 8 samples" in said(capsys)
     assert main(publish) == 2
     assert "split train is not whole: 3 of 8 samples" in (told := capsys.readouterr().err)
     assert "publish what is there with --partial" in told

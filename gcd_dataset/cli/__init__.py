@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with interrupts_after_imports():
             return int(options.run(options))
     except KeyboardInterrupt:
-        print(f"gcd {options.verb}: stopped; what was finished is kept", file=sys.stderr)
+        print(f"gcd {options.verb}: stopped: what it had written whole is kept", file=sys.stderr)
         return INTERRUPTED
     except ConfigError as error:
         print(f"gcd {options.verb}: {error}", file=sys.stderr)

@@ -131,7 +131,7 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
     """What is wrong with the data set in a folder, one line each.
 
     Of every shard its headers, its length and its place in the index; with ``full`` every byte, by the hash of the
-    shard and those of its members. Of splits: whether they share designs.
+    shard and those of its members. Of splits: whether their making has ended, and whether they share designs.
     """
     store = FolderStore(folder)
     splits = require_splits(folder)
@@ -142,6 +142,8 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
         except GcdError as error:
             yield str(error)
             continue
+        if (told := unfinished(folder, split)) is not None:
+            yield f"{folder}: split {split} is not whole: {told}"
         yield from _shard_faults(readers[split], folder, full=full)
     listed = store.manifest()
     for split in sorted(set(listed.splits) - set(splits) if listed is not None else ()):

@@ -86,6 +86,7 @@ def find_place(source: str | Path, revision: str | None = None) -> Place:
     if text.startswith("file://"):
         return find_place(Path(unquote(urlsplit(text).path)), revision)
     if text.startswith(("http://", "https://")) and text.isprintable():
+        _require_address(text)
         return _without_revision(Url(text.rstrip("/")), revision)
     match = None if isinstance(source, Path) else REPO.fullmatch(text)
     if match is None:
@@ -105,3 +106,14 @@ def _without_revision(place: Folder | Url, revision: str | None) -> Folder | Url
     if revision is not None:
         raise ConfigError(f"revision={revision!r} is for repositories of the Hub, and {place} is none: leave it out")
     return place
+
+
+def _require_address(url: str) -> None:
+    """Raise ``ConfigError`` for a URL that names no server."""
+    try:
+        parts = urlsplit(url)
+        is_address = bool(parts.hostname) and " " not in parts.netloc and parts.port != 0
+    except ValueError:  # brackets that do not close, a port beyond 65535
+        is_address = False
+    if not is_address:
+        raise ConfigError(f"{shown(url)}: no address of a server: see to host and port")

@@ -46,6 +46,9 @@ class RemoteStore(Store):
             return parse_manifest(self.site.small(MANIFEST), self.place(MANIFEST), self.remedy)
         except MissingError:
             return None
+        except ShardError:
+            self.site.forget(MANIFEST)  # the next try asks the server again
+            raise
 
     def index(self, split: str, layout: Layout) -> ShardIndex:
         manifest, name = self.manifest(), index_name(split)

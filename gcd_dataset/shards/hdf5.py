@@ -108,7 +108,8 @@ def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, No
             thread.submit(_lay_out, file, reader, columns).result()
             for position in range(len(reader)):
                 members = reader.read(position, reader.layout.members)
-                thread.submit(_store, file, position, members, columns).result()
+                with reader.naming(position):
+                    thread.submit(_store, file, position, members, columns).result()
                 sink.check()
                 yield position
         except (OSError, RuntimeError):
@@ -416,7 +417,8 @@ def _columns(reader: ShardReader) -> dict[str, _Column]:
     for position in range(len(reader)):
         members = reader.read(position, [FIELDS[field] for field in RAGGED])
         for field in RAGGED:
-            array = _array(field, members[FIELDS[field]])
+            with reader.naming(position):
+                array = _array(field, members[FIELDS[field]])
             rows[field][position + 1], size[field][position] = len(array), array.dtype.itemsize
             found = (array.dtype.kind, array.shape[1:])
             if form.setdefault(field, found) != found:
@@ -450,7 +452,10 @@ def _lay_out(file: h5py.File, reader: ShardReader, columns: Mapping[str, _Column
 def _store(file: "h5py.File", position: int, members: Mapping[str, Bytes], columns: Mapping[str, _Column]) -> None:
     """Put a sample in its place."""
     for field in TEXTS:
-        file[field][position] = bytes(content_of(field, members)).decode()
+        try:
+            file[field][position] = bytes(content_of(field, members)).decode()
+        except ValueError as error:  # not UTF-8, or a NUL, which texts of HDF5 cannot hold
+            raise ShardError(f"member {FIELDS[field]}: no text that HDF5 holds ({error}): {REMEDY}") from error
     file[META_CRC][position] = zlib.crc32(members[META])
     for field, column in columns.items():
         start, end = column.ptr[position : position + 2].tolist()
@@ -459,4 +464,7 @@ def _store(file: "h5py.File", position: int, members: Mapping[str, Bytes], colum
 
 
 def _array(field: str, data: Bytes) -> np.ndarray:
-    return np.frombuffer(data, np.uint8) if field in PICTURES else read_npy(data)
+    try:
+        return np.frombuffer(data, np.uint8) if field in PICTURES else read_npy(data)
+    except ShardError as error:
+        raise ShardError(f"member {FIELDS[field]}: {error}: {REMEDY}") from error

@@ -169,7 +169,7 @@ class ShardReader:
     def _check_first(
         self, row: int, unchecked: Bool[np.ndarray, " m"], wanted: Wanted, content: dict[int, memoryview]
     ) -> None:
-        """Look at what has not been looked at; what is damaged is got anew, if it can be."""
+        """Verify unchecked members; fetch damaged ones again."""
         shard, number, parts = wanted
         for part in parts:
             if unchecked[part.column]:

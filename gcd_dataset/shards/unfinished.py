@@ -57,6 +57,6 @@ def _is_part(name: str, split: str) -> bool:
 
 def _told(there: int, content: bytes | None) -> str:
     """How many samples are there, and how many there are to be by the note, if that can be read."""
-    with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
+    with contextlib.suppress(ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return f"{there} of {int(json.loads(content or b'{}')['count'])} samples"
     return f"{there} samples in whole shards"

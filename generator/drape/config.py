@@ -78,7 +78,7 @@ class DrapeConfig:
     still_speed: float = 4.0
     """A vertex slower than this rests [cm/s]."""
     calm_speed: float = 18.0
-    """From half of the frames on more and more is let pass, in the last one this: 0.03 cm in 1/600 s, the limit of
+    """The threshold rises linearly over the second half of the frames, up to this: 0.03 cm in 1/600 s, the limit of
     Korosteleva et al. [cm/s]."""
     moving_share: float = 0.015
     """A garment rests when no more than this share of its vertices moves."""

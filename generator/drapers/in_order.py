@@ -50,6 +50,8 @@ def in_order(work: Iterable[Work[Made]], draper: Draper | None, *, ahead: int, a
                 ended = error
         if line and line[0].results:
             yield line.popleft().results.pop()
+        elif line and line[0].error is not None:
+            raise line[0].error
         elif line and not begun:
             desk.take()
         elif not line and ended is not None:
@@ -66,6 +68,8 @@ class _Place(Generic[Made]):
     drapes: dict[int, Draped] = field(default_factory=dict)
     results: list[Made] = field(default_factory=list)
     """None, or one."""
+    error: Exception | None = None
+    """The error that ended the work."""
 
 
 class _Desk:
@@ -95,7 +99,11 @@ class _Desk:
         answer = self._draper.answer()
         place, part = self._part_of.pop(answer.number)
         place.drapes[part] = answer
-        self._finish(place)
+        try:
+            self._finish(place)
+        except Exception as error:  # noqa: BLE001 -- raised after the results before it
+            place.error = error
+            self.busy -= 1
 
     def _order(self, place: _Place, *, again: bool) -> None:
         place.drapes = {}

@@ -12,6 +12,7 @@ import resource
 import shutil
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator
 from multiprocessing.connection import Connection, Listener
@@ -84,7 +85,7 @@ class Asker:
             self.there = False
             self._answers.put(None)
             self._writer.join()
-            # Not where answers are sent: the number of what is closed is given to the next, who would be read here.
+            # Close in the reader thread: the OS reuses the descriptor.
             self._connection.close()
 
     def _write(self) -> None:
@@ -160,10 +161,10 @@ class Inbox:
 
 
 def _readied(job: DrapeJob) -> DrapeJob | Readied:
-    """Ready for its turns; a job with which something is wrong as it is, which is told in its turn."""
+    """The job made ready. On failure return the job itself: the drape reports the error."""
     try:
         return Readied.of(job)
-    except Exception:  # noqa: BLE001 - whatever it is, it comes again
+    except Exception:  # noqa: BLE001 - it comes again in the drape
         return job
 
 
@@ -185,10 +186,13 @@ def _tell_ready() -> None:
 
 def _accept(listener: Listener, inbox: Inbox) -> None:
     while True:
-        with contextlib.suppress(OSError):  # one that has gone before it was let in
+        try:
             connection = listener.accept()
             connection.send(READY)
-            inbox.enter(Asker(connection, inbox))
+        except OSError:  # the caller has gone, or the listener is closed
+            time.sleep(0.05)
+            continue
+        inbox.enter(Asker(connection, inbox))
 
 
 def _end_with_owner(folder: Path) -> None:

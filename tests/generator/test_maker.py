@@ -2,15 +2,17 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Self
 
 import pytest
 
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.generator import pipeline
-from gcd_dataset.generator.drapers import SharedDraper, place_for
+from gcd_dataset.generator.drapers import Draped, Order, SharedDraper, place_for
+from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.pipeline import sample_key
@@ -107,3 +109,39 @@ def test_devices_are_named(name: str, devices: tuple[str, ...]) -> None:
 def test_a_device_that_cannot_be_is_refused() -> None:
     with pytest.raises(ConfigError, match="several as cuda:0,1"):
         devices_of(MakeConfig(device="gpu"))
+
+
+def test_a_failure_waits_for_the_results_before_it() -> None:
+    """The third piece of work fails first; the first two are still under way then."""
+    begun: list[Order] = []
+
+    class Backwards:
+        at_once = 4
+
+        def ask(self, order: Order) -> None:
+            begun.append(order)
+
+        def answered(self) -> bool:
+            return False
+
+        def answer(self) -> Draped:
+            return Draped(begun.pop().number, None, None)  # type: ignore[arg-type]
+
+        def __enter__(self) -> Self:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+    def piece(number: int) -> Work[int]:
+        def finish(_: Sequence[Draped]) -> int:
+            if number == 2:
+                raise PatternError("piece 2")
+            return number
+
+        return Work([None], finish)  # type: ignore[list-item]
+
+    made: list[int] = []
+    with pytest.raises(PatternError, match="piece 2"):
+        made.extend(in_order(map(piece, range(4)), Backwards(), ahead=4, at_once=4))
+    assert made == [0, 1]

@@ -227,3 +227,9 @@ json.kept = reader  # longer than the modules that were imported later
         command = [sys.executable, "-c", program]
         done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=True)
         assert done.stderr == ""
+
+
+@pytest.mark.parametrize("url", ["http://[bad/x", "http://host:99999999/x", "https:///x", "https://exa mple/x"])
+def test_a_url_that_names_no_server_is_refused_at_once(url: str) -> None:
+    with pytest.raises(ConfigError, match="no address of a server"):
+        GarmentDataset(url)

@@ -273,6 +273,7 @@ def test_side_files_of_strange_json_are_one_line(folder: Path, name: str, conten
         {"rejects": "x"}, {"versions": 3}, {"recipe": "["}, {"recipe": "[" * 2000}, {"panel_names": {}},
         {"drape": None}, {"drape": {"outcome": 1}}, {"strain": 3}, {"holds": []}, {"gathers": ["x"]},
         {"fabric": {"name": "x", "parameters": 3}}, {"redraws": [3]}, {"crc32": {"spec.txt": 2**40}}, {"crc32": None},
+        {"crc32": []},
     ],
     ids=str,
 )  # fmt: skip
