@@ -69,7 +69,6 @@ class Rule(Enum):
     SHORT_EDGE = "edge under 0.5 cm"
     SEAM_LENGTHS = "seam lengths differ"
     SEWN_CROSSWISE = "stitch joins the far ends"
-    NO_SEAMS = "nothing is sewn"
 
     @property
     def severity(self) -> Severity:
@@ -77,7 +76,7 @@ class Rule(Enum):
         return Severity.WARNING if self in SEWABLE else Severity.ERROR
 
 
-SEWABLE = frozenset({Rule.UNLIKELY_SIZE, Rule.SHORT_EDGE, Rule.SEAM_LENGTHS, Rule.SEWN_CROSSWISE, Rule.NO_SEAMS})
+SEWABLE = frozenset({Rule.UNLIKELY_SIZE, Rule.SHORT_EDGE, Rule.SEAM_LENGTHS, Rule.SEWN_CROSSWISE})
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,14 +133,7 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     }
     of_panels = (fault for number in sorted(faults) for fault in faults[number])
     of_all = _unlikely_size(pattern, list(drawn.values()), lengths.values(), units) if len(drawn) == len(faults) else ()
-    return (*of_all, *_unsewn(pattern), *_name_faults(pattern.panels), *of_panels, *_seam_faults(pattern, lengths))
-
-
-def _unsewn(pattern: Pattern) -> Iterator[Fault]:
-    """Several panels that no seam joins: a misspelt key of the file reads as none."""
-    if len(pattern.panels) > 1 and not pattern.seams:
-        figure = f"{len(pattern.panels)} panels and no stitches: each falls by itself; see to pattern.stitches"
-        yield Fault(Rule.NO_SEAMS, "", None, figure)
+    return (*of_all, *_name_faults(pattern.panels), *of_panels, *_seam_faults(pattern, lengths))
 
 
 def require_valid(pattern: Pattern, source: str = "") -> Pattern:

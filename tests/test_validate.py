@@ -15,7 +15,6 @@ from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.validate import Rule, Severity, check_pattern, require_valid
-from tests.helpers import napkins
 
 HERE = Placement(np.zeros(3), np.zeros(3))
 
@@ -326,12 +325,3 @@ def test_the_reference_patterns_can_be_sewn(examples: Path) -> None:
     for path in sorted((examples / "patterns").rglob("*_specification.json")):
         faults = check_pattern(read_pattern(path))
         assert {fault.rule for fault in faults} <= {Rule.SHORT_EDGE, Rule.SEAM_LENGTHS}, path
-
-
-def test_panels_that_nothing_joins_are_told() -> None:
-    """As of a file whose ``stitches`` are misspelt."""
-    sewn = napkins()
-    assert not [fault for fault in check_pattern(sewn) if fault.rule is Rule.NO_SEAMS]
-    [fault] = [fault for fault in check_pattern(replace(sewn, seams=())) if fault.rule is Rule.NO_SEAMS]
-    assert fault.severity is Severity.WARNING
-    assert "2 panels and no stitches" in str(fault)

@@ -19,6 +19,7 @@ from gcd_dataset.shards.layout import (
     layout_of,
     shards_in,
 )
+from gcd_dataset.shards.manifest import MANIFEST, read_manifest
 
 __all__ = ["layout_in", "read_index", "rebuild_index", "require_splits", "splits_in", "way_out"]
 
@@ -117,7 +118,19 @@ def _ours(folder: Path, split: str, layout: Layout, known: ShardIndex | None) ->
         before = sizes_in(folder, split)
         index = ShardIndex.of(folder, tables_of(folder, split, layout, index=known), layout)
         if dict(zip(index.shards, index.length.tolist(), strict=True)) == before:
+            _require_listed(folder, split, index)
             return index
+
+
+def _require_listed(folder: Path, split: str, index: ShardIndex) -> None:
+    """Raise ``ShardError`` for a shard of fewer samples than the manifest lists: a cut archive may look whole."""
+    manifest = read_manifest(folder)
+    record = None if manifest is None else manifest.splits.get(split)
+    counts = {name: len(table) for name, table in index.tables().items()}
+    for shard in record.shards if record is not None else ():
+        if counts.get(shard.name, shard.count) < shard.count:
+            told = f"{counts[shard.name]} samples of the {shard.count} that {MANIFEST} lists"
+            raise ShardError(f"{folder / shard.name}: {told}: copy it again, or delete it and run gcd generate again")
 
 
 def _foreign_paths(folder: Path, split: str) -> list[Path]:

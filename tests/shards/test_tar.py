@@ -238,6 +238,15 @@ def test_a_header_that_was_wiped_out_is_no_end(tmp_path: Path) -> None:
     assert len(scan_shard(shard)) == 1
 
 
+def test_an_archive_of_zeros_from_a_sample_on_has_fewer_than_the_manifest_lists(tmp_path: Path) -> None:
+    shard = fill(tmp_path, range(2)) / "train-00000.tar"
+    second = int(scan_shard(shard).offset[1, 0]) - BLOCK
+    shard.write_bytes(shard.read_bytes()[:second].ljust(shard.stat().st_size, b"\0"))
+    (tmp_path / "index-train.npz").unlink()
+    with pytest.raises(ShardError, match=r"train-00000\.tar: 1 samples of the 2 that manifest\.json lists"):
+        GarmentDataset(tmp_path)
+
+
 @pytest.mark.parametrize("field", [b"-0000000777", b"0000000-777", b"00000000_77", b"           ", b"7777777777x"])
 def test_a_size_that_is_no_number_is_told(tmp_path: Path, field: bytes) -> None:
     header = bytearray(tar_entry("first", b"x"))
