@@ -1,4 +1,4 @@
-"""YAML by people and by other programs: read so that every value is what it looks like, at a cost that is known."""
+"""YAML from outside: ambiguous values are refused, and size and depth are limited."""
 
 import re
 from typing import Any

@@ -131,7 +131,7 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
     """What is wrong with the data set in a folder, one line each.
 
     Of every shard its headers, its length and its place in the index; with ``full`` every byte, by the hash of the
-    shard and those of its members. Of splits: whether their making has ended, and whether they share designs.
+    shard and those of its members. Of each split: whether it is finished, and whether it shares designs with another.
     """
     store = FolderStore(folder)
     splits = require_splits(folder)
