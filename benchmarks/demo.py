@@ -12,14 +12,13 @@ import numpy as np
 from torch.utils.data import DataLoader
 from tqdm import tqdm
 
-from gcd_dataset.cli.generate import generate, plan
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.drawing import contact_sheet, draw_pattern, png_bytes
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import GarmentDataset, collate_packed
-from gcd_dataset.shards.layout import key_of
 from gcd_dataset.spec import pattern_from_spec
+from gcd_dataset.verbs import Progress, generate
 
 SEED = 4
 DESIGNS = 4  # each on the neutral body and on a random one
@@ -44,11 +43,14 @@ def main() -> None:
     start = time.perf_counter()
 
     config = MakeConfig(bodies="both", resolution=2.0, device="cpu", picture=384, design=SHORT)
-    task = plan(out / "garments", 2 * DESIGNS, seed=SEED, config=config)
-    print(f"Making {len(task.missing)} garments: {DESIGNS} designs, each for two bodies, draped at 2 cm on the CPU")
-    for stored in tqdm(generate(task), total=len(task.missing), unit="garment"):
-        assert stored.outcome is not None
-        tqdm.write(f"  {key_of(stored.index)} on {stored.body_name}: {stored.outcome.name.lower()}")
+    print(f"Making {2 * DESIGNS} garments: {DESIGNS} designs, each for two bodies, draped at 2 cm on the CPU")
+    with tqdm(total=2 * DESIGNS, unit="garment") as bar:
+
+        def told(progress: Progress) -> None:
+            bar.update(progress.done - bar.n)
+
+        made = generate(out / "garments", 2 * DESIGNS, seed=SEED, config=config, told=told)
+    print(", ".join(f"{count} {outcome.lower()}" for outcome, count in made.outcomes.items()) or "all there already")
 
     dataset = GarmentDataset(out / "garments")
     loader = DataLoader(dataset, batch_size=4, num_workers=0, collate_fn=collate_packed)

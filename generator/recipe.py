@@ -5,14 +5,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, TypedDict, get_args
 
 from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
+from gcd_dataset.options import Option
 
 __all__ = [
+    "LastStage",
     "MakeConfig",
+    "MakeOptions",
     "check_resolution",
     "device_kind",
     "devices_name",
@@ -44,37 +47,58 @@ MOST_ARMS = 15.0  # degrees; flat panels hang round arms in the A-pose
 
 @dataclass(frozen=True, slots=True)
 class MakeConfig:
-    """What samples are made of, beside their seed and index. Raises ``ConfigError`` for a value that cannot be."""
+    """What samples are made of, beside their seed and index. Raises ``ConfigError`` for a value that cannot be.
 
-    bodies: Bodies = "random"
-    """Who wears them. ``random`` ones are mostly between the sexes, ``female`` and ``male`` ones are drawn as a survey
-    finds adults; ``both``: samples 2i and 2i+1 are one design on the neutral body and on a random one."""
-    bodies_each: int = 1
-    """Bodies drawn for each design: with 3, samples 3i, 3i+1 and 3i+2 are one design on three of them; with ``both``
-    the neutral one comes before them."""
-    arms: float = 0.0
-    """Greatest turn of both arms, up or down from the A-pose, by chance for each wearer [degrees]. Measures, design and
-    pattern are those of the A-pose."""
-    stage: LastStage = "drape"
-    """The last step taken."""
-    resolution: float = 1.0
-    """Length of the mesh's edges [cm]."""
-    device: str = "auto"
-    """Where cloth is draped and pictures are taken: ``cpu``, ``cuda:0``, ``cuda:0,1``; ``auto``: every GPU, or the
-    CPU where there is none."""
-    on_fail: OnFail = "retry"
-    """A drape that does not settle: the next design instead (for both bodies, with ``both``), or the sample as it is,
-    with its outcome."""
-    points: int = 8192
-    """Surface points of a sample."""
-    picture: int = 512
-    """Side of the pictures [pixels]; 0 for none."""
-    max_attempts: int = 30
-    """Designs tried for one index. The last is kept if it only does not settle."""
-    design: Overlay = NO_OVERLAY
-    """What designs are narrowed to."""
-    fabric: str = USUAL_FABRIC
-    """What they are draped in, by its name in ``drape.FABRICS``."""
+    What each option is, and its unit, stands with its type: ``options_of(MakeConfig)`` gives them.
+    """
+
+    bodies: Annotated[
+        Bodies,
+        Option(
+            "who wears them: random ones are mostly between the sexes, female and male ones are drawn as a survey "
+            "finds adults; both: samples 2i and 2i+1 are one design on the neutral body and on a random one"
+        ),
+    ] = "random"
+    bodies_each: Annotated[
+        int,
+        Option(
+            "bodies drawn for each design: with 3, samples 3i, 3i+1 and 3i+2 are one design on three of them; with "
+            "both the neutral one comes before them"
+        ),
+    ] = 1
+    arms: Annotated[
+        float,
+        Option(
+            "greatest turn of both arms, up or down from the A-pose, by chance for each wearer; measures, design and "
+            "pattern are those of the A-pose",
+            unit="degrees",
+        ),
+    ] = 0.0
+    stage: Annotated[LastStage, Option("last step taken")] = "drape"
+    resolution: Annotated[float, Option("length of the mesh's edges", unit="cm")] = 1.0
+    device: Annotated[
+        str,
+        Option(
+            "where cloth is draped and pictures are taken: cpu, cuda:0, cuda:0,1; auto: every GPU, or the CPU where "
+            "there is none"
+        ),
+    ] = "auto"
+    on_fail: Annotated[
+        OnFail,
+        Option(
+            "a drape that does not settle: the next design instead (for all its bodies), or the sample as it is, with "
+            "its outcome"
+        ),
+    ] = "retry"
+    points: Annotated[int, Option("surface points of a sample")] = 8192
+    picture: Annotated[int, Option("side of the pictures; 0 for none", unit="pixels")] = 512
+    max_attempts: Annotated[int, Option("designs tried for one index; the last is kept if it only does not settle")] = (
+        30
+    )
+    design: Annotated[Overlay, Option("what designs are narrowed to")] = NO_OVERLAY
+    fabric: Annotated[
+        str, Option("what they are draped in, by its name in drape.FABRICS: denim, drill, wool_light, …")
+    ] = USUAL_FABRIC
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -99,6 +123,21 @@ class MakeConfig:
     def wearers(self) -> int:
         """Bodies that wear one design."""
         return self.bodies_each + (self.bodies == "both")
+
+
+class MakeOptions(TypedDict, total=False):
+    """Options of ``MakeConfig`` for functions that take them as keywords; all but ``stage`` and ``design``."""
+
+    bodies: Bodies
+    bodies_each: int
+    arms: float
+    resolution: float
+    device: str
+    on_fail: OnFail
+    points: int
+    picture: int
+    max_attempts: int
+    fabric: str
 
 
 def check_resolution(centimetres: float) -> float:

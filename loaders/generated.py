@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import torch
 from torch.utils.data import get_worker_info
@@ -19,18 +19,18 @@ from gcd_dataset.files import user_path
 from gcd_dataset.generator.drapers import SharedDraper, place_for
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
-from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
+from gcd_dataset.generator.recipe import LastStage as Stage
+from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, recipe_of, versions
 from gcd_dataset.loaders.base import Garments, Transform, natural
 from gcd_dataset.loaders.held import lacking_at
 from gcd_dataset.loaders.waiting import tell_wait
+from gcd_dataset.options import require_options
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.kept import KeptSamples
 from gcd_dataset.shards.layout import SCHEMA, Bytes, key_of, members_of, recipe_hash
 
 __all__ = ["GeneratedGarments", "Stage"]
-
-Stage = Literal["pattern", "mesh", "drape"]
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -42,9 +42,9 @@ class GeneratedGarments(Garments):
     >>> ds[7]["box"].shape  # doctest: +SKIP
     torch.Size([9731, 3])
 
-    ``bodies``, ``bodies_each``, ``arms`` [degrees], ``resolution`` [cm], ``fabric``, ``on_fail``, ``picture`` and
-    ``design`` are those of ``MakeConfig``; ``design`` is an overlay by ``read_overlay``, or what such a file holds as a
-    dict: ``{"meta": {"bottom": "none"}}``. With the same ``seed`` and another fabric, or arms held otherwise, come the
+    ``options`` are those of ``MakeConfig``: ``bodies="both"``, ``resolution=2.0`` [cm], ``fabric="denim"`` and so on;
+    ``design`` is an overlay by ``read_overlay``, or what such a file holds as a dict:
+    ``{"meta": {"bottom": "none"}}``. With the same ``seed`` and another fabric, or arms held otherwise, come the
     same patterns, draped otherwise. ``drape``: ``warp``, or ``None`` to stop at the box mesh; ``stage="pattern"`` stops
     before that. ``fields``: ``None`` for all that garments of the stage hold; ``dtype``: of the floating ones, float32
     by default, ``None`` for what a shard would store. Pictures are taken for a cache, or where ``fields`` have
@@ -69,35 +69,19 @@ class GeneratedGarments(Garments):
         n: int,
         seed: int = 0,
         *,
-        bodies: Literal["neutral", "random", "female", "male", "both"] = "random",
-        bodies_each: int = 1,
-        arms: float = 0.0,
         drape: Literal["warp"] | None = "warp",
         stage: Stage | None = None,
-        device: str = "auto",
-        resolution: float = 1.0,
-        fabric: str = "default",
-        picture: int = 512,
         cache_dir: str | Path | None = None,
-        on_fail: Literal["retry", "keep"] = "retry",
         transform: Transform | None = None,
         fields: Iterable[str] | None = None,
         design: Overlay | Mapping[str, Any] | None = None,
         dtype: torch.dtype | None = torch.float32,
+        **options: Unpack[MakeOptions],
     ) -> None:
         self._n, self._seed = natural("n", n), natural("seed", seed)
-        self.config = MakeConfig(
-            bodies=bodies,
-            bodies_each=bodies_each,
-            arms=arms,
-            stage=_last_stage(drape, stage),
-            resolution=resolution,
-            device=_named(device),
-            on_fail=on_fail,
-            picture=picture,
-            design=_overlay(design),
-            fabric=fabric,
-        )
+        require_options(options, MakeConfig)
+        options["device"] = _named(options.get("device", "auto"))
+        self.config = MakeConfig(stage=_last_stage(drape, stage), design=_overlay(design), **options)
         empty = [] if self.config.picture else ["front", "back"]
         super().__init__(fields, transform, lacking=lacking_at(self.config.stage, empty), dtype=dtype)
         self.together = self.config.wearers

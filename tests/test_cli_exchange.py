@@ -15,9 +15,6 @@ import pytest
 import torch
 
 from gcd_dataset.cli import main
-from gcd_dataset.cli.convert import convert, plan_convert
-from gcd_dataset.cli.export import export_published, exported_splits
-from gcd_dataset.cli.statistics import garment_type
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import make
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
@@ -28,6 +25,9 @@ from gcd_dataset.release.layout import ENDINGS
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.layout import GARMENTS
+from gcd_dataset.verbs.converting import converted, plan_convert
+from gcd_dataset.verbs.release_folders import export_published, exported_splits
+from gcd_dataset.verbs.statistics import garment_type
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
 from tests.shards.folders import contents, fill, open_writer
 
@@ -70,7 +70,7 @@ def test_converted_shards_hold_what_was_published(
 def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, tmp_path: Path) -> None:
     assert run("convert", published, tmp_path / "whole", "--quiet") == 0
     plan = plan_convert(published, tmp_path / "pieces")[0]
-    stopped = convert(plan)
+    stopped = converted(plan)
     list(itertools.islice(stopped, 3))
     stopped.close()
     (again,) = (p for p in plan_convert(published, tmp_path / "pieces") if p.source.split == "train")

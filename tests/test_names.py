@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from gcd_dataset.cli import main
-from gcd_dataset.cli.export import _place_in_release, export_published
 from gcd_dataset.errors import GcdError, OutputError, ShardError
 from gcd_dataset.generator import fitting
 from gcd_dataset.generator.fitting import Fitting, write_fitting
@@ -30,6 +29,7 @@ from gcd_dataset.release.draft import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.index import ShardIndex, empty_table
 from gcd_dataset.shards.layout import index_name, lock_name, mesh_name, shard_name
+from gcd_dataset.verbs.release_folders import _place_in_release, export_published
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, read_folder, running_hub
 from tests.shards.folders import RECIPE

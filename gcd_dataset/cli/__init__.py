@@ -10,13 +10,13 @@ import logging
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, exchange
+from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.verb import (
     ANYWHERE,
     INTERRUPTED,
@@ -32,9 +32,9 @@ from gcd_dataset.cli.verb import (
     processes,
     stopped,
 )
-from gcd_dataset.errors import ConfigError, GcdError, ShardError, SpecError, shown
+from gcd_dataset.errors import ConfigError, GcdError, ShardError, SpecError
 from gcd_dataset.files import user_path
-from gcd_dataset.tomlfile import read_toml
+from gcd_dataset.options import add_options, given_options, options_of, read_options
 
 if TYPE_CHECKING:
     from gcd_dataset.records import Pattern, Sample
@@ -71,44 +71,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _generate(options: argparse.Namespace) -> int:
-    from tqdm import tqdm
-
-    from gcd_dataset.cli.generate import generate, plan
     from gcd_dataset.generator.recipe import MakeConfig
-    from gcd_dataset.records import Outcome
+    from gcd_dataset.verbs import generate
 
-    given = _read_config(options.config, {field.name for field in fields(MakeConfig)}) if options.config else {}
-    named = {name: getattr(options, name) for name in ("bodies", "stage", "fabric", "resolution", "device", "on_fail")}
-    given |= {name: value for name, value in named.items() if value is not None}
+    known = {found.name for found in options_of(MakeConfig)}
+    given = _read_config(options.config, known) if options.config else {}
+    given |= given_options(options, MakeConfig)
     if given.get("stage") == BODY_STAGE:
         return _generate_people(options, given)
-    config = MakeConfig(**given)
-    task = plan(options.out, options.count, seed=options.seed, config=config)
-    if config.stage == "drape":
-        from gcd_dataset.generator.drape import tell_wait
-
-        tell_wait(len(task.missing), config.device, config.resolution)
-    made = rejected = failed = 0
-    samples = generate(task, workers=options.workers)
-    try:
-        with tqdm(samples, total=task.count, initial=task.there, unit="garment", disable=options.quiet) as bar:
-            for stored in bar:
-                made, rejected = made + 1, rejected + len(stored.rejects)
-                failed += stored.outcome not in (None, Outcome.SETTLED)
-                bar.set_postfix(rejected=rejected, unsettled=failed, refresh=False)
-    except KeyboardInterrupt:
-        samples.close()
-        return stopped("generate", f"{task.there + made} of {task.count}")
-    print(f"{options.out}: {task.count} garments, {made} of them made now, {rejected} designs or drapes turned down")
-    if failed:
+    with Bar("garment", options.quiet) as bar:
+        bar.run(
+            partial(
+                generate,
+                options.out,
+                options.count,
+                seed=options.seed,
+                config=MakeConfig(**given),
+                workers=options.workers,
+            )
+        )
+    done = bar.progress
+    if bar.interrupted:
+        return stopped("generate", f"{done.done} of {done.count}")
+    rejected = done.rejects.total()
+    print(
+        f"{options.out}: {done.count} garments, {done.made} of them made now, {rejected} designs or drapes turned down"
+    )
+    if failed := done.unsettled:
         print(f"  {failed} did not settle: each holds its outcome in meta.json")
     return 0
 
 
 def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
-    from tqdm import tqdm
-
-    from gcd_dataset.cli.bodies import generate_people, plan_people
+    from gcd_dataset.verbs import generate_people
 
     if idle := sorted(given.keys() - {"stage", "bodies"}):
         raise ConfigError(
@@ -116,16 +111,12 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
         )
     if given.get("bodies", "random") != "random":
         raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
-    task = plan_people(options.out, options.count, seed=options.seed)
-    people = generate_people(task, workers=options.workers or 0)
-    made = 0
-    try:
-        for _ in tqdm(people, total=task.count, initial=task.there, unit="body", disable=options.quiet):
-            made += 1
-    except KeyboardInterrupt:
-        people.close()
-        return stopped("generate", f"{task.there + made} of {task.count}")
-    print(f"{options.out}: {task.count} bodies in two poses, {made} of them made now")
+    with Bar("body", options.quiet) as bar:
+        bar.run(partial(generate_people, options.out, options.count, seed=options.seed, workers=options.workers or 0))
+    done = bar.progress
+    if bar.interrupted:
+        return stopped("generate", f"{done.done} of {done.count}")
+    print(f"{options.out}: {done.count} bodies in two poses, {done.made} of them made now")
     return 0
 
 
@@ -261,21 +252,6 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     generate.add_argument("--count", type=natural, required=True, help="number of garments, or of bodies")
     generate.add_argument("--seed", type=natural, default=0, help="names the data set (default: 0)")
     generate.add_argument(
-        "--bodies",
-        choices=("neutral", "random", "female", "male", "both"),
-        help="who wears them: female and male are drawn as a survey finds them; both: neutral and random "
-        "(default: random)",
-    )
-    generate.add_argument(
-        "--stage",
-        choices=(BODY_STAGE, "pattern", "mesh", "drape"),
-        help="last step taken; body: the wearers alone, in two poses, with their measures (default: drape)",
-    )
-    generate.add_argument("--fabric", metavar="NAME", help=f"{FABRICS} (default: default)")
-    generate.add_argument("--resolution", type=float, metavar="CM", help="length of mesh edges [cm] (default: 1.0)")
-    generate.add_argument("--device", help="cpu, cuda:0, cuda:0,1 (default: auto, every GPU or the CPU)")
-    generate.add_argument("--on-fail", choices=("retry", "keep"), help="a drape that fails (default: retry)")
-    generate.add_argument(
         "--workers",
         type=processes,
         metavar="K|auto",
@@ -285,9 +261,9 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         "--config",
         type=Path,
         metavar="FILE.toml",
-        help="bodies, stage, fabric, resolution, device, on-fail; also bodies-each, arms, points, picture, "
-        "max-attempts, and tables such as [design.pants] that narrow what designs may be",
+        help="a file of these options, and of tables such as [design.pants] that narrow what designs may be",
     )
+    generate.more = partial(_add_make_options, generate)
     add_quiet(generate)
 
     drape = add_verb(
@@ -346,6 +322,13 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     return parser, verbs.choices
 
 
+def _add_make_options(parser: Parser) -> None:
+    """The options of ``MakeConfig``, which takes a second to look up."""
+    from gcd_dataset.generator.recipe import MakeConfig
+
+    add_options(parser, MakeConfig, more_choices={"stage": (BODY_STAGE,)})
+
+
 def _at_home(options: argparse.Namespace) -> argparse.Namespace:
     """The options with every ``~`` that a path begins with resolved: shells leave those of ``--out=~/x`` alone."""
     return argparse.Namespace(**{name: _resolved(value) for name, value in vars(options).items()})
@@ -389,9 +372,7 @@ def _is_folder(path: Path) -> bool:
 
 def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
     """The options in a TOML file. Raises ``ConfigError`` with the line, or the name that is not known."""
-    values = {name.replace("-", "_"): value for name, value in read_toml(path).items()}
-    if unknown := sorted(set(values) - known):
-        raise ConfigError(f"{path}: no option is called {shown(unknown[0])}: there are {', '.join(sorted(known))}")
+    values = read_options(path, known)
     if "design" in values:
         values["design"] = _overlay(path, values["design"])
     return values

@@ -125,25 +125,30 @@ def _download(options: argparse.Namespace) -> int:
 
 def _publish(options: argparse.Namespace) -> int:
     from gcd_dataset.hub.partition import as_shares
-    from gcd_dataset.hub.publish import stage, upload
+    from gcd_dataset.hub.publish import Staged
+    from gcd_dataset.verbs import publish
 
-    folder = require_folder(options.dataset)
-    staged = stage(
-        folder,
+    def told(staged: Staged) -> None:
+        for name, split in staged.manifest.splits.items():
+            print(f"{name}: {sum(shard.count for shard in split.shards)} garments in {len(split.shards)} shards")
+        for path, size in staged.files.items():
+            print(f"  {path}  {size} bytes", flush=True)
+
+    done = publish(
+        require_folder(options.dataset),
         options.repo,
-        options.out or folder / "published",
+        out=options.out,
         shares=as_shares(options.shares),
         license=options.license,
-        endpoint=options.endpoint,
         partial=options.partial,
+        private=options.private,
+        dry_run=options.dry_run,
+        endpoint=options.endpoint,
+        told=told,
     )
-    for name, split in staged.manifest.splits.items():
-        print(f"{name}: {sum(shard.count for shard in split.shards)} garments in {len(split.shards)} shards")
-    for path, size in staged.files.items():
-        print(f"  {path}  {size} bytes")
-    if options.dry_run:
-        print(f"{staged.folder}: {len(staged.files)} files would go up to {options.repo}; nothing was sent")
-        return 0
-    commit = upload(staged, options.repo, endpoint=options.endpoint, private=options.private)
-    print(f"{options.repo}@{commit}: {len(staged.files)} files are up")
+    files = len(done.staged.files)
+    if done.commit is None:
+        print(f"{done.staged.folder}: {files} files would go up to {options.repo}; nothing was sent")
+    else:
+        print(f"{options.repo}@{done.commit}: {files} files are up")
     return 0

@@ -2,15 +2,15 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.verb import INTERRUPTED, add_quiet, add_verb, natural, require_folder, stopped
 from gcd_dataset.errors import ConfigError
 
 __all__ = ["add_verbs"]
-
-HDF5 = (".h5", ".hdf5")
 
 
 def add_verbs(verbs: Any) -> None:
@@ -42,26 +42,16 @@ def add_verbs(verbs: Any) -> None:
 
 
 def _convert(options: argparse.Namespace) -> int:
-    from tqdm import tqdm
+    from gcd_dataset.verbs import convert
 
-    from gcd_dataset.cli.convert import convert, plan_convert
-
-    faults = 0
-    for plan in plan_convert(options.published, options.out, bodies=options.bodies, cache_dir=options.cache_dir):
-        there, made, split = plan.there, 0, plan.source.split
-        garments = convert(plan, workers=options.workers)
-        try:
-            bar = tqdm(garments, total=plan.count, initial=there, unit="garment", desc=split, disable=options.quiet)
-            for garment in bar:
-                made += not garment.fault
-                if garment.fault:
-                    faults += 1
-                    bar.write(f"gcd convert: left out: {garment.fault}", file=sys.stderr)
-        except KeyboardInterrupt:
-            garments.close()
-            return stopped("convert", f"{there + made} of {plan.count} of {split}")
-        print(f"{options.out}: {split}: {there + made} garments, {made} of them converted now")
-    if faults:
+    work = partial(convert, options.published, options.out, bodies=options.bodies, workers=options.workers)
+    with Bar("garment", options.quiet, verb="convert") as bar:
+        splits = bar.run(partial(work, cache_dir=options.cache_dir))
+    if bar.interrupted:
+        return stopped("convert", f"{bar.progress.done} of {bar.progress.count} of {bar.progress.split}")
+    for done in splits:
+        print(f"{options.out}: {done.split}: {done.done} garments, {done.made} of them converted now")
+    if faults := sum(len(done.left_out) for done in splits):
         print(f"gcd convert: {faults} garments were left out; the same command tries them again", file=sys.stderr)
     return 1 if faults else 0
 
@@ -75,46 +65,19 @@ def _export(options: argparse.Namespace) -> int:
         raise ConfigError(
             "--split is for --hdf5: --layout takes train, validation and test, whose names go into its split file"
         )
-    return _export_hdf5(options) if options.layout is None else _export_layout(options)
+    from gcd_dataset.verbs import export
+    from gcd_dataset.verbs.exporting import Form
 
-
-def _export_hdf5(options: argparse.Namespace) -> int:
-    from tqdm import tqdm
-
-    from gcd_dataset.shards import ShardReader
-    from gcd_dataset.shards.hdf5 import write_hdf5
-
-    folder = require_folder(options.dataset)
-    if options.hdf5.resolve().is_relative_to(folder.resolve()) and options.hdf5.suffix not in HDF5:
-        raise ConfigError(
-            f"{options.hdf5}: in the folder of the data set itself: end its name in {HDF5[0]}, or choose another folder"
-        )
-    reader = ShardReader(folder, "train" if options.split is None else options.split)
-    stored = write_hdf5(reader, options.hdf5)
-    try:
-        for _ in tqdm(stored, total=len(reader), unit="garment", disable=options.quiet):
-            pass
-    except KeyboardInterrupt:
-        stored.close()
-        print(f"gcd export: stopped; {options.hdf5} was not written: begin again", file=sys.stderr)
+    form: Form = "hdf5" if options.layout is None else "published"
+    out = options.hdf5 if options.layout is None else Path(options.layout[1])
+    with Bar("garment", options.quiet, verb="export") as bar:
+        bar.run(partial(export, require_folder(options.dataset), out, form, split=options.split))
+    done = bar.progress
+    if bar.interrupted and form == "hdf5":
+        print(f"gcd export: stopped; {out} was not written: begin again", file=sys.stderr)
         return INTERRUPTED
-    print(f"{options.hdf5}: {len(reader)} garments of {reader.split}")
-    return 0
-
-
-def _export_layout(options: argparse.Namespace) -> int:
-    from tqdm import tqdm
-
-    from gcd_dataset.cli.export import export_published, exported_splits
-
-    readers, out = exported_splits(require_folder(options.dataset)), Path(options.layout[1])
-    count, there = sum(map(len, readers.values())), 0
-    written = export_published(readers, out)
-    try:
-        for _ in tqdm(written, total=count, unit="garment", disable=options.quiet):
-            there += 1
-    except KeyboardInterrupt:
-        written.close()
-        return stopped("export", f"{there} of {count}")
-    print(f"{out}: {count} garments of {', '.join(readers)} in the published layout")
+    if bar.interrupted:
+        return stopped("export", f"{done.made} of {done.count}")
+    layout = "" if form == "hdf5" else " in the published layout"
+    print(f"{out}: {done.count} garments of {done.split}{layout}")
     return 0

@@ -46,6 +46,16 @@ NAMES = ", ".join((*MEAN, *(f"{kind}:SEED" for kind in DRAWN)))
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, with the nearest word that it knows."""
 
+    more: Callable[[], None] | None = None
+    """Adds the options that are slow to look up, once this parser is at work."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, with all options."""
+        if self.more is not None:
+            self.more()
+            self.more = None
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
         """Exit 2."""
         self.exit(WRONG_USAGE, f"{self.prog}: {message} ({self.prog} --help lists what there is)\n")
@@ -76,9 +86,9 @@ def body_name(text: str) -> str:
     raise argparse.ArgumentTypeError(f"no body named {shown(text)}: there are {NAMES}, or a mesh file{nearest}")
 
 
-def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> Parser:
     """The parser of a verb, put among ``verbs``; ``run`` gives the exit code."""
-    parser: argparse.ArgumentParser = verbs.add_parser(
+    parser: Parser = verbs.add_parser(
         name,
         help=text,
         description=f"{text[0].upper()}{text[1:]}.",

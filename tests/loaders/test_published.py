@@ -348,7 +348,7 @@ def check_garment(item: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
 
 def test_the_reference_systems_files_are_written_again(examples: Path, tmp_path: Path) -> None:
     """What we write of a garment that the reference system wrote says the same as its files."""
-    from gcd_dataset.cli.export import _drawn
+    from gcd_dataset.verbs.release_folders import _drawn
 
     root = examples / "published" / "GarmentCodeData_v2_unpacked"
     published = PublishedGarmentCodeData(root, "all", cache_dir=tmp_path)

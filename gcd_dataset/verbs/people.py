@@ -6,14 +6,15 @@ from functools import partial
 from pathlib import Path
 
 from gcd_dataset.bodies import Person
-from gcd_dataset.cli.plan import Plan, check_count
 from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, own_mesh
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.shards.people import BodyWriter
 from gcd_dataset.shards.unfinished import filling
+from gcd_dataset.verbs.plan import Plan, check_count
+from gcd_dataset.verbs.progress import Progress, Told, unheard
 from gcd_dataset.workers import side_by_side_in_parts
 
-__all__ = ["PeoplePlan", "generate_people", "plan_people"]
+__all__ = ["PeoplePlan", "generate_people", "plan_people", "stored_people"]
 
 AT_ONCE = 16  # people a task: a quarter of a second of work, 10 MB to be sent back
 
@@ -37,7 +38,22 @@ def plan_people(out: Path | str, count: int, *, seed: int = 0) -> PeoplePlan:
     return PeoplePlan(Path(out), count, tuple(index for index in range(count) if index not in done), seed)
 
 
-def generate_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, None, None]:
+def generate_people(out: Path | str, count: int, *, seed: int = 0, workers: int = 0, told: Told = unheard) -> Progress:
+    """Have people 0 … ``count`` - 1 of ``seed`` in the folder ``out``, in two poses, with their measures.
+
+    ``told`` is called with how far it has come. Stopped and called again it goes on. Raises as ``plan_people`` and
+    ``stored_people`` do.
+    """
+    task = plan_people(out, count, seed=seed)
+    progress = Progress(count, task.there)
+    told(progress)
+    for _ in stored_people(task, workers=workers):
+        progress = progress.with_sample()
+        told(progress)
+    return progress
+
+
+def stored_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, None, None]:
     """Make and store who is missing, yielding each person once stored.
 
     Stopped at any moment and planned again it goes on; the shards come out as the same bytes, for any ``workers``.

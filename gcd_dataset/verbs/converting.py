@@ -5,7 +5,6 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gcd_dataset.cli.plan import Plan
 from gcd_dataset.errors import PatternError, ShardError
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.release.batches import PublishedBatches
@@ -13,9 +12,11 @@ from gcd_dataset.release.garments import PublishedGarments
 from gcd_dataset.release.layout import SPLIT_NAMES
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
 from gcd_dataset.shards.unfinished import filling
+from gcd_dataset.verbs.plan import Plan
+from gcd_dataset.verbs.progress import Progress, Told, unheard
 from gcd_dataset.workers import side_by_side_in_parts
 
-__all__ = ["ConvertPlan", "Converted", "convert", "plan_convert"]
+__all__ = ["ConvertPlan", "Converted", "convert", "converted", "plan_convert"]
 
 AT_ONCE = 8  # garments a task: a second of work, 12 MB to be sent back
 SEED = 0  # of what nobody drew here
@@ -66,7 +67,32 @@ def plan_convert(
     return tuple(_plan(source, Path(out)) for source in there)
 
 
-def convert(plan: ConvertPlan, *, workers: int = 0) -> Generator[Converted, None, None]:
+def convert(
+    root: Path | str,
+    out: Path | str,
+    *,
+    bodies: str = "both",
+    cache_dir: Path | str | None = None,
+    workers: int = 0,
+    told: Told = unheard,
+) -> tuple[Progress, ...]:
+    """Have the published garments under ``root`` in shards in the folder ``out``; for each split how far it has come.
+
+    ``told`` is called with the same; garments that cannot be read are left out, with the reason. Stopped and called
+    again it goes on. Raises as ``plan_convert`` and ``converted`` do.
+    """
+    done = []
+    for plan in plan_convert(root, out, bodies=bodies, cache_dir=cache_dir):
+        progress = Progress(plan.count, plan.there, split=plan.source.split)
+        told(progress)
+        for garment in converted(plan, workers=workers):
+            progress = progress.without_sample(garment.fault) if garment.fault else progress.with_sample()
+            told(progress)
+        done.append(progress)
+    return tuple(done)
+
+
+def converted(plan: ConvertPlan, *, workers: int = 0) -> Generator[Converted, None, None]:
     """Convert and store what is missing, yielding each garment as it is stored; those with a fault are left out.
 
     All that was stored is read back in the end. Stopped at any moment and planned again it goes on; the shards come out

@@ -14,7 +14,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from gcd_dataset import __version__
-from gcd_dataset.cli.statistics import batch_properties, garment_type
 from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.colours import INK, cloth_colour
@@ -30,6 +29,7 @@ from gcd_dataset.release.layout import BODY_FOLDERS, DEFAULT_BODY, SPLIT_NAMES, 
 from gcd_dataset.release.write import FAIL_CLASSES, Drawn, garment_files, yaml_bytes
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.contents import splits_in
+from gcd_dataset.verbs.statistics import batch_properties, garment_type
 
 __all__ = ["export_published", "exported_splits"]
 

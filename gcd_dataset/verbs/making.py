@@ -5,15 +5,16 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from gcd_dataset.cli.plan import Plan, check_count
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.unfinished import filling
+from gcd_dataset.verbs.plan import Plan, check_count
+from gcd_dataset.verbs.progress import Progress, Told, unheard
 
-__all__ = ["GarmentPlan", "Stored", "generate", "plan", "workers_for"]
+__all__ = ["GarmentPlan", "Stored", "generate", "plan", "stored", "workers_for"]
 
 BEGUN = 4.0  # s that a worker takes to start
 MADE = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # CPU-s of a worker for a garment of a stage, without the drape
@@ -57,7 +58,34 @@ def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | Non
     return GarmentPlan(Path(out), count, tuple(index for index in range(count) if index not in done), seed, config)
 
 
-def generate(plan: GarmentPlan, *, workers: int | None = None) -> Generator[Stored, None, None]:
+def generate(
+    out: Path | str,
+    count: int,
+    *,
+    seed: int = 0,
+    config: MakeConfig | None = None,
+    workers: int | None = None,
+    told: Told = unheard,
+) -> Progress:
+    """Have samples 0 … ``count`` - 1 of ``seed`` in the folder ``out``; those that are there are not made again.
+
+    ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it. Stopped at any moment and called
+    again it goes on; the shards come out as the same bytes. Raises as ``plan`` and ``stored`` do.
+    """
+    task = plan(out, count, seed=seed, config=config)
+    if task.config.stage == "drape":
+        from gcd_dataset.generator.drape import tell_wait
+
+        tell_wait(len(task.missing), task.config.device, task.config.resolution)
+    progress = Progress(count, task.there)
+    told(progress)
+    for made in stored(task, workers=workers):
+        progress = progress.with_sample(rejects=made.rejects, outcome=made.outcome and made.outcome.name)
+        told(progress)
+    return progress
+
+
+def stored(plan: GarmentPlan, *, workers: int | None = None) -> Generator[Stored, None, None]:
     """Make and store what is missing, telling of each sample once it is stored.
 
     Stopped at any moment and planned again it goes on; the shards come out as the same bytes. ``workers`` processes

@@ -1,0 +1,66 @@
+"""A data set in the forms of other programs."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, get_args
+
+from gcd_dataset.errors import ConfigError, did_you_mean
+from gcd_dataset.verbs.progress import Progress, Told, unheard
+
+__all__ = ["Form", "export"]
+
+Form = Literal["hdf5", "published"]
+HDF5 = (".h5", ".hdf5")
+
+
+def export(
+    dataset: Path | str, out: Path | str, form: Form = "hdf5", *, split: str | None = None, told: Told = unheard
+) -> Progress:
+    """Have the garments of a folder of shards in another form, at ``out``.
+
+    ``hdf5``: one split, by default ``train``, as one file. ``published``: train, validation and test in the folders of
+    GarmentCodeData; ``out`` is made if it is not there, and gone on with where it was stopped. ``told`` is called with
+    how far it has come. Raises ``ConfigError`` for a form or split that there is not, ``ShardError`` for a data set
+    that cannot be read, ``OutputError`` where ``out`` cannot be written.
+    """
+    if form not in get_args(Form):
+        known = get_args(Form)
+        raise ConfigError(f"no form {form}: there is {', '.join(known)}{did_you_mean(form, known)}")
+    exporters: dict[Form, Callable[[Path, Path, str | None, Told], Progress]] = {
+        "hdf5": _to_hdf5,
+        "published": _to_published,
+    }
+    return exporters[form](Path(dataset), Path(out), split, told)
+
+
+def _to_hdf5(folder: Path, out: Path, split: str | None, told: Told) -> Progress:
+    from gcd_dataset.shards import ShardReader
+    from gcd_dataset.shards.hdf5 import write_hdf5
+
+    if out.resolve().is_relative_to(folder.resolve()) and out.suffix not in HDF5:
+        raise ConfigError(
+            f"{out}: in the folder of the data set itself: end its name in {HDF5[0]}, or choose another folder"
+        )
+    reader = ShardReader(folder, "train" if split is None else split)
+    progress = Progress(len(reader), 0, split=reader.split)
+    told(progress)
+    for _ in write_hdf5(reader, out):
+        progress = progress.with_sample()
+        told(progress)
+    return progress
+
+
+def _to_published(folder: Path, out: Path, split: str | None, told: Told) -> Progress:
+    from gcd_dataset.verbs.release_folders import export_published, exported_splits
+
+    if split is not None:
+        raise ConfigError(
+            "split is for hdf5: the published layout takes train, validation and test, whose names go into its file"
+        )
+    readers = exported_splits(folder)
+    progress = Progress(sum(map(len, readers.values())), 0, split=", ".join(readers))
+    told(progress)
+    for _ in export_published(readers, out):
+        progress = progress.with_sample()
+        told(progress)
+    return progress
