@@ -32,6 +32,7 @@ SEAM_NUMBER = re.compile(r"[0-9]{1,9}")
 MOST_VALUES, DEEPEST = 1_000_000, 64  # of a YAML file; an alias may stand for another alias, and so on
 BROKEN = (yaml.YAMLError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError)
 """What PyYAML lets through of a date that is none, ``!!bool maybe``, a map that is its own key, …"""
+SHORTEST = 1e-6  # cm: the flat length of an edge whose stretch is told
 FLATNESS = 0.02  # cm: how far a vertex in the middle of a panel may be from where its texture coordinates put it
 
 
@@ -335,9 +336,10 @@ def _offset(scaled: Float[np.ndarray, "n 2"], panel: Panel) -> Float[np.ndarray,
 
 
 def _stretch(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " e"]:
-    """Length of every edge of the mesh against its flat length."""
+    """Length of the edges of the mesh against their flat lengths; edges of no flat length are left out."""
     sides = np.sort(np.concatenate([mesh.corners[:, [0, 1]], mesh.corners[:, [1, 2]], mesh.corners[:, [2, 0]]]), axis=1)
     a, b = np.divmod(np.unique(sides[:, 0] * len(mesh.uv) + sides[:, 1]), max(len(mesh.uv), 1))
     flat = np.linalg.norm(mesh.uv[a] - mesh.uv[b], axis=1)
     placed = vertices[mesh.uv_vertex]
-    return np.linalg.norm(placed[a] - placed[b], axis=1) / np.maximum(flat, np.finfo(float).tiny)
+    has_length = flat > SHORTEST
+    return np.linalg.norm(placed[a] - placed[b], axis=1)[has_length] / flat[has_length]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
+from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
 from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garment import PublishedGarment
 from gcd_dataset.release.layout import BODY_FOLDERS, REMEDY, SPLIT_FILE, SPLIT_NAMES
@@ -117,7 +117,7 @@ class PublishedGarments:
                 "%s: %d garments of the split are neither there nor noted as failed, such as %s; they are left out",
                 self.batches.root,
                 len(missing),
-                missing[0],
+                shown(str(missing[0])),
             )
 
 

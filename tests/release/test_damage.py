@@ -6,6 +6,7 @@ import shutil
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from PIL import Image
 
 from gcd_dataset.errors import ConfigError, GcdError, ShardError
 from gcd_dataset.loaders import PublishedGarmentCodeData
+from gcd_dataset.release.garment import _stretch
 from gcd_dataset.release.layout import ENDINGS, properties_name
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, publish
 
@@ -182,3 +184,15 @@ def test_mutated_published_garments_are_told_or_read(tmp_path: Path) -> None:
                 assert str(root) in str(error)
                 assert "\n" not in str(error)
         path.write_bytes(whole)
+
+
+def test_a_side_of_no_flat_length_has_no_stretch(folders: Path) -> None:
+    sample = PublishedGarmentCodeData(folders, bodies="default").sample(0)
+    assert sample.box_mesh is not None
+    assert sample.drape is not None
+    flat = sample.box_mesh.uv.copy()
+    first, second, _ = sample.box_mesh.corners[0]
+    flat[second] = flat[first]
+    stretch = _stretch(replace(sample.box_mesh, uv=flat), sample.drape.vertices.astype(float))
+    assert len(stretch)
+    assert np.isfinite(stretch).all()
