@@ -117,9 +117,10 @@ def _cloth(worn: Sequence[Wear], config: DrapeConfig, topology: Topology, inerti
 
     cloth = Cloth()
     cloth.vertex_world, cloth.mass, cloth.inertia = topology.vertex_world, topology.mass, inertia
-    cloth.faces, cloth.edges, cloth.edge_opposite = topology.faces, topology.edges, topology.opposite
-    cloth.vertex_faces, cloth.first_face = topology.vertex_faces, topology.first_face
-    cloth.vertex_edges, cloth.first_edge = topology.vertex_edges, topology.first_edge
+    surface = topology.surface
+    cloth.faces, cloth.edges, cloth.edge_opposite = surface.faces, surface.edges, surface.opposite
+    cloth.vertex_faces, cloth.first_face = surface.vertex_faces, surface.first_face
+    cloth.vertex_edges, cloth.first_edge = surface.vertex_edges, surface.first_edge
     cloth.hold_normal = put([config.holds * wear.hold_normal for wear in worn], np.float32, wp.vec3)
     cloth.hold_offset = put([wear.hold_offset for wear in worn], np.float32, float)
     cloth.keeper = topology.keeper
@@ -146,13 +147,13 @@ def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
 
 def _usual_lengths(topology: Topology) -> list[float]:
     """The median flat length of each garment's edges [cm]."""
-    flat = topology.spring.numpy()[:, 1]
+    flat = topology.hinges.spring.numpy()[:, 1]
     spans = zip(topology.edge_offset[:-1], topology.edge_offset[1:], strict=True)
     return [float(np.median(flat[a:b:SAMPLE])) for a, b in spans]
 
 
 def _world(job: DrapeJob, config: DrapeConfig, apart: float) -> World:
-    """What the options and the fabric alone decide; layers ``apart`` times as far as in a finished garment."""
+    """The parameters by options and fabric; layers ``apart`` times as far as in a finished garment."""
     world = World()
     world.damping = config.damping
     world.sewing_damping = config.sewing_damping
@@ -175,7 +176,7 @@ def _world(job: DrapeJob, config: DrapeConfig, apart: float) -> World:
 
 
 def _add_garment(world: World, config: DrapeConfig, step: float, length: float, first: int, size: int) -> None:
-    """What depends on the time step [s], the usual length of an edge [cm] and the number of vertices."""
+    """Add the parameters by the time step [s], the usual length of an edge [cm] and the number of vertices."""
     frame = config.substeps * step
     world.first, world.size, world.dt = first, size, step
     # Two usual edges that cross in their middles at the margin; triangles are nearer to their corners.

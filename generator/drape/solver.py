@@ -130,7 +130,7 @@ class Solver:
         """(e) length of every edge over its flat length."""
         m = self.model
         ratio = wp.empty(m.n_edges, dtype=float, device=m.device)
-        self._launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.topology.spring, self.state.x], [ratio])
+        self._launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.topology.hinges.spring, self.state.x], [ratio])
         return ratio.numpy()
 
     def _asked(self, worlds: Bool[np.ndarray, " w"] | None) -> wp.array:

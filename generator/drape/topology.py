@@ -1,6 +1,6 @@
 """A batch's box meshes as edges, hinges and rows of elastic weights, on the device that drapes them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from gcd_dataset.generator.drape.kernels import topology as kernels
 from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring
 from gcd_dataset.generator.drape.kernels.sheet import Sheet, sheet_of
 from gcd_dataset.generator.drape.loading import load_drape
+from gcd_dataset.records import BoxMesh
 
 __all__ = ["Topology", "build_topology"]
 
@@ -26,22 +27,12 @@ class Topology:
     """(v) the garment of each vertex."""
     start: wp.array
     """(v) positions before sewing [cm]."""
-    faces: wp.array
-    edges: wp.array
-    """(e) lower and higher vertex, in the order of both."""
-    opposite: wp.array
-    """(e) the vertices across from the edge in its first and second face; -1 for no second face."""
-    spring: wp.array
-    """(e) stiffness over the membrane's; flat length; start length [1, cm, cm]."""
-    vertex_faces: wp.array
-    first_face: wp.array
-    """(v + 1) where the faces round each vertex begin among ``vertex_faces``."""
-    vertex_edges: wp.array
-    first_edge: wp.array
+    surface: kernels.Surface
+    hinges: kernels.Hinges
     mass: wp.array
     """(v) [g]"""
     stiffness: wp.array
-    """(v) bound on what the vertex adds to the largest eigenvalue of the stiffness matrix [g/s²]."""
+    """(v) bound on the part of the vertex in the largest eigenvalue of the stiffness matrix [g/s²]."""
     rows: Rows
     keeper: wp.array
     """(v) 1 where a vertex keeps its garment up."""
@@ -55,102 +46,143 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     """The topology of all garments, in the order of the jobs; ``keepers`` are the vertices that keep each one up."""
     load_drape(device)
     meshes = [job.box_mesh for job in jobs]
-    vertices = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    corners = np.cumsum([0, *(len(mesh.uv) for mesh in meshes)])
-    faces = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
-    n, sides = int(vertices[-1]), 3 * int(faces[-1])
+    batch = _Batch(device, *(_offsets(map(len, arrays)) for arrays in zip(*map(_parts, meshes), strict=True)))
+    start = batch.joined([mesh.vertices for mesh in meshes], np.float32, wp.vec3)
+    sizes = np.diff(batch.vertices)
+    world = wp.array(np.repeat(np.arange(len(jobs), dtype=np.int32), sizes), dtype=int, device=device)
+    sheets = wp.array([sheet_of(job.fabric) for job in jobs], dtype=Sheet, device=device)
+    surface = batch.surface(meshes)
+    hinges, edge_offset = batch.describe_edges(surface, start, world, sheets)
+    batch.find_neighbours(surface)
+    rows = batch.rows(surface, coupled=not all(job.fabric.alike for job in jobs))
+    keeper = batch.marked(keepers)
+    n = int(batch.vertices[-1])
+    mass, stiffness = batch.empty(n, float), batch.empty(n, float)
+    batch.launch(row_kernels.weigh_rows, n, [surface, hinges, world, keeper, sheets], [mass, stiffness, rows])
+    return Topology(
+        vertex_world=world,
+        start=start,
+        surface=surface,
+        hinges=hinges,
+        mass=mass,
+        stiffness=stiffness,
+        rows=rows,
+        keeper=keeper,
+        vertex_offset=batch.vertices,
+        face_offset=batch.faces,
+        edge_offset=edge_offset,
+    )
 
-    def launch(kernel: wp.Kernel, dim: int, inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device)
 
-    def empty(size: int | tuple[int, ...], dtype: type) -> wp.array:
-        return wp.empty(size, dtype=dtype, device=device)
+@dataclass(frozen=True)
+class _Batch:
+    """The device of a batch, and where the vertices, corners and faces of each garment begin."""
 
-    def put(arrays: Sequence[np.ndarray], kind: type, dtype: type, shift: np.ndarray | None = None) -> wp.array:
+    device: str
+    vertices: np.ndarray
+    corners: np.ndarray
+    faces: np.ndarray
+
+    def surface(self, meshes: Sequence[BoxMesh]) -> kernels.Surface:
+        """Faces with their corners in the flat; room for the edges, which ``describe_edges`` fills."""
+        count = int(self.faces[-1])
+        corner = self.joined([mesh.corners for mesh in meshes], np.int32, wp.vec3i, self.corners)
+        uv = self.joined([mesh.uv for mesh in meshes], np.float64, wp.vec2d)
+        surface = kernels.Surface()
+        surface.faces = self.joined([mesh.faces for mesh in meshes], np.int32, wp.vec3i, self.vertices)
+        surface.flat = self.empty((count, 3), wp.vec2d)
+        surface.side_edge = self.empty(3 * count, int)
+        self.launch(kernels.lay_flat, count, [corner, uv], [surface.flat])
+        return surface
+
+    def describe_edges(
+        self, surface: kernels.Surface, start: wp.array, world: wp.array, sheets: wp.array
+    ) -> tuple[kernels.Hinges, np.ndarray]:
+        """Springs and hinges, and the first edge of each garment; the edges go into ``surface``."""
+        sides = 3 * int(self.faces[-1])
+        keys, order, number = self.empty(2 * sides, wp.int64), self.empty(2 * sides, int), self.empty(sides, int)
+        self.launch(kernels.key_sides, sides, [surface.faces], [keys, order])
+        wp.utils.radix_sort_pairs(keys, order, sides)
+        keys = keys[:sides]
+        self.launch(kernels.mark_firsts, sides, [keys], [number])
+        wp.utils.array_scan(number, number, inclusive=True)
+        first_sides = wp.array(3 * self.faces.astype(np.int32), dtype=int, device=self.device)
+        edge_offset = self.empty(len(self.faces), int)
+        self.launch(kernels.count_edges, len(self.faces), [first_sides, number], [edge_offset])
+        offsets: np.ndarray = edge_offset.numpy()
+        count = int(offsets[-1])
+        surface.edges, surface.opposite = self.empty(count, wp.vec2i), self.empty(count, wp.vec2i)
+        hinges = kernels.Hinges()
+        hinges.spring, hinges.weights = self.empty(count, wp.vec3), self.empty(count, wp.vec4)
+        hinges.scale = self.empty(count, float)
+        inputs = [start, world, sheets, keys, order, number]
+        self.launch(kernels.describe_edges, sides, inputs, [surface, hinges])
+        return hinges, offsets
+
+    def find_neighbours(self, surface: kernels.Surface) -> None:
+        """List the faces and edges round each vertex in ``surface``."""
+        sides, ends = 3 * int(self.faces[-1]), 2 * len(surface.edges)
+        surface.vertex_faces, surface.first_face = self._round(kernels.key_corners, surface.faces, sides)
+        surface.vertex_edges, surface.first_edge = self._round(kernels.key_ends, surface.edges, ends)
+
+    def _round(self, kernel: wp.Kernel, things: wp.array, size: int) -> tuple[wp.array, wp.array]:
+        """The things round each vertex, one vertex after the other, and where those of each begin."""
+        at, owner, first = (
+            self.empty(2 * size, int),
+            self.empty(2 * size, int),
+            self.empty(int(self.vertices[-1]) + 1, int),
+        )
+        self.launch(kernel, size, [things], [at, owner])
+        wp.utils.radix_sort_pairs(at, owner, size)
+        self.launch(kernels.find_firsts, size + 1, [at, size], [first])
+        return owner[:size], first
+
+    def rows(self, surface: kernels.Surface, *, coupled: bool) -> Rows:
+        """Room for the rows of all vertices; ``coupled``: with the corners of fabrics that have a grain."""
+        n = int(self.vertices[-1])
+        widest = max(USUAL, int(np.diff(surface.first_edge.numpy()).max()))
+        if coupled:
+            widest = max(widest, int(np.diff(surface.first_face.numpy()).max()))
+        rows = Rows()
+        rows.count, rows.bend_diagonal = self.empty(n, wp.vec2i), self.empty(n, float)
+        rows.lanes, rows.width = 1 if self.device == "cpu" else WARP, widest
+        room = -(-n // rows.lanes) * rows.lanes * widest
+        rows.springs, rows.start_length = self.empty(room, Spring), self.empty(room, float)
+        rows.bends = self.empty(room, Bend)
+        rows.coupled = int(coupled)
+        rows.corners, rows.corner_count = self.empty(room * coupled, Corner), self.empty(n * coupled, int)
+        return rows
+
+    def marked(self, vertices: Sequence[np.ndarray]) -> wp.array:
+        """1 at the given vertices of each garment."""
+        marks = np.zeros(int(self.vertices[-1]), np.uint8)
+        for first, ids in zip(self.vertices, vertices, strict=False):
+            marks[first + ids] = 1
+        return wp.array(marks, dtype=wp.uint8, device=self.device)
+
+    def joined(
+        self, arrays: Sequence[np.ndarray], kind: type, dtype: type, shift: np.ndarray | None = None
+    ) -> wp.array:
+        """Arrays of all garments one after the other, those of each moved by its ``shift``."""
         joined = np.empty((sum(map(len, arrays)), *arrays[0].shape[1:]), kind)
         first = 0
         for number, array in enumerate(arrays):
             by = 0 if shift is None else shift[number]
             np.add(array, by, out=joined[first : first + len(array)], casting="same_kind")
             first += len(array)
-        return wp.array(joined, dtype=dtype, device=device)
+        return wp.array(joined, dtype=dtype, device=self.device)
 
-    start = put([mesh.vertices for mesh in meshes], np.float32, wp.vec3)
-    world = wp.array(np.repeat(np.arange(len(jobs), dtype=np.int32), np.diff(vertices)), dtype=int, device=device)
-    face = put([mesh.faces for mesh in meshes], np.int32, wp.vec3i, vertices)
-    sheets = wp.array([sheet_of(job.fabric) for job in jobs], dtype=Sheet, device=device)
-    flat = empty((int(faces[-1]), 3), wp.vec2d)
-    corner = put([mesh.corners for mesh in meshes], np.int32, wp.vec3i, corners)
-    launch(kernels.lay_flat, int(faces[-1]), [corner, put([m.uv for m in meshes], np.float64, wp.vec2d)], [flat])
+    def launch(self, kernel: wp.Kernel, dim: int, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
-    keys, order, number = empty(2 * sides, wp.int64), empty(2 * sides, int), empty(sides, int)
-    launch(kernels.key_sides, sides, [face], [keys, order])
-    wp.utils.radix_sort_pairs(keys, order, sides)
-    keys = keys[:sides]
-    launch(kernels.mark_firsts, sides, [keys], [number])
-    wp.utils.array_scan(number, number, inclusive=True)
-    first_sides = wp.array(3 * faces.astype(np.int32), dtype=int, device=device)
-    edge_offset = empty(len(jobs) + 1, int)
-    launch(kernels.count_edges, len(jobs) + 1, [first_sides, number], [edge_offset])
-    edge_offsets = edge_offset.numpy()
-    count = int(edge_offsets[-1])
-    edges, opposite, spring = empty(count, wp.vec2i), empty(count, wp.vec2i), empty(count, wp.vec3)
-    hinge, hinge_scale, side_edge = empty(count, wp.vec4), empty(count, float), empty(sides, int)
-    launch(
-        kernels.describe_edges,
-        sides,
-        [face, flat, start, keys, order, number, world, sheets],
-        [edges, opposite, spring, hinge, hinge_scale, side_edge],
-    )
+    def empty(self, size: int | tuple[int, ...], dtype: type) -> wp.array:
+        return wp.empty(size, dtype=dtype, device=self.device)
 
-    def round_vertices(kernel: wp.Kernel, things: wp.array, size: int) -> tuple[wp.array, wp.array]:
-        at, owner, first = empty(2 * size, int), empty(2 * size, int), empty(n + 1, int)
-        launch(kernel, size, [things], [at, owner])
-        wp.utils.radix_sort_pairs(at, owner, size)
-        launch(kernels.find_firsts, size + 1, [at, size], [first])
-        return owner[:size], first
 
-    vertex_faces, first_face = round_vertices(kernels.key_corners, face, sides)
-    vertex_edges, first_edge = round_vertices(kernels.key_ends, edges, 2 * count)
-    coupled = not all(job.fabric.alike for job in jobs)
-    widest = max(USUAL, int(np.diff(first_edge.numpy()).max()))
-    if coupled:
-        widest = max(widest, int(np.diff(first_face.numpy()).max()))
-    rows = Rows()
-    rows.count, rows.bend_diagonal = empty(n, wp.vec2i), empty(n, float)
-    rows.lanes, rows.width = 1 if device == "cpu" else WARP, widest
-    room = -(-n // rows.lanes) * rows.lanes * widest
-    rows.springs, rows.start_length, rows.bends = empty(room, Spring), empty(room, float), empty(room, Bend)
-    rows.coupled = int(coupled)
-    rows.corners, rows.corner_count = empty(room * coupled, Corner), empty(n * coupled, int)
-    kept = np.zeros(n, np.uint8)
-    for shift, ids in zip(vertices, keepers, strict=False):
-        kept[shift + ids] = 1
-    keeper = wp.array(kept, dtype=wp.uint8, device=device)
-    mass, stiffness = empty(n, float), empty(n, float)
-    launch(
-        row_kernels.weigh_rows,
-        n,
-        [face, flat, edges, opposite, side_edge, vertex_faces, first_face, vertex_edges, first_edge]
-        + [spring, hinge, hinge_scale, world, keeper, sheets],
-        [mass, stiffness, rows],
-    )
-    return Topology(
-        vertex_world=world,
-        start=start,
-        faces=face,
-        edges=edges,
-        opposite=opposite,
-        spring=spring,
-        vertex_faces=vertex_faces,
-        first_face=first_face,
-        vertex_edges=vertex_edges,
-        first_edge=first_edge,
-        mass=mass,
-        stiffness=stiffness,
-        rows=rows,
-        keeper=keeper,
-        vertex_offset=vertices,
-        face_offset=faces,
-        edge_offset=edge_offsets,
-    )
+def _parts(mesh: BoxMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return mesh.vertices, mesh.uv, mesh.faces
+
+
+def _offsets(sizes: Iterable[int]) -> np.ndarray:
+    """Where the part of each garment begins, and the end of the last."""
+    return np.cumsum([0, *sizes])

@@ -1,10 +1,10 @@
-"""What pulls and bends at each vertex, as rows of springs, hinges and corners, worked out where the batch lies."""
+"""The elastic forces at each vertex as rows of springs, hinges and corners, computed on the device of the batch."""
 
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.elastic import USUAL, Bend, Corner, Rows, Spring, entry
 from gcd_dataset.generator.drape.kernels.sheet import Sheet, springs_of
-from gcd_dataset.generator.drape.kernels.topology import flat_area
+from gcd_dataset.generator.drape.kernels.topology import Hinges, Surface, flat_area
 
 wp.set_module_options({"enable_backward": False})
 
@@ -47,30 +47,21 @@ def grained_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int, spr
 
 
 @wp.func
-def corner_of(
-    faces: wp.array(dtype=wp.vec3i),
-    flat: wp.array2d(dtype=wp.vec2d),
-    side_edge: wp.array(dtype=int),
-    spring: wp.array(dtype=wp.vec3),
-    f: int,
-    corner: int,
-    springs: wp.mat33d,
-    membrane: float,
-) -> Corner:
-    """What couples the edges of a face, seen from one of its corners."""
+def corner_of(surface: Surface, hinges: Hinges, f: int, corner: int, springs: wp.mat33d, membrane: float) -> Corner:
+    """The coupling between the edges of a face, seen from one of its corners."""
     across = (corner + 1) % 3
     last = (corner + 2) % 3
-    scale = wp.float64(membrane) * flat_area(flat, f)
-    to_next = wp.length(flat[f, across] - flat[f, corner])
-    to_last = wp.length(flat[f, last] - flat[f, corner])
-    between = wp.length(flat[f, last] - flat[f, across])
+    scale = wp.float64(membrane) * flat_area(surface.flat, f)
+    to_next = wp.length(surface.flat[f, across] - surface.flat[f, corner])
+    to_last = wp.length(surface.flat[f, last] - surface.flat[f, corner])
+    between = wp.length(surface.flat[f, last] - surface.flat[f, across])
     return Corner(
-        faces[f][across],
-        faces[f][last],
+        surface.faces[f][across],
+        surface.faces[f][last],
         wp.vec3(
-            spring[side_edge[3 * f + corner]][1],
-            spring[side_edge[3 * f + last]][1],
-            spring[side_edge[3 * f + across]][1],
+            hinges.spring[surface.side_edge[3 * f + corner]][1],
+            hinges.spring[surface.side_edge[3 * f + last]][1],
+            hinges.spring[surface.side_edge[3 * f + across]][1],
         ),
         float(scale * springs[corner, last] / (to_next * to_last)),
         float(scale * springs[corner, across] / (to_next * between)),
@@ -79,43 +70,104 @@ def corner_of(
 
 
 @wp.func
-def spring_to(
-    i: int,
-    j: int,
-    edges: wp.array(dtype=wp.vec2i),
-    vertex_edges: wp.array(dtype=int),
-    first_edge: wp.array(dtype=int),
-) -> int:
-    """The row of the spring from ``i`` to ``j``."""
-    for at in range(first_edge[i], first_edge[i + 1]):
-        ends = edges[vertex_edges[at]]
-        if ends[0] == j or ends[1] == j:
-            return at - first_edge[i]
+def corner_at(face: wp.vec3i, i: int) -> int:
+    """The corner of a face at which vertex ``i`` lies."""
+    if face[1] == i:
+        return 1
+    if face[2] == i:
+        return 2
+    return 0
+
+
+@wp.func
+def side_across(opposite: wp.vec2i, i: int) -> int:
+    """0 or 1 where vertex ``i`` lies across the hinge in its first or second face; -1 for an edge without a hinge."""
+    if opposite[1] >= 0:
+        if opposite[0] == i:
+            return 0
+        if opposite[1] == i:
+            return 1
     return -1
 
 
 @wp.func
-def hinge_weight(e: int, i: int, edges: wp.array(dtype=wp.vec2i), hinge: wp.array(dtype=wp.vec4)) -> float:
-    """What vertex ``i`` weighs in a hinge that it belongs to as an end."""
-    if edges[e][0] == i:
-        return hinge[e][0]
-    return hinge[e][1]
+def spring_to(i: int, j: int, surface: Surface) -> int:
+    """The row of the spring from ``i`` to ``j``."""
+    for at in range(surface.first_edge[i], surface.first_edge[i + 1]):
+        ends = surface.edges[surface.vertex_edges[at]]
+        if ends[0] == j or ends[1] == j:
+            return at - surface.first_edge[i]
+    return -1
+
+
+@wp.func
+def end_weight(e: int, i: int, surface: Surface, hinges: Hinges) -> float:
+    """The weight of vertex ``i``, an end of a hinge, in its bending vector."""
+    if surface.edges[e][0] == i:
+        return hinges.weights[e][0]
+    return hinges.weights[e][1]
+
+
+@wp.func
+def fill_springs(i: int, sheet: Sheet, surface: Surface, hinges: Hinges, keeper: wp.array(dtype=wp.uint8), rows: Rows):
+    """Write the springs of a vertex, without bending; returns the taped edges' part of the bound, over the membrane."""
+    stiffer = float(0.0)
+    for row in range(surface.first_edge[i + 1] - surface.first_edge[i]):
+        e = surface.vertex_edges[surface.first_edge[i] + row]
+        j = surface.edges[e][0] + surface.edges[e][1] - i
+        k = sheet.membrane * hinges.spring[e][0]
+        if keeper[i] != wp.uint8(0) and keeper[j] != wp.uint8(0):
+            stiffer += (TAPE - 1.0) * hinges.spring[e][0]
+            k *= TAPE
+        rows.springs[entry(rows, i, row)] = Spring(j, k, hinges.spring[e][1], 0.0)
+        rows.start_length[entry(rows, i, row)] = hinges.spring[e][2]
+    return stiffer
+
+
+@wp.func
+def add_end_bending(i: int, surface: Surface, hinges: Hinges, rows: Rows):
+    """Add the hinges of which a vertex is an end to its springs; returns their part of the diagonal."""
+    diagonal = float(0.0)
+    for row in range(surface.first_edge[i + 1] - surface.first_edge[i]):
+        e = surface.vertex_edges[surface.first_edge[i] + row]
+        own = hinges.scale[e] * end_weight(e, i, surface, hinges)
+        if own == 0.0:
+            continue
+        j = surface.edges[e][0] + surface.edges[e][1] - i
+        diagonal += own * end_weight(e, i, surface, hinges)
+        rows.springs[entry(rows, i, row)].bend += own * end_weight(e, j, surface, hinges)
+        for side in range(2):
+            to = spring_to(i, surface.opposite[e][side], surface)
+            rows.springs[entry(rows, i, to)].bend += own * hinges.weights[e][2 + side]
+    return diagonal
+
+
+@wp.func
+def pad_row(i: int, springs: int, bends: int, rows: Rows):
+    """Fill the row of a vertex up to ``USUAL`` entries, with entries of no weight."""
+    for row in range(springs, USUAL):
+        rows.springs[entry(rows, i, row)] = Spring(i, 0.0, 0.0, 0.0)
+        rows.start_length[entry(rows, i, row)] = 0.0
+    for row in range(bends, USUAL):
+        rows.bends[entry(rows, i, row)] = Bend(i, 0.0)
+
+
+@wp.func
+def bending_bound(i: int, springs: int, bends: int, diagonal: float, rows: Rows) -> float:
+    """Sum of the absolute bending weights in the row of a vertex (Gershgorin)."""
+    bending = wp.abs(diagonal)
+    for row in range(springs):
+        bending += wp.abs(rows.springs[entry(rows, i, row)].bend)
+    for row in range(bends):
+        bending += wp.abs(rows.bends[entry(rows, i, row)].weight)
+    return bending
 
 
 @wp.kernel
 def weigh_rows(
-    faces: wp.array(dtype=wp.vec3i),
-    flat: wp.array2d(dtype=wp.vec2d),
-    edges: wp.array(dtype=wp.vec2i),
-    opposite: wp.array(dtype=wp.vec2i),
-    side_edge: wp.array(dtype=int),
-    vertex_faces: wp.array(dtype=int),
-    first_face: wp.array(dtype=int),
-    vertex_edges: wp.array(dtype=int),
-    first_edge: wp.array(dtype=int),
-    spring: wp.array(dtype=wp.vec3),
-    hinge: wp.array(dtype=wp.vec4),
-    hinge_scale: wp.array(dtype=float),
+    # model
+    surface: Surface,
+    hinges: Hinges,
     vertex_world: wp.array(dtype=int),
     keeper: wp.array(dtype=wp.uint8),
     sheets: wp.array(dtype=Sheet),
@@ -134,79 +186,46 @@ def weigh_rows(
     """
     i = wp.tid()
     sheet = sheets[vertex_world[i]]
-    springs = first_edge[i + 1] - first_edge[i]
+    first_face = surface.first_face[i]
+    springs = surface.first_edge[i + 1] - surface.first_edge[i]
     bends = int(0)
     area = wp.float64(0.0)
-    diagonal = float(0.0)
     stretching = float(0.0)
-    for row in range(springs):
-        e = vertex_edges[first_edge[i] + row]
-        j = edges[e][0] + edges[e][1] - i
-        k = sheet.membrane * spring[e][0]
-        if keeper[i] != wp.uint8(0) and keeper[j] != wp.uint8(0):
-            stretching += (TAPE - 1.0) * spring[e][0]
-            k *= TAPE
-        rows.springs[entry(rows, i, row)] = Spring(j, k, spring[e][1], 0.0)
-        rows.start_length[entry(rows, i, row)] = spring[e][2]
-    for row in range(springs):
-        e = vertex_edges[first_edge[i] + row]
-        own = hinge_scale[e] * hinge_weight(e, i, edges, hinge)
-        if own == 0.0:
-            continue
-        j = edges[e][0] + edges[e][1] - i
-        diagonal += own * hinge_weight(e, i, edges, hinge)
-        rows.springs[entry(rows, i, row)].bend += own * hinge_weight(e, j, edges, hinge)
-        for side in range(2):
-            to = spring_to(i, opposite[e][side], edges, vertex_edges, first_edge)
-            rows.springs[entry(rows, i, to)].bend += own * hinge[e][2 + side]
-    for at in range(first_face[i], first_face[i + 1]):
-        f = vertex_faces[at]
-        area += flat_area(flat, f)
-        corner = int(0)
-        if faces[f][1] == i:
-            corner = 1
-        elif faces[f][2] == i:
-            corner = 2
+    stretching += fill_springs(i, sheet, surface, hinges, keeper, rows)
+    diagonal = float(0.0)
+    diagonal += add_end_bending(i, surface, hinges, rows)
+    for at in range(first_face, surface.first_face[i + 1]):
+        f = surface.vertex_faces[at]
+        area += flat_area(surface.flat, f)
+        corner = corner_at(surface.faces[f], i)
         if sheet.grained != 0:
-            springs_here = springs_of(flat, f, sheet)
-            stretching += grained_stiffness(flat, f, corner, springs_here)
-            rows.corners[entry(rows, i, at - first_face[i])] = corner_of(
-                faces, flat, side_edge, spring, f, corner, springs_here, sheet.membrane
+            springs_here = springs_of(surface.flat, f, sheet)
+            stretching += grained_stiffness(surface.flat, f, corner, springs_here)
+            rows.corners[entry(rows, i, at - first_face)] = corner_of(
+                surface, hinges, f, corner, springs_here, sheet.membrane
             )
         else:
-            stretching += corner_stiffness(flat, f, corner)
-        e = side_edge[3 * f + (corner + 1) % 3]
-        own_side = int(-1)
-        if opposite[e][1] >= 0:
-            if opposite[e][0] == i:
-                own_side = 0
-            elif opposite[e][1] == i:
-                own_side = 1
+            stretching += corner_stiffness(surface.flat, f, corner)
+        e = surface.side_edge[3 * f + (corner + 1) % 3]
+        own_side = side_across(surface.opposite[e], i)
         if own_side < 0:
             continue
-        own = hinge_scale[e] * hinge[e][2 + own_side]
-        diagonal += own * hinge[e][2 + own_side]
+        own = hinges.scale[e] * hinges.weights[e][2 + own_side]
+        diagonal += own * hinges.weights[e][2 + own_side]
         for end in range(2):
-            to = spring_to(i, edges[e][end], edges, vertex_edges, first_edge)
-            rows.springs[entry(rows, i, to)].bend += own * hinge[e][end]
-        rows.bends[entry(rows, i, bends)] = Bend(opposite[e][1 - own_side], own * hinge[e][3 - own_side])
+            to = spring_to(i, surface.edges[e][end], surface)
+            rows.springs[entry(rows, i, to)].bend += own * hinges.weights[e][end]
+        rows.bends[entry(rows, i, bends)] = Bend(
+            surface.opposite[e][1 - own_side], own * hinges.weights[e][3 - own_side]
+        )
         bends += 1
-    for row in range(springs, USUAL):
-        rows.springs[entry(rows, i, row)] = Spring(i, 0.0, 0.0, 0.0)
-        rows.start_length[entry(rows, i, row)] = 0.0
-    for row in range(bends, USUAL):
-        rows.bends[entry(rows, i, row)] = Bend(i, 0.0)
+    pad_row(i, springs, bends, rows)
     mass[i] = sheet.mass * float(area / wp.float64(3.0))
     if rows.coupled != 0:
-        rows.corner_count[i] = sheet.grained * (first_face[i + 1] - first_face[i])
+        rows.corner_count[i] = sheet.grained * (surface.first_face[i + 1] - first_face)
     rows.bend_diagonal[i] = diagonal
     rows.count[i] = wp.vec2i(springs, bends)
-    bending = wp.abs(diagonal)
-    for row in range(springs):
-        bending += wp.abs(rows.springs[entry(rows, i, row)].bend)
-    for row in range(bends):
-        bending += wp.abs(rows.bends[entry(rows, i, row)].weight)
-    stiffness[i] = 2.0 * sheet.membrane * stretching + bending
+    stiffness[i] = 2.0 * sheet.membrane * stretching + bending_bound(i, springs, bends, diagonal, rows)
 
 
 @wp.kernel
@@ -218,6 +237,6 @@ def add_inertia(
     # out
     inertia: wp.array(dtype=float),
 ):
-    """What resists acceleration: the mass, or more where the time step needs it to be stable."""
+    """Inertia: the mass, or more where the time step is stable only with more."""
     i = wp.tid()
     inertia[i] = wp.max(mass[i], stiffness[i] * step_sq[vertex_world[i]])

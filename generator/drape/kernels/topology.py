@@ -1,4 +1,4 @@
-"""What a batch's triangles say about its edges and hinges, worked out where the batch lies.
+"""Edges and hinges of a batch from its triangles, computed on the device of the batch.
 
 Everything is taken from the flat corner coordinates of the faces, so it does not matter where the panels stand. Sides
 (``3 face + corner``, from that corner to the next) are sorted by their two vertices; those of one edge then lie beside
@@ -12,6 +12,30 @@ from gcd_dataset.generator.drape.kernels.sheet import Sheet, bend_share, hinge_r
 wp.set_module_options({"enable_backward": False})
 
 LARGEST_BEND_WEIGHT = 8.0  # about two corners of 14°: hinges of sharper slivers bend more easily than they should
+
+
+@wp.struct
+class Surface:
+    """The triangles of a batch, and which edges and faces lie round each vertex."""
+
+    faces: wp.array(dtype=wp.vec3i)
+    flat: wp.array2d(dtype=wp.vec2d)  # (f, 3) corners in the flat [cm]
+    edges: wp.array(dtype=wp.vec2i)  # lower and higher vertex, in the order of both
+    opposite: wp.array(dtype=wp.vec2i)  # (e) the vertices across, in the first and second face; -1 for no second face
+    side_edge: wp.array(dtype=int)  # (3 f) the edge of each side
+    vertex_faces: wp.array(dtype=int)  # the faces round each vertex, from first_face[v] to first_face[v + 1]
+    first_face: wp.array(dtype=int)
+    vertex_edges: wp.array(dtype=int)
+    first_edge: wp.array(dtype=int)
+
+
+@wp.struct
+class Hinges:
+    """Springs and hinges of the edges of a batch."""
+
+    spring: wp.array(dtype=wp.vec3)  # (e) stiffness over the membrane's; flat length; start length [1, cm, cm]
+    weights: wp.array(dtype=wp.vec4)  # (e) of the ends and of the vertices across, in the bending vector
+    scale: wp.array(dtype=float)  # (e) factor of its square in the energy [g cm²/s² over cm²]
 
 
 @wp.kernel
@@ -86,37 +110,33 @@ def flat_area(flat: wp.array2d(dtype=wp.vec2d), f: int) -> wp.float64:
 
 @wp.kernel
 def describe_edges(
-    faces: wp.array(dtype=wp.vec3i),
-    flat: wp.array2d(dtype=wp.vec2d),
+    # model
     start: wp.array(dtype=wp.vec3),
+    vertex_world: wp.array(dtype=int),
+    sheets: wp.array(dtype=Sheet),
+    # sides by their edges
     keys: wp.array(dtype=wp.int64),
     sides: wp.array(dtype=int),
     number: wp.array(dtype=int),
-    vertex_world: wp.array(dtype=int),
-    sheets: wp.array(dtype=Sheet),
+    # in and out: its edges, opposite, side_edge are written
+    surface: Surface,
     # out
-    edges: wp.array(dtype=wp.vec2i),
-    opposite: wp.array(dtype=wp.vec2i),
-    spring: wp.array(dtype=wp.vec3),
-    hinge: wp.array(dtype=wp.vec4),
-    hinge_scale: wp.array(dtype=float),
-    side_edge: wp.array(dtype=int),
+    hinges: Hinges,
 ):
-    """Ends, vertices across, spring (area over squared length summed over the faces, each times its spring's share of
-    the membrane stiffness; flat length, the shorter where a gathered seam joins two; start length) and hinge of every
-    edge.
+    """Ends, vertices across, spring and hinge of every edge.
 
-    A hinge is Bergou et al.'s (A Quadratic Bending Model for Inextensible Surfaces, 2006): the weights of the ends and
-    of the vertices across in its bending vector, and the factor of its square in the energy [g cm²/s² over cm²].
+    The spring: area over squared length summed over the faces, each times its spring's share of the membrane
+    stiffness; flat length, the shorter where a gathered seam joins two; start length. A hinge is Bergou et al.'s (A
+    Quadratic Bending Model for Inextensible Surfaces, 2006).
     """
     s = wp.tid()
     e = number[s] - 1
-    side_edge[sides[s]] = e
+    surface.side_edge[sides[s]] = e
     if s > 0 and keys[s] == keys[wp.max(s - 1, 0)]:
         return
     low = int(keys[s] / wp.int64(4294967296))
     high = int(keys[s] % wp.int64(4294967296))
-    edges[e] = wp.vec2i(low, high)
+    surface.edges[e] = wp.vec2i(low, high)
     spread = wp.float64(0.0)
     shortest = wp.float64(1.0e30)
     area = wp.float64(0.0)
@@ -132,34 +152,34 @@ def describe_edges(
             break
         f = sides[at] // 3
         corner = sides[at] % 3
-        length_sq = wp.length_sq(flat[f, (corner + 1) % 3] - flat[f, corner])
+        length_sq = wp.length_sq(surface.flat[f, (corner + 1) % 3] - surface.flat[f, corner])
         shortest = wp.min(shortest, wp.sqrt(length_sq))
         if sheet.grained != 0:
-            spread += springs_of(flat, f, sheet)[corner, corner] * flat_area(flat, f) / length_sq
+            spread += springs_of(surface.flat, f, sheet)[corner, corner] * flat_area(surface.flat, f) / length_sq
         else:
-            spread += flat_area(flat, f) / length_sq
+            spread += flat_area(surface.flat, f) / length_sq
         if met < 2:
-            share += wp.float64(0.5) * bend_share(flat, f, corner)
-            across[met] = faces[f][(corner + 2) % 3]
-            here = cotangent(flat, f, corner)
-            there = cotangent(flat, f, (corner + 1) % 3)
+            share += wp.float64(0.5) * bend_share(surface.flat, f, corner)
+            across[met] = surface.faces[f][(corner + 2) % 3]
+            here = cotangent(surface.flat, f, corner)
+            there = cotangent(surface.flat, f, (corner + 1) % 3)
             beside[met] = -(here + there)
-            if faces[f][corner] == low:
+            if surface.faces[f][corner] == low:
                 ends += wp.vec2d(there, here)
             else:
                 ends += wp.vec2d(here, there)
-            area += flat_area(flat, f)
+            area += flat_area(surface.flat, f)
         met += 1
         at += 1
-    opposite[e] = across
-    spring[e] = wp.vec3(float(spread), float(shortest), wp.length(start[high] - start[low]))
-    hinge[e] = wp.vec4(0.0)
-    hinge_scale[e] = 0.0
+    surface.opposite[e] = across
+    hinges.spring[e] = wp.vec3(float(spread), float(shortest), wp.length(start[high] - start[low]))
+    hinges.weights[e] = wp.vec4(0.0)
+    hinges.scale[e] = 0.0
     if met > 1:
         steepest = wp.max(wp.max(wp.abs(ends[0]), wp.abs(ends[1])), wp.max(wp.abs(beside[0]), wp.abs(beside[1])))
         softer = wp.min(wp.float64(LARGEST_BEND_WEIGHT) / wp.max(steepest, wp.float64(1.0e-12)), wp.float64(1.0))
-        hinge[e] = wp.vec4(float(ends[0]), float(ends[1]), float(beside[0]), float(beside[1]))
-        hinge_scale[e] = hinge_rigidity(sheet, share) * float(wp.float64(3.0) * softer * softer / area)
+        hinges.weights[e] = wp.vec4(float(ends[0]), float(ends[1]), float(beside[0]), float(beside[1]))
+        hinges.scale[e] = hinge_rigidity(sheet, share) * float(wp.float64(3.0) * softer * softer / area)
 
 
 @wp.kernel
