@@ -1,6 +1,7 @@
 """Garments that still move, taken over from one batch into the next: they go on as if nothing had happened."""
 
 from collections.abc import Sequence
+from operator import attrgetter
 
 import warp as wp
 
@@ -9,10 +10,21 @@ from gcd_dataset.generator.drape.solver import Solver
 
 __all__ = ["carry_over"]
 
-OF_VERTICES = ("x", "v", "ahead", "x_seen", "x_searched", "skin", "crowd", "beside", "listed", "tangled")
+OF_VERTICES = (
+    "x",
+    "v",
+    "ahead",
+    "x_seen",
+    "search.x",
+    "search.skin",
+    "contact_weight",
+    "beside",
+    "search.listed",
+    "tangled",
+)
 OF_WORLDS = (
-    "time", "status", "held", "loose_after", "frames", "moved_far", "crossing_due", "untangling", "fewest", "fewest_at",
-    "parting",
+    "time", "status", "held", "loose_after", "frames", "search.moved_far",
+    "crossing.due", "crossing.searched", "crossing.least", "crossing.least_at", "crossing.separated",
 )  # fmt: skip
 COUNTS = ("point_count", "edge_count", "long_count", "crossing_count", "overfull")
 THREADS = 256  # for the lists of one garment
@@ -24,12 +36,14 @@ def carry_over(old: Solver, new: Solver, places: Sequence[tuple[int, int]]) -> N
         return
     first, first_new = old.model.topology.vertex_offset, new.model.topology.vertex_offset
     for name in OF_VERTICES:
-        source, target = getattr(old.state, name), getattr(new.state, name)
+        of = attrgetter(name)
+        source, target = of(old.state), of(new.state)
         for world, place in places:
             count = int(first[world + 1] - first[world])
             wp.copy(target, source, dest_offset=int(first_new[place]), src_offset=int(first[world]), count=count)
     for name in OF_WORLDS:
-        _copy_worlds(getattr(old.state, name), getattr(new.state, name), places)
+        of = attrgetter(name)
+        _copy_worlds(of(old.state), of(new.state), places)
     for name in COUNTS:
         _copy_worlds(getattr(old.state.contacts, name), getattr(new.state.contacts, name), places)
     device = new.model.device

@@ -46,6 +46,6 @@ def go_on_from(coarse: Solver, fine: Solver, places: Sequence[tuple[int, int, Co
         refine,
         dim=model.n_vertices,
         inputs=[model.worlds, model.cloth.vertex_world, *shares, coarse.state.x, coarse.state.v],
-        outputs=[state.x, state.v, state.ahead, state.x_seen, state.x_searched],
+        outputs=[state.x, state.v, state.ahead, state.x_seen, state.search.x],
         device=device,
     )

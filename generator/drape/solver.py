@@ -75,10 +75,10 @@ class Solver:
     def leave_skin(self, worlds: Bool[np.ndarray, " w"]) -> None:
         """Move the cloth of garments at rest off the skin where it crosses it, without a crossing of the cloth."""
         m, s = self.model, self.state
-        chosen, through = self._asked(worlds), wp.zeros_like(s.listed)
-        free, start, moved = wp.empty_like(s.skin), wp.clone(s.x), wp.empty_like(s.x)
+        chosen, through = self._asked(worlds), wp.zeros_like(s.search.listed)
+        free, start, moved = wp.empty_like(s.search.skin), wp.clone(s.x), wp.empty_like(s.x)
         self._launch(finish.begin_finish, m.n_vertices, [m.worlds, m.cloth], [free])
-        wp.copy(s.searching, chosen)
+        wp.copy(s.search.searching, chosen)
         self._search()
         threads = 1 if m.device == "cpu" else 256
         self._launch(finish.bound_moves, (m.n_worlds, threads), [m.worlds, s.contacts, threads, chosen, s.x], [free])
@@ -141,50 +141,39 @@ class Solver:
         """What begins a frame: cloth that has crossed is looked for, where that is due."""
         m, s, c = self.model, self.state, self.config
         if c.exempt_crossings or c.untangle or c.pull_to_parts:
-            wp.capture_if(s.any_crossing, self._find_crossings)
+            wp.capture_if(s.crossing.any_searched, self._find_crossings)
         self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
 
     def _record_steps(self) -> None:
         """A search where one is due, and the time steps until the next."""
         m, s = self.model, self.state
-        s.any_search.zero_()
+        s.search.any_search.zero_()
         self._launch(
             search.plan_search,
             m.n_worlds,
             [s.status],
-            [s.moved_far, s.searching, s.crossing_due, s.any_search],
+            [s.search, s.crossing],
         )
-        wp.capture_if(s.any_search, self._search)
+        wp.capture_if(s.search.any_search, self._search)
         for turn in range(self.config.search_every):
             self._step(odd=turn % 2 == 1, before_search=turn + 1 == self.config.search_every)
 
     def _record_end(self) -> None:
         """What ends a frame: garments that rest, and those that have slid off or fallen, are done."""
         m, s = self.model, self.state
-        s.any_crossing.zero_()
+        s.crossing.any_searched.zero_()
         threads = 1 if m.device == "cpu" else 256
         self._launch(
             stillness.watch_frame,
             (m.n_worlds, threads),
             [m.worlds, m.cloth, threads, s.frames, s.x],
-            [s.status, s.x_seen, s.moving, s.hasty, s.kept_height, s.above_floor],
+            [s.status, s.x_seen, s.counts],
         )
         self._launch(
             stillness.end_frame,
             m.n_worlds,
             [m.worlds, s.time],
-            [s.crossing_due, s.contacts.crossing_count, s.status, s.moving, s.hasty, s.kept_height]
-            + [s.above_floor]
-            + [
-                s.held,
-                s.loose_after,
-                s.fewest,
-                s.fewest_at,
-                s.parting,
-                s.frames,
-                s.untangling,
-                s.any_crossing,
-            ],
+            [s.status, s.frames, s.held, s.loose_after, s.contacts.crossing_count, s.counts, s.crossing],
         )
 
     def _step(self, *, odd: bool, before_search: bool) -> None:
@@ -194,26 +183,26 @@ class Solver:
         self._launch(
             contacts.push_contacts,
             threads,
-            [m.worlds, m.cloth, s.contacts, threads, s.status, s.parting, s.crowd, s.x, s.v],
+            [m.worlds, m.cloth, s.contacts, threads, s.status, s.crossing, s.contact_weight, s.x, s.v],
             [s.time, s.push],
         )
         self._launch(
             step.step,
             m.n_vertices,
-            [m.worlds, m.cloth, m.rows, before_search, s.status, s.time, s.held, ahead, s.x_searched, s.skin, s.listed],
-            [s.x, s.v, s.push, ahead_next, s.crowd, s.moved_far],
+            [m.worlds, m.cloth, m.rows, before_search, s.status, s.time, s.held, ahead],
+            [s.search, s.x, s.v, s.push, ahead_next, s.contact_weight],
         )
 
     def _find_crossings(self) -> None:
         """Where the cloth crosses itself: marked, so that contacts do not lock it in."""
         m, s = self.model, self.state
         self._fit_tree()
-        self._launch(crossing.forget_crossings, m.n_vertices, [m.cloth, s.untangling], [s.tangled])
+        self._launch(crossing.forget_crossings, m.n_vertices, [m.cloth, s.crossing], [s.tangled])
         self._launch(
             crossing.find_crossings,
             m.n_edges,
-            [m.worlds, m.cloth, self._bvh.id, self._roots, s.untangling, s.beside, s.x],
-            [s.tangled, s.listed, s.contacts],
+            [m.worlds, m.cloth, self._bvh.id, self._roots, s.crossing, s.beside, s.x],
+            [s.tangled, s.search.listed, s.contacts],
         )
 
     def _search(self) -> None:
@@ -222,31 +211,36 @@ class Solver:
         threads = self._threads
         if self.config.remember_sides:
             self._keep_sides()
-        self._launch(sides.empty_lists, m.n_worlds, [s.searching], [s.contacts])
+        self._launch(sides.empty_lists, m.n_worlds, [s.search.searching], [s.contacts])
         s.newest.fill_(-1)
         self._launch(
             search.fill_grid,
             m.n_vertices,
-            [m.worlds, m.cloth, s.searching, s.tangled, s.x],
-            [s.newest, s.older, s.beside, s.listed],
+            [m.worlds, m.cloth, s.search.searching, s.tangled, s.x],
+            [s.newest, s.older, s.beside, s.search.listed],
         )
         per_vertex = 1 if m.device == "cpu" else max(1, min(GPU_THREADS // m.n_vertices, 14))
         self._launch(
             search.find_near,
             (m.n_vertices, per_vertex),
-            [m.worlds, m.cloth, per_vertex, s.searching, s.x, s.newest, s.older],
-            [s.x_searched, s.skin, s.beside, s.contacts],
+            [m.worlds, m.cloth, per_vertex, s.search.searching, s.x, s.newest, s.older],
+            [s.search.x, s.search.skin, s.beside, s.contacts],
         )
-        self._launch(search.share_near, m.n_worlds + 1, [m.worlds, s.searching], [s.contacts])
+        self._launch(search.share_near, m.n_worlds + 1, [m.worlds, s.search.searching], [s.contacts])
         if self.config.self_contact:
             exempt = s.tangled if self.config.exempt_crossings else self._none
             inputs = [m.worlds, m.cloth, threads, exempt, s.passed, s.x]
-            self._launch(search.find_pairs, threads, inputs, [s.listed, s.contacts])
+            self._launch(search.find_pairs, threads, inputs, [s.search.listed, s.contacts])
         if self.config.remember_sides:
             per_world = 1 if m.device == "cpu" else 256
-            inputs = [m.worlds, per_world, s.searching]
-            self._launch(sides.list_kept, (m.n_worlds, per_world), inputs, [s.listed, s.contacts])
-        self._launch(search.find_long_edges, m.n_edges, [m.worlds, m.cloth, s.searching, s.x], [s.listed, s.contacts])
+            inputs = [m.worlds, per_world, s.search.searching]
+            self._launch(sides.list_kept, (m.n_worlds, per_world), inputs, [s.search.listed, s.contacts])
+        self._launch(
+            search.find_long_edges,
+            m.n_edges,
+            [m.worlds, m.cloth, s.search.searching, s.x],
+            [s.search.listed, s.contacts],
+        )
         self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
 
     def _keep_sides(self) -> None:
@@ -255,9 +249,11 @@ class Solver:
         threads = self._threads
         for emptied in (s.passed, s.contacts.kept_point_count, s.contacts.kept_edge_count):
             emptied.zero_()
-        inputs = [m.worlds, s.contacts, threads, s.status, s.searching, s.x_searched, s.x]
+        inputs = [m.worlds, s.contacts, threads, s.status, s.search.searching, s.search.x, s.x]
         self._launch(sides.mark_passed, threads, inputs, [s.passed])
-        self._launch(sides.keep_sides, threads, [m.worlds, threads, s.status, s.searching, s.passed], [s.contacts])
+        self._launch(
+            sides.keep_sides, threads, [m.worlds, threads, s.status, s.search.searching, s.passed], [s.contacts]
+        )
 
     def _fit_tree(self) -> None:
         """Fit the tree of boxes to the cloth where it is."""

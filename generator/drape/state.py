@@ -1,11 +1,12 @@
 """What changes during a drape, and how it begins."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import warp as wp
 
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.kernels.world import Contacts
+from gcd_dataset.generator.drape.kernels.world import Contacts, CrossingWatch, FrameCounts, SearchState
 from gcd_dataset.generator.drape.model import ClothModel
 
 __all__ = ["ClothState", "new_state"]
@@ -26,18 +27,12 @@ class ClothState:
     ahead_next: wp.array
     x_seen: wp.array
     """(v) positions one frame ago [cm]."""
-    x_searched: wp.array
-    """(v) positions at the last search for contacts [cm]."""
-    skin: wp.array
-    """(v) distance from the skin then [cm]."""
     push: wp.array
     """(v, 4) displacements asked for by contacts, as whole numbers."""
-    crowd: wp.array
-    """(v) weights of the contacts that were expected for this step."""
+    contact_weight: wp.array
+    """(v) sum of the weights of the contacts announced for this step."""
     beside: wp.array
     """(v) whether another vertex was near at the last search."""
-    listed: wp.array
-    """(v) whether the vertex is in any list of contacts."""
     tangled: wp.array
     """(v) whether an edge or a face of the vertex crossed the cloth."""
     passed: wp.array
@@ -52,24 +47,9 @@ class ClothState:
     """(w) ``RUNNING``, ``DONE``, ``DIVERGED`` or ``STOPPED``."""
     frames: wp.array
     """(w) frames it has run."""
-    moving: wp.array
-    """(w) vertices that moved in this frame, those that moved fast, and the sum of the keepers' heights."""
-    hasty: wp.array
-    kept_height: wp.array
-    above_floor: wp.array
-    """(w) vertices that are not below the floor."""
-    moved_far: wp.array
-    """(w) whether a vertex has moved so far that contacts must be searched anew."""
-    fewest: wp.array
-    """(w) the fewest crossings so far since it was let go, and the frame they were found in."""
-    fewest_at: wp.array
-    parting: wp.array
-    """(w) whether what crosses is pushed apart."""
-    searching: wp.array
-    crossing_due: wp.array
-    untangling: wp.array
-    any_search: wp.array
-    any_crossing: wp.array
+    search: SearchState
+    counts: FrameCounts
+    crossing: CrossingWatch
     newest: wp.array
     """The grid in which near vertices are found: the last vertex put into each bucket, and the one before each."""
     older: wp.array
@@ -99,18 +79,24 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
     lists.work, lists.near_work = zeros(worlds + 1, int), zeros(worlds + 1, int)
     lists.long_count, lists.crossing_count, lists.overfull = (zeros(worlds, int) for _ in range(3))
     start = model.topology.start
+    ones = partial(wp.ones, dtype=int, device=model.device)
+    search, counts, crossing = SearchState(), FrameCounts(), CrossingWatch()
+    search.x, search.skin, search.listed = wp.clone(start), zeros(n, float), zeros(n, int)
+    search.moved_far, search.searching, search.any_search = ones(worlds), zeros(worlds, int), zeros(1, int)
+    counts.moving, counts.fast, counts.keeper_height = (zeros(worlds, int) for _ in range(3))
+    counts.above_floor = zeros(worlds, int)
+    crossing.due, crossing.searched, crossing.separated = zeros(worlds, int), ones(worlds), ones(worlds)
+    crossing.least = wp.full(worlds, NEVER_COUNTED, dtype=int, device=model.device)
+    crossing.least_at, crossing.any_searched = zeros(worlds, int), ones(1)
     return ClothState(
         x=wp.clone(start),
         v=zeros(n, wp.vec3),
         ahead=wp.clone(start),
         ahead_next=wp.clone(start),
         x_seen=wp.clone(start),
-        x_searched=wp.clone(start),
-        skin=zeros(n, float),
         push=wp.zeros((n, 4), dtype=int, device=model.device),
-        crowd=wp.ones(n, dtype=float, device=model.device),
+        contact_weight=wp.ones(n, dtype=float, device=model.device),
         beside=wp.ones(n, dtype=int, device=model.device),
-        listed=zeros(n, int),
         tangled=zeros(n, int),
         passed=zeros(n, int),
         time=zeros(worlds, float),
@@ -118,19 +104,9 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         loose_after=zeros(worlds, float),
         status=zeros(worlds, int),
         frames=zeros(worlds, int),
-        moving=zeros(worlds, int),
-        hasty=zeros(worlds, int),
-        kept_height=zeros(worlds, int),
-        above_floor=zeros(worlds, int),
-        moved_far=wp.ones(worlds, dtype=int, device=model.device),
-        fewest=wp.full(worlds, NEVER_COUNTED, dtype=int, device=model.device),
-        fewest_at=zeros(worlds, int),
-        parting=wp.ones(worlds, dtype=int, device=model.device),
-        searching=zeros(worlds, int),
-        crossing_due=zeros(worlds, int),
-        untangling=wp.ones(worlds, dtype=int, device=model.device),
-        any_search=zeros(1, int),
-        any_crossing=wp.ones(1, dtype=int, device=model.device),
+        search=search,
+        counts=counts,
+        crossing=crossing,
         newest=zeros(1 << (2 * n - 1).bit_length(), int),
         older=zeros(n, int),
         lower=zeros(faces, wp.vec3),

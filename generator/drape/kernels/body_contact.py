@@ -91,7 +91,7 @@ def push_long_edge(
     edge: wp.vec2i,
     world: World,
     cloth: Cloth,
-    crowd: wp.array(dtype=float),
+    contact_weight: wp.array(dtype=float),
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
@@ -115,7 +115,7 @@ def push_long_edge(
         normal = wp.vec3(near[0], near[1], near[2])
         step = here - before
         out = leave_body(depth, normal, step, world.friction, world.leaving_speed * world.dt)
-        share = 1.0 / (((1.0 - t) * (1.0 - t) + t * t) * wp.max(crowd[i], crowd[j]))
+        share = 1.0 / (((1.0 - t) * (1.0 - t) + t * t) * wp.max(contact_weight[i], contact_weight[j]))
         add_push(push, i, ((1.0 - t) * share) * out)
         add_push(push, j, (t * share) * out)
 

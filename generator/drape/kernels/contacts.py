@@ -9,9 +9,9 @@ import warp as wp
 
 from gcd_dataset.generator.drape.kernels.body_contact import push_long_edge
 from gcd_dataset.generator.drape.kernels.crossing import part_crossing
-from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, parting
+from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, separation
 from gcd_dataset.generator.drape.kernels.push import add_push, add_weight
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, entries, world_of
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, CrossingWatch, World, entries, world_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,7 +25,7 @@ def push_point(
     side: float,
     world: World,
     inertia: wp.array(dtype=float),
-    crowd: wp.array(dtype=float),
+    contact_weight: wp.array(dtype=float),
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
@@ -48,15 +48,15 @@ def push_point(
         add_weight(push, i, 1.0)
         for corner in range(3):
             add_weight(push, face[corner], weights[corner])
-    apart = parting(gap_old, gap, world.thickness, PARTING_SPEED * world.dt)
+    apart = separation(gap_old, gap, world.thickness, PARTING_SPEED * world.dt)
     if apart <= 0.0 or not is_near(gap, beside, world.thickness):
         return
     lever = 1.0 / inertia[i]
-    crowded = crowd[i]
+    crowded = contact_weight[i]
     for corner in range(3):
         if weights[corner] > 0.0:
             lever += weights[corner] * weights[corner] / inertia[face[corner]]
-            crowded = wp.max(crowded, crowd[face[corner]])
+            crowded = wp.max(crowded, contact_weight[face[corner]])
     step = (apart * normal + rubbing(away - before, normal, apart, world.layer_friction)) / (lever * crowded)
     add_push(push, i, step / inertia[i])
     for corner in range(3):
@@ -86,7 +86,7 @@ def push_edges(
     found: wp.vec3,
     world: World,
     inertia: wp.array(dtype=float),
-    crowd: wp.array(dtype=float),
+    contact_weight: wp.array(dtype=float),
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
@@ -117,7 +117,7 @@ def push_edges(
         add_weight(push, i1, s)
         add_weight(push, j, 1.0 - t)
         add_weight(push, j1, t)
-    apart = parting(gap_old, gap, world.thickness, PARTING_SPEED * world.dt)
+    apart = separation(gap_old, gap, world.thickness, PARTING_SPEED * world.dt)
     if apart <= 0.0:
         return
     lever = (
@@ -126,7 +126,7 @@ def push_edges(
         + (1.0 - t) * (1.0 - t) / inertia[j]
         + t * t / inertia[j1]
     )
-    crowded = wp.max(wp.max(crowd[i], crowd[i1]), wp.max(crowd[j], crowd[j1]))
+    crowded = wp.max(wp.max(contact_weight[i], contact_weight[i1]), wp.max(contact_weight[j], contact_weight[j1]))
     rub = rubbing(between - before, normal, apart, world.layer_friction)
     step = (apart * normal + rub) / (lever * crowded)
     add_push(push, i, ((s - 1.0) / inertia[i]) * step)
@@ -165,8 +165,8 @@ def push_contacts(
     threads: int,
     # state in
     status: wp.array(dtype=int),
-    parting: wp.array(dtype=int),
-    crowd: wp.array(dtype=float),
+    crossing: CrossingWatch,
+    contact_weight: wp.array(dtype=float),
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
     # state in and out
@@ -189,11 +189,13 @@ def push_contacts(
         if k < points:
             point = contacts.points[at + k]
             face = wp.vec3i(point[1], point[2], point[3])
-            push_point(point[0], face, contacts.sides[at + k], world, cloth.inertia, crowd, x, v, push)
+            push_point(point[0], face, contacts.sides[at + k], world, cloth.inertia, contact_weight, x, v, push)
         elif k < edges:
             k = k - points
-            push_edges(contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, crowd, x, v, push)
+            push_edges(
+                contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, contact_weight, x, v, push
+            )
         elif k < longs:
-            push_long_edge(contacts.long_edges[at + k - edges], world, cloth, crowd, x, v, push)
-        elif parting[w] != 0:
+            push_long_edge(contacts.long_edges[at + k - edges], world, cloth, contact_weight, x, v, push)
+        elif crossing.separated[w] != 0:
             part_crossing(contacts.crossings[at + k - longs], world, cloth, x, push)

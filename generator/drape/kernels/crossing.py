@@ -10,7 +10,7 @@ import warp as wp
 
 from gcd_dataset.generator.drape.kernels.geometry import has_vertex, segment_crosses
 from gcd_dataset.generator.drape.kernels.push import add_push
-from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, take_slot
+from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, CrossingWatch, World, take_slot
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,13 +32,13 @@ def find_roots(
 def forget_crossings(
     cloth: Cloth,
     # state in
-    untangling: wp.array(dtype=int),
+    crossing: CrossingWatch,
     # state out
     tangled: wp.array(dtype=int),
 ):
     """Unmark all vertices before crossings are looked for."""
     i = wp.tid()
-    if untangling[cloth.vertex_world[i]] != 0:
+    if crossing.searched[cloth.vertex_world[i]] != 0:
         tangled[i] = 0
 
 
@@ -50,7 +50,7 @@ def find_crossings(
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
     # state in
-    untangling: wp.array(dtype=int),
+    crossing: CrossingWatch,
     beside: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state out
@@ -66,7 +66,7 @@ def find_crossings(
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
     w = cloth.vertex_world[i]
-    if untangling[w] == 0:
+    if crossing.searched[w] == 0:
         return
     p = x[i]
     q = x[j]

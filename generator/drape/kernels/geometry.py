@@ -94,6 +94,6 @@ def has_vertex(face: wp.vec3i, i: int) -> bool:
 
 
 @wp.func
-def parting(gap_old: float, gap_new: float, thickness: float, max_part: float) -> float:
+def separation(gap_old: float, gap_new: float, thickness: float, max_part: float) -> float:
     """How far a pair is pushed apart [cm]: what it came nearer at once, what was too near before little by little."""
     return wp.clamp(thickness - gap_new, 0.0, wp.max(gap_old - gap_new, 0.0) + max_part)

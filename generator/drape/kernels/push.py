@@ -24,7 +24,7 @@ def add_weight(push: wp.array2d(dtype=int), i: int, weight: float):
 
 
 @wp.func
-def take_crowd(push: wp.array2d(dtype=int), i: int) -> float:
+def take_contact_weight(push: wp.array2d(dtype=int), i: int) -> float:
     """The weights announced at vertex ``i``, at least 1; cleared for the next step."""
     announced = float(push[i, 3]) / WEIGHT_SCALE
     push[i, 3] = 0

@@ -14,7 +14,17 @@ from gcd_dataset.generator.drape.kernels.geometry import (
     segment_crosses,
 )
 from gcd_dataset.generator.drape.kernels.sides import edges_passed, mark, point_passed
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, World, entries, take_slot, world_of
+from gcd_dataset.generator.drape.kernels.world import (
+    RUNNING,
+    Cloth,
+    Contacts,
+    CrossingWatch,
+    SearchState,
+    World,
+    entries,
+    take_slot,
+    world_of,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -29,21 +39,18 @@ def plan_search(
     # state in
     status: wp.array(dtype=int),
     # state in and out
-    moved_far: wp.array(dtype=int),
-    # state out
-    searching: wp.array(dtype=int),
-    crossing_due: wp.array(dtype=int),
-    any_search: wp.array(dtype=int),
+    search: SearchState,
+    crossing: CrossingWatch,
 ):
     """Mark the worlds to be searched."""
     w = wp.tid()
-    searching[w] = 0
-    if status[w] != RUNNING or moved_far[w] == 0:
+    search.searching[w] = 0
+    if status[w] != RUNNING or search.moved_far[w] == 0:
         return
-    searching[w] = 1
-    crossing_due[w] = 1
-    any_search[0] = 1
-    moved_far[w] = 0
+    search.searching[w] = 1
+    crossing.due[w] = 1
+    search.any_search[0] = 1
+    search.moved_far[w] = 0
 
 
 @wp.func

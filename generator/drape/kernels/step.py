@@ -4,8 +4,8 @@ import warp as wp
 
 from gcd_dataset.generator.drape.kernels.body_contact import keep_off_body
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows, elastic_force
-from gcd_dataset.generator.drape.kernels.push import take_crowd, take_push
-from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, World, sewn_share
+from gcd_dataset.generator.drape.kernels.push import take_contact_weight, take_push
+from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, SearchState, World, sewn_share
 
 wp.set_module_options({"enable_backward": False})
 
@@ -62,17 +62,14 @@ def step(
     time: wp.array(dtype=float),
     held: wp.array(dtype=int),
     ahead_in: wp.array(dtype=wp.vec3),
-    x_searched: wp.array(dtype=wp.vec3),
-    skin: wp.array(dtype=float),
-    listed: wp.array(dtype=int),
     # state in and out
+    search: SearchState,
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
     # state out
     ahead_out: wp.array(dtype=wp.vec3),
-    crowd: wp.array(dtype=float),
-    moved_far: wp.array(dtype=int),
+    contact_weight: wp.array(dtype=float),
 ):
     """Move every vertex by its forces, then off what it must not enter; mark worlds that have moved far."""
     i = wp.tid()
@@ -84,18 +81,18 @@ def step(
     elastic = elastic_force(i, sewn_share(world, time[w]), rows, ahead_in)
     speed = accelerate(i, w, world, time[w], cloth, v[i], elastic)
     moved = wp.vec3(0.0)
-    if listed[i] != 0:
+    if search.listed[i] != 0:
         moved = take_push(push, i)
-        crowd[i] = take_crowd(push, i)
+        contact_weight[i] = take_contact_weight(push, i)
     here = before + world.dt * speed
     if held[w] != 0:
         moved += hold(i, here + moved, before, world, cloth)
-    if skin[i] < world.clear:
+    if search.skin[i] < world.clear:
         moved += keep_off_body(i, here + moved, before, world, cloth)
     here += moved
     speed = slower(speed + moved / world.dt, world.max_speed)
     x[i] = here
     v[i] = speed
     ahead_out[i] = here + (LOOK_AHEAD * world.dt) * speed
-    if before_search and wp.length_sq(here - x_searched[i]) > world.travel * world.travel:
-        moved_far[w] = 1
+    if before_search and wp.length_sq(here - search.x[i]) > world.travel * world.travel:
+        search.moved_far[w] = 1

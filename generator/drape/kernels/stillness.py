@@ -3,7 +3,16 @@
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.push import HEIGHT_SCALE
-from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE, RUNNING, STOPPED, Cloth, World
+from gcd_dataset.generator.drape.kernels.world import (
+    DIVERGED,
+    DONE,
+    RUNNING,
+    STOPPED,
+    Cloth,
+    CrossingWatch,
+    FrameCounts,
+    World,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,10 +40,7 @@ def watch_frame(
     status: wp.array(dtype=int),
     x_seen: wp.array(dtype=wp.vec3),
     # state out
-    moving: wp.array(dtype=int),
-    hasty: wp.array(dtype=int),
-    kept_height: wp.array(dtype=int),
-    above_floor: wp.array(dtype=int),
+    counts: FrameCounts,
 ):
     """Count the vertices that moved in the frame, those that moved fast, and those above the floor; add up the heights
     of the keepers.
@@ -62,13 +68,13 @@ def watch_frame(
             above += 1
         x_seen[i] = x[i]
     if count > 0:
-        wp.atomic_add(moving, w, count)
+        wp.atomic_add(counts.moving, w, count)
     if fast > 0:
-        wp.atomic_add(hasty, w, fast)
+        wp.atomic_add(counts.fast, w, fast)
     if height != 0:
-        wp.atomic_add(kept_height, w, height)
+        wp.atomic_add(counts.keeper_height, w, height)
     if above > 0:
-        wp.atomic_add(above_floor, w, above)
+        wp.atomic_add(counts.above_floor, w, above)
 
 
 @wp.kernel
@@ -78,64 +84,56 @@ def end_frame(
     # state in
     time: wp.array(dtype=float),
     # state in and out
-    crossing_due: wp.array(dtype=int),
-    crossing_count: wp.array(dtype=int),
     status: wp.array(dtype=int),
-    moving: wp.array(dtype=int),
-    hasty: wp.array(dtype=int),
-    kept_height: wp.array(dtype=int),
-    above_floor: wp.array(dtype=int),
+    frames: wp.array(dtype=int),
     held: wp.array(dtype=int),
     loose_after: wp.array(dtype=float),
-    fewest: wp.array(dtype=int),
-    fewest_at: wp.array(dtype=int),
-    # state out
-    parting: wp.array(dtype=int),
-    frames: wp.array(dtype=int),
-    untangling: wp.array(dtype=int),
-    any_crossing: wp.array(dtype=int),
+    crossing_count: wp.array(dtype=int),
+    counts: FrameCounts,
+    crossing: CrossingWatch,
 ):
     """Let go of garments that have fallen into place; end the drape of those that then rest, or that nothing keeps up.
 
-    Crossings are looked for in the next frame where the garment has moved, in every second frame if it had none. Where
-    they do not become fewer any more, nothing is done about them: pushed without end, a garment would never rest.
+    Crossings are searched in the next frame where the garment has moved, in every second frame if it had none. Where
+    their number does not fall any more, they are no longer separated: pushed without end, a garment would never rest.
     """
     w = wp.tid()
     if status[w] == RUNNING:
         world = worlds[w]
         frames[w] = frames[w] + 1
         if held[w] != 0 and time[w] >= world.sewing_time + world.held_time:
-            if float(hasty[w]) <= world.falling or time[w] >= world.sewing_time + world.longest_hold:
+            if float(counts.fast[w]) <= world.falling or time[w] >= world.sewing_time + world.longest_hold:
                 held[w] = 0
                 loose_after[w] = time[w] + 1.5 * world.frame
         if held[w] == 0 and time[w] > loose_after[w]:
-            if float(moving[w]) <= world.restless:
+            if float(counts.moving[w]) <= world.restless:
                 status[w] = DONE
             if (
                 status[w] == RUNNING
                 and world.keepers > 0
-                and float(kept_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers)
+                and float(counts.keeper_height[w]) / HEIGHT_SCALE < world.lowest * float(world.keepers)
             ):
                 status[w] = STOPPED
-        if above_floor[w] == 0 and time[w] >= world.sewing_time + world.held_time and status[w] == RUNNING:
+        if counts.above_floor[w] == 0 and time[w] >= world.sewing_time + world.held_time and status[w] == RUNNING:
             status[w] = STOPPED
         if status[w] == RUNNING and frames[w] >= world.max_frames:
             status[w] = STOPPED
-    moving[w] = 0
-    hasty[w] = 0
-    kept_height[w] = 0
-    above_floor[w] = 0
-    if untangling[w] != 0 and (crossing_count[w] < fewest[w] or crossing_count[w] == 0 or held[w] != 0):
-        fewest[w] = crossing_count[w]
-        fewest_at[w] = frames[w]
-    parting[w] = int(frames[w] - fewest_at[w] <= PATIENCE)
-    untangling[w] = 0
+    counts.moving[w] = 0
+    counts.fast[w] = 0
+    counts.keeper_height[w] = 0
+    counts.above_floor[w] = 0
+    fewer = crossing_count[w] < crossing.least[w] or crossing_count[w] == 0
+    if crossing.searched[w] != 0 and (fewer or held[w] != 0):
+        crossing.least[w] = crossing_count[w]
+        crossing.least_at[w] = frames[w]
+    crossing.separated[w] = int(frames[w] - crossing.least_at[w] <= PATIENCE)
+    crossing.searched[w] = 0
     if status[w] == RUNNING:
-        if crossing_due[w] != 0 and (crossing_count[w] > 0 or frames[w] % CROSSINGS_EVERY == 0):
-            untangling[w] = 1
-            crossing_due[w] = 0
+        if crossing.due[w] != 0 and (crossing_count[w] > 0 or frames[w] % CROSSINGS_EVERY == 0):
+            crossing.searched[w] = 1
+            crossing.due[w] = 0
             crossing_count[w] = 0
-            any_crossing[0] = 1
+            crossing.any_searched[0] = 1
 
 
 @wp.kernel

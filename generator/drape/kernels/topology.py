@@ -118,12 +118,12 @@ def describe_edges(
     keys: wp.array(dtype=wp.int64),
     sides: wp.array(dtype=int),
     number: wp.array(dtype=int),
-    # in and out: its edges, opposite, side_edge are written
+    # in and out
     surface: Surface,
     # out
     hinges: Hinges,
 ):
-    """Ends, vertices across, spring and hinge of every edge.
+    """Ends, vertices across, sides, spring and hinge of every edge; the first three go into ``surface``.
 
     The spring: area over squared length summed over the faces, each times its spring's share of the membrane
     stiffness; flat length, the shorter where a gathered seam joins two; start length. A hinge is Bergou et al.'s (A

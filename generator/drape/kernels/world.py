@@ -105,6 +105,40 @@ class Contacts:
     near_work: wp.array(dtype=int)  # (w + 1) entries of ``near`` in the worlds before, of those being searched
 
 
+@wp.struct
+class SearchState:
+    """The last search for contacts."""
+
+    x: wp.array(dtype=wp.vec3)  # (v) positions then [cm]
+    skin: wp.array(dtype=float)  # (v) distance from the skin then [cm]
+    listed: wp.array(dtype=int)  # (v) 1 where the vertex is in any list of contacts
+    moved_far: wp.array(dtype=int)  # (w) 1 where a vertex has moved so far since that contacts must be searched anew
+    searching: wp.array(dtype=int)  # (w) 1 where contacts are searched now
+    any_search: wp.array(dtype=int)  # (1) whether contacts are searched in any world
+
+
+@wp.struct
+class FrameCounts:
+    """Counts of this frame, for each world."""
+
+    moving: wp.array(dtype=int)  # vertices that moved
+    fast: wp.array(dtype=int)  # vertices that moved fast
+    keeper_height: wp.array(dtype=int)  # sum of the heights of the vertices that keep the garment up
+    above_floor: wp.array(dtype=int)  # vertices above the floor
+
+
+@wp.struct
+class CrossingWatch:
+    """When crossings of the cloth with itself are searched, and whether they are separated, for each world."""
+
+    due: wp.array(dtype=int)  # 1 where the garment has moved since the last search for crossings
+    searched: wp.array(dtype=int)  # 1 where crossings are searched in this frame
+    least: wp.array(dtype=int)  # fewest crossings since the garment was let go
+    least_at: wp.array(dtype=int)  # the frame in which they were found
+    separated: wp.array(dtype=int)  # 1 where crossing cloth is pushed apart
+    any_searched: wp.array(dtype=int)  # (1) whether crossings are searched in any world
+
+
 @wp.func
 def sewn_share(world: World, time: float) -> float:
     """How far the seams are closed, 0 to 1; smooth at both ends."""

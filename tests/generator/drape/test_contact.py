@@ -200,7 +200,7 @@ def test_a_search_finds_whatever_is_near() -> None:
     mesh = replace(mesh, vertices=mesh.vertices + 0.12 * rng.standard_normal(mesh.vertices.shape))
     config = DrapeConfig(sewing_time=1e6)
     solver = Solver(build_model([DrapeJob(mesh, far_ball(), SIZE)], config, "cpu"), config)
-    solver.state.searching.fill_(1)
+    solver.state.search.searching.fill_(1)
     solver._search()
     contacts = solver.state.contacts
     found = {tuple(pair) for pair in contacts.points.numpy()[: contacts.point_count.numpy()[0]].tolist()}
@@ -247,7 +247,7 @@ def test_cloth_that_has_passed_through_returns_to_its_side(share: float) -> None
     through = above & (x[:, 0] > np.quantile(x[above, 0], 1.0 - share))
     x[through, 1] -= 0.4
     solver.state.x.assign(x)
-    solver.state.moved_far.fill_(1)
+    solver.state.search.moved_far.fill_(1)
     assert solver.self_crossings()[0] > 20
     for _ in range(3):
         solver.frame()
@@ -265,4 +265,4 @@ def test_crossings_get_fewer_from_the_first_count_on() -> None:
     solver.state.held.zero_()
     found = solver.self_crossings()[0]
     solver.frame()
-    assert 0 < solver.state.fewest.numpy()[0] <= 2 * found
+    assert 0 < solver.state.crossing.least.numpy()[0] <= 2 * found
