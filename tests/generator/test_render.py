@@ -11,14 +11,13 @@ from PIL import Image
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.colours import PAPER
 from gcd_dataset.generator.render import (
-    DISTANCE,
-    MARGIN,
     Painted,
     painted_garment,
     render_garment,
     render_sample,
     render_view,
 )
+from gcd_dataset.generator.render_batch import DISTANCE, MARGIN
 from gcd_dataset.records import Drape, Outcome, Provenance, Sample
 from tests.helpers import SIZE, body_from, napkins, patch
 
