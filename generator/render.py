@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.colours import PALETTE
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.render_batch import Picture, View, expose
+from gcd_dataset.generator.render_batch import Picture, Scene, View, expose
 from gcd_dataset.records import Body, BoxMesh, Sample
 
 __all__ = [
@@ -24,7 +24,7 @@ SKIN = (0.80, 0.76, 0.72)
 
 @dataclass(frozen=True)
 class Painted:
-    """Triangles with colours: all that a picture shows."""
+    """Triangles with colours: a thing that a picture shows."""
 
     vertices: Float[np.ndarray, "v 3"]
     """[cm]"""
@@ -36,18 +36,14 @@ class Painted:
     """sRGB, 0 to 1."""
 
 
-def painted_garment(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body) -> Painted:
-    """A garment at ``vertices`` [cm] on its body, the panels in different colours."""
-    return Painted(
-        vertices=np.concatenate([body.vertices, vertices]),
-        faces=np.concatenate([body.faces, mesh.faces + len(body.vertices)], dtype=np.int32, casting="same_kind"),
-        paint=np.concatenate([np.zeros(len(body.faces), np.int32), 1 + mesh.panel_id.astype(np.int32) % len(PALETTE)]),
-        colours=np.array([SKIN, *PALETTE]),
-    )
+def painted_garment(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body) -> tuple[Painted, Painted]:
+    """A body, and a garment at ``vertices`` [cm] on it, the panels in different colours."""
+    skin = Painted(body.vertices, body.faces, np.broadcast_to(0, len(body.faces)), np.array([SKIN]))
+    return skin, Painted(vertices, mesh.faces, mesh.panel_id % len(PALETTE), np.array(PALETTE))
 
 
-def render_view(shown: Painted, *, size: int = 512, view: View = "front", device: str = "auto") -> Picture:
-    """A square picture of ``size`` pixels, framed alike from the front and from behind; the same on every run.
+def render_view(shown: Scene, *, size: int = 512, view: View = "front", device: str = "auto") -> Picture:
+    """A square picture of all that is ``shown``, framed alike from the front and from behind; the same on every run.
 
     Raises ``ConfigError`` for a device that is not there, or a picture without pixels.
     """

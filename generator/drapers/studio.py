@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 from gcd_dataset.generator.drapers.draper import Draped, Order
 from gcd_dataset.generator.render import painted_garment
-from gcd_dataset.generator.render_batch import Exposure, expose
+from gcd_dataset.generator.render_batch import Exposure, View, expose
 from gcd_dataset.records import Drape
 
 __all__ = ["Studio"]
 
-TOGETHER = 8  # garments in one exposure: enough to fill an H200, and half a gigabyte on it at 512 pixels
+PIXELS = 16 * 512**2  # in one exposure, eight garments: enough to fill an H200, and half a gigabyte of its memory
+VIEWS: tuple[View, View] = ("front", "back")
 UNDER_WAY = 2  # exposures: one is taken while the next is prepared
 
 
@@ -25,7 +26,7 @@ class _Sitter:
 
 
 class Studio:
-    """Answers orders of one device, in the order in which their garments are brought."""
+    """Answers orders for one device: at once without pictures, else in the order in which the garments are brought."""
 
     def __init__(self, device: str) -> None:
         self._device = device
@@ -33,14 +34,14 @@ class Studio:
         self._exposed: deque[tuple[Exposure, list[_Sitter]]] = deque()
 
     def take(self, order: Order, drape: Drape, tell: Callable[[Draped], None]) -> None:
-        """Have pictures taken as ordered, and the answer told: at once, or by a later call."""
+        """Have pictures taken as ordered, and the answer told, by this call or a later one of any method."""
         if not order.picture:
             tell(Draped(order.number, drape, None))
             return
         if self._waiting and self._waiting[0].order.picture != order.picture:
             self._expose()
         self._waiting.append(_Sitter(order, drape, tell))
-        if len(self._waiting) == TOGETHER:
+        if len(self._waiting) >= self._together(order.picture):
             self._expose()
 
     def go_on(self) -> None:
@@ -57,13 +58,17 @@ class Studio:
         while self._exposed:
             self._hand_out()
 
+    def _together(self, size: int) -> int:
+        """Garments in one exposure; a CPU takes them one after the other."""
+        return 1 if self._device == "cpu" else PIXELS // (len(VIEWS) * size**2)
+
     def _expose(self) -> None:
         while len(self._exposed) >= UNDER_WAY:
             self._hand_out()
         sitters, self._waiting = self._waiting, []
-        shown = [painted_garment(s.drape.vertices, s.order.job.box_mesh, s.order.job.body) for s in sitters]
+        scenes = [painted_garment(s.drape.vertices, s.order.job.box_mesh, s.order.job.body) for s in sitters]
         size = sitters[0].order.picture
-        self._exposed.append((expose(shown, ["front", "back"], size=size, device=self._device), sitters))
+        self._exposed.append((expose(scenes, VIEWS, size=size, device=self._device), sitters))
 
     def _hand_out(self) -> None:
         exposure, sitters = self._exposed.popleft()
