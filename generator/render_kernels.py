@@ -1,7 +1,7 @@
-"""Ray casting of one garment on one body: the kernels of ``render``.
+"""Ray casting of several scenes, each from several sides: the kernels of ``render_batch``.
 
-Passes: the normals of vertices, what each ray meets, how much sky each vertex seen has over it, the colour of each
-pixel, and its sRGB bytes.
+Passes: the normals of vertices, what each ray meets, how much sky each vertex seen has over it, and the sRGB bytes of
+each pixel. Vertices, faces and colours of all scenes are numbered through.
 """
 
 import warp as wp
@@ -21,11 +21,12 @@ WRAP = 0.2  # cloth scatters: light creeps this far past the terminator
 
 
 @wp.struct
-class Scene:
+class Scenes:
     """What there is to see."""
 
-    mesh: wp.uint64
-    face: wp.array(dtype=wp.vec3i)
+    mesh: wp.array(dtype=wp.uint64)  # of each scene
+    first_face: wp.array(dtype=int)  # of each scene
+    corner: wp.array(dtype=int)  # three of each face
     position: wp.array(dtype=wp.vec3)
     normal: wp.array(dtype=wp.vec3)  # at vertices
     paint: wp.array(dtype=int)  # row of ``colour`` of each face
@@ -48,16 +49,16 @@ class Camera:
 
 
 @wp.kernel
-def sum_normals(face: wp.array(dtype=wp.vec3i), position: wp.array(dtype=wp.vec3),
+def sum_normals(corner: wp.array(dtype=int), position: wp.array(dtype=wp.vec3),
                 total: wp.array2d(dtype=wp.int64)):  # fmt: skip
     """Add the normal of each face, twice its area long, to its corners (v, 3)."""
-    corners = face[wp.tid()]
-    a = wp.vec3d(position[corners[0]])
-    normal = wp.cross(wp.vec3d(position[corners[1]]) - a, wp.vec3d(position[corners[2]]) - a)
+    face = wp.tid()
+    a = wp.vec3d(position[corner[3 * face]])
+    normal = wp.cross(wp.vec3d(position[corner[3 * face + 1]]) - a, wp.vec3d(position[corner[3 * face + 2]]) - a)
     for axis in range(3):
         share = wp.int64(wp.round(normal[axis] * wp.float64(FIXED)))
         for k in range(3):
-            wp.atomic_add(total, corners[k], axis, share)
+            wp.atomic_add(total, corner[3 * face + k], axis, share)
 
 
 @wp.kernel
@@ -77,45 +78,52 @@ def ray_through(camera: Camera, column: float, row: float, size: float) -> wp.ve
 
 
 @wp.kernel
-def cast_rays(scene: Scene, camera: Camera, hit_face: wp.array2d(dtype=int), hit_place: wp.array2d(dtype=wp.vec2),
+def cast_rays(scenes: Scenes, cameras: wp.array(dtype=Camera), views: int, samples: int,
+              hit_face: wp.array4d(dtype=int), hit_place: wp.array4d(dtype=wp.vec2),
               seen: wp.array2d(dtype=int)):  # fmt: skip
-    """The face that each ray meets, -1 for none, and where on it; marks vertices (side, v) that are looked at.
+    """The face that each ray meets, -1 for none, and where on it; ``seen`` (side, v): the scene of vertices looked at.
 
-    Faces seen from their wrong side are stored from -2 down.
+    The ``samples`` × ``samples`` rays of a pixel stand together, the ``views`` of a scene follow each other. Faces seen
+    from their wrong side are stored from -2 down.
     """
-    row, column = wp.tid()
-    direction = ray_through(camera, float(column) + 0.5, float(row) + 0.5, float(hit_face.shape[1]))
-    hit = wp.mesh_query_ray(scene.mesh, camera.eye, direction, FAR)
-    hit_face[row, column] = -1
+    shot, row, column, k = wp.tid()
+    scene, camera = shot // views, cameras[shot]
+    across, down = column * samples + k % samples, row * samples + k // samples
+    size = float(hit_face.shape[1] * samples)
+    direction = ray_through(camera, float(across) + 0.5, float(down) + 0.5, size)
+    hit = wp.mesh_query_ray(scenes.mesh[scene], camera.eye, direction, FAR)
+    hit_face[shot, row, column, k] = -1
     if not hit.result:
         return
+    face = scenes.first_face[scene] + hit.face
     side = int(0)
-    hit_face[row, column] = hit.face
+    hit_face[shot, row, column, k] = face
     if wp.dot(hit.normal, direction) > 0.0:
         side = int(1)
-        hit_face[row, column] = -2 - hit.face
-    hit_place[row, column] = wp.vec2(hit.u, hit.v)
-    corners = scene.face[hit.face]
-    for k in range(3):
-        seen[side, corners[k]] = 1  # whoever writes, writes the same
+        hit_face[shot, row, column, k] = -2 - face
+    hit_place[shot, row, column, k] = wp.vec2(hit.u, hit.v)
+    for corner in range(3):
+        seen[side, scenes.corner[3 * face + corner]] = scene  # whoever writes, writes the same
 
 
 @wp.kernel
-def look_up(scene: Scene, seen: wp.array2d(dtype=int), sky: wp.array2d(dtype=float)):
+def look_up(scenes: Scenes, seen: wp.array2d(dtype=int), sky: wp.array2d(dtype=float)):
     """The share of the sky over each vertex seen that nothing near covers; the sky is brighter above.
 
     Directions are spread with the cosine to the normal (a sunflower spiral on the disc, lifted to the hemisphere).
     """
     side, i = wp.tid()
-    if seen[side, i] == 0:
+    scene = seen[side, i]
+    if scene == -1:
         return
-    normal = scene.normal[i] * (1.0 - 2.0 * float(side))
+    mesh = scenes.mesh[scene]
+    normal = scenes.normal[i] * (1.0 - 2.0 * float(side))
     helper = wp.vec3(0.0, 0.0, 1.0)
     if wp.abs(normal[2]) > 0.9:
         helper = wp.vec3(1.0, 0.0, 0.0)
     tangent = wp.normalize(wp.cross(helper, normal))
     other = wp.cross(normal, tangent)
-    start = scene.position[i] + normal * LIFT
+    start = scenes.position[i] + normal * LIFT
     clear = float(0.0)
     total = float(0.0)
     for k in range(SKY_RAYS):
@@ -127,7 +135,7 @@ def look_up(scene: Scene, seen: wp.array2d(dtype=int), sky: wp.array2d(dtype=flo
         )
         light = 1.0 + 0.7 * direction[1]
         total += light
-        hit = wp.mesh_query_ray(scene.mesh, start, direction, REACH)
+        hit = wp.mesh_query_ray(mesh, start, direction, REACH)
         if hit.result:
             light *= hit.t / REACH
         clear += light
@@ -135,58 +143,57 @@ def look_up(scene: Scene, seen: wp.array2d(dtype=int), sky: wp.array2d(dtype=flo
 
 
 @wp.func
-def shade(scene: Scene, camera: Camera, sky: wp.array2d(dtype=float), hit: int, place: wp.vec2) -> wp.vec3:
+def shade(scenes: Scenes, camera: Camera, sky: wp.array2d(dtype=float), hit: int, place: wp.vec2) -> wp.vec3:
     """The colour of a point on a face, linear."""
     face = hit
     side = int(0)
     if hit < 0:
         face = -2 - hit
         side = int(1)
-    corners = scene.face[face]
     weights = wp.vec3(place[0], place[1], 1.0 - place[0] - place[1])
     normal = wp.vec3(0.0, 0.0, 0.0)
     clear = float(0.0)
     for k in range(3):
-        normal += scene.normal[corners[k]] * weights[k]
-        clear += sky[side, corners[k]] * weights[k]
+        corner = scenes.corner[3 * face + k]
+        normal += scenes.normal[corner] * weights[k]
+        clear += sky[side, corner] * weights[k]
     normal = wp.normalize(normal)
-    colour = scene.colour[scene.paint[face]]
+    colour = scenes.colour[scenes.paint[face]]
     if side == 1:
         normal = -normal
-        colour = scene.inside[scene.paint[face]]
+        colour = scenes.inside[scenes.paint[face]]
     key = wp.max(0.0, (wp.dot(normal, camera.key_light) + WRAP) / (1.0 + WRAP))
     fill = 0.5 + 0.5 * wp.dot(normal, camera.fill_light)
     return colour * (clear * (KEY * key + SKY) + FILL * fill * wp.sqrt(clear))
 
 
+@wp.func
+def encode(value: float, least: wp.array(dtype=float)) -> wp.uint8:
+    """The sRGB byte of a linear value: how many of the ``LEVELS`` thresholds in ``least`` it reaches."""
+    low = int(0)
+    high = int(LEVELS)
+    while low < high:
+        middle = (low + high) // 2
+        if value >= least[middle]:
+            low = middle + 1
+        else:
+            high = middle
+    return wp.uint8(low)
+
+
 @wp.kernel
-def develop(scene: Scene, camera: Camera, hit_face: wp.array2d(dtype=int), hit_place: wp.array2d(dtype=wp.vec2),
-            sky: wp.array2d(dtype=float), samples: int, picture: wp.array2d(dtype=wp.vec3)):  # fmt: skip
-    """Each pixel, the mean of its ``samples`` × ``samples`` rays."""
-    row, column = wp.tid()
+def develop(scenes: Scenes, cameras: wp.array(dtype=Camera), hit_face: wp.array4d(dtype=int),
+            hit_place: wp.array4d(dtype=wp.vec2), sky: wp.array2d(dtype=float), least: wp.array(dtype=float),
+            picture: wp.array4d(dtype=wp.uint8)):  # fmt: skip
+    """Each pixel, the mean of its rays, in sRGB."""
+    shot, row, column = wp.tid()
     total = wp.vec3(0.0, 0.0, 0.0)
-    for i in range(samples):
-        for j in range(samples):
-            hit = hit_face[row * samples + i, column * samples + j]
-            if hit == -1:
-                total += scene.background
-            else:
-                total += shade(scene, camera, sky, hit, hit_place[row * samples + i, column * samples + j])
-    picture[row, column] = total / float(samples * samples)
-
-
-@wp.kernel
-def encode(picture: wp.array2d(dtype=wp.vec3), least: wp.array(dtype=float), coded: wp.array3d(dtype=wp.uint8)):
-    """The sRGB byte of each channel: how many of the ``LEVELS`` thresholds in ``least`` it reaches."""
-    row, column = wp.tid()
+    samples = hit_face.shape[3]
+    for k in range(samples):
+        hit = hit_face[shot, row, column, k]
+        if hit == -1:
+            total += scenes.background
+        else:
+            total += shade(scenes, cameras[shot], sky, hit, hit_place[shot, row, column, k])
     for channel in range(3):
-        value = picture[row, column][channel]
-        low = int(0)
-        high = int(LEVELS)
-        while low < high:
-            middle = (low + high) // 2
-            if value >= least[middle]:
-                low = middle + 1
-            else:
-                high = middle
-        coded[row, column, channel] = wp.uint8(low)
+        picture[shot, row, column, channel] = encode(total[channel] / float(samples), least)

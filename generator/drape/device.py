@@ -7,6 +7,7 @@ import stat
 import sys
 import tempfile
 import threading
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -15,7 +16,15 @@ import warp as wp
 
 from gcd_dataset.errors import ConfigError, OutputError
 
-__all__ = ["cores", "every_device", "kernels_cached", "load_kernels", "one_at_a_time", "resolve_device"]
+__all__ = [
+    "cores",
+    "every_device",
+    "kernels_cached",
+    "load_kernels",
+    "memory_kept",
+    "one_at_a_time",
+    "resolve_device",
+]
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -98,6 +107,25 @@ def _own_folder() -> Path:
         raise OutputError(
             f"no folder for compiled kernels can be written ({error.strerror}): set WARP_CACHE_PATH to one"
         ) from error
+
+
+@contextlib.contextmanager
+def memory_kept(device: str) -> Iterator[None]:
+    """Within the block, this process keeps the memory of a GPU that it has freed.
+
+    By default CUDA hands it back at every synchronisation, and maps it again for the next batch.
+    """
+    where = wp.get_device(device)
+    if not (where.is_cuda and where.is_mempool_enabled):
+        yield
+        return
+    before = wp.get_mempool_release_threshold(where)
+    wp.set_mempool_release_threshold(where, where.total_memory)
+    try:
+        yield
+    finally:
+        wp.set_mempool_release_threshold(where, before)
+    wp.synchronize_device(where)  # hands it back
 
 
 def cores() -> int:

@@ -22,10 +22,12 @@ from queue import SimpleQueue
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, places_on, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig
+from gcd_dataset.generator.drape.device import memory_kept
 from gcd_dataset.generator.drape.queue import Readied, drape_in_turn
-from gcd_dataset.generator.drapers.draper import Draped, Order, draped
+from gcd_dataset.generator.drapers.draper import Draped, Order
 from gcd_dataset.generator.drapers.parcel import receive_parcel
 from gcd_dataset.generator.drapers.place import READY, owner_file, socket_file
+from gcd_dataset.generator.drapers.studio import Studio
 
 __all__ = ["main"]
 
@@ -130,12 +132,16 @@ class Inbox:
         """Wait for a garment, then drape until none is left."""
         with self._some:
             self._some.wait_for(lambda: bool(self._waiting))
-        at_once, arrived = places_on(device), self._waiting.__len__
-        drapes = drape_in_turn(self._jobs(), CONFIG, device=device, at_once=at_once, arrived=arrived)
-        for number, drape in drapes:
-            asker, order = self._at_work.pop(number)
-            if asker.there:
-                asker.tell(draped(order, drape, device))
+        at_once, arrived, studio = places_on(device), self._waiting.__len__, Studio(device)
+        drapes = drape_in_turn(
+            self._jobs(), CONFIG, device=device, at_once=at_once, arrived=arrived, between=studio.go_on
+        )
+        with memory_kept(device):
+            for number, drape in drapes:
+                asker, order = self._at_work.pop(number)
+                if asker.there:
+                    studio.take(order, drape, asker.tell)
+            studio.finish()
 
     def _jobs(self) -> Iterator[DrapeJob | Readied | None]:
         """Those that wait, whenever asked; ``None`` where there is none at this moment."""

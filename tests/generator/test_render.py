@@ -10,23 +10,26 @@ from PIL import Image
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.colours import PAPER
+from gcd_dataset.generator.pipeline import prepare
+from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.render import (
-    DISTANCE,
-    MARGIN,
     Painted,
     painted_garment,
     render_garment,
     render_sample,
     render_view,
 )
+from gcd_dataset.generator.render_batch import DISTANCE, MARGIN, View, expose
 from gcd_dataset.records import Drape, Outcome, Provenance, Sample
 from tests.helpers import SIZE, body_from, napkins, patch
 
+GARMENTS = MakeConfig(stage="mesh", bodies="both", resolution=10.0)
+VIEWS: tuple[View, View] = ("front", "back")
 RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9)
 
 
-def painted(shape: trimesh.Trimesh, paint: np.ndarray, *colours: tuple[float, float, float]) -> Painted:
-    return Painted(np.asarray(shape.vertices, float), np.asarray(shape.faces), paint, np.array(colours))
+def painted(shape: trimesh.Trimesh, paint: np.ndarray, *colours: tuple[float, float, float]) -> list[Painted]:
+    return [Painted(np.asarray(shape.vertices, float), np.asarray(shape.faces), paint, np.array(colours))]
 
 
 def is_paper(picture: np.ndarray) -> np.ndarray:
@@ -68,7 +71,8 @@ def test_cloth_hides_the_body_and_is_darker_inside() -> None:
     cloth = patch(12, 12, spacing=2.0, origin=(-12.0, -12.0, 8.0))
     shown = painted_garment(cloth.vertices, cloth, body_from(ball))
     front = render_view(shown, size=64, view="front", device="cpu")[32, 32].astype(int)
-    inside = render_view(replace(shown, vertices=shown.vertices - [0, 0, 16.0]), size=64, view="back", device="cpu")
+    behind = [replace(thing, vertices=thing.vertices - [0, 0, 16.0]) for thing in shown]
+    inside = render_view(behind, size=64, view="back", device="cpu")
     assert front[2] > front[0]  # the first panel is blue, skin is not
     assert inside[8, 8].sum() < 0.8 * front.sum()
 
@@ -97,6 +101,32 @@ def test_front_and_back_of_a_garment_are_its_views() -> None:
     front, back = render_garment(cloth.vertices, cloth, body_from(ball), size=32, device="cpu")
     assert np.array_equal(front, render_view(shown, size=32, view="front", device="cpu"))
     assert np.array_equal(back, render_view(shown, size=32, view="back", device="cpu"))
+
+
+def test_a_garment_looks_the_same_alone_as_among_others() -> None:
+    worn = prepare(1, 1, GARMENTS).dressed
+    scenes = [painted_garment(one.box_mesh.vertices, one.box_mesh, one.body) for one in worn if one.box_mesh]
+    assert len(scenes) == 2
+    together = expose(scenes, ["back", "front"], size=48, device="cpu").pictures()
+    for scene, (back, front) in zip(scenes, together, strict=True):
+        assert np.array_equal(back, render_view(scene, size=48, view="back", device="cpu"))
+        assert np.array_equal(front, render_view(scene, size=48, view="front", device="cpu"))
+
+
+def test_things_in_one_scene_are_their_union() -> None:
+    """They hide and shade each other as one mesh does."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
+    cloth = patch(6, 6, spacing=2.0, origin=(-6.0, -6.0, 8.0))
+    skin, garment = painted_garment(cloth.vertices, cloth, body_from(ball))
+    union = Painted(
+        np.concatenate([skin.vertices, garment.vertices]),
+        np.concatenate([skin.faces, garment.faces + len(skin.vertices)]),
+        np.concatenate([skin.paint, garment.paint + len(skin.colours)]),
+        np.concatenate([skin.colours, garment.colours]),
+    )
+    for view in VIEWS:
+        apart, whole = (render_view(s, size=64, view=view, device="cpu") for s in ([skin, garment], [union]))
+        assert np.array_equal(apart, whole)
 
 
 def test_the_same_pixels_on_every_run() -> None:
