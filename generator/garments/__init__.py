@@ -16,15 +16,10 @@ Parts of the upper body are listed in ``upper.py``, waistbands in ``waistband.py
 """
 
 from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.kind import Kind
 from gcd_dataset.generator.garments.outfit import outfit
 from gcd_dataset.generator.garments.rules import Fitted, Reject, check_outfit, try_on
-from gcd_dataset.generator.garments.sampling import (
-    Kind,
-    design_from_dict,
-    design_to_dict,
-    sample_design,
-    sample_kind,
-)
+from gcd_dataset.generator.garments.sampling import design_from_dict, design_to_dict, sample_design, sample_kind
 
 __all__ = [
     "Fitted",
