@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from gcd_dataset.generator.garments.cape import CAPE
 from gcd_dataset.generator.garments.circle_skirt import ASYMMETRIC_CIRCLE_SKIRT, CIRCLE_SKIRT
 from gcd_dataset.generator.garments.garment import BottomGarment, Garment, GarmentChoice, UpperGarment
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
@@ -10,6 +11,7 @@ from gcd_dataset.generator.garments.levels_skirt import LEVELS_SKIRT
 from gcd_dataset.generator.garments.panel_skirt import PANEL_SKIRT
 from gcd_dataset.generator.garments.pants import PANTS
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
+from gcd_dataset.generator.garments.poncho import PONCHO
 from gcd_dataset.generator.garments.upper import FITTED_SHIRT, STRAIGHT_SHIRT
 
 __all__ = ["GARMENTS", "Bottom", "Upper"]
@@ -22,6 +24,8 @@ class Upper(GarmentChoice):
 
     FITTED = FITTED_SHIRT
     SHIRT = STRAIGHT_SHIRT
+    CAPE = CAPE
+    PONCHO = PONCHO
 
 
 class Bottom(GarmentChoice):
