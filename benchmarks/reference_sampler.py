@@ -11,7 +11,7 @@ import numpy as np
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments import outfit
 from gcd_dataset.generator.garments.design import Bottom, OutfitDesign
-from gcd_dataset.generator.garments.rules import LIGHT_LENGTH, LIGHT_SUNS, garment_length, is_gathered, is_heavy_kind
+from gcd_dataset.generator.garments.rules import LIGHT_LENGTH, LIGHT_SUNS, garment_length, is_flared, is_gathered
 from gcd_dataset.generator.garments.space import DesignSpace, draw
 from gcd_dataset.records import Measurements
 from gcd_dataset.validate import Rule, check_pattern
@@ -50,7 +50,7 @@ def _is_heavy(design: OutfitDesign) -> bool:
     levels = design.meta.bottom is Bottom.LEVELS
     length = design.levels_skirt.length if levels else design.flare_skirt.length
     heavy = length > LIGHT_LENGTH or design.flare_skirt.suns > LIGHT_SUNS
-    return design.meta.upper is None and is_heavy_kind(design) and thin and heavy
+    return design.meta.upper is None and is_flared(design) and thin and heavy
 
 
 def _unfit(design: OutfitDesign, size: Measurements) -> str:

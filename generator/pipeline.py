@@ -14,7 +14,6 @@ from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_
 from gcd_dataset.generator.body.population import SEXES
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
-from gcd_dataset.generator.garments.design import Bottom
 from gcd_dataset.generator.mesh import Coarse, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
@@ -170,7 +169,7 @@ def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig)
     if isinstance(pattern, Reject):
         return pattern
     shape = _held(seed, wearer, config)
-    if design.meta.bottom is Bottom.PANTS:  # measured with legs together, dressed with legs apart
+    if design.meta.bottom and design.meta.bottom.garment.legs:  # measured with legs together, dressed with legs apart
         shape = replace(shape, legs_apart=True)
     body = wearer.body if shape is wearer.shape else build_body(shape)
     try:

@@ -20,7 +20,6 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
 from gcd_dataset.generator.garments.parameter import Choice
-from gcd_dataset.generator.garments.sampling import sections_used
 from gcd_dataset.generator.garments.space import Leaf, leaves
 from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage, rng
@@ -97,7 +96,7 @@ def _values(designs: Iterator[OutfitDesign]) -> Values:
     for design in designs:
         tree = design_to_dict(design)
         for path, values in found.items():
-            if path.split(".")[0].replace("-", "_") in sections_used(design):
+            if path.split(".")[0].replace("-", "_") in design.sections_used():
                 values.append(_at(tree, path))
     return found
 

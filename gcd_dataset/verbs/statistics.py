@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.release.layout import DEFAULT_BODY
 
 __all__ = ["batch_properties", "garment_type"]
 
-LENGTH_OF = {
-    "Skirt2": "skirt", "SkirtCircle": "flare-skirt", "AsymmSkirtCircle": "flare-skirt", "GodetSkirt": "skirt",
-    "SkirtManyPanels": "flare-skirt", "PencilSkirt": "pencil-skirt", "SkirtLevels": "levels-skirt", "Pants": "pants",
-}  # fmt: skip
-"""Bottom to the branch of the design that holds its length."""
+UPPERS = {member.value: member.garment for member in Upper}
+BOTTOMS = {member.value: member.garment for member in Bottom}
 DRESS = 1.4  # length of top, belt and bottom, from which on a top with a skirt is a dress
 LENGTHS = ((0.3, "mini"), (0.5, "knee_len"), (0.65, "midi"), (np.inf, "maxi"))  # of bottoms, up to
 SHORT_SLEEVE = 0.5
@@ -34,14 +32,16 @@ def garment_type(design: Mapping[str, Any]) -> dict[str, Any]:
             node = node.get(key) if isinstance(node, Mapping) else None
         return node.get("v") if isinstance(node, Mapping) else node
 
-    upper, bottom = value("meta", "upper"), value("meta", "bottom")
-    below = float(value(LENGTH_OF.get(bottom, ""), "length") or 0.0)
-    top = 1.0 if upper == "FittedShirt" else float(value("shirt", "length") or 0.0)
+    upper, bottom = UPPERS.get(value("meta", "upper")), BOTTOMS.get(value("meta", "bottom"))
+    below = float(value(bottom.length_told_by or bottom.section, "length") or 0.0) if bottom else 0.0
+    at_waist = upper is not None and upper.at_waist
+    top = 1.0 if at_waist else float(value(upper.section if upper else "shirt", "length") or 0.0)
     belt = float(value("waistband", "width") or 0.0) if value("meta", "wb") else 0.0
+    legs = bottom is not None and bottom.legs
     if upper:
-        main = "jumpsuit" if bottom == "Pants" else "dress" if top + belt + below >= DRESS else "upper_garment"
+        main = "jumpsuit" if legs else "dress" if upper.carries and top + belt + below >= DRESS else "upper_garment"
     else:
-        main = "pants" if bottom == "Pants" else "skirt"
+        main = "pants" if legs else "skirt"
     asymmetric = bool(upper and value("left", "enable_asym"))
     styles = ["asymmetric_top"] if asymmetric else []
     if upper and not asymmetric and "Hood" in str(value("collar", "component", "style")):

@@ -1,100 +1,47 @@
 """Circle skirts: two sectors of a ring, or halves of a ring cut off centre, ``skirt_front`` and ``skirt_back``."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import hypot, pi, sqrt
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.panel_skirt import PanelSkirtDesign
+from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, HemCutDesign, flare_skirt_length
+from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.ring import sector
-from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, waist_ring
-from gcd_dataset.generator.garments.space import Design, flag, part, real
+from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, waist_ring
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, cut_end, cut_into, notch
 from gcd_dataset.records import Measurements
 
-__all__ = [
-    "AsymmetricSkirtDesign",
-    "FlareSkirtDesign",
-    "HemCutDesign",
-    "asymmetric_circle_skirt",
-    "circle_skirt",
-    "flare_skirt_length",
-]
+__all__ = ["ASYMMETRIC_CIRCLE_SKIRT", "CIRCLE_SKIRT", "asymmetric_circle_skirt", "circle_skirt"]
 
 LEAST_HEM = 0.01  # of the hem: a cut that leaves less beside it begins at the side seam, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the axis, GarmentCode
 
 
-@dataclass(frozen=True)
-class HemCutDesign(Design):
-    """A triangular cut in the hem."""
-
-    add: bool = flag(False, keep=0.6)
-    depth: float = real(0.5, 0.05, 0.95, keep=0.6)
-    """As a fraction of the skirt's length."""
-    width: float = real(0.1, 0.05, 0.4)
-    """At the hem, as a fraction of the skirt's length."""
-    place: float = real(-0.5, -1.0, 1.0)
-    """Fraction of the hem's length at which it is centred: of the front's, from the wearer's right, if positive; else
-    of the back's, from her left."""
-
-
-@dataclass(frozen=True)
-class AsymmetricSkirtDesign(Design):
-    """A circle skirt cut off centre."""
-
-    front_length: float = real(0.5, 0.1, 0.9, keep=0.5)
-    """At the middle of the front, as a fraction of the length behind."""
-
-
-@dataclass(frozen=True)
-class FlareSkirtDesign(Design):
-    """A skirt cut from circles of cloth, or of panels that widen downwards."""
-
-    length: float = real(0.2, -0.2, 0.95)
-    """Below the hips, as a fraction of hips to floor."""
-    rise: float = real(1.0, 0.5, 1.0, keep=0.3)
-    """Where the top sits: 0 at the hips, 1 at the waist."""
-    suns: float = real(0.75, 0.1, 1.95)
-    """How many full circles the front and the back together are cut from."""
-    skirt_many_panels: PanelSkirtDesign = part(PanelSkirtDesign, key="skirt-many-panels")
-    asymm: AsymmetricSkirtDesign = part(AsymmetricSkirtDesign)
-    cut: HemCutDesign = part(HemCutDesign)
-
-
-def circle_skirt(
-    size: Measurements, design: FlareSkirtDesign, *, rise: float, length: float, tag: str = ""
-) -> Component:
-    """Front and back of equal size, ``length`` [cm] from top to hem, at least 5 cm; offers ``top``, ``bottom`` [rings].
+def circle_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
+    """Front and back of equal size, at least 5 cm long; offers ``top``, ``bottom`` [rings].
 
     The tops are equal although front and back of the waist are not: their gathers shift the seams to where the
     waist's sides are.
     """
-    length = max(length, SHORTEST)
-    half = sector("skirt", 0.5 * girth_at_rise(size, rise), pi * design.suns, length)
-    return _sewn(size, half, half, design.cut, length, tag)
+    length = max(cutting.length, SHORTEST)
+    half = sector("skirt", 0.5 * girth_at_rise(size, cutting.rise), pi * design.suns, length)
+    return _sewn(size, half, half, design.cut, length, cutting.tag)
 
 
-def asymmetric_circle_skirt(
-    size: Measurements, design: FlareSkirtDesign, *, rise: float, length: float, tag: str = ""
-) -> Component:
-    """A full circle of cloth whose waist is cut off centre, ``length`` [cm] long behind, at least 5 cm.
+def asymmetric_circle_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
+    """A full circle of cloth whose waist is cut off centre, as long behind as it is cut, at least 5 cm.
 
     Offers ``top`` and ``bottom`` [rings]. Raises ``PatternError`` for a hem cut that opens the waist or a side.
     """
-    length = max(length, SHORTEST)
-    radius, before = girth_at_rise(size, rise) / (2 * pi), design.asymm.front_length * length
+    length = max(cutting.length, SHORTEST)
+    radius, before = girth_at_rise(size, cutting.rise) / (2 * pi), design.asymm.front_length * length
     front, back = _half_ring(radius, before, length), _half_ring(radius, length, before)
-    skirt = _sewn(size, front, back, design.cut, length, tag)
+    skirt = _sewn(size, front, back, design.cut, length, cutting.tag)
     for piece in skirt.pieces if design.cut.add else ():
         _require_uncut_waist(piece, radius)
     return skirt
-
-
-def flare_skirt_length(size: Measurements, design: FlareSkirtDesign, *, rise: float) -> float:
-    """From the top to the hem along the cloth [cm]; behind, where the front is shorter."""
-    return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
 
 
 def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, length: float, tag: str) -> Component:
@@ -156,3 +103,30 @@ def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, place: floa
     if at > hem - least:
         return replace(piece, outline=cut_end(piece.outline, "bottom", shape, last=True))
     return replace(piece, outline=cut_into(piece.outline, "bottom", shape, at=at))
+
+
+def _uncut(design: FlareSkirtDesign) -> FlareSkirtDesign:
+    return replace(design, cut=replace(design.cut, add=False))
+
+
+CIRCLE_SKIRT = SimpleBottom(
+    name="SkirtCircle",
+    section="flare-skirt",
+    design=FlareSkirtDesign,
+    cut=circle_skirt,
+    long=flare_skirt_length,
+    closed=_uncut,
+    flared=True,
+    fullness="suns",
+    always_whole=lambda design: not design.cut.add,
+)
+
+ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
+    name="AsymmSkirtCircle",
+    section="flare-skirt",
+    design=FlareSkirtDesign,
+    cut=asymmetric_circle_skirt,
+    long=flare_skirt_length,
+    closed=_uncut,
+    flared=True,
+)

@@ -1,55 +1,34 @@
 """The design of an outfit: all its parameters, in the order and under the names of GarmentCode's design files."""
 
 from dataclasses import dataclass, replace
-from enum import Enum
-from typing import TypeAlias
 
-from gcd_dataset.generator.garments.circle_skirt import FlareSkirtDesign
-from gcd_dataset.generator.garments.gathered_skirt import GatheredSkirtDesign
-from gcd_dataset.generator.garments.godet_skirt import GodetSkirtDesign
-from gcd_dataset.generator.garments.levels_skirt import LevelsSkirtDesign
+from gcd_dataset.generator.garments.circle_skirt import CIRCLE_SKIRT
+from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
+from gcd_dataset.generator.garments.garment import one_of, section_of
+from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT, GatheredSkirtDesign
+from gcd_dataset.generator.garments.godet_skirt import GODET_SKIRT, GodetSkirtDesign
+from gcd_dataset.generator.garments.levels_skirt import LEVELS_SKIRT, LevelsSkirtDesign
 from gcd_dataset.generator.garments.neckline import LeftNecklineDesign, NecklineDesign
-from gcd_dataset.generator.garments.pants import PantsDesign
-from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign
+from gcd_dataset.generator.garments.pants import PANTS, PantsDesign
+from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT, PencilSkirtDesign
 from gcd_dataset.generator.garments.shirt import LeftShirtDesign, ShirtDesign
 from gcd_dataset.generator.garments.sleeve import LeftSleeveDesign, SleeveDesign
-from gcd_dataset.generator.garments.space import Design, choice, flag, part
+from gcd_dataset.generator.garments.space import Design, choice, flag, part, with_parts
+from gcd_dataset.generator.garments.upper import STRAIGHT_SHIRT
+from gcd_dataset.generator.garments.upper_half import UpperHalf
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
+from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 
-__all__ = ["T_SHIRT", "Bottom", "LeftDesign", "MetaDesign", "OutfitDesign", "Upper", "UpperHalf"]
-
-
-class Upper(Enum):
-    """What there is for the upper body."""
-
-    FITTED = "FittedShirt"
-    SHIRT = "Shirt"
-
-
-class Bottom(Enum):
-    """What there is for the lower body."""
-
-    CIRCLE = "SkirtCircle"
-    ASYMMETRIC_CIRCLE = "AsymmSkirtCircle"
-    GODET = "GodetSkirt"
-    PANTS = "Pants"
-    GATHERED = "Skirt2"
-    PANELS = "SkirtManyPanels"
-    PENCIL = "PencilSkirt"
-    LEVELS = "SkirtLevels"
-
-
-UpperHalf: TypeAlias = tuple[ShirtDesign, NecklineDesign, SleeveDesign]
-"""What one half of the upper body is drawn from."""
+__all__ = ["T_SHIRT", "Bottom", "LeftDesign", "MetaDesign", "OutfitDesign", "Upper"]
 
 
 @dataclass(frozen=True)
 class MetaDesign(Design):
     """Which parts the outfit has."""
 
-    upper: Upper | None = choice(None, *Upper, None, keep=0.3)
+    upper: Upper | None = one_of(Upper, keep=0.3)
     wb: Waistband | None = choice(None, *Waistband, None, keep=0.5)
-    bottom: Bottom | None = choice(None, *Bottom, None, keep=0.3)
+    bottom: Bottom | None = one_of(Bottom, keep=0.3)
 
 
 @dataclass(frozen=True)
@@ -63,21 +42,40 @@ class LeftDesign(Design):
 
 
 @dataclass(frozen=True)
+@with_parts({garment.section: garment.design for garment in GARMENTS})
 class OutfitDesign(Design):
-    """A design without a body: what is not a choice is a fraction of a measure, an angle, or centimetres."""
+    """A design without a body: what is not a choice is a fraction of a measure, an angle, or centimetres.
+
+    The fields are the sections of GarmentCode's designs. Garments that GarmentCode has not add their sections behind
+    them: ``garment.own(design)`` gives the section of a garment.
+    """
 
     meta: MetaDesign = part(MetaDesign)
     waistband: WaistbandDesign = part(WaistbandDesign)
-    shirt: ShirtDesign = part(ShirtDesign)
+    shirt: ShirtDesign = section_of(STRAIGHT_SHIRT)
     collar: NecklineDesign = part(NecklineDesign)
     sleeve: SleeveDesign = part(SleeveDesign)
     left: LeftDesign = part(LeftDesign)
-    skirt: GatheredSkirtDesign = part(GatheredSkirtDesign)
-    flare_skirt: FlareSkirtDesign = part(FlareSkirtDesign, key="flare-skirt")
-    godet_skirt: GodetSkirtDesign = part(GodetSkirtDesign, key="godet-skirt")
-    pencil_skirt: PencilSkirtDesign = part(PencilSkirtDesign, key="pencil-skirt")
-    levels_skirt: LevelsSkirtDesign = part(LevelsSkirtDesign, key="levels-skirt")
-    pants: PantsDesign = part(PantsDesign)
+    skirt: GatheredSkirtDesign = section_of(GATHERED_SKIRT)
+    flare_skirt: FlareSkirtDesign = section_of(CIRCLE_SKIRT)
+    godet_skirt: GodetSkirtDesign = section_of(GODET_SKIRT)
+    pencil_skirt: PencilSkirtDesign = section_of(PENCIL_SKIRT)
+    levels_skirt: LevelsSkirtDesign = section_of(LEVELS_SKIRT)
+    pants: PantsDesign = section_of(PANTS)
+
+    def sections_used(self) -> frozenset[str]:
+        """The sections, as fields, that the outfit is drawn from."""
+        meta, used = self.meta, {"meta"}
+        if meta.wb:
+            used.add("waistband")
+        if meta.upper:
+            used.update(meta.upper.garment.sections_used(self))
+        if meta.bottom:
+            used.update(part.field for part in (meta.bottom.garment, *meta.bottom.garment.parts(self)))
+        return frozenset(used)
+
+    def writes(self, name: str) -> bool:
+        return name in self.sections_used()
 
     def right_half(self) -> UpperHalf:
         """What the right half of the upper body is drawn from; it has a collar only if the left one is its image."""

@@ -78,7 +78,7 @@ def _value(space: Space | DesignSpace[Any] | None, node: Any, path: str) -> Any:
 
 
 def _leaves(space: DesignSpace[Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    return {entry.key: _leaf(entry.space, values[entry.key]) for entry in space.entries}
+    return {entry.key: _leaf(entry.space, values[entry.key]) for entry in space.entries if entry.key in values}
 
 
 def _leaf(space: Space | DesignSpace[Any], value: Any) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """The gathered skirt (GarmentCode's ``Skirt2``): two trapezes, ``skirt_front`` and ``skirt_back``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.ring import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, waist_ring
@@ -10,7 +11,7 @@ from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
 
-__all__ = ["GatheredSkirtDesign", "gathered_skirt", "gathered_skirt_length"]
+__all__ = ["GATHERED_SKIRT", "GatheredSkirtDesign", "gathered_skirt"]
 
 FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
 
@@ -31,24 +32,16 @@ class GatheredSkirtDesign(Design):
     """By how much each side of the hem stands out [cm]."""
 
 
-def gathered_skirt(
-    size: Measurements,
-    design: GatheredSkirtDesign,
-    *,
-    rise: float,
-    length: float,
-    mends: frozenset[Mend],
-    tag: str = "",
-) -> Component:
-    """A skirt of ``length`` [cm], at least 5 cm, whose top sits at ``rise``; offers ``top`` and ``bottom`` [rings]."""
-    length, back_width = max(length, SHORTEST), back_at_rise(size, rise)
-    slit = _slit(design, length - rise * size.hips_line, mends)
+def gathered_skirt(size: Measurements, design: GatheredSkirtDesign, cutting: Cutting) -> Component:
+    """Front and back, at least 5 cm long; offers ``top`` and ``bottom`` [rings]."""
+    rise, length = cutting.rise, max(cutting.length, SHORTEST)
+    back_width, slit = back_at_rise(size, rise), _slit(design, length - rise * size.hips_line, cutting.mends)
 
     def panel(name: str, width: float) -> Piece:
         return skirt_panel(name, width, length, flare=design.flare, ruffle=design.ruffle, bottom_cut=slit)
 
-    front = panel(f"skirt_front{tag}", girth_at_rise(size, rise) - back_width).at(0, size.waist_level, FRONT)
-    back = panel(f"skirt_back{tag}", back_width).at(0, size.waist_level, BACK)
+    front = panel(f"skirt_front{cutting.tag}", girth_at_rise(size, rise) - back_width).at(0, size.waist_level, FRONT)
+    back = panel(f"skirt_back{cutting.tag}", back_width).at(0, size.waist_level, BACK)
     return (
         Component.of(front, back)
         .sewn(front.along("right"), back.along("right"))
@@ -57,7 +50,7 @@ def gathered_skirt(
     )
 
 
-def gathered_skirt_length(size: Measurements, design: GatheredSkirtDesign, *, rise: float) -> float:
+def _length(size: Measurements, design: GatheredSkirtDesign, rise: float) -> float:
     """From the top to the hem [cm]."""
     return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
 
@@ -66,3 +59,16 @@ def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]
     """Height of the side slits [cm]; none in a skirt that ends above the hips."""
     whole = below_hips if Mend.SLIT_LENGTH in mends else design.length
     return design.bottom_cut * max(whole, 0.0)
+
+
+GATHERED_SKIRT = SimpleBottom(
+    name="Skirt2",
+    section="skirt",
+    design=GatheredSkirtDesign,
+    cut=gathered_skirt,
+    long=_length,
+    closed=lambda design: replace(design, bottom_cut=0.0),
+    ungathered=lambda design: replace(design, ruffle=1.0),
+    gathers="ruffle",
+    always_whole=lambda design: True,
+)

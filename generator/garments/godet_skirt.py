@@ -1,14 +1,19 @@
 """The godet skirt: another skirt with triangles let into its hem."""
 
 from dataclasses import dataclass, replace
-from enum import Enum
 from math import atan2, hypot, sqrt
+from typing import Any
 
 from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, GarmentChoice, SimpleBottom, Sized
+from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
+from gcd_dataset.generator.garments.mends import Mend
+from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
 from gcd_dataset.generator.garments.space import Design, choice, integer
 from gcd_dataset.generator.pattern import Component, Outline, Piece, chain_from
+from gcd_dataset.records import Measurements
 
-__all__ = ["GodetBase", "GodetSkirtDesign", "with_godets"]
+__all__ = ["GODET_SKIRT", "GodetBase", "GodetSkirtDesign", "with_godets"]
 
 LEAST_HEM = 0.01  # of the hem left: a cut that leaves less before it begins at once, GarmentCode
 NARROWEST, SHALLOWEST = 1.0, 1.0  # cm, of a cut, GarmentCode
@@ -16,11 +21,13 @@ CLOSED = 1e-6  # cm: less hem than that is none
 STAND_OFF = 5.0  # cm from a panel to its godets, away from the body, GarmentCode
 
 
-class GodetBase(Enum):
+class GodetBase(GarmentChoice):
     """Skirts that godets are let into."""
 
-    GATHERED = "Skirt2"
-    PENCIL = "PencilSkirt"
+    garment: SimpleBottom[Any]
+
+    GATHERED = GATHERED_SKIRT
+    PENCIL = PENCIL_SKIRT
 
 
 @dataclass(frozen=True)
@@ -127,3 +134,23 @@ def _starts(hem: float, count: int, cut: _Cut) -> list[float]:
         starts.append(start)
         reached, gap = start + cut.width, cut.distance
     return starts
+
+
+def _combined(
+    size: Measurements, design: GodetSkirtDesign, parts: tuple[Sized[Any], ...], rise: float, mends: frozenset[Mend]
+) -> Component:
+    (base,) = parts
+    return with_godets(base.cut(size, Cutting(rise, base.length(size, rise), mends)), design)
+
+
+GODET_SKIRT = CombinedBottom(
+    name="GodetSkirt",
+    section="godet-skirt",
+    design=GodetSkirtDesign,
+    made_of=lambda design: (design.base.garment,),
+    combine=_combined,
+    sits=lambda design, parts: parts[0].rise,
+    long=lambda size, design, parts, rise: parts[0].length(size, rise),
+    long_as_top=True,
+    length_told_by="skirt",
+)

@@ -2,36 +2,43 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum
 from itertools import pairwise
 from math import radians
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
-from gcd_dataset.generator.garments.mends import Mend
+from gcd_dataset.generator.garments.circle_skirt import ASYMMETRIC_CIRCLE_SKIRT, CIRCLE_SKIRT
+from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, GarmentChoice, SimpleBottom, Sized
+from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
+from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
+from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
 from gcd_dataset.generator.pattern import Component
 from gcd_dataset.records import Measurements
 
-__all__ = ["DrawLevel", "Level", "LevelsBase", "LevelsSkirtDesign", "level_lengths", "with_levels"]
+__all__ = ["LEVELS_SKIRT", "DrawLevel", "Level", "LevelsBase", "LevelsSkirtDesign", "with_levels"]
 
 GAP = 5.0  # cm between a hem and the level under it before sewing, GarmentCode
 
 
-class LevelsBase(Enum):
+class LevelsBase(GarmentChoice):
     """Skirts for the top."""
 
-    GATHERED = "Skirt2"
-    PENCIL = "PencilSkirt"
-    CIRCLE = "SkirtCircle"
-    ASYMMETRIC_CIRCLE = "AsymmSkirtCircle"
+    garment: SimpleBottom[Any]
+
+    GATHERED = GATHERED_SKIRT
+    PENCIL = PENCIL_SKIRT
+    CIRCLE = CIRCLE_SKIRT
+    ASYMMETRIC_CIRCLE = ASYMMETRIC_CIRCLE_SKIRT
 
 
-class Level(Enum):
+class Level(GarmentChoice):
     """Skirts for the levels below."""
 
-    GATHERED = "Skirt2"
-    CIRCLE = "SkirtCircle"
-    ASYMMETRIC_CIRCLE = "AsymmSkirtCircle"
+    garment: SimpleBottom[Any]
+
+    GATHERED = GATHERED_SKIRT
+    CIRCLE = CIRCLE_SKIRT
+    ASYMMETRIC_CIRCLE = ASYMMETRIC_CIRCLE_SKIRT
 
 
 DrawLevel: TypeAlias = Callable[[Measurements, str], Component]
@@ -56,7 +63,7 @@ class LevelsSkirtDesign(Design):
     """The base's share of the length."""
 
 
-def level_lengths(
+def _lengths(
     size: Measurements, design: LevelsSkirtDesign, *, rise: float, mends: frozenset[Mend]
 ) -> tuple[float, float]:
     """Of the base, from a top at ``rise``, and of each level [cm]."""
@@ -89,3 +96,35 @@ def _hems(skirt: Component) -> tuple[float, float]:
     """Lengths of the hem before and behind [cm]."""
     front, back = (skirt.piece(section.panel).outline.length(section.edge) for section in skirt.interface("bottom"))
     return front, back
+
+
+def _combined(
+    size: Measurements, design: LevelsSkirtDesign, parts: tuple[Sized[Any], ...], rise: float, mends: frozenset[Mend]
+) -> Component:
+    """A base and levels, none with slits; the levels have no gathers but those of ``level_ruffle``."""
+    base, level = parts[0], parts[1].ungathered()
+    base_length, level_length = _lengths(size, design, rise=rise, mends=mends)
+    level_rise = 1.0 if Mend.LEVEL_GIRTH in mends else level.rise
+    return with_levels(
+        base.cut(size, Cutting(rise, base_length, mends)),
+        lambda wearer, tag: level.cut(wearer, Cutting(level_rise, level_length, mends, tag)),
+        design,
+        size=size,
+        tilt=base.tilt,
+    )
+
+
+def _length(size: Measurements, design: LevelsSkirtDesign, rise: float) -> float:
+    base, level = _lengths(size, design, rise=rise, mends=ALL_MENDS)
+    return base + design.num_levels * level
+
+
+LEVELS_SKIRT = CombinedBottom(
+    name="SkirtLevels",
+    section="levels-skirt",
+    design=LevelsSkirtDesign,
+    made_of=lambda design: (design.base.garment, design.level.garment),
+    combine=_combined,
+    sits=lambda design, parts: design.rise,
+    long=lambda size, design, parts, rise: _length(size, design, rise),
+)

@@ -6,10 +6,8 @@ from itertools import pairwise
 from math import fmod
 
 from gcd_dataset.errors import BodyError, PatternError
-from gcd_dataset.generator.garments.bottoms import BOTTOMS
-from gcd_dataset.generator.garments.design import OutfitDesign, Upper
+from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
-from gcd_dataset.generator.garments.upper import upper
 from gcd_dataset.generator.garments.waistband import waistband
 from gcd_dataset.generator.pattern import Component, Piece, assemble
 from gcd_dataset.records import Measurements, Pattern
@@ -49,17 +47,18 @@ def pieces(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend] =
 
 
 def bottom_rise(design: OutfitDesign) -> float:
-    """Where the top of the bottom sits, 0 at the hips and 1 at the waist: there under a fitted shirt, and for none."""
-    if design.meta.bottom is None or design.meta.upper is Upper.FITTED:
+    """Where the top of the bottom sits, 0 at the hips and 1 at the waist: there under what ends there, and for none."""
+    upper, bottom = design.meta.upper, design.meta.bottom
+    if bottom is None or (upper is not None and upper.garment.at_waist):
         return 1.0
-    return BOTTOMS[design.meta.bottom].rise(design)
+    return bottom.garment.rise(design)
 
 
 @lru_cache(maxsize=8)  # drawn to see whether it is whole, it is asked for again for the outfit
 def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
     """The bottom of a design that has one; offers ``top`` [ring]."""
     assert design.meta.bottom is not None
-    return BOTTOMS[design.meta.bottom].draw(size, design, rise=bottom_rise(design), mends=mends).labelled("leg")
+    return design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design), mends=mends).labelled("leg")
 
 
 def _parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> tuple[Component, ...]:
@@ -68,7 +67,9 @@ def _parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> 
     if meta.upper is None and meta.bottom is None:
         raise PatternError("an outfit without upper and bottom: choose meta.upper or meta.bottom")
     if meta.upper is not None:
-        parts.append(upper(size, design, mends=mends))
+        parts.append(meta.upper.garment.draw(size, design, mends=mends))
+        if not meta.upper.garment.carries and (meta.wb or meta.bottom):
+            raise PatternError(f"nothing is sewn to the hem of a {meta.upper.value}: leave out meta.wb and meta.bottom")
     if meta.wb is not None:
         parts.append(waistband(size, design.waistband, meta.wb, rise=rise).labelled("body"))
     if meta.bottom is not None:

@@ -27,9 +27,10 @@ from pathlib import Path
 from typing import Any, Self
 
 from gcd_dataset.errors import ConfigError, shown
-from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
+from gcd_dataset.generator.garments.kind import choice_of, kinds_left
 from gcd_dataset.generator.garments.parameter import Choice, Space
-from gcd_dataset.generator.garments.space import DesignSpace, Leaf, leaves, require_known
+from gcd_dataset.generator.garments.space import DesignSpace, Leaf, require_known
 from gcd_dataset.tomlfile import read_toml
 
 __all__ = ["NO_OVERLAY", "Overlay", "read_overlay"]
@@ -59,9 +60,8 @@ class Overlay:
         declared = DesignSpace.declared(OutfitDesign)
         require_known(declared, values)
         overlay = cls(tuple(_changes(declared, values, "")))
-        left = {leaf.path: leaf.space.range for leaf in leaves(overlay.space)}
-        if left["meta.upper"] == left["meta.bottom"] == [None]:
-            raise ConfigError("meta.upper and meta.bottom are both none, so there is no garment: leave one of them in")
+        if not kinds_left(overlay.space.of(MetaDesign)):
+            raise ConfigError(_no_garment(overlay.space.of(MetaDesign)))
         return overlay
 
     def to_dict(self) -> dict[str, Any]:
@@ -87,6 +87,14 @@ def read_overlay(path: Path | str) -> Overlay:
         return Overlay.from_dict(values)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
+
+
+def _no_garment(meta: DesignSpace[MetaDesign]) -> str:
+    """Why no garment is left."""
+    if all(choice_of(meta, name).range == [None] for name in ("upper", "bottom")):
+        return "meta.upper and meta.bottom are both none, so there is no garment: leave one of them in"
+    uppers = ", ".join(name for name in choice_of(meta, "upper").range if name is not None)
+    return f"nothing is sewn to meta.upper = {uppers}, so there is no garment: let meta.wb and meta.bottom be none"
 
 
 def _changes(space: DesignSpace[Any], values: Mapping[str, Any], above: str) -> Iterator[Leaf]:

@@ -1,41 +1,34 @@
 """The panelled skirt (GarmentCode's ``SkirtManyPanels``): ``skirt_panel_0`` and so on around the body."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from math import atan, atan2, cos, degrees, pi, sin, tan
 
 from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, flare_skirt_length
+from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.ring import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, across
-from gcd_dataset.generator.garments.space import Design, choice, integer
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
 
-__all__ = ["PanelSkirtDesign", "panel_skirt"]
+__all__ = ["PANEL_SKIRT", "panel_skirt"]
 
 
-@dataclass(frozen=True)
-class PanelSkirtDesign(Design):
-    """How a flared skirt is divided into panels."""
-
-    n_panels: int = integer(4, 4, 15)
-    panel_curve: float = choice(0, -0.35, -0.25, -0.15, 0, 0.15, 0.25, 0.35, 0.45)
-    """Bulge of each panel's hem: sagitta over chord, positive outwards."""
-
-
-def panel_skirt(size: Measurements, design: PanelSkirtDesign, *, suns: float, rise: float, length: float) -> Component:
-    """Panels sewn to a ring, each as high as ``length`` [cm], at least 5 cm, the hems as wide as a skirt of ``suns``.
+def panel_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
+    """Panels sewn to a ring, each at least 5 cm high, the hems together as wide as a skirt of ``suns``.
 
     Offers ``top`` [ring].
     """
-    length, share = max(length, SHORTEST), 1 / design.n_panels
-    top, flare = share * girth_at_rise(size, rise), share * pi * suns * length
-    panel = _with_bent_hem(skirt_panel("skirt_panel", top, length, flare=flare), design.panel_curve)
+    count = design.skirt_many_panels.n_panels
+    length, share = max(cutting.length, SHORTEST), 1 / count
+    top, flare = share * girth_at_rise(size, cutting.rise), share * pi * design.suns * length
+    panel = _with_bent_hem(skirt_panel("skirt_panel", top, length, flare=flare), design.skirt_many_panels.panel_curve)
     panels = [
-        _hung(replace(panel, name=f"skirt_panel_{index}"), index, design.n_panels).moved((0, size.waist_level, 0))
-        for index in range(design.n_panels)
+        _hung(replace(panel, name=f"skirt_panel_{index}"), index, count).moved((0, size.waist_level, 0))
+        for index in range(count)
     ]
     skirt = Component.of(*panels)
     for before, after in pairwise((*panels, panels[0])):
@@ -72,3 +65,14 @@ def _hung(panel: Piece, index: int, count: int) -> Piece:
     x, z = half * cos(facing) - away, -half * sin(facing)
     around = (x * cos(turn) + z * sin(turn), z * cos(turn) - x * sin(turn))
     return replace(panel.at(around[0], 0, around[1]), rotation=(0, facing + turn, 0))
+
+
+PANEL_SKIRT = SimpleBottom(
+    name="SkirtManyPanels",
+    section="flare-skirt",
+    design=FlareSkirtDesign,
+    cut=panel_skirt,
+    long=flare_skirt_length,
+    flared=True,
+    fullness="suns",
+)

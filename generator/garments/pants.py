@@ -13,12 +13,14 @@ import numpy as np
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff
+from gcd_dataset.generator.garments.garment import SimpleBottom
+from gcd_dataset.generator.garments.skirt import length_below_waist
 from gcd_dataset.generator.garments.space import Design, part, real
 from gcd_dataset.generator.garments.trunk import blend, girth_at_rise, waist_back, waist_front
 from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
 from gcd_dataset.records import Measurements
 
-__all__ = ["PantsDesign", "cuff_and_leg", "pants", "pants_length"]
+__all__ = ["PANTS", "PantsDesign", "cuff_and_leg", "pants"]
 
 CROTCH_EASE = 5.0  # cm on top of what the legs are wider than the hips, GarmentCode
 FRONT_CROTCH = 0.25  # of the front's hip: how far the crotch reaches beyond the centre, GarmentCode
@@ -96,12 +98,7 @@ def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:
     )
 
 
-def pants_length(size: Measurements, design: PantsDesign, *, rise: float) -> float:
-    """From the top to the hem, cuffs included [cm]."""
-    return rise * size.hips_line + design.length * size.leg_length
-
-
-def cuff_and_leg(size: Measurements, design: PantsDesign, *, rise: float) -> tuple[float, float]:
+def cuff_and_leg(size: Measurements, design: PantsDesign, rise: float) -> tuple[float, float]:
     """Girth of a band at the end of the legs, and of the leg where it is widest inside the band [cm]; 0 without one."""
     if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
         return 0.0, 0.0
@@ -244,3 +241,15 @@ def _hem(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float)
     flare = 0.25 * size.leg_circ * (design.flare - 1)
     inner = quarter.hips + quarter.crotch - INSIDE_SHIFT + flare
     return (-flare, 0.0), (inner, min(0.0, leg - INSIDE_DROP * size.crotch_hip_diff))
+
+
+PANTS = SimpleBottom(
+    name="Pants",
+    section="pants",
+    design=PantsDesign,
+    cut=lambda size, design, cutting: pants(size, design, rise=cutting.rise),
+    long=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    legs=True,
+    cuffs=cuff_and_leg,
+    always_whole=lambda design: True,
+)

@@ -1,9 +1,10 @@
 """What one parameter of a design may be: a number, a whole number, one of several options, yes or no."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import repeat
 from math import ceil, floor
 from typing import Any, Self
 
@@ -153,6 +154,15 @@ class Choice(Space):
     """One of several options: names, numbers, or ``None`` for none of them."""
 
     options: tuple[Any, ...]
+    weights: tuple[int, ...] = ()
+    """How often each option is in the lot that chance picks from, 0 for never; empty where all are in it once."""
+
+    @property
+    def lot(self) -> tuple[Any, ...]:
+        """What chance picks from."""
+        return (
+            tuple(option for option, weight in self._weighed() for _ in range(weight)) if self.weights else self.options
+        )
 
     @property
     def kind(self) -> str:
@@ -160,7 +170,7 @@ class Choice(Space):
 
     @property
     def range(self) -> list[Any]:
-        return [plain(option) for option in self.options]
+        return [plain(option) for option, weight in self._weighed() if weight]
 
     def holds(self, value: Any) -> bool:
         return any(_same(value, option) for option in self.options)
@@ -172,25 +182,31 @@ class Choice(Space):
         return True
 
     def pick(self, rng: np.random.Generator, low: float, high: float) -> Any:
-        others = [option for option in self.options if self.keep is None or not _same(option, self.default)]
-        others = others or list(self.options)
+        lot = self.lot
+        others = [option for option in lot if self.keep is None or not _same(option, self.default)] or lot
         return others[int(rng.integers(len(others)))]
 
     def narrowed(self, values: Sequence[Any]) -> Self:
         wanted = [self.read(value) for value in values]
-        options = tuple(option for option in self.options if any(_same(option, value) for value in wanted))
+        kept = [(o, weight) for o, weight in self._weighed() if any(_same(o, value) for value in wanted)]
+        options = tuple(option for option, _ in kept)
         if not options:
             raise ConfigError("has no option left: name one or more")
         left_in = any(_same(self.default, option) for option in options)
-        return replace(self, options=options, keep=self.keep if left_in else None)
+        weights = tuple(max(weight, 1) for _, weight in kept) if self.weights else ()
+        return replace(self, options=options, weights=weights, keep=self.keep if left_in else None)
 
     def favouring(self, keep: float) -> Self:
-        left_in = self.holds(self.default)
-        if keep == 0 and left_in and len(self.options) == 1:
+        drawn = self.narrowed(self.range)
+        left_in = drawn.holds(self.default)
+        if keep == 0 and left_in and len(drawn.options) == 1:
             raise ConfigError(f"has no option left: keep is 0, and {plain(self.default)} is all there is")
         if keep > 0 and not left_in:
             raise ConfigError(f"keeps {plain(self.default)}, which is none of its options: add it, or leave keep out")
-        return replace(self, keep=keep if left_in else None)
+        return replace(drawn, keep=keep if left_in else None)
+
+    def _weighed(self) -> Iterable[tuple[Any, int]]:
+        return zip(self.options, self.weights or repeat(1), strict=False)
 
     def __str__(self) -> str:
         return "one of " + ", ".join(str(plain(option)) for option in self.options)

@@ -7,6 +7,7 @@ from math import radians, tan
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.skirt import hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, choice, integer, real
 from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
@@ -23,7 +24,7 @@ from gcd_dataset.generator.pattern import (
 )
 from gcd_dataset.records import Measurements
 
-__all__ = ["PencilSkirtDesign", "StyleCut", "pencil_skirt", "pencil_skirt_length", "without_slits"]
+__all__ = ["PENCIL_SKIRT", "PencilSkirtDesign", "StyleCut", "pencil_skirt"]
 
 MEASURES_USED = ("hips_line", "bust_points", "bum_points", "hip_inclination")
 FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
@@ -87,10 +88,8 @@ class _Shape:
     darts: tuple[_Dart, ...]
 
 
-def pencil_skirt(
-    size: Measurements, design: PencilSkirtDesign, *, rise: float, length: float, tag: str = ""
-) -> Component:
-    """A skirt of ``length`` [cm] in front, whose top sits at ``rise``; offers ``top`` and ``bottom`` [rings].
+def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting) -> Component:
+    """Front and back, the front as long as it is cut; offers ``top`` and ``bottom`` [rings].
 
     Raises ``PatternError`` for a skirt that does not reach below the hips, and for an ornament, which is not drawn;
     ``BodyError`` for measures that nobody took.
@@ -99,7 +98,8 @@ def pencil_skirt(
         raise PatternError(
             f"no ornament is drawn: set pencil-skirt.style_side_cut, {design.style_side_cut.value}, to null"
         )
-    below = length - rise * size.require(*MEASURES_USED).hips_line
+    rise, tag = cutting.rise, cutting.tag
+    below = cutting.length - rise * size.require(*MEASURES_USED).hips_line
     if below <= 0:
         raise PatternError(f"a pencil skirt ends {-below:.1f} cm above the hips: lengthen it, or choose another skirt")
     shapes = (_front(size, rise, tag), _back(size, rise, tag))
@@ -112,16 +112,6 @@ def pencil_skirt(
         .sewn(_side(front.against, "left", ease=1.0), _side(back.against, "left", ease=BACK_EASE))
         .offering(top=waist_ring(size, front, back), bottom=hem_ring(front, back))
     )
-
-
-def pencil_skirt_length(size: Measurements, design: PencilSkirtDesign, *, rise: float) -> float:
-    """From the top to the hem [cm]."""
-    return length_below_waist(size, design.length, rise=rise)
-
-
-def without_slits(design: PencilSkirtDesign) -> PencilSkirtDesign:
-    """The design with its hem and sides closed."""
-    return replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0)
 
 
 def _front(size: Measurements, rise: float, tag: str) -> _Shape:
@@ -215,3 +205,14 @@ def _with_darts_sewn(skirt: Component, shapes: Sequence[_Shape]) -> Component:
         for number in range(2 * len(shape.darts)):
             skirt = skirt.sewn(piece.along(f"dart_{number}.0"), piece.against(f"dart_{number}.1"))
     return skirt
+
+
+PENCIL_SKIRT = SimpleBottom(
+    name="PencilSkirt",
+    section="pencil-skirt",
+    design=PencilSkirtDesign,
+    cut=pencil_skirt,
+    long=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    closed=lambda design: replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0),
+    tilt=lambda design: design.low_angle,
+)

@@ -5,19 +5,15 @@ Each rule is a function of a ``Fitted`` outfit that returns a ``Reject`` or ``No
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Literal, Self
 
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.bottoms import BOTTOMS
 from gcd_dataset.generator.garments.cuff import arm_in_cuff
-from gcd_dataset.generator.garments.design import Bottom, OutfitDesign
-from gcd_dataset.generator.garments.godet_skirt import GodetBase
-from gcd_dataset.generator.garments.levels_skirt import LevelsBase
+from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
-from gcd_dataset.generator.garments.pants import cuff_and_leg
 from gcd_dataset.generator.garments.trunk import girth_at_rise
-from gcd_dataset.generator.garments.upper import upper_length
 from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.garments.wholeness import (
     CLOTH_GIVES,
@@ -35,15 +31,16 @@ __all__ = [
     "Fitted",
     "Reject",
     "check_outfit",
+    "cuff_and_leg",
     "garment_length",
     "has_firm_band",
     "has_snug_band",
     "has_tight_cuffs",
-    "is_asymmetric",
+    "is_flared",
     "is_gathered",
-    "is_heavy_kind",
     "room_to_floor",
     "top_girth",
+    "top_of_bottom",
     "try_on",
 ]
 
@@ -120,18 +117,18 @@ def slides_off(outfit: Fitted) -> Reject | None:
 def loose_gathers(outfit: Fitted) -> Reject | None:
     """A gathered skirt alone hangs from no band, or from one wider than the body."""
     design = outfit.design
-    if not _alone(design) or not is_gathered(design) or design.skirt.ruffle <= 1 or has_snug_band(design):
+    if not _alone(design) or not is_gathered(design) or has_snug_band(design):
         return None
-    return Reject("loose_gathers", f"gathers of {design.skirt.ruffle:.2f} hang from no snug waistband")
+    gathers = top_parameter(design, "gathers")
+    return Reject("loose_gathers", f"gathers of {gathers:.2f} hang from no snug waistband") if gathers > 1 else None
 
 
 def too_heavy(outfit: Fitted) -> Reject | None:
-    """A flared skirt alone is long or wide, and no firm band holds it; an asymmetric one is of one width."""
+    """A flared skirt alone is long or wide, and no firm band holds it."""
     design = outfit.design
-    if not _alone(design) or not is_heavy_kind(design) or has_firm_band(design):
+    if not _alone(design) or not is_flared(design) or has_firm_band(design):
         return None
-    length = design.levels_skirt.length if design.meta.bottom is Bottom.LEVELS else design.flare_skirt.length
-    suns = 0.0 if is_asymmetric(design) else design.flare_skirt.suns
+    length, suns = bottom_length(design), top_parameter(design, "fullness")
     if length <= LIGHT_LENGTH and suns <= LIGHT_SUNS:
         return None
     return Reject("too_heavy", f"length {length:.2f} and {suns:.2f} suns hang from no firm waistband")
@@ -141,7 +138,7 @@ def tight_cuff(outfit: Fitted) -> Reject | None:
     """A band at the end of trousers or sleeves is narrower than the limb in it, by more than cloth gives."""
     size, design = outfit.size, outfit.design
     if has_tight_cuffs(size, design):
-        cuff, leg = cuff_and_leg(size, design.pants, rise=bottom_rise(design))
+        cuff, leg = cuff_and_leg(size, design)
         return Reject(
             "tight_cuff", f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
         )
@@ -213,9 +210,9 @@ def room_to_floor(size: Measurements, design: OutfitDesign) -> float:
 def garment_length(size: Measurements, design: OutfitDesign) -> float:
     """Upper, band and bottom, one under the other [cm]."""
     meta = design.meta
-    upper = upper_length(size, design) if meta.upper else 0.0
+    upper = meta.upper.garment.length(size, design) if meta.upper else 0.0
     band = design.waistband.width * size.hips_line if meta.wb else 0.0
-    return upper + band + (BOTTOMS[meta.bottom].length(size, design, bottom_rise(design)) if meta.bottom else 0.0)
+    return upper + band + (meta.bottom.garment.length(size, design, bottom_rise(design)) if meta.bottom else 0.0)
 
 
 def top_girth(size: Measurements, design: OutfitDesign) -> float:
@@ -236,40 +233,54 @@ def has_firm_band(design: OutfitDesign) -> bool:
     return has_snug_band(design) and design.waistband.width > FIRM_BAND
 
 
+def top_of_bottom(design: OutfitDesign) -> BottomGarment[Any] | None:
+    """The record of the bottom, or of that which a bottom made of several begins with; ``None`` without a bottom."""
+    return design.meta.bottom.garment.top(design) if design.meta.bottom else None
+
+
 def is_gathered(design: OutfitDesign) -> bool:
     """Whether the bottom is a gathered skirt, or begins with one."""
-    match design.meta.bottom:
-        case Bottom.GODET:
-            return design.godet_skirt.base is GodetBase.GATHERED
-        case Bottom.LEVELS:
-            return design.levels_skirt.base is LevelsBase.GATHERED
-        case other:
-            return other is Bottom.GATHERED
+    top = top_of_bottom(design)
+    return top is not None and bool(top.gathers)
 
 
-def is_asymmetric(design: OutfitDesign) -> bool:
-    """Whether the bottom is an asymmetric circle skirt, or begins with one: flare-skirt.suns says nothing then."""
-    if design.meta.bottom is Bottom.LEVELS:
-        return design.levels_skirt.base is LevelsBase.ASYMMETRIC_CIRCLE
-    return design.meta.bottom is Bottom.ASYMMETRIC_CIRCLE
+def is_flared(design: OutfitDesign) -> bool:
+    """Whether the bottom is a flared skirt, or begins with one."""
+    top = top_of_bottom(design)
+    return top is not None and top.flared
+
+
+def top_parameter(design: OutfitDesign, role: Literal["gathers", "fullness"]) -> float:
+    """The parameter that gathers the top of the bottom, or makes it wide; 0 where it has none."""
+    top = top_of_bottom(design)
+    name = "" if top is None else getattr(top, role)
+    return float(getattr(top.own(design), name)) if top is not None and name else 0.0
+
+
+def bottom_length(design: OutfitDesign) -> float:
+    """The ``length`` of a bottom by its section."""
+    assert design.meta.bottom is not None
+    return float(design.meta.bottom.garment.lengthened(design).own(design).length)
+
+
+def cuff_and_leg(size: Measurements, design: OutfitDesign) -> tuple[float, float]:
+    """Girth of a band at the end of the legs, and of the leg where it is widest inside the band [cm]; 0 without one.
+
+    Raises ``PatternError`` where legs cannot be drawn.
+    """
+    garment = design.meta.bottom.garment if design.meta.bottom else None
+    if garment is None or garment.cuffs is None:
+        return 0.0, 0.0
+    return garment.cuffs(size, garment.own(design), bottom_rise(design))
 
 
 def has_tight_cuffs(size: Measurements, design: OutfitDesign) -> bool:
     """Whether the legs do not go through the cuffs of trousers."""
-    if design.meta.bottom is not Bottom.PANTS:
-        return False
     try:
-        cuff, leg = cuff_and_leg(size, design.pants, rise=bottom_rise(design))
+        cuff, leg = cuff_and_leg(size, design)
     except PatternError:  # which the drawing tells
         return False
     return cuff * CLOTH_GIVES < leg
-
-
-def is_heavy_kind(design: OutfitDesign) -> bool:
-    """Whether the bottom is a flared skirt, or begins with one."""
-    if design.meta.bottom is Bottom.LEVELS:
-        return design.levels_skirt.base in (LevelsBase.CIRCLE, LevelsBase.ASYMMETRIC_CIRCLE)
-    return design.meta.bottom in (Bottom.CIRCLE, Bottom.ASYMMETRIC_CIRCLE, Bottom.PANELS)
 
 
 def _fault(outfit: Fitted, name: str, concerns: Callable[[Rule], bool]) -> Reject | None:

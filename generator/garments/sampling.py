@@ -15,16 +15,15 @@ GarmentCode's sampler, this one
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments.design import Bottom, LeftDesign, MetaDesign, OutfitDesign, Upper, UpperHalf
-from gcd_dataset.generator.garments.godet_skirt import GodetBase
-from gcd_dataset.generator.garments.levels_skirt import Level, LevelsBase
+from gcd_dataset.generator.garments.design import LeftDesign, MetaDesign, OutfitDesign
+from gcd_dataset.generator.garments.garment import UpperGarment
+from gcd_dataset.generator.garments.kind import NEEDS, Kind, choice_of, kinds_left, upper_choice
 from gcd_dataset.generator.garments.neckline import LeftNecklineDesign
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice, Space
@@ -35,64 +34,28 @@ from gcd_dataset.generator.garments.rules import (
     has_firm_band,
     has_snug_band,
     has_tight_cuffs,
-    is_asymmetric,
+    is_flared,
     is_gathered,
-    is_heavy_kind,
     room_to_floor,
     top_girth,
+    top_of_bottom,
 )
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.space import DesignSpace, draw, from_dict, to_dict
-from gcd_dataset.generator.garments.wholeness import bottom_is_whole, half_is_whole, sleeve_is_tight
+from gcd_dataset.generator.garments.upper import Shirt
+from gcd_dataset.generator.garments.upper_half import UpperHalf
+from gcd_dataset.generator.garments.wholeness import bottom_is_whole, half_is_whole, sleeve_is_tight, upper_is_whole
 from gcd_dataset.records import Measurements
 
-__all__ = ["Kind", "design_from_dict", "design_to_dict", "sample_design", "sample_kind", "sections_used"]
+__all__ = ["design_from_dict", "design_to_dict", "sample_design", "sample_kind"]
 
 JOINED_SHIRT = (0.8, 1.3)  # shirt.length at which a band or bottom is sewn on: near the waist, where it is as wide
 NECKLINES_TRIED, UPPERS_TRIED, BOTTOMS_TRIED = 10, 5, 10
 
-LENGTH_SECTIONS: Mapping[Enum, str] = {
-    Bottom.CIRCLE: "flare_skirt",
-    Bottom.ASYMMETRIC_CIRCLE: "flare_skirt",
-    Bottom.PANELS: "flare_skirt",
-    Bottom.GATHERED: "skirt",
-    Bottom.PENCIL: "pencil_skirt",
-    Bottom.LEVELS: "levels_skirt",
-    Bottom.PANTS: "pants",
-    GodetBase.GATHERED: "skirt",
-    GodetBase.PENCIL: "pencil_skirt",
-    LevelsBase.GATHERED: "skirt",
-    LevelsBase.PENCIL: "pencil_skirt",
-    LevelsBase.CIRCLE: "flare_skirt",
-    LevelsBase.ASYMMETRIC_CIRCLE: "flare_skirt",
-    Level.GATHERED: "skirt",
-    Level.CIRCLE: "flare_skirt",
-    Level.ASYMMETRIC_CIRCLE: "flare_skirt",
-}
-"""The section of a design that a bottom, or a part of one, is drawn from."""
-
-
-class Kind(Enum):
-    """What of the body a garment covers."""
-
-    UPPER = "upper"
-    LOWER = "lower"
-    FULL = "full-body"
-
-
-NEEDS: Mapping[Kind, tuple[bool, bool]] = {
-    Kind.UPPER: (True, False),
-    Kind.LOWER: (False, True),
-    Kind.FULL: (True, True),
-}
-"""Whether a garment of that kind has an upper, and a bottom."""
-
 
 def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind:
     """One of the kinds of garment that the overlay leaves, all equally likely."""
-    meta = _sections(overlay)["meta"]
-    there = [{option is not None for option in _choice(meta, name).options} for name in ("upper", "bottom")]
-    kinds = [kind for kind, needs in NEEDS.items() if all(n in t for n, t in zip(needs, there, strict=True))]
+    kinds = kinds_left(_sections(overlay)["meta"])
     return kinds[int(rng.integers(len(kinds)))]
 
 
@@ -154,10 +117,12 @@ class _Draft:
 
     def with_parts(self, kind: Kind) -> OutfitDesign:
         """Which upper, band and bottom there are."""
-        space, (has_upper, has_bottom) = self.sections["meta"], NEEDS[kind]
-        upper = _chosen(_choice(space, "upper"), has_upper).draw(self.rng)
-        bottom = _chosen(_choice(space, "bottom"), has_bottom).draw(self.rng)
-        return OutfitDesign(meta=MetaDesign(upper, _leaf(space, "wb").draw(self.rng), bottom))
+        space, (_, has_bottom) = self.sections["meta"], NEEDS[kind]
+        upper = upper_choice(space, kind).draw(self.rng)
+        bottom = _chosen(choice_of(space, "bottom"), has_bottom).draw(self.rng)
+        bands = choice_of(space, "wb")
+        bands = bands if upper is None or upper.garment.carries else _chosen(bands, False)
+        return OutfitDesign(meta=MetaDesign(upper, bands.draw(self.rng), bottom))
 
     def with_band(self, design: OutfitDesign) -> OutfitDesign:
         """With a waistband; one under nothing is no wider than the trunk."""
@@ -169,9 +134,22 @@ class _Draft:
         return replace(design, waistband=self.within("waistband", design.waistband, waist=(1.0, widest)))
 
     def with_upper(self, design: OutfitDesign) -> OutfitDesign:
-        """With a shirt, its neckline and sleeves: the first of some whose panels are whole."""
+        """With the sections of its upper: the first of some whose panels are whole."""
+        assert design.meta.upper is not None
+        garment = design.meta.upper.garment
+        return self._with_shirt(design, garment) if isinstance(garment, Shirt) else self._with_other(design, garment)
+
+    def _with_other(self, design: OutfitDesign, garment: UpperGarment[Any]) -> OutfitDesign:
         for _ in range(UPPERS_TRIED):
-            trial = replace(design, shirt=self._shirt(design), sleeve=self.drawn("sleeve"), left=self._left())
+            design = replace(design, **{garment.field: self.drawn(garment.field)})
+            if all(upper_is_whole(size, design) for size in self.sizes):
+                break
+        return design
+
+    def _with_shirt(self, design: OutfitDesign, garment: Shirt) -> OutfitDesign:
+        """With a shirt, its neckline and sleeves."""
+        for _ in range(UPPERS_TRIED):
+            trial = replace(design, shirt=self._shirt(design, garment), sleeve=self.drawn("sleeve"), left=self._left())
             if self._has_tight_sleeves(trial):
                 continue
             for _ in range(NECKLINES_TRIED):
@@ -213,15 +191,16 @@ class _Draft:
         return trial
 
     def _with_bottom_drawn(self, design: OutfitDesign) -> OutfitDesign:
-        for section in _sections_of_bottom(design.meta.bottom):
-            design = replace(design, **{section: self.drawn(section)})
-        for section in _sections_of_parts(design):
+        assert design.meta.bottom is not None
+        garment = design.meta.bottom.garment
+        design = replace(design, **{garment.field: self.drawn(garment.field)})
+        for section in dict.fromkeys(part.field for part in garment.parts(design)):
             design = replace(design, **{section: self.drawn(section)})
         return design
 
-    def _shirt(self, design: OutfitDesign) -> ShirtDesign:
+    def _shirt(self, design: OutfitDesign, garment: Shirt) -> ShirtDesign:
         shirt: ShirtDesign = self.drawn("shirt")
-        joined = design.meta.upper is Upper.SHIRT and (design.meta.wb or design.meta.bottom)
+        joined = not garment.at_waist and (design.meta.wb or design.meta.bottom)
         longest = min(room_to_floor(size, design) / size.waist_line for size in self.sizes)
         limits = JOINED_SHIRT if joined else (-np.inf, longest)
         kept: ShirtDesign = self.within("shirt", shirt, length=limits)
@@ -234,7 +213,7 @@ class _Draft:
     def _off_the_floor(self, design: OutfitDesign) -> OutfitDesign:
         """The bottom no longer than from the hem above it to the floor; lengths are fractions of hips to floor."""
         section = _length_section(design)
-        drawn = getattr(design, section)
+        drawn: Any = getattr(design, section)
         excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
         if excess <= 0:
             return design
@@ -244,9 +223,9 @@ class _Draft:
         """A gathered bottom alone on a band at the body's own girth; where no band may be drawn, without gathers."""
         if design.meta.upper or not is_gathered(design) or has_snug_band(design):
             return design
-        bands = _choice(self.sections["meta"], "wb")
-        if all(option is None for option in bands.options):
-            return replace(design, skirt=self.within("skirt", design.skirt, ruffle=(1.0, 1.0)))
+        bands = choice_of(self.sections["meta"], "wb")
+        if all(option is None for option in bands.lot):
+            return self._with_top_within(design, "gathers", (1.0, 1.0))
         meta = replace(design.meta, wb=design.meta.wb or _chosen(bands, True).draw(self.rng))
         band = self.within("waistband", self.drawn("waistband"), waist=(1.0, 1.0))
         return replace(design, meta=meta, waistband=band)
@@ -255,13 +234,21 @@ class _Draft:
         """A bottom alone not heavy where no firm band holds it."""
         if design.meta.upper:
             return design
-        if is_heavy_kind(design) and not has_firm_band(design):
+        if is_flared(design) and not has_firm_band(design):
             section, limits = _length_section(design), {"length": (-np.inf, LIGHT_LENGTH)}
             design = replace(design, **{section: self.within(section, getattr(design, section), **limits)})
-            if not is_asymmetric(design):
-                light = self.within("flare_skirt", design.flare_skirt, suns=(-np.inf, LIGHT_SUNS))
-                design = replace(design, flare_skirt=light)
+            design = self._with_top_within(design, "fullness", (-np.inf, LIGHT_SUNS))
         return design
+
+    def _with_top_within(
+        self, design: OutfitDesign, role: Literal["gathers", "fullness"], limits: tuple[float, float]
+    ) -> OutfitDesign:
+        """The bottom, the parameter that gathers its top or makes it wide drawn anew where it is outside its limits."""
+        top = top_of_bottom(design)
+        name = "" if top is None else getattr(top, role)
+        if top is None or not name:
+            return design
+        return replace(design, **{top.field: self.within(top.field, top.own(design), **{name: limits})})
 
 
 @cache
@@ -280,53 +267,20 @@ def _leaf(section: DesignSpace[Any], name: str) -> Space:
     return next(entry.space for entry in section.entries if entry.name == name and isinstance(entry.space, Space))
 
 
-def _choice(section: DesignSpace[Any], name: str) -> Choice:
-    return next(entry.space for entry in section.entries if entry.name == name and isinstance(entry.space, Choice))
-
-
 def _chosen(space: Choice, wanted: bool) -> Choice:
     """The choice between something, or nothing at all."""
     options = [option for option in space.range if (option is not None) == wanted]
     return space.narrowed([space.read(option) for option in options])
 
 
-def sections_used(design: OutfitDesign) -> frozenset[str]:
-    """The sections of a design that its garment is drawn from."""
-    used = {"meta"}
-    if design.meta.wb:
-        used.add("waistband")
-    if design.meta.upper:
-        used |= {"shirt", "collar", "sleeve"} | ({"left"} if design.left.enable_asym else set())
-    return frozenset([*used, *_sections_of_bottom(design.meta.bottom), *_sections_of_parts(design)])
-
-
 def _is_plain(design: OutfitDesign) -> bool:
     """Whether nothing is cut into the bottom that could run into anything else."""
-    if design.meta.bottom is Bottom.CIRCLE:
-        return not design.flare_skirt.cut.add
-    return design.meta.bottom in (Bottom.GATHERED, Bottom.PANTS)
-
-
-def _sections_of_bottom(bottom: Bottom | None) -> tuple[str, ...]:
-    if bottom is Bottom.GODET:
-        return ("godet_skirt",)
-    return (LENGTH_SECTIONS[bottom],) if bottom else ()
-
-
-def _sections_of_parts(design: OutfitDesign) -> tuple[str, ...]:
-    """The sections that the parts of a godet or levels skirt are drawn from."""
-    match design.meta.bottom:
-        case Bottom.GODET:
-            return (LENGTH_SECTIONS[design.godet_skirt.base],)
-        case Bottom.LEVELS:
-            parts = (design.levels_skirt.base, design.levels_skirt.level)
-            return tuple(dict.fromkeys(LENGTH_SECTIONS[part] for part in parts))
-        case _:
-            return ()
+    assert design.meta.bottom is not None
+    garment = design.meta.bottom.garment
+    return garment.always_whole(garment.own(design))
 
 
 def _length_section(design: OutfitDesign) -> str:
     """The section whose ``length`` says how far down the bottom reaches."""
-    bottom = design.meta.bottom
-    assert bottom is not None
-    return LENGTH_SECTIONS[design.godet_skirt.base if bottom is Bottom.GODET else bottom]
+    assert design.meta.bottom is not None
+    return design.meta.bottom.garment.lengthened(design).field

@@ -19,7 +19,7 @@ depth is a number from 1 to 5
 rows is a whole number from 1 to 3
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from enum import Enum
@@ -44,6 +44,7 @@ __all__ = [
     "real",
     "require_known",
     "to_dict",
+    "with_parts",
 ]
 
 D = TypeVar("D", bound="Design")
@@ -60,6 +61,10 @@ class Design:
             if space is not None and not space.holds(value):
                 raise ConfigError(f"{type(self).__name__}: {entry.name} is {plain(value)}, not {space}")
 
+    def writes(self, name: str) -> bool:
+        """Whether a design file holds this part of the design, one that ``with_parts`` has added."""
+        return True
+
 
 def real(default: float, low: float, high: float, *, keep: float | None = None, key: str | None = None) -> Any:
     """A number; ``key`` is its name in a design file where that differs from the field's."""
@@ -72,10 +77,14 @@ def integer(default: int, low: int, high: int, *, keep: float | None = None, key
 
 
 def choice(
-    default: Enum | float | None, *options: Enum | float | None, keep: float | None = None, key: str | None = None
+    default: Enum | float | None,
+    *options: Enum | float | None,
+    keep: float | None = None,
+    key: str | None = None,
+    weights: Sequence[int] = (),
 ) -> Any:
-    """One of several options, names or numbers; ``None`` stands for none of them."""
-    return _parameter(Choice(default, keep, options), key)
+    """One of several options, names or numbers; ``None`` stands for none of them. ``weights``: see ``Choice``."""
+    return _parameter(Choice(default, keep, options, tuple(weights)), key)
 
 
 def flag(default: bool, *, keep: float | None = None, key: str | None = None) -> Any:
@@ -86,6 +95,24 @@ def flag(default: bool, *, keep: float | None = None, key: str | None = None) ->
 def part(kind: type[Design], *, key: str | None = None) -> Any:
     """A design inside a design."""
     return field(default_factory=kind, metadata={"part": kind, "key": key})
+
+
+def with_parts(kinds: Mapping[str, type[Design]]) -> Callable[[type[P]], type[P]]:
+    """A decorator, to be applied before ``dataclass``, for a design with more parts: names in design files to kinds.
+
+    Names that the design declares itself are left as they are. The other parts come after its own; ``draw`` and
+    ``leaves`` pass them over, and design files hold them where ``Design.writes`` says so.
+    """
+
+    def extend(design: type[P]) -> type[P]:
+        for key, kind in kinds.items():
+            name = key.replace("-", "_")
+            if name not in design.__annotations__:
+                design.__annotations__[name] = kind
+                setattr(design, name, field(default_factory=kind, metadata={"part": kind, "key": key, "added": True}))
+        return design
+
+    return extend
 
 
 def _parameter(space: Space, key: str | None) -> Any:
@@ -102,6 +129,8 @@ class Entry(NamedTuple):
     key: str
     """Its name in a design file."""
     space: "Space | DesignSpace[Any]"
+    added: bool = False
+    """Whether ``with_parts`` has added it."""
 
 
 class Leaf(NamedTuple):
@@ -122,7 +151,7 @@ class DesignSpace(Generic[D]):
     @classmethod
     def declared(cls, kind: type[D]) -> "DesignSpace[D]":
         """The space that the fields of a kind of design declare."""
-        return cls(kind, tuple(Entry(entry.name, _key(entry), _declared(entry)) for entry in fields(kind)))
+        return cls(kind, tuple(Entry(e.name, _key(e), _declared(e), "added" in e.metadata) for e in fields(kind)))
 
     def of(self, kind: type[P]) -> "DesignSpace[P]":
         """The part that holds this kind of design. Raises ``ConfigError`` where there is none, or more than one."""
@@ -133,7 +162,7 @@ class DesignSpace(Generic[D]):
 
     def changed(self, spaces: Mapping[str, Space]) -> "DesignSpace[D]":
         """The same with other spaces for the parameters at some paths. Raises ``ConfigError`` for a path to none."""
-        if unknown := spaces.keys() - {leaf.path for leaf in leaves(self)}:
+        if unknown := spaces.keys() - {leaf.path for leaf in leaves(self, added=True)}:
             raise ConfigError(f"no design parameter is called {min(unknown)}: make the overlay again from its file")
         return self._changed(spaces, "")
 
@@ -152,9 +181,14 @@ class DesignSpace(Generic[D]):
                 yield from entry.space._parts()
 
 
-def leaves(kind: type[Design] | DesignSpace[Any]) -> Iterator[Leaf]:
-    """All parameters of a design, parts of parts included, in the order of the fields."""
+def leaves(kind: type[Design] | DesignSpace[Any], *, added: bool = False) -> Iterator[Leaf]:
+    """All parameters of a design, parts of parts included, in the order of the fields.
+
+    ``added``: with those of the parts that ``with_parts`` has added.
+    """
     for entry in _space(kind).entries:
+        if entry.added and not added:
+            continue
         if isinstance(entry.space, DesignSpace):
             yield from (Leaf(f"{entry.key}.{leaf.path}", leaf.space) for leaf in leaves(entry.space))
         else:
@@ -174,6 +208,8 @@ def draw(
     space, limits = _space(kind), within or {}
     values = {}
     for entry in space.entries:
+        if entry.added:
+            continue
         if isinstance(entry.space, DesignSpace):
             values[entry.name] = draw(entry.space, rng)
         else:
@@ -198,7 +234,8 @@ def _key(entry: Any) -> str:
 
 def to_dict(design: Design) -> dict[str, Any]:
     """The design as nested plain values, under the names of a design file."""
-    values = {_key(entry): getattr(design, entry.name) for entry in fields(design)}
+    written = (entry for entry in fields(design) if "added" not in entry.metadata or design.writes(entry.name))
+    values = {_key(entry): getattr(design, entry.name) for entry in written}
     return {key: to_dict(value) if isinstance(value, Design) else plain(value) for key, value in values.items()}
 
 
@@ -219,7 +256,7 @@ def require_known(space: DesignSpace[Any], values: Mapping[str, Any]) -> None:
     if unknown is None:
         return
     path, siblings = unknown
-    known = [leaf.path for leaf in leaves(space)]
+    known = [leaf.path for leaf in leaves(space, added=True)]
     tables = {".".join(path.split(".")[:depth]) for path in known for depth in range(1, path.count(".") + 1)}
     near = get_close_matches(path, [*known, *sorted(tables)], n=1)
     remedy = f"did you mean {near[0]}?" if near else f"there are {', '.join(siblings)}"

@@ -1,17 +1,24 @@
-"""The upper body: a straight or a fitted shirt of two halves, alike or not."""
+"""Shirts: straight or fitted, of two halves, alike or not."""
 
-from gcd_dataset.generator.garments.design import OutfitDesign, Upper
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from gcd_dataset.generator.garments.garment import UpperGarment
 from gcd_dataset.generator.garments.mends import Mend
+from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.upper_half import right_half
 from gcd_dataset.generator.pattern import Component, backwards
 from gcd_dataset.records import Measurements
 
-__all__ = ["upper", "upper_length"]
+if TYPE_CHECKING:
+    from gcd_dataset.generator.garments.design import OutfitDesign
+
+__all__ = ["FITTED_SHIRT", "STRAIGHT_SHIRT", "Shirt", "shirt"]
 
 
-def upper(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend]) -> Component:
+def shirt(size: Measurements, design: "OutfitDesign", *, fitted: bool, mends: frozenset[Mend]) -> Component:
     """Two halves sewn at the centres; offers ``bottom`` [ring]."""
-    fitted, left_design = design.meta.upper is Upper.FITTED, design.left_half()
+    left_design = design.left_half()
     right = right_half(size, *design.right_half(), fitted=fitted, mends=mends)
     other = right if left_design is None else right_half(size, *left_design, fitted=fitted, mends=mends)
     left = other.mirrored("right", "left")
@@ -26,7 +33,25 @@ def upper(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend]) -
     )
 
 
-def upper_length(size: Measurements, design: OutfitDesign) -> float:
-    """From the nape to the hem behind [cm]."""
-    length = 1.0 if design.meta.upper is Upper.FITTED else design.shirt.length
-    return length * size.waist_line
+@dataclass(frozen=True, kw_only=True)
+class Shirt(UpperGarment[ShirtDesign]):
+    """A shirt; necklines, sleeves and a left half of its own are sections beside its own."""
+
+    section: str = "shirt"
+    design: type[ShirtDesign] = ShirtDesign
+    fitted: bool
+    """Whether darts fit it to bust and waist, where it ends."""
+
+    def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
+        return shirt(size, design, fitted=self.fitted, mends=mends)
+
+    def length(self, size: Measurements, design: "OutfitDesign") -> float:
+        return size.waist_line if self.at_waist else self.own(design).length * size.waist_line
+
+    def sections_used(self, design: "OutfitDesign") -> tuple[str, ...]:
+        left = design.left_half() is not None
+        return ("shirt", "collar", "sleeve") + (("left",) if left else ())
+
+
+FITTED_SHIRT = Shirt(name="FittedShirt", fitted=True, at_waist=True)
+STRAIGHT_SHIRT = Shirt(name="Shirt", fitted=False)

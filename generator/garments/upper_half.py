@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import TypeAlias
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.armhole import Armhole, armhole
@@ -16,11 +17,14 @@ from gcd_dataset.generator.garments.torso import TorsoHalf
 from gcd_dataset.generator.pattern import Component, Piece, Stroke, cut_corner
 from gcd_dataset.records import Measurements
 
-__all__ = ["right_half", "right_torso"]
+__all__ = ["UpperHalf", "right_half", "right_torso"]
 
 SEAM_LEFT = 1.0  # cm of side or centre edge left beside an armhole or neckline, GarmentCode
 FRONT, BACK = 30.0, -25.0  # cm before and behind the axis, GarmentCode
 FRONT_NAME, BACK_NAME = "right_ftorso", "right_btorso"
+
+UpperHalf: TypeAlias = tuple[ShirtDesign, NecklineDesign, SleeveDesign]
+"""What one half of the upper body is drawn from."""
 
 
 @lru_cache(maxsize=8)

@@ -9,10 +9,11 @@ from jaxtyping import Complex, Float
 from gcd_dataset.crossings import edge_hulls, find_crossings
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import arm_in_cuff
-from gcd_dataset.generator.garments.design import OutfitDesign, Upper, UpperHalf
+from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
 from gcd_dataset.generator.garments.outfit import bottom
-from gcd_dataset.generator.garments.upper_half import right_half, right_torso
+from gcd_dataset.generator.garments.upper import Shirt
+from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half, right_torso
 from gcd_dataset.generator.pattern import Component, SewnJoin, measure_joins, panel_of
 from gcd_dataset.records import Measurements, Panel
 from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
@@ -27,6 +28,7 @@ __all__ = [
     "half_is_whole",
     "is_mismatched",
     "sleeve_is_tight",
+    "upper_is_whole",
 ]
 
 CLOTH_GIVES = 1.2  # times its length, before it is pulled out of shape
@@ -38,7 +40,7 @@ TIGHTEST_GATHERS = 3.2  # of cloth, over the length it is gathered to: a little 
 def half_is_whole(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
     """Whether armhole and neckline can be cut into front and back of one half, and a flared cuff be sewn."""
     drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
-    fitted = design.meta.upper is Upper.FITTED
+    fitted = _is_fitted(design)
     return all(_can_be_sewn(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
 
 
@@ -48,7 +50,7 @@ def sleeve_is_tight(size: Measurements, design: OutfitDesign, half: UpperHalf) -
     if arm == 0.0:
         return False
     try:
-        drawn = right_half(size, *half, fitted=design.meta.upper is Upper.FITTED, mends=ALL_MENDS)
+        drawn = right_half(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
     except PatternError:  # which is told elsewhere
         return False
     return band_girth([panel_of(piece) for piece in drawn.pieces], "sl_right_cuff") * CLOTH_GIVES < arm
@@ -64,6 +66,17 @@ def band_girth(panels: Sequence[Panel], name: str) -> float:
 def bottom_is_whole(size: Measurements, design: OutfitDesign) -> bool:
     """Whether the bottom can be drawn, slits and darts and godets cut into it, and be sewn."""
     return _can_be_sewn(partial(bottom, size, design, ALL_MENDS))
+
+
+def upper_is_whole(size: Measurements, design: OutfitDesign) -> bool:
+    """Whether an upper other than a shirt can be drawn and be sewn."""
+    assert design.meta.upper is not None
+    return _can_be_sewn(partial(design.meta.upper.garment.draw, size, design, mends=ALL_MENDS))
+
+
+def _is_fitted(design: OutfitDesign) -> bool:
+    garment = design.meta.upper.garment if design.meta.upper else None
+    return isinstance(garment, Shirt) and garment.fitted
 
 
 def _can_be_sewn(part: Callable[[], Component]) -> bool:

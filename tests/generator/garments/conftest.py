@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from gcd_dataset.generator.garments import OutfitDesign, design_from_dict
+from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
 from gcd_dataset.records import ANGLES, Measurements
 
 WOMAN = Measurements(
@@ -38,6 +39,7 @@ WEARERS = {"woman": WOMAN, "man": MAN, "stout": STOUT, "doll": scaled(WOMAN, 0.3
 SHIRT = {"upper": "Shirt"}
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}
 DRESS = {"upper": "Shirt", "bottom": "SkirtCircle"}
+GODETS = {"insert_depth": 10, "insert_w": 10}  # cm: as large as a doll's skirt takes
 OUTFITS: dict[str, Mapping[str, Any]] = {
     "shirt": {"meta": SHIRT},
     "sleeveless": {"meta": SHIRT, "sleeve": {"sleeveless": True}, "collar": {"f_collar": "VNeckHalf"}},
@@ -50,7 +52,12 @@ OUTFITS: dict[str, Mapping[str, Any]] = {
     "dress": {"meta": DRESS},
     "dress, straight band": {"meta": DRESS | {"wb": "StraightWB"}},
     "dress, fitted band": {"meta": DRESS | {"wb": "FittedWB"}, "flare-skirt": {"rise": 0.7}},
+    "round poncho": {"meta": {"upper": "Poncho"}, "poncho": {"shape": "Circle", "neckline": "VNeckHalf"}},
+    "narrow cape": {"meta": {"upper": "Cape"}, "cape": {"circle": 0.5, "closed": 1.0}},
+    **{upper.value: {"meta": {"upper": upper.value}} for upper in Upper},
+    **{bottom.value: {"meta": {"upper": None, "bottom": bottom.value}, "godet-skirt": GODETS} for bottom in Bottom},
 }
+"""Garments of the battery: every one of the wardrobe with its defaults, and some with other parameters."""
 
 
 @pytest.fixture(params=WEARERS)

@@ -6,7 +6,6 @@ import pytest
 
 from gcd_dataset.curves import curve_length
 from gcd_dataset.generator.garments import design_from_dict
-from gcd_dataset.generator.garments.bottoms import BOTTOMS
 from gcd_dataset.generator.garments.design import Bottom
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.records import Measurements
@@ -116,7 +115,7 @@ def test_base_and_levels_together_are_as_long_as_asked(woman: Measurements, base
     assert levels == pytest.approx([0.6 * 0.8 * woman.leg_length / 3] * 3)
     assert base_side == pytest.approx(woman.hips_line + 0.4 * 0.8 * woman.leg_length, rel=0.01)
     design = design_from_dict({"meta": {"upper": None, "bottom": "SkirtLevels"}, **straight})
-    told = BOTTOMS[Bottom.LEVELS].length(woman, design, bottom_rise(design))
+    told = Bottom.LEVELS.garment.length(woman, design, bottom_rise(design))
     assert told == pytest.approx(woman.hips_line + 0.8 * woman.leg_length)
 
 

@@ -13,7 +13,7 @@ from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign
 from gcd_dataset.generator.garments.design_file import read_design
 from gcd_dataset.generator.garments.outfit import bottom_rise
-from gcd_dataset.generator.garments.pants import PantsDesign, pants, pants_length
+from gcd_dataset.generator.garments.pants import PANTS, PantsDesign, pants
 from gcd_dataset.generator.pattern import Piece, assemble
 from gcd_dataset.records import Measurements, Panel
 from gcd_dataset.spec import read_pattern
@@ -151,7 +151,7 @@ def test_a_cuff_comes_off_the_leg_and_leaves_a_fifth(cuff_len: float, woman: Mea
     leg = drawn.piece("pant_f_r").outline.length("outside")
     assert leg == pytest.approx(max(0.7 - cuff_len, 0.2) * woman.leg_length)
     assert leg + drawn.piece("pant_r_cuff_f").outline.length("left") == pytest.approx(0.7 * woman.leg_length)
-    assert pants_length(woman, design, rise=1.0) == pytest.approx(woman.hips_line + 0.7 * woman.leg_length)
+    assert PANTS.long(woman, design, 1.0) == pytest.approx(woman.hips_line + 0.7 * woman.leg_length)
 
 
 def test_a_cuff_is_the_hem_without_its_gathers(woman: Measurements) -> None:

@@ -11,7 +11,6 @@ from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, sample_de
 from gcd_dataset.generator.garments.design import Upper
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.rules import garment_length, room_to_floor
-from gcd_dataset.generator.garments.sampling import sections_used
 from gcd_dataset.generator.garments.space import to_dict
 from gcd_dataset.records import Measurements
 from gcd_dataset.seeding import Stage, rng
@@ -67,7 +66,7 @@ def test_halves_differ_in_a_fifth_of_uppers() -> None:
 def test_what_the_garment_does_not_use_keeps_its_default() -> None:
     plain = to_dict(OutfitDesign())
     for design in designs():
-        values, used = to_dict(design), sections_used(design)
+        values, used = to_dict(design), design.sections_used()
         unused = [section for section in plain if section.replace("-", "_") not in used]
         assert all(values[section] == plain[section] for section in unused)
 

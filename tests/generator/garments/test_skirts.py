@@ -14,9 +14,9 @@ from gcd_dataset.curves import Arc
 from gcd_dataset.errors import BodyError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, read_measurements
 from gcd_dataset.generator.garments import outfit
-from gcd_dataset.generator.garments.bottoms import BOTTOMS
 from gcd_dataset.generator.garments.design import Bottom, MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.design_file import read_design
+from gcd_dataset.generator.garments.garment import Cutting
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.outfit import bottom_rise
 from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign, pencil_skirt
@@ -165,7 +165,7 @@ def test_ornaments_are_refused(woman: Measurements) -> None:
 
 def test_a_pencil_skirt_above_the_hips_is_refused(woman: Measurements) -> None:
     with pytest.raises(PatternError, match=r"a pencil skirt ends 12\.6 cm above the hips"):
-        pencil_skirt(woman, PencilSkirtDesign(), rise=1.0, length=10.0)
+        pencil_skirt(woman, PencilSkirtDesign(), Cutting(1.0, 10.0, ALL_MENDS))
 
 
 def test_measures_that_only_a_pencil_skirt_needs(woman: Measurements) -> None:
@@ -319,7 +319,7 @@ def test_random_skirts_on_random_bodies_can_be_sewn(kind: Bottom, mends: frozens
 @pytest.mark.parametrize("kind", WEARABLE)
 def test_a_skirt_is_as_long_as_it_says(woman: Measurements, kind: Bottom) -> None:
     design = replace(OutfitDesign(), meta=MetaDesign(None, None, kind))
-    told = BOTTOMS[kind].length(woman, design, bottom_rise(design))
+    told = kind.garment.length(woman, design, bottom_rise(design))
     heights = [panel.placement.apply(panel.vertices)[:, 1] for panel in outfit(woman, design).panels]
     assert told > woman.hips_line
     if kind in (Bottom.GATHERED, Bottom.PENCIL, Bottom.PANELS):
@@ -346,6 +346,8 @@ def test_a_flared_pencil_skirt_is_that_of_the_reference(examples: Path) -> None:
     reference = read_pattern(examples / "patterns" / "dress_pencil_specification.json")
     size = read_measurements(examples / "patterns" / "pencil_skirt" / "default_body" / "body_measurements.yaml")
     design = PencilSkirtDesign(length=0.5, flare=0.9, left_slit=0.4, right_slit=0.4)
-    ours = assemble(pencil_skirt(size, design, rise=1.0, length=size.hips_line + 0.5 * size.leg_length), "skirt")
+    ours = assemble(
+        pencil_skirt(size, design, Cutting(1.0, size.hips_line + 0.5 * size.leg_length, ALL_MENDS)), "skirt"
+    )
     found = compare(ours, reference)
     assert max(found.outline.values()) < 0.1

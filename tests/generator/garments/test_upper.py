@@ -17,7 +17,6 @@ from gcd_dataset.generator.body import read_measurements
 from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.design_file import read_design
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
-from gcd_dataset.generator.garments.upper import upper
 from gcd_dataset.generator.pattern import assemble
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
 from gcd_dataset.spec import read_pattern
@@ -80,7 +79,8 @@ def seams(pattern: Pattern, panels: set[str]) -> set[frozenset[tuple[str, int]]]
 def test_tops_are_those_of_the_reference(examples: Path, top: str, body: str) -> None:
     folder = examples / "patterns" / top / body
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
-    ours = assemble(upper(size, design, mends=frozenset()), "top")
+    assert design.meta.upper is not None
+    ours = assemble(design.meta.upper.garment.draw(size, design, mends=frozenset()), "top")
     reference = read_pattern(folder / f"{top}_specification.json")
     names = {panel.name for panel in ours.panels}
     assert names == {p.name for p in reference.panels if p.label != "leg" and not p.name.startswith("wb_")}

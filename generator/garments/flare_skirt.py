@@ -1,0 +1,60 @@
+"""The section of a design that flared skirts share: skirts cut from circles of cloth, or of widening panels."""
+
+from dataclasses import dataclass
+
+from gcd_dataset.generator.garments.skirt import SHORTEST, length_below_waist
+from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
+from gcd_dataset.records import Measurements
+
+__all__ = ["AsymmetricSkirtDesign", "FlareSkirtDesign", "HemCutDesign", "PanelSkirtDesign", "flare_skirt_length"]
+
+
+@dataclass(frozen=True)
+class PanelSkirtDesign(Design):
+    """How a flared skirt is divided into panels."""
+
+    n_panels: int = integer(4, 4, 15)
+    panel_curve: float = choice(0, -0.35, -0.25, -0.15, 0, 0.15, 0.25, 0.35, 0.45)
+    """Bulge of each panel's hem: sagitta over chord, positive outwards."""
+
+
+@dataclass(frozen=True)
+class HemCutDesign(Design):
+    """A triangular cut in the hem."""
+
+    add: bool = flag(False, keep=0.6)
+    depth: float = real(0.5, 0.05, 0.95, keep=0.6)
+    """As a fraction of the skirt's length."""
+    width: float = real(0.1, 0.05, 0.4)
+    """At the hem, as a fraction of the skirt's length."""
+    place: float = real(-0.5, -1.0, 1.0)
+    """Fraction of the hem's length at which it is centred: of the front's, from the wearer's right, if positive; else
+    of the back's, from her left."""
+
+
+@dataclass(frozen=True)
+class AsymmetricSkirtDesign(Design):
+    """A circle skirt cut off centre."""
+
+    front_length: float = real(0.5, 0.1, 0.9, keep=0.5)
+    """At the middle of the front, as a fraction of the length behind."""
+
+
+@dataclass(frozen=True)
+class FlareSkirtDesign(Design):
+    """A skirt cut from circles of cloth, or of panels that widen downwards."""
+
+    length: float = real(0.2, -0.2, 0.95)
+    """Below the hips, as a fraction of hips to floor."""
+    rise: float = real(1.0, 0.5, 1.0, keep=0.3)
+    """Where the top sits: 0 at the hips, 1 at the waist."""
+    suns: float = real(0.75, 0.1, 1.95)
+    """How many full circles the front and the back together are cut from."""
+    skirt_many_panels: PanelSkirtDesign = part(PanelSkirtDesign, key="skirt-many-panels")
+    asymm: AsymmetricSkirtDesign = part(AsymmetricSkirtDesign)
+    cut: HemCutDesign = part(HemCutDesign)
+
+
+def flare_skirt_length(size: Measurements, design: FlareSkirtDesign, rise: float) -> float:
+    """From the top to the hem along the cloth [cm]; behind, where the front is shorter."""
+    return max(length_below_waist(size, design.length, rise=rise), SHORTEST)

@@ -1,0 +1,58 @@
+"""Kinds of garments by what they cover, and which of them a design space leaves."""
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any
+
+from gcd_dataset.generator.garments.design import MetaDesign, Upper
+from gcd_dataset.generator.garments.parameter import Choice, plain
+from gcd_dataset.generator.garments.space import DesignSpace
+
+__all__ = ["NEEDS", "Kind", "choice_of", "kinds_left", "upper_choice"]
+
+
+class Kind(Enum):
+    """What of the body a garment covers."""
+
+    UPPER = "upper"
+    LOWER = "lower"
+    FULL = "full-body"
+
+
+NEEDS: Mapping[Kind, tuple[bool, bool]] = {
+    Kind.UPPER: (True, False),
+    Kind.LOWER: (False, True),
+    Kind.FULL: (True, True),
+}
+"""Whether a garment of that kind has an upper, and a bottom."""
+
+
+def choice_of(space: DesignSpace[Any], name: str) -> Choice:
+    """The space of a parameter that is a choice."""
+    return next(entry.space for entry in space.entries if entry.name == name and isinstance(entry.space, Choice))
+
+
+def kinds_left(meta: DesignSpace[MetaDesign]) -> list[Kind]:
+    """The kinds of garment that this section of a design space leaves."""
+    bottoms = choice_of(meta, "bottom").lot
+    return [
+        kind
+        for kind, (_, has_bottom) in NEEDS.items()
+        if _uppers(meta, kind) and any((bottom is not None) == has_bottom for bottom in bottoms)
+    ]
+
+
+def upper_choice(meta: DesignSpace[MetaDesign], kind: Kind) -> Choice:
+    """The uppers that a garment of a kind may have: nothing is sewn to one that carries nothing."""
+    space = choice_of(meta, "upper")
+    return space.narrowed([plain(upper) for upper in _uppers(meta, kind)])
+
+
+def _uppers(meta: DesignSpace[MetaDesign], kind: Kind) -> list[Upper | None]:
+    has_upper, has_bottom = NEEDS[kind]
+    hangs_alone = not has_bottom and None in choice_of(meta, "wb").lot
+    return [
+        upper
+        for upper in choice_of(meta, "upper").lot
+        if (upper is not None) == has_upper and (upper is None or upper.garment.carries or hangs_alone)
+    ]

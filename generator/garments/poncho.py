@@ -1,0 +1,80 @@
+"""The poncho: a rectangle or a circle of cloth with an opening for the neck, ``poncho_front`` and ``poncho_back``.
+
+It is sewn along the shoulders and the arms, and not folded there: the seams of a rectangle follow the shoulders' slope.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from math import tan
+
+from gcd_dataset.curves import Arc
+from gcd_dataset.errors import PatternError
+from gcd_dataset.generator.garments.garment import SimpleUpper
+from gcd_dataset.generator.garments.neckline import Neckline
+from gcd_dataset.generator.garments.overgarment import NeckHole, both_halves, hung, neck_hole, right_neck
+from gcd_dataset.generator.garments.space import Design, choice, real
+from gcd_dataset.generator.pattern import Component, Outline, Piece
+from gcd_dataset.records import Measurements
+
+__all__ = ["PONCHO", "PonchoDesign", "PonchoShape", "poncho"]
+
+
+class PonchoShape(Enum):
+    """What a poncho is cut from."""
+
+    RECTANGLE = "Rectangle"
+    CIRCLE = "Circle"
+
+
+@dataclass(frozen=True)
+class PonchoDesign(Design):
+    """A poncho."""
+
+    shape: PonchoShape = choice(PonchoShape.RECTANGLE, *PonchoShape)
+    length: float = real(1.2, 0.8, 2.0)
+    """From the nape to the hem, as a fraction of nape to waist."""
+    width: float = real(0.65, 0.45, 0.9)
+    """Of a rectangle, as a fraction of wrist to wrist."""
+    neck: float = real(1.3, 1.1, 1.7)
+    """Opening for the neck, as a fraction of the neck's base."""
+    neckline: Neckline = choice(Neckline.CIRCLE, Neckline.CIRCLE, Neckline.V)
+    """Shape of the opening in front; it is round behind."""
+
+
+def poncho(size: Measurements, design: PonchoDesign) -> Component:
+    """Front and back of one shape, sewn over the shoulders and along the arms; nothing is sewn to its hem."""
+    hole = neck_hole(size, design.neck)
+    half = _right_half(size, design, hole)
+    front = both_halves(half, right_neck(hole, design.neckline, front=True))
+    back = both_halves(half, right_neck(hole, Neckline.CIRCLE, front=False))
+    before = hung(Piece("poncho_front", front), size, hole, front=True)
+    behind = hung(Piece("poncho_back", back), size, hole, front=False)
+    return (
+        Component.of(before, behind)
+        .sewn(before.along("shoulder"), behind.along("shoulder"))
+        .sewn(before.along("left_shoulder"), behind.along("left_shoulder"))
+    )
+
+
+def _right_half(size: Measurements, design: PonchoDesign, hole: NeckHole) -> Outline:
+    """From the right side of the neck along the arm, and by the hem to the middle."""
+    low = hole.back + design.length * size.waist_line
+    start = Outline.start(-hole.half_width, 0)
+    if design.shape is PonchoShape.CIRCLE:
+        return start.line(-low, 0, name="shoulder").curve(0, -low, Arc(low, large=False, right=True), name="hem")
+    wide = design.width * (0.5 * size.shoulder_w + size.arm_length)
+    sunk = tan(size.shoulder_incl) * (wide - hole.half_width)
+    if sunk >= low:
+        raise PatternError(f"a poncho {low:.1f} cm long ends {sunk:.1f} cm down its shoulder: raise poncho.length")
+    return start.line(-wide, -sunk, name="shoulder").line(-wide, -low, name="side").line(0, -low, name="hem")
+
+
+PONCHO = SimpleUpper(
+    name="Poncho",
+    section="poncho",
+    design=PonchoDesign,
+    weight=0,
+    carries=False,
+    cut=poncho,
+    long=lambda size, design: design.length * size.waist_line,
+)

@@ -1,0 +1,47 @@
+"""The wardrobe: every upper and every bottom there is, a line each."""
+
+from typing import Any
+
+from gcd_dataset.generator.garments.cape import CAPE
+from gcd_dataset.generator.garments.circle_skirt import ASYMMETRIC_CIRCLE_SKIRT, CIRCLE_SKIRT
+from gcd_dataset.generator.garments.garment import BottomGarment, Garment, GarmentChoice, UpperGarment
+from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
+from gcd_dataset.generator.garments.godet_skirt import GODET_SKIRT
+from gcd_dataset.generator.garments.levels_skirt import LEVELS_SKIRT
+from gcd_dataset.generator.garments.panel_skirt import PANEL_SKIRT
+from gcd_dataset.generator.garments.pants import PANTS
+from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
+from gcd_dataset.generator.garments.poncho import PONCHO
+from gcd_dataset.generator.garments.upper import FITTED_SHIRT, STRAIGHT_SHIRT
+
+__all__ = ["GARMENTS", "Bottom", "Upper"]
+
+
+class Upper(GarmentChoice):
+    """What there is for the upper body."""
+
+    garment: UpperGarment[Any]
+
+    FITTED = FITTED_SHIRT
+    SHIRT = STRAIGHT_SHIRT
+    CAPE = CAPE
+    PONCHO = PONCHO
+
+
+class Bottom(GarmentChoice):
+    """What there is for the lower body."""
+
+    garment: BottomGarment[Any]
+
+    CIRCLE = CIRCLE_SKIRT
+    ASYMMETRIC_CIRCLE = ASYMMETRIC_CIRCLE_SKIRT
+    GODET = GODET_SKIRT
+    PANTS = PANTS
+    GATHERED = GATHERED_SKIRT
+    PANELS = PANEL_SKIRT
+    PENCIL = PENCIL_SKIRT
+    LEVELS = LEVELS_SKIRT
+
+
+GARMENTS: tuple[Garment[Any], ...] = tuple(member.garment for kind in (Upper, Bottom) for member in kind)
+"""All records, in the order of their members."""

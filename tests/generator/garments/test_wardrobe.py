@@ -1,0 +1,183 @@
+"""Garments are facts of their own files: the wardrobe lists them, and everything else reads them there."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gcd_dataset
+from gcd_dataset.curves import curve_length
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.garments import (
+    Kind,
+    OutfitDesign,
+    Reject,
+    design_from_dict,
+    design_to_dict,
+    outfit,
+    sample_design,
+    sample_kind,
+    try_on,
+)
+from gcd_dataset.generator.garments.design_file import read_design, write_design
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
+from gcd_dataset.records import Measurements, Pattern
+from gcd_dataset.verbs.statistics import garment_type
+from tests.generator.garments import own_skirt
+
+OWN = [upper for upper in Upper if not upper.garment.weight]
+TRIAL = """
+import json, numpy as np
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.dressing import dress
+from gcd_dataset.generator.garments import design_from_dict, design_to_dict, sample_design, try_on
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.mesh import build_box_mesh
+
+body = build_body(neutral_shape())
+size = measure(body)
+two = Overlay.from_dict({"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "OwnSkirt"]}}})
+drawn = [sample_design(np.random.default_rng(seed), [size], overlay=two).meta.bottom for seed in range(8)]
+asked = Overlay.from_dict({"meta": {"upper": "none", "bottom": "OwnSkirt"}, "own-skirt": {"spread": 0.5}})
+pattern = try_on(size, design_from_dict({"meta": {"bottom": "OwnSkirt"}}))
+dressed = dress(pattern, body, size)
+print(json.dumps({
+    "drawn": sum(bottom is not None and bottom.value == "OwnSkirt" for bottom in drawn),
+    "spread": design_to_dict(sample_design(np.random.default_rng(0), [size], overlay=asked))["own-skirt"]["spread"],
+    "panels": [panel.name for panel in pattern.panels],
+    "parts": [panel.label for panel in dressed.pattern.panels],
+    "assumed": dressed.assumed,
+    "vertices": len(build_box_mesh(pattern, spacing=4.0).vertices),
+}))
+"""
+
+
+def length(pattern: Pattern, panel: str, *edges: str) -> float:
+    """Length of all edges of these names [cm]."""
+    drawn = pattern.panel(panel)
+    return sum(curve_length(*drawn.edge_ends(i), e.curve) for i, e in enumerate(drawn.edges) if e.name in edges)
+
+
+def test_every_garment_has_a_name_and_every_section_a_kind_of_its_own() -> None:
+    assert len({garment.name for garment in GARMENTS}) == len(GARMENTS) == len(Upper) + len(Bottom)
+    kinds = {(garment.section, garment.design) for garment in GARMENTS}
+    assert len({section for section, _ in kinds}) == len(kinds)
+    assert all(isinstance(garment.own(OutfitDesign()), garment.design) for garment in GARMENTS)
+
+
+def test_a_skirt_is_added_by_a_file_and_a_line(tmp_path: Path) -> None:
+    """Drawn by chance, narrowed by overlays, dressed and meshed, in a copy of the package with nothing else changed."""
+    package = tmp_path / "gcd_dataset"
+    shutil.copytree(Path(gcd_dataset.__file__).parent, package, ignore=shutil.ignore_patterns("hub", "loaders", "shards"))
+    garments = package / "generator" / "garments"
+    shutil.copy(Path(own_skirt.__file__), garments)
+    wardrobe = (garments / "wardrobe.py").read_text()
+    line, member = "from typing import Any\n", "    LEVELS = LEVELS_SKIRT\n"
+    assert wardrobe.count(line) == wardrobe.count(member) == 1
+    wardrobe = wardrobe.replace(line, f"{line}from gcd_dataset.generator.garments.own_skirt import OWN_SKIRT\n")
+    (garments / "wardrobe.py").write_text(wardrobe.replace(member, f"{member}    OWN = OWN_SKIRT\n"))
+    run = subprocess.run([sys.executable, "-c", TRIAL], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    found = json.loads(run.stdout)
+    assert found["drawn"] > 0
+    assert found["spread"] == 0.5
+    assert set(found["panels"]) == {"own_skirt_front", "own_skirt_back"}
+    assert (found["parts"], found["assumed"]) == (["leg", "leg"], [])
+    assert found["vertices"] > 100
+
+
+# ----------------------------------------------------------------------------------- garments that GarmentCode has not
+
+
+def test_there_are_a_cape_and_a_poncho() -> None:
+    assert [upper.value for upper in OWN] == ["Cape", "Poncho"]
+
+
+def test_chance_does_not_draw_them_and_designs_without_them_do_not_name_them() -> None:
+    drawn = [sample_design(np.random.default_rng(seed)) for seed in range(12)]
+    assert not {design.meta.upper for design in drawn} & {*OWN}
+    assert not {"cape", "poncho"} & {key for design in drawn for key in design_to_dict(design)}
+    assert Overlay().to_dict() == {}
+
+
+@pytest.mark.parametrize("upper", OWN)
+def test_chance_draws_them_where_an_overlay_names_them(woman: Measurements, upper: Upper) -> None:
+    asked = Overlay.from_dict(
+        {"meta": {"upper": upper.value}, upper.garment.section: {"length": {"range": [1.0, 1.5]}}}
+    )
+    assert Overlay.from_dict(asked.to_dict()) == asked
+    assert {sample_kind(np.random.default_rng(seed), asked) for seed in range(20)} == {Kind.UPPER}
+    for seed in range(10):
+        design = sample_design(np.random.default_rng(seed), [woman], kind=Kind.UPPER, overlay=asked)
+        assert (design.meta.upper, design.meta.wb, design.meta.bottom) == (upper, None, None)
+        assert 1.0 <= design_to_dict(design)[upper.garment.section]["length"] <= 1.5
+        assert not isinstance(try_on(woman, design), Reject)
+
+
+def test_beside_shirts_they_come_alone() -> None:
+    mixed = Overlay.from_dict({"meta": {"upper": {"options": ["Shirt", "Cape"]}}})
+    kinds = {kind: [sample_design(np.random.default_rng(n), kind=kind, overlay=mixed).meta for n in range(20)]
+             for kind in (Kind.UPPER, Kind.FULL)}  # fmt: skip
+    assert {meta.upper for meta in kinds[Kind.UPPER]} == {Upper.SHIRT, Upper.CAPE}
+    assert {meta.upper for meta in kinds[Kind.FULL]} == {Upper.SHIRT}
+    assert all(meta.wb is None for meta in kinds[Kind.UPPER] if meta.upper is Upper.CAPE)
+
+
+def test_an_overlay_that_sews_something_to_them_is_refused() -> None:
+    with pytest.raises(
+        ConfigError, match=r"nothing is sewn to meta\.upper = Cape, .* let meta\.wb and meta\.bottom be"
+    ):
+        Overlay.from_dict({"meta": {"upper": "Cape", "bottom": "Pants"}})
+    with pytest.raises(ConfigError, match=r"nothing is sewn to meta\.upper = Cape, Poncho"):
+        Overlay.from_dict({"meta": {"upper": {"options": ["Cape", "Poncho"]}, "wb": "FittedWB"}})
+
+
+def test_a_design_that_sews_something_to_them_is_turned_down(woman: Measurements) -> None:
+    found = try_on(woman, design_from_dict({"meta": {"upper": "Cape", "bottom": "Pants"}}))
+    assert str(found) == "cannot_be_drawn: nothing is sewn to the hem of a Cape: leave out meta.wb and meta.bottom"
+
+
+@pytest.mark.parametrize("upper", OWN)
+def test_their_designs_come_back_from_design_files(tmp_path: Path, upper: Upper) -> None:
+    design = design_from_dict({"meta": {"upper": upper.value}, upper.garment.section: {"length": 1.3}})
+    write_design(design, tmp_path / "design.yaml")
+    assert read_design(tmp_path / "design.yaml") == design
+
+
+def test_statistics_take_them_for_uppers() -> None:
+    long = design_from_dict({"meta": {"upper": "Cape"}, "cape": {"length": 2.0}})
+    assert garment_type(design_to_dict(long))["main"] == "upper_garment"
+
+
+def test_a_cape_falls_from_nape_to_hem_and_widens_with_its_part_of_a_circle(woman: Measurements) -> None:
+    hems = []
+    for circle in (0.5, 0.75, 1.0):
+        design = {"meta": {"upper": "Cape"}, "cape": {"circle": circle, "length": 1.5}}
+        pattern = outfit(woman, design_from_dict(design))
+        x, y, _ = pattern.panel("cape_back").placement.apply(pattern.panel("cape_back").vertices).T
+        assert np.ptp(y[np.abs(x) < 1e-6]) == pytest.approx(1.5 * woman.waist_line)
+        hems.append(length(pattern, "cape_back", "hem", "left_hem"))
+    assert hems == sorted(hems)
+    assert hems[2] == pytest.approx(np.pi * (1.5 * woman.waist_line + 0.1 * woman.neck_w), rel=0.1)
+
+
+def test_a_cape_opens_below_its_clasp(woman: Measurements) -> None:
+    designs = ({"meta": {"upper": "Cape"}, "cape": {"closed": closed}} for closed in (0.25, 1.0))
+    clasped, closed = (outfit(woman, design_from_dict(design)) for design in designs)
+    sewn, free = (length(clasped, "right_cape_front", name) for name in ("closing", "opening"))
+    assert sewn == pytest.approx((sewn + free) / 4)
+    assert length(closed, "right_cape_front", "closing") == pytest.approx(sewn + free)
+    assert length(closed, "right_cape_front", "opening") == 0
+
+
+@pytest.mark.parametrize("upper", OWN)
+def test_their_neck_goes_round_the_back_of_the_neck(woman: Measurements, upper: Upper) -> None:
+    pattern = outfit(woman, design_from_dict({"meta": {"upper": upper.value}}))
+    necks = {panel.name: length(pattern, panel.name, "neck") for panel in pattern.panels}
+    behind = necks.pop(f"{upper.garment.section}_back")
+    assert 0.8 * woman.neck_w < behind < sum(necks.values()) < 2.5 * woman.neck_w
