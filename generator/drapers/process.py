@@ -25,7 +25,7 @@ from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.queue import Readied, drape_in_turn
 from gcd_dataset.generator.drapers.draper import Draped, Order, draped
 from gcd_dataset.generator.drapers.parcel import receive_parcel
-from gcd_dataset.generator.drapers.place import READY, owner_file, socket_file
+from gcd_dataset.generator.drapers.place import DRAPERS, READY, owner_file, socket_file
 
 __all__ = ["main"]
 
@@ -130,7 +130,7 @@ class Inbox:
         """Wait for a garment, then drape until none is left."""
         with self._some:
             self._some.wait_for(lambda: bool(self._waiting))
-        at_once, arrived = places_on(device), self._waiting.__len__
+        at_once, arrived = places_on(device, sharers=DRAPERS), self._waiting.__len__
         drapes = drape_in_turn(self._jobs(), CONFIG, device=device, at_once=at_once, arrived=arrived)
         for number, drape in drapes:
             asker, order = self._at_work.pop(number)
