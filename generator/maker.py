@@ -25,9 +25,11 @@ from gcd_dataset.workers import streams
 __all__ = ["AHEAD", "READY", "LastDesign", "make", "produce"]
 
 DEFAULT = MakeConfig()
-# What a worker has in work follows from what it has at its draper, so that the draper is fed while samples wait.
+# What a worker may have in work, as multiples of what it has at its draper.
 AHEAD = 2 * AT_ONCE  # samples begun before the first is done: as many wait for one that is tried again as are draped
-READY = AT_ONCE  # finished samples that wait to be taken: as many as are draped meanwhile
+# Finished samples that wait to be taken: workers have the designs by turns, and all wait for one whose garments take
+# long. Simulated with 14 workers, 24 samples let 0.77 of the drapers' rate arrive, 48 0.90 and 72 0.97.
+READY = 3 * AT_ONCE
 
 Made = TypeVar("Made")
 

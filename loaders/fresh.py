@@ -5,7 +5,6 @@ which may be no more than a lambda in a script without a guard, with random numb
 they do is the maker's: ``produce`` at the same draping processes, as far ahead.
 """
 
-import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from itertools import chain, islice
@@ -22,7 +21,7 @@ from gcd_dataset.loaders.one_thread import copied
 from gcd_dataset.loaders.replay import Given, Rate, Window
 from gcd_dataset.loaders.states import named, position_of
 from gcd_dataset.loaders.transforms import Augment
-from gcd_dataset.loaders.worker import begin_worker
+from gcd_dataset.loaders.worker import begin_worker, received, told
 from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["FreshGarments"]
@@ -40,7 +39,7 @@ class FreshGarments(IterableDataset[Item]):
 
     A model that takes more garments a second than can be made sees each of them ``replay`` times, at random moments
     out of the garments in the buffer; 2.5 is 2 times for one and 3 for the next. A garment that was given as often
-    gives its place to the next that was made, so that memory is bounded: ``room`` items here, and those of 26 designs
+    gives its place to the next that was made, so that memory is bounded: ``room`` items here, and those of 74 designs
     in each worker; where other processes drape for the workers, 48 garments more in each, of 1 MB at 1 cm.
     The first garment comes as soon as it is made: the buffer takes in one more with each that is given, until there are
     ``room`` of them. The order is a function of ``seed``, epoch and place, and of the data set: not of workers or time.
@@ -162,7 +161,7 @@ class FreshGarments(IterableDataset[Item]):
             # Of its own: a ``DataLoader`` without one draws from the caller's random numbers.
             generator=torch.Generator().manual_seed(self.seed),
         )
-        made = chain.from_iterable(map(_there, designs))
+        made = chain.from_iterable(map(received, designs))
         return map(_own, made) if self.workers else made
 
     def _changed(self, item: Item, given: Given, first: int) -> Item:
@@ -182,13 +181,6 @@ def _rate(replay: float) -> Rate:
     if share < 1:
         raise ConfigError(f"replay={replay!r:.99}: give 1 or more")
     return Rate(share.numerator, share.denominator)
-
-
-def _there(design: list[Item] | GcdError) -> list[Item]:
-    """The garments of a design. Raises the error that a worker met instead."""
-    if isinstance(design, GcdError):
-        raise design
-    return design
 
 
 def _own(item: Any) -> Any:
@@ -231,12 +223,11 @@ class _Share(IterableDataset[list[Item] | GcdError]):
         return self._made() if get_worker_info() is None else by_thread(self._told(), READY)
 
     def _told(self) -> Iterator[list[Item] | GcdError]:
-        """The garments, then the error that ended them: raised, it would come with torch's words about the worker."""
+        """The garments, then the error that ended them."""
         try:
             yield from self._made()
         except GcdError as error:
-            error.add_note(f"in a worker process:\n{traceback.format_exc()}")
-            yield error
+            yield told(error)
 
     def _made(self) -> Iterator[list[Item]]:
         made = self._garments.stream(self._first + number for number in chain.from_iterable(self._designs()))

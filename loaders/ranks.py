@@ -82,7 +82,7 @@ def own_gpus(devices: Sequence[str]) -> Sequence[str]:
     ranks = _local_rank() if len(devices) > 1 else None
     if ranks is None:
         return devices
-    rank, count = ranks
+    rank, count = ranks[0], ranks[1] or max(ranks[0] + 1, len(devices))
     if count > len(devices):
         raise ConfigError(
             f"{count} ranks on this machine share {len(devices)} GPUs, {', '.join(devices)}: give device='auto', one "
@@ -91,18 +91,16 @@ def own_gpus(devices: Sequence[str]) -> Sequence[str]:
     return devices[rank::count]
 
 
-def _local_rank() -> tuple[int, int] | None:
-    """Which rank of this machine this process is, of how many; ``None`` for a process that is no rank."""
+def _local_rank() -> tuple[int, int | None] | None:
+    """Which rank of this machine this process is, of how many, if the launcher tells; ``None`` for one that is none."""
     if LOCAL[0] not in os.environ:
         return present_rank() if is_in_group() else None
-    rank = os.environ[LOCAL[0]]
-    count = os.environ.get(
-        LOCAL[1], str(int(rank) + 1) if rank.isdecimal() else ""
-    )  # not every launcher tells how many
-    if not (rank.isdecimal() and count.isdecimal() and int(rank) < int(count)):
+    rank, count = (os.environ.get(name) for name in LOCAL)
+    known = all(value is None or value.isdecimal() for value in (rank, count))
+    if rank is None or not known or (count is not None and int(rank) >= int(count)):
         named = f"LOCAL_RANK={rank!r} and LOCAL_WORLD_SIZE={count!r}"
         raise ConfigError(f"the environment has {named}: start with torchrun, or unset both")
-    return int(rank), int(count)
+    return int(rank), None if count is None else int(count)
 
 
 def shared_out_by() -> str | None:

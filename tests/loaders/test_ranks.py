@@ -70,6 +70,8 @@ def test_ranks_share_the_gpus_of_a_list(monkeypatch: pytest.MonkeyPatch) -> None
         become(monkeypatch, rank, 2)
         taken.append(device("cuda:0,1,3"))
     assert taken == ["cuda:0,3", "cuda:1"]
+    monkeypatch.delenv("LOCAL_WORLD_SIZE")
+    assert device("cuda:0,1,3") == "cuda:1"
     assert device("cuda:2") == "cuda:2"  # named alone, it may be each rank's: the only one that it is shown
     become(monkeypatch, 0, 3)
     with pytest.raises(ConfigError, match="3 ranks on this machine share 2 GPUs, cuda:0, cuda:1: give device='auto'"):
