@@ -51,7 +51,11 @@ def main(folder: Path, device: str) -> None:
             inbox.drape(device)
     except Exception as error:
         listener.close()  # whoever calls from here on begins the next draper
-        inbox.fail(" ".join(str(error).split()) or type(error).__name__)
+        reason = " ".join(str(error).split()) or type(error).__name__
+        # Others are of the device, such as a GPU that is lost.
+        inbox.fail(
+            reason if isinstance(error, GcdError) else f"{reason}; start again, on other devices if it comes back"
+        )
         raise
 
 

@@ -283,7 +283,9 @@ def test_a_draper_that_fails_says_why_and_takes_no_more_calls(place: Place) -> N
         good = order(1)
         torn = replace(good.job.box_mesh, labels={"strapless_top": np.array([10**6])})
         draper.ask(replace(good, job=replace(good.job, box_mesh=torn)))
-        with pytest.raises(DrapeError, match="while draping on cpu: index 1000000 is out of bounds"):
+        with pytest.raises(
+            DrapeError, match=r"draping on cpu: index 1000000 is out of bounds .*; start again, on other"
+        ):
             draper.answer()
         with SharedDraper(place) as other:
             other.ask(good)
@@ -375,7 +377,7 @@ def test_a_draper_killed_under_workers_is_one_error(place: Place, monkeypatch: p
 
 def test_workers_have_the_draping_processes_by_turns(items: list[dict[str, Any]], place: Place) -> None:
     ds = Apart(COUNT, place)
-    places = (*ds._places, _made("cpu"))
+    places = (place, _made("cpu"))
     ds._places = places
     assert_all_same(FreshGarments(ds, room=1, workers=2), items)
     assert [len(drapers(place)) for place in places] == [1, 1]
