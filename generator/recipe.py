@@ -197,7 +197,7 @@ def named_devices(name: str) -> tuple[str, ...]:
     ('cuda:0',)
     """
     if not re.fullmatch(r"cpu|cuda(:\d+(,\d+)*)?", name):
-        raise ConfigError(f"device {name}: give auto, cpu, a GPU as cuda:0, or several as cuda:0,1")
+        raise ConfigError(f"device={name!r:.99}: give auto, cpu, a GPU as cuda:0, or several as cuda:0,1")
     kind, _, numbers = name.partition(":")
     if kind == "cpu":
         return ("cpu",)

@@ -1,4 +1,9 @@
-"""Garments made while a model trains: ahead of it, into a buffer of a fixed size, each given several times."""
+"""Garments made while a model trains: ahead of it, into a buffer of a fixed size, each given several times.
+
+The processes are those of a ``DataLoader``, not of ``gcd_dataset.workers``: they run data sets and transforms of users,
+which may be no more than a lambda in a script without a guard, with random numbers of their own in each worker. What
+they do is the maker's: ``produce`` at the same draping processes, as far ahead.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
@@ -8,18 +13,18 @@ from typing import Any
 import torch
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.by_thread import by_thread
+from gcd_dataset.errors import ConfigError, GcdError
+from gcd_dataset.generator.maker import READY
 from gcd_dataset.loaders.base import GarmentItem, Garments, Item, changing, function, kept_item, natural
 from gcd_dataset.loaders.one_thread import copied
 from gcd_dataset.loaders.replay import Given, Rate, Window
 from gcd_dataset.loaders.states import named, position_of
 from gcd_dataset.loaders.transforms import Augment
-from gcd_dataset.loaders.worker import begin_worker
+from gcd_dataset.loaders.worker import begin_worker, received, told
 from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["FreshGarments"]
-
-AHEAD = 8  # designs that each worker may have ready: some take ten times as long as others
 
 
 class FreshGarments(IterableDataset[Item]):
@@ -34,8 +39,8 @@ class FreshGarments(IterableDataset[Item]):
 
     A model that takes more garments a second than can be made sees each of them ``replay`` times, at random moments
     out of the garments in the buffer; 2.5 is 2 times for one and 3 for the next. A garment that was given as often
-    gives its place to the next that was made, so that memory is bounded: ``room`` items here, and those of eight
-    designs in each worker; where another process drapes for the workers, 64 garments more in each, of 1 MB at 1 cm.
+    gives its place to the next that was made, so that memory is bounded: ``room`` items here, and those of 74 designs
+    in each worker; where other processes drape for the workers, 48 garments more in each, of 1 MB at 1 cm.
     The first garment comes as soon as it is made: the buffer takes in one more with each that is given, until there are
     ``room`` of them. The order is a function of ``seed``, epoch and place, and of the data set: not of workers or time.
 
@@ -49,7 +54,8 @@ class FreshGarments(IterableDataset[Item]):
 
     Give it to a ``GarmentLoader`` with ``shuffle=False``, or to a ``DataLoader``; both without workers. Several ranks
     share the making with ``garments.select(range(rank, n, ranks))`` each, and ``rank=0, world_size=1`` of the loader.
-    Raises ``ConfigError`` for options that cannot be.
+    Raises ``ConfigError`` for options that cannot be, and what a worker raises, such as ``DrapeError`` where a draping
+    process ends: ``load_state_dict(state_dict())`` then goes on with the garment that did not come.
     """
 
     def __init__(
@@ -147,7 +153,6 @@ class FreshGarments(IterableDataset[Item]):
     def _made(self, order: "_Making", first: int) -> Iterator[Item]:
         """The garments in order: workers have them by turns, and give them by turns."""
         self.garments.tell_wait()  # before the workers are there, who would all say it
-        options: dict[str, Any] = {"prefetch_factor": AHEAD} if self.workers else {}
         designs = DataLoader(
             _Share(self.garments, order, first if self.garments.endless else 0),
             batch_size=None,
@@ -155,9 +160,8 @@ class FreshGarments(IterableDataset[Item]):
             worker_init_fn=begin_worker,
             # Of its own: a ``DataLoader`` without one draws from the caller's random numbers.
             generator=torch.Generator().manual_seed(self.seed),
-            **options,
         )
-        made = chain.from_iterable(designs)
+        made = chain.from_iterable(map(received, designs))
         return map(_own, made) if self.workers else made
 
     def _changed(self, item: Item, given: Given, first: int) -> Item:
@@ -208,13 +212,24 @@ class _Making:
         return chain.from_iterable(self)
 
 
-class _Share(IterableDataset[list[Item]]):
-    """Each worker's garments: every so many designs, those of a design in a list."""
+class _Share(IterableDataset[list[Item] | GcdError]):
+    """Each worker's garments: every so many designs, those of a design in a list; an error ends them."""
 
     def __init__(self, garments: Garments, order: _Making, first: int) -> None:
         self._garments, self._order, self._first = garments, order, first
 
-    def __iter__(self) -> Iterator[list[Item]]:
+    def __iter__(self) -> Iterator[list[Item] | GcdError]:
+        # Finished garments wait in the worker's own memory: shared memory, 64 MB in a container, holds two a worker.
+        return self._made() if get_worker_info() is None else by_thread(self._told(), READY)
+
+    def _told(self) -> Iterator[list[Item] | GcdError]:
+        """The garments, then the error that ended them."""
+        try:
+            yield from self._made()
+        except GcdError as error:
+            yield told(error)
+
+    def _made(self) -> Iterator[list[Item]]:
         made = self._garments.stream(self._first + number for number in chain.from_iterable(self._designs()))
         return (list(islice(made, len(design))) for design in self._designs())
 

@@ -2,7 +2,6 @@
 
 import logging
 import os
-import re
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -16,13 +15,14 @@ from gcd_dataset import __version__
 from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import user_path
-from gcd_dataset.generator.drapers import SharedDraper, place_for
+from gcd_dataset.generator.drapers import Place, SharedDraper, places_for
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import LastStage as Stage
-from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, recipe_of, versions
+from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, devices_name, named_devices, recipe_of, versions
 from gcd_dataset.loaders.base import Garments, Transform, natural
 from gcd_dataset.loaders.held import lacking_at
+from gcd_dataset.loaders.ranks import own_gpu, own_gpus
 from gcd_dataset.loaders.waiting import tell_wait
 from gcd_dataset.options import require_options
 from gcd_dataset.records import Sample
@@ -50,9 +50,12 @@ class GeneratedGarments(Garments):
     by default, ``None`` for what a shard would store. Pictures are taken for a cache, or where ``fields`` have
     ``front``, ``back`` or, with checksums of all, ``meta``.
 
-    ``device``: where cloth is draped; ``auto`` is the first GPU that torch sees, or the CPU. On a GPU, workers of a
-    ``DataLoader``, forked or spawned, make body, design, pattern and mesh, and one process drapes for all of them;
-    without workers a batch is draped together in this process. On a CPU each worker drapes its own.
+    ``device``: where cloth is draped: ``cpu``, ``cuda:0``, ``cuda:0,1``; ``auto`` is every GPU that torch sees, or the
+    CPU. Under ``torchrun``, or where ``torch.distributed`` runs, ``auto`` is this rank's own GPU, and several GPUs are
+    shared out among the ranks of this machine. On GPUs, workers of a ``DataLoader``, forked or spawned, make body,
+    design, pattern and mesh, and two processes for each GPU drape for them; without workers a batch is draped together
+    in this process, on the first GPU: one process prepares fewer garments than a GPU drapes. On a CPU each worker
+    drapes its own.
 
     ``cache_dir``: keeps every garment made there, and reads it from there the next time. Each seed, recipe and version
     of this package has a folder of its own in it, ``cache``, which is a data set for ``GarmentDataset``, ``gcd verify``
@@ -60,8 +63,9 @@ class GeneratedGarments(Garments):
 
     Where a garment takes seconds, as a drape does on a CPU, a line of the logger ``gcd_dataset`` says so once.
 
-    Raises ``ConfigError`` for options that do not fit together, and fields that come with a later stage; a GPU that is
-    not there is told with the first garment.
+    Raises ``ConfigError`` for options that do not fit together, fields that come with a later stage, and more ranks
+    than GPUs; a GPU that is not there is told with the first garment. ``DrapeError`` where a draping process ends: the
+    garments asked for next start another.
     """
 
     def __init__(
@@ -86,9 +90,8 @@ class GeneratedGarments(Garments):
         super().__init__(fields, transform, lacking=lacking_at(self.config.stage, empty), dtype=dtype)
         self.together = self.config.wearers
         self._recipe = recipe_of(self.config)
-        self._on_gpu = self.config.stage == "drape" and self.config.device != "cpu"
-        # Named here, so that all workers meet in one place and it ends with this process, not with one of them.
-        self._place = place_for(self.config.device) if self._on_gpu else None
+        # Named here, so that all workers meet in these places, which end with this process, not with one of them.
+        self._places = places_for(named_devices(self.config.device) if self.config.stage == "drape" else ["cpu"])
         self.cache = None if cache_dir is None else user_path(cache_dir) / self._cache_name
         """The folder of this seed, recipe and version in ``cache_dir``."""
         self._kept = (
@@ -141,7 +144,10 @@ class GeneratedGarments(Garments):
         return [self._item(*entry) for entry in zip(self._several(positions), positions, strict=True)]
 
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
-        """Stream garments; ``indices`` may be infinite. On a GPU the next are made while one is handed out."""
+        """Stream garments; ``indices`` may be infinite. On a GPU the next are made while one is handed out.
+
+        Several GPUs are kept busy by several streams, each in a worker: a stream is draped on one of them.
+        """
         positions = (self._position(index) for index in indices)
         if self._place is None:
             return (self._item(self._several([position])[0], position) for position in positions)
@@ -152,7 +158,9 @@ class GeneratedGarments(Garments):
                 begun.append(position)
                 yield position
 
-        made = by_thread(self._produced(noted(), ahead=AHEAD), READY)
+        made = self._produced(noted(), ahead=AHEAD)
+        if get_worker_info() is None:  # the thread of a worker is that of ``FreshGarments``
+            made = by_thread(made, READY)
         return (self._item(members, begun.popleft()) for members in made)
 
     def _several(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:
@@ -167,9 +175,15 @@ class GeneratedGarments(Garments):
     def _by(self, apart: bool, positions: Iterable[int], **options: Any) -> Iterator[Mapping[str, Bytes]]:
         with ExitStack() as opened:
             draper = None
-            if apart and self._place is not None:
-                draper = opened.enter_context(SharedDraper(self._place))
+            if apart and (place := self._place) is not None:
+                draper = opened.enter_context(SharedDraper(place))
             yield from produce(self._seed, positions, self.config, draper=draper, **options)
+
+    @property
+    def _place(self) -> Place | None:
+        """Where garments that another process drapes are draped: workers have the places by turns."""
+        worker = get_worker_info()
+        return self._places[(0 if worker is None else worker.id) % len(self._places)]
 
     @property
     def _pictured(self) -> bool:
@@ -237,13 +251,17 @@ def _overlay(design: Overlay | Mapping[str, Any] | None) -> Overlay:
 
 
 def _named(device: str) -> str:
-    """The device, without ``auto``. Raises ``ConfigError``."""
-    # By its form alone, and what torch can tell without CUDA: to start that here would end it in workers forked later.
-    if not (isinstance(device, str) and re.fullmatch(r"auto|cpu|cuda(:\d+)?", device)):
-        raise ConfigError(f"device={device!r}: give auto, cpu, or a GPU as cuda:0")
-    if device == "auto":
-        return "cuda:0" if torch.cuda.device_count() > 0 else "cpu"
-    return "cuda:0" if device == "cuda" else device
+    """The devices by name, without ``auto``: those of this rank, if it is one of several. Raises ``ConfigError``."""
+    if not isinstance(device, str):
+        raise ConfigError(f"device={device!r:.99}: give a name, such as auto, cpu or cuda:0")
+    # Only what torch can tell without CUDA: to start that here would end it in workers forked later.
+    count = torch.cuda.device_count()
+    own = own_gpu(count) if count and device in ("auto", "cuda") else None
+    if own is not None:
+        return f"cuda:{own}"
+    if device != "auto":
+        return devices_name(own_gpus(named_devices(device)))
+    return devices_name([f"cuda:{number}" for number in range(count)] or ["cpu"])
 
 
 def _last_stage(drape: str | None, stage: Stage | None) -> Stage:

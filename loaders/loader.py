@@ -14,6 +14,7 @@ from gcd_dataset.loaders.base import Garments, natural
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
 from gcd_dataset.loaders.plan import AHEAD, ByNumber, Collate, Place, Plan, Streamed
+from gcd_dataset.loaders.worker import received
 
 __all__ = ["GarmentLoader"]
 
@@ -123,7 +124,7 @@ class GarmentLoader:
         start = self._plan.begin(self._place if self._loaded else self._plan.anew(self._place))
         source = iter(self._batches)
         with closing(_ahead(source)) if self._plan.in_thread else nullcontext(source) as batches:
-            for number, batch in enumerate(batches, 1):
+            for number, batch in enumerate(map(received, batches), 1):
                 self._place, self._loaded = self._plan.after(start, number), False
                 yield self._plan.marked(batch, start, number)
                 self._require_last(begun)

@@ -9,14 +9,14 @@ import torch
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from gcd_dataset.by_thread import by_thread
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.loaders.base import Garments, items_of
 from gcd_dataset.loaders.chance import own_chance
 from gcd_dataset.loaders.order import Division, ElasticSampler
 from gcd_dataset.loaders.parted import is_ours, parted
 from gcd_dataset.loaders.ranks import present_rank, require_rank
 from gcd_dataset.loaders.states import named, position_of, require_whole
-from gcd_dataset.loaders.worker import begin_worker
+from gcd_dataset.loaders.worker import begin_worker, told
 
 __all__ = ["AHEAD", "ByNumber", "Collate", "Making", "Place", "Plan", "Streamed", "Turn"]
 
@@ -182,8 +182,11 @@ class Making(Dataset):
         self.has_code_of_users = self.theirs or self._change is not None or not is_ours(collate_fn)
 
     def __getitems__(self, turn: Turn) -> Any:
-        """The batch of a turn, as a ``DataLoader`` asks for it."""
-        return self.finish(turn, self.read(turn))
+        """The batch of a turn, as a ``DataLoader`` asks a worker for it; or the error that it meets."""
+        try:
+            return self.finish(turn, self.read(turn))
+        except GcdError as error:
+            return told(error)
 
     def read(self, turn: Turn) -> list[Any]:
         """The items of a turn, without what users make of them."""

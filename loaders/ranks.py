@@ -1,17 +1,28 @@
-"""Which rank this process is, of how many, and whether somebody else shares garments out among them."""
+"""Which rank this process is, of how many, on which GPU, and whether another library shares garments out."""
 
 import os
 import sys
+from collections.abc import Sequence
 from types import FrameType
 
+import torch
 import torch.distributed
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import natural
 
-__all__ = ["is_in_group", "present_rank", "require_rank", "runs_beside_accelerate", "shared_out_by"]
+__all__ = [
+    "is_in_group",
+    "own_gpu",
+    "own_gpus",
+    "present_rank",
+    "require_rank",
+    "runs_beside_accelerate",
+    "shared_out_by",
+]
 
 NAMES = ("RANK", "WORLD_SIZE")  # that ``torchrun`` sets in the environment of each process
+LOCAL = ("LOCAL_RANK", "LOCAL_WORLD_SIZE")  # the same, of this machine
 
 # What shares out what any sampler or stream gives among the ranks, whoever has made it: module, and its classes.
 ACCELERATE = "accelerate.data_loader", frozenset({"BatchSamplerShard", "IterableDatasetShard", "DataLoaderDispatcher"})
@@ -48,6 +59,48 @@ def present_rank() -> tuple[int, int]:
             f"the environment has RANK={rank!r} and WORLD_SIZE={world_size!r}: start with torchrun, or unset both"
         )
     return int(rank), int(world_size)
+
+
+def own_gpu(count: int) -> int | None:
+    """The number of the GPU, of ``count``, that this rank computes on; ``None`` for a process that is no rank.
+
+    Raises ``ConfigError`` for an environment that names no rank.
+    """
+    ranks = _local_rank()
+    if ranks is None:
+        return None
+    # GPU 0 is also torch's current one where the training names its device with each tensor instead.
+    chosen = torch.cuda.current_device() if torch.cuda.is_initialized() else 0  # type: ignore[no-untyped-call]
+    return chosen or ranks[0] % count
+
+
+def own_gpus(devices: Sequence[str]) -> Sequence[str]:
+    """This rank's share of several GPUs; all of them for a process that is no rank. One GPU is every rank's.
+
+    Raises ``ConfigError`` for more ranks than GPUs.
+    """
+    ranks = _local_rank() if len(devices) > 1 else None
+    if ranks is None:
+        return devices
+    rank, count = ranks[0], ranks[1] or max(ranks[0] + 1, len(devices))
+    if count > len(devices):
+        raise ConfigError(
+            f"{count} ranks on this machine share {len(devices)} GPUs, {', '.join(devices)}: give device='auto', one "
+            "GPU, or as many as ranks"
+        )
+    return devices[rank::count]
+
+
+def _local_rank() -> tuple[int, int | None] | None:
+    """Which rank of this machine this process is, of how many, if the launcher tells; ``None`` for one that is none."""
+    if LOCAL[0] not in os.environ:
+        return present_rank() if is_in_group() else None
+    rank, count = (os.environ.get(name) for name in LOCAL)
+    known = all(value is None or value.isdecimal() for value in (rank, count))
+    if rank is None or not known or (count is not None and int(rank) >= int(count)):
+        named = f"LOCAL_RANK={rank!r} and LOCAL_WORLD_SIZE={count!r}"
+        raise ConfigError(f"the environment has {named}: start with torchrun, or unset both")
+    return int(rank), None if count is None else int(count)
 
 
 def shared_out_by() -> str | None:

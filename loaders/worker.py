@@ -1,18 +1,24 @@
-"""How a worker process that makes garments begins, and that it ends with the process it works for."""
+"""How a worker process that makes garments begins, how it hands over errors, and that it ends with its parent."""
 
 import multiprocessing
 import os
 import threading
 import time
+import traceback
 from multiprocessing.synchronize import Event
+from typing import TypeVar
 
 import threadpoolctl
 import torch
 from torch.utils.data import get_worker_info
 
-__all__ = ["begin_worker"]
+from gcd_dataset.errors import GcdError
+
+__all__ = ["begin_worker", "received", "told"]
 
 WAIT = 1.0  # s
+
+Made = TypeVar("Made")
 
 
 def begin_worker(worker: int) -> None:
@@ -30,6 +36,22 @@ def begin_worker(worker: int) -> None:
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     threadpoolctl.threadpool_limits(1)
     threading.Thread(target=_end_with, args=(os.getppid(), _ended()), daemon=True).start()
+
+
+def told(error: GcdError) -> GcdError:
+    """The error that is being handled, to be handed over as a result, with a note of what the worker was at.
+
+    Raised in the worker, it would come with the whole traceback in its message.
+    """
+    error.add_note(f"in a worker process:\n{traceback.format_exc()}")
+    return error
+
+
+def received(made: Made | GcdError) -> Made:
+    """What a worker has handed over. Raises its error."""
+    if isinstance(made, GcdError):
+        raise made
+    return made
 
 
 def _ended() -> Event | None:

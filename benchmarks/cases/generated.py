@@ -1,17 +1,21 @@
-"""Fresh garments that reach a training loop: how many a second, and how far a GPU is kept busy with them.
+"""Fresh garments that reach a training loop: how many a second, and how long a training waits for them.
 
-    python -m benchmarks.run generated --stage drape --workers 14 --seconds 60 --device cuda:0
+    python -m benchmarks.run generated --device cuda:0 --workers 14 --seconds 20 --warm 300
 
 Workers make them ahead, as ``FreshGarments`` does; the loop puts them into batches. The clock starts when ``--warm``
 garments have come: kernels are loaded then, and every worker is at work. ``own_per_second``, of draped garments: what
-the draping process gives when prepared garments never run out, measured after the loop has ended; ``share``: what of
-that reached the loop. On a GPU with box meshes or drapes a small network is trained in a second run, on each garment
-``--replay`` times: ``train_waits``: the share of time in which it has no batch; ``gpu_idle``: the mean of what
-nvidia-smi tells, whoever uses the GPU.
+one draping process gives when prepared garments never run out, measured after the loop has ended; ``share``: what of
+that reached the loop, which two such processes on each GPU feed.
+
+On a GPU with box meshes or drapes two networks are trained then, on each garment ``--replay`` times, to tell the body
+in the garment. ``small``: a few layers on each point. ``large``: a transformer of as many layers as it takes for a step
+to last longer than the making of the garments that it asks for, timed before on a batch that is there. ``*_waits``: the
+share of time in which a network has no batch; ``*_gpu_idle``: the mean of what nvidia-smi tells, whoever uses the GPU.
 """
 
 import argparse
 import time
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -21,6 +25,7 @@ from torch import nn
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.draper import gpu_idle, own_rate
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.recipe import devices_of
 from gcd_dataset.loaders import FreshGarments, GarmentLoader, GeneratedGarments
 
 __all__ = ["add_arguments", "run"]
@@ -28,6 +33,8 @@ __all__ = ["add_arguments", "run"]
 MANY = 10**6  # garments: more than any run makes
 FIELDS = {"pattern": ("panels", "edges", "stitches", "body"), "mesh": ("points", "body", "box", "faces")}
 FIELDS["drape"] = ("points", "body", "verts", "faces")
+LAYERS = (1, 2, 4, 8, 16, 32, 64)  # of the large network: 3 million weights each
+SLOWER = 1.25  # by which a step of it is longer than the garments of the step take
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--picture", type=int, default=512, help="side of the pictures [pixels]; 0 for none")
     parser.add_argument("--batch", type=int, default=8, help="garments in a batch of the loop")
     parser.add_argument("--warm", type=int, default=64, help="garments that come before the clock starts")
-    parser.add_argument("--prepared", type=int, default=64, help="different garments for the draper's own rate")
-    parser.add_argument("--replay", type=float, default=8.0, help="times the network sees a garment")
+    parser.add_argument("--prepared", type=int, default=32, help="different garments for the draper's own rate")
+    parser.add_argument("--replay", type=float, default=8.0, help="times the networks see a garment")
 
 
 def run(options: argparse.Namespace) -> Measured:
@@ -56,66 +63,124 @@ def run(options: argparse.Namespace) -> Measured:
         picture=options.picture,
         fields=FIELDS[options.stage],
     )
-    on_gpu = garments.config.device != "cpu"
+    devices = devices_of(garments.config)
+    on_gpu = devices[0] != "cpu"
     with gpu_idle(garments.config.device) as idle:
-        rate = _rate(garments, options)
-    figures = [Figure("per_second", rate, "garments")]
+        first, rate = _rate(garments, options)
+    figures = [Figure("first_batch_s", first, "s"), Figure("per_second", rate, "garments")]
     figures += [Figure("gpu_idle_alone", idle[0], "of the time, nothing is trained")] if idle else []
     if options.stage == "drape" and on_gpu:
         own = own_rate(garments.config, prepared=options.prepared, warm=options.warm, seconds=options.seconds)
-        figures += [Figure("own_per_second", own, "garments"), Figure("share", rate / own, "of the draper's own rate")]
+        figures += [
+            Figure("own_per_second", own, "garments, by one draping process"),
+            Figure("share", rate / own / len(devices), "of the draping processes' own rate, one for each GPU"),
+        ]
     if options.stage != "pattern" and on_gpu:
-        with gpu_idle(garments.config.device) as idle:
-            figures += _trained(garments, options)
-        figures += [Figure("gpu_idle", idle[0], "of the time, a network is trained")] if idle else []
+        figures += _trained(garments, options, rate, devices[0])
     return Measured(figures)
 
 
-def _rate(garments: GeneratedGarments, options: argparse.Namespace) -> float:
-    """Garments a second that reach the loop."""
-    fresh = FreshGarments(garments, room=options.batch, workers=options.workers)
-    batches = iter(GarmentLoader(fresh, options.batch, shuffle=False, rank=0, world_size=1))
-    for _ in range(-(-options.warm // options.batch)):
-        next(batches)
+def _rate(garments: GeneratedGarments, options: argparse.Namespace) -> tuple[float, float]:
+    """Seconds until the first batch, and garments a second that reach the loop."""
+    begun = time.perf_counter()
+    batches = _batches(garments, options, replay=1.0)
+    next(batches)
+    first = time.perf_counter() - begun
+    _pass_warm(batches, options)
     begun, count = time.perf_counter(), 0
     while time.perf_counter() - begun < options.seconds:
         next(batches)
         count += options.batch
-    return count / (time.perf_counter() - begun)
+    return first, count / (time.perf_counter() - begun)
 
 
-def _trained(garments: GeneratedGarments, options: argparse.Namespace) -> list[Figure]:
-    """A network is trained on the surface points, to tell the body in the garment."""
-    device = torch.device(garments.config.device)
-    fresh = FreshGarments(garments, replay=options.replay, room=options.warm or 1, workers=options.workers)
-    batches = iter(GarmentLoader(fresh, options.batch, shuffle=False, rank=0, world_size=1))
+def _batches(garments: GeneratedGarments, options: argparse.Namespace, *, replay: float) -> Iterator[Any]:
+    """The batches of a loop; with ``replay`` the buffer is full when ``--warm`` garments have been given."""
+    room = options.batch if replay == 1 else max(options.warm, 1)
+    fresh = FreshGarments(garments, replay=replay, room=room, workers=options.workers)
+    return iter(GarmentLoader(fresh, options.batch, shuffle=False, rank=0, world_size=1))
+
+
+def _pass_warm(batches: Iterator[Any], options: argparse.Namespace) -> None:
+    for _ in range(-(-options.warm // options.batch)):
+        next(batches)
+
+
+def _trained(garments: GeneratedGarments, options: argparse.Namespace, rate: float, name: str) -> list[Figure]:
+    """A small network, then one that garments coming at ``rate`` are enough for, on the same stream."""
+    device = torch.device(name)
+    batches = _batches(garments, options, replay=options.replay)
     first = next(batches)
-    net = _PointNet(first["body"].reshape(options.batch, -1).shape[1]).to(device)
-    chosen = torch.optim.Adam(net.parameters())
-    _step(net, chosen, first, device, options.batch)
+    outputs = first["body"].reshape(options.batch, -1).shape[1]
+    # Chosen before the rest: the small network then uses up the garments that were made meanwhile.
+    least = SLOWER * options.batch / (rate * options.replay)
+    large, layers, seconds = _large(outputs, first, device, options.batch, least)
+    weights = sum(weight.numel() for weight in large.parameters()) / 1e6
+    _pass_warm(batches, options)
+    with gpu_idle(garments.config.device) as idle:
+        figures = _waits("small", _PointNet(outputs), batches, device, options)
+    figures += [Figure("small_gpu_idle", idle[0], "of the time")] if idle else []
+    figures += [
+        Figure("large_layers", layers, f"of a transformer, {weights:.0f} million weights"),
+        Figure("large_step_s", seconds, "s, with the batch there"),
+    ]
+    with gpu_idle(garments.config.device) as idle:
+        figures += _waits("large", large, batches, device, options)
+    return figures + ([Figure("large_gpu_idle", idle[0], "of the time")] if idle else [])
+
+
+def _waits(
+    name: str, net: nn.Module, batches: Iterator[Any], device: torch.device, options: argparse.Namespace
+) -> list[Figure]:
+    """How many steps a network takes, and the share of the time in which it waits for a batch."""
+    training = _Training(net, device, options.batch)
+    training.step(next(batches))
     begun, waited, steps = time.perf_counter(), 0.0, 0
     while time.perf_counter() - begun < options.seconds:
         asked = time.perf_counter()
         batch = next(batches)
         waited += time.perf_counter() - asked
-        _step(net, chosen, batch, device, options.batch)
+        training.step(batch)
         steps += 1
     seconds = time.perf_counter() - begun
     return [
-        Figure("train_steps_per_second", steps / seconds, f"of {options.batch} garments"),
-        Figure("train_fresh_per_second", steps * options.batch / options.replay / seconds, "garments"),
-        Figure("train_waits", waited / seconds, "of the time"),
+        Figure(f"{name}_steps_per_second", steps / seconds, f"of {options.batch} garments"),
+        Figure(f"{name}_fresh_per_second", steps * options.batch / options.replay / seconds, "garments"),
+        Figure(f"{name}_waits", waited / seconds, "of the time"),
     ]
 
 
-def _step(net: nn.Module, chosen: torch.optim.Optimizer, batch: Any, device: torch.device, count: int) -> None:
-    points = batch["points"].to(device, non_blocking=True).float().reshape(count, -1, 6) / 100
-    body = batch["body"].to(device, non_blocking=True).reshape(count, -1)
-    chosen.zero_grad()
-    loss = nn.functional.mse_loss(net(points), body)
-    loss.backward()  # type: ignore[no-untyped-call]
-    chosen.step()
-    loss.item()  # waits for the GPU, so that what follows is counted as waiting for garments alone
+def _large(outputs: int, batch: Any, device: torch.device, size: int, least: float) -> tuple[nn.Module, int, float]:
+    """The smallest transformer of which a step takes ``least`` seconds, or the largest; its layers, and its seconds."""
+    for layers in LAYERS:
+        net = _Transformer(outputs, layers)
+        training = _Training(net, device, size)
+        training.step(batch)
+        begun = time.perf_counter()
+        for _ in range(3):
+            training.step(batch)
+        seconds = (time.perf_counter() - begun) / 3
+        if seconds >= least:
+            break
+    return net, layers, seconds
+
+
+class _Training:
+    """Steps of a network."""
+
+    def __init__(self, net: nn.Module, device: torch.device, batch: int) -> None:
+        self._net, self._device, self._batch = net.to(device), device, batch
+        self._chosen = torch.optim.Adam(net.parameters())
+
+    def step(self, batch: Any) -> None:
+        """From the surface points to the body's shape."""
+        points = batch["points"].to(self._device, non_blocking=True).float().reshape(self._batch, -1, 6) / 100
+        body = batch["body"].to(self._device, non_blocking=True).reshape(self._batch, -1)
+        self._chosen.zero_grad()
+        loss = nn.functional.mse_loss(self._net(points), body)
+        loss.backward()  # type: ignore[no-untyped-call]
+        self._chosen.step()
+        loss.item()  # waits for the GPU, so that what follows is counted as waiting for garments alone
 
 
 class _PointNet(nn.Module):
@@ -131,3 +196,18 @@ class _PointNet(nn.Module):
     def forward(self, points: torch.Tensor) -> torch.Tensor:
         """[B, n, 6] to [B, outputs]."""
         return self.all(self.each(points).amax(dim=1))
+
+
+class _Transformer(nn.Module):
+    """Points in groups of 16, each group a token of 512 numbers."""
+
+    def __init__(self, outputs: int, layers: int) -> None:
+        super().__init__()
+        self.token = nn.Linear(16 * 6, 512)
+        layer = nn.TransformerEncoderLayer(512, 8, 2048, dropout=0.0, batch_first=True)
+        self.layers = nn.TransformerEncoder(layer, layers)
+        self.all = nn.Linear(512, outputs)
+
+    def forward(self, points: torch.Tensor) -> torch.Tensor:
+        """[B, n, 6] to [B, outputs]."""
+        return self.all(self.layers(self.token(points.reshape(len(points), -1, 16 * 6))).mean(dim=1))

@@ -53,11 +53,14 @@ def drape_all(
             following += 1
 
 
-def places_on(device: str) -> int:
-    """Garments that a device drapes at once: enough to fill a GPU, as far as its memory goes; one for each core."""
+def places_on(device: str, *, sharers: int = 1) -> int:
+    """Garments that a device drapes at once: enough to fill a GPU, as far as its memory goes; one for each core.
+
+    ``sharers``: processes that drape on the GPU, each with as many garments.
+    """
     if device == "cpu":
         return cores()
-    return places_in(wp.get_device(device).free_memory)
+    return places_in(wp.get_device(device).free_memory / sharers)
 
 
 def places_in(free: float) -> int:

@@ -12,16 +12,17 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Client, Connection
 from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, DrapeError
 
-__all__ = ["READY", "Place", "owner_file", "place_for", "socket_file"]
+__all__ = ["DRAPERS", "READY", "Place", "owner_file", "place_for", "places_for", "socket_file"]
 
 READY = "ready"
+DRAPERS = 2  # processes on each GPU: one prepares its next batch, or takes pictures, while another simulates
 LONGEST = 90  # characters of a socket's path: systems allow 104 to 108
 
 _places: dict[tuple[str, int], "Place"] = {}
@@ -110,6 +111,16 @@ def place_for(device: str, number: int = 0) -> Place:
     if key not in _places or not _places[key].folder.is_dir():  # left by a process that has ended
         _places[key] = _made(device)
     return _places[key]
+
+
+def places_for(devices: Sequence[str]) -> tuple[Place | None, ...]:
+    """Where workers have their garments draped, by turns: two processes on each GPU; ``None``: in the worker itself.
+
+    >>> places_for(["cpu"])
+    (None,)
+    """
+    gpus = [device for device in devices if device != "cpu"]
+    return tuple(place_for(device, number) for number in range(DRAPERS) for device in gpus) or (None,)
 
 
 def socket_file(folder: Path) -> Path:

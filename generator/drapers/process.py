@@ -26,7 +26,7 @@ from gcd_dataset.generator.drape.device import memory_kept
 from gcd_dataset.generator.drape.queue import Readied, drape_in_turn
 from gcd_dataset.generator.drapers.draper import Draped, Order
 from gcd_dataset.generator.drapers.parcel import receive_parcel
-from gcd_dataset.generator.drapers.place import READY, owner_file, socket_file
+from gcd_dataset.generator.drapers.place import DRAPERS, READY, owner_file, socket_file
 from gcd_dataset.generator.drapers.studio import Studio
 
 __all__ = ["main"]
@@ -53,7 +53,11 @@ def main(folder: Path, device: str) -> None:
             inbox.drape(device)
     except Exception as error:
         listener.close()  # whoever calls from here on begins the next draper
-        inbox.fail(" ".join(str(error).split()) or type(error).__name__)
+        reason = " ".join(str(error).split()) or type(error).__name__
+        # Others are of the device, such as a GPU that is lost.
+        inbox.fail(
+            reason if isinstance(error, GcdError) else f"{reason}; start again, on other devices if it comes back"
+        )
         raise
 
 
@@ -132,7 +136,7 @@ class Inbox:
         """Wait for a garment, then drape until none is left."""
         with self._some:
             self._some.wait_for(lambda: bool(self._waiting))
-        at_once, arrived, studio = places_on(device), self._waiting.__len__, Studio(device)
+        at_once, arrived, studio = places_on(device, sharers=DRAPERS), self._waiting.__len__, Studio(device)
         drapes = drape_in_turn(
             self._jobs(), CONFIG, device=device, at_once=at_once, arrived=arrived, between=studio.go_on
         )

@@ -9,9 +9,9 @@ from gcd_dataset.generator.drapers.draper import Draped, Order, require_faces
 from gcd_dataset.generator.drapers.parcel import send_parcel
 from gcd_dataset.generator.drapers.place import Place
 
-__all__ = ["SharedDraper"]
+__all__ = ["AT_ONCE", "SharedDraper"]
 
-AT_ONCE = 24  # garments of each caller: fifteen of them keep two draping processes of a GPU busy
+AT_ONCE = 24  # garments of each caller: eleven callers fill both batches of a GPU, 2 x 128
 
 
 class SharedDraper:

@@ -6,6 +6,7 @@ import pytest
 
 from benchmarks.cases import generated
 from gcd_dataset.errors import ConfigError
+from gcd_dataset.loaders import GeneratedGarments
 
 
 def options(*given: str) -> argparse.Namespace:
@@ -23,3 +24,14 @@ def test_patterns_are_counted() -> None:
 def test_no_time_is_refused() -> None:
     with pytest.raises(ConfigError, match="--seconds"):
         generated.run(options("--seconds", "0"))
+
+
+def test_networks_wait_for_garments() -> None:
+    """The large one is chosen for the rate at which they come: one layer where they come fast."""
+    asked = options("--workers", "0", "--seconds", "0.1", "--warm", "2", "--batch", "2")
+    garments = GeneratedGarments(99, stage="mesh", resolution=8.0, fields=generated.FIELDS["mesh"])
+    figures = {figure.metric: figure.value for figure in generated._trained(garments, asked, 1e6, "cpu")}
+    assert figures["large_layers"] == 1
+    for network in ("small", "large"):
+        assert figures[f"{network}_steps_per_second"] > 0
+        assert 0 <= figures[f"{network}_waits"] < 1

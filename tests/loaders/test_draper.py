@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import islice
 from multiprocessing.connection import Listener
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.pipeline import prepare, sample_key
 from gcd_dataset.generator.recipe import MakeConfig
-from gcd_dataset.loaders import GarmentLoader, GeneratedGarments, collate_list
+from gcd_dataset.loaders import FakeGarments, FreshGarments, GarmentLoader, GeneratedGarments, collate_list
 from gcd_dataset.records import Outcome, Sample
 from tests.loaders.test_shards import assert_all_same
 
@@ -46,7 +47,7 @@ class Apart(GeneratedGarments):
 
     def __init__(self, n: int, place: Place, **options: Any) -> None:
         super().__init__(n, **OPTIONS, **options)
-        self._place = place
+        self._places = (place,)
 
     @property
     def _apart(self) -> bool:
@@ -282,7 +283,9 @@ def test_a_draper_that_fails_says_why_and_takes_no_more_calls(place: Place) -> N
         good = order(1)
         torn = replace(good.job.box_mesh, labels={"strapless_top": np.array([10**6])})
         draper.ask(replace(good, job=replace(good.job, box_mesh=torn)))
-        with pytest.raises(DrapeError, match="while draping on cpu: index 1000000 is out of bounds"):
+        with pytest.raises(
+            DrapeError, match=r"draping on cpu: index 1000000 is out of bounds .*; start again, on other"
+        ):
             draper.answer()
         with SharedDraper(place) as other:
             other.ask(good)
@@ -345,6 +348,49 @@ def test_a_draper_killed_under_a_loader_is_one_error(place: Place) -> None:
     with pytest.raises(DrapeError, match="drapes on cpu has ended"):
         for _ in loader:
             pass
+
+
+def test_fresh_garments_go_on_after_their_draper_was_killed(place: Place) -> None:
+    """By another, which the same program starts, with the garment that did not come."""
+    whole = [item["meta"]["index"] for item in FreshGarments(FakeGarments(40, fields=["meta"]), replay=2, room=4)]
+    fresh = FreshGarments(Apart(40, place, fields=["meta"]), replay=2, room=4, workers=1)
+    given = [next(made := iter(fresh))["meta"]["index"]]
+    kill_drapers(place)
+    with pytest.raises(DrapeError) as raised:
+        given.extend(item["meta"]["index"] for item in made)
+    assert str(raised.value).startswith("the process that drapes on cpu has ended, killed perhaps for lack of memory")
+    fresh.load_state_dict(fresh.state_dict())
+    given.extend(item["meta"]["index"] for item in islice(fresh, 1))
+    assert given == whole[: len(given)]
+
+
+def test_a_draper_killed_under_workers_is_one_error(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.maker.places_for", lambda devices: (place,))
+    config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS, on_fail="keep")
+    made = produce(5, range(100), config, workers=2)
+    given = [next(made)]
+    kill_drapers(place)
+    with pytest.raises(DrapeError, match="drapes on cpu has ended"):
+        given.extend(made)
+    assert [sample.key for sample in given] == [sample_key(index) for index in range(len(given))]
+
+
+def test_workers_have_the_draping_processes_by_turns(items: list[dict[str, Any]], place: Place) -> None:
+    ds = Apart(COUNT, place)
+    places = (place, _made("cpu"))
+    ds._places = places
+    assert_all_same(FreshGarments(ds, room=1, workers=2), items)
+    assert [len(drapers(place)) for place in places] == [1, 1]
+    (places[1].folder / "owner").unlink()
+    kill_drapers(places[1])
+
+
+def test_a_device_that_is_not_there_is_told_on_one_line() -> None:
+    fresh = FreshGarments(GeneratedGarments(2, **{**OPTIONS, "device": "cuda:77"}), workers=1)
+    with pytest.raises(DrapeError) as raised:
+        next(iter(fresh))
+    assert str(raised.value).startswith("device cuda:77: there is cpu")
+    assert "Traceback" not in str(raised.value)
 
 
 def test_a_worker_that_is_killed_holds_up_no_other(place: Place) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from torch.utils.data import DataLoader
 
-from gcd_dataset.errors import ConfigError
+from gcd_dataset.errors import ConfigError, TransformError
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.loaders import FakeGarments, FreshGarments, GarmentLoader, GeneratedGarments, MixedDataset, PointNoise
 from tests.loaders.test_shards import assert_all_same, same
@@ -94,6 +94,53 @@ def test_the_first_comes_as_soon_as_it_is_made() -> None:
     for count in range(2, 60):
         next(given)
         assert len(ds.made) <= min(count, 20) + (count - 1) // 4
+
+
+class OnlyOne(FakeGarments):
+    """Of which one is made at once, and all others when the test is over."""
+
+    only = 0
+
+    def __init__(self, count: int) -> None:
+        super().__init__(count, fields=["meta"])
+        self.over = multiprocessing.Event()
+
+    def __getitem__(self, index: Any) -> Any:
+        if index != self.only:
+            self.over.wait()
+        return super().__getitem__(index)
+
+
+@pytest.mark.parametrize("stop", [0, 31])
+@pytest.mark.parametrize("replay", [1, 4])
+def test_the_first_of_workers_waits_for_no_other(replay: int, stop: int) -> None:
+    """Also where a training goes on: the garment that it needs next is made first."""
+    options: dict[str, Any] = {"replay": replay, "room": 20}
+    ds = OnlyOne(50)
+    ds.only = numbers(fresh(50, **options))[stop]
+    on = FreshGarments(ds, workers=2, **options)
+    on.load_state_dict({**on.state_dict(), "position": stop})
+    made = iter(on)
+    assert next(made)["meta"]["index"] == ds.only
+    ds.over.set()
+
+
+def refused(item: dict[str, Any]) -> dict[str, Any]:
+    raise ValueError("no such thing")
+
+
+def test_an_error_in_a_worker_is_the_error_of_one_process() -> None:
+    """On one line; what the worker was at is a note."""
+    told = []
+    for workers in (0, 1):
+        with pytest.raises(TransformError) as raised:
+            list(FreshGarments(FakeGarments(3, fields=["meta"], transform=refused), workers=workers))
+        told.append(str(raised.value))
+        with pytest.raises(TransformError) as raised:
+            list(GarmentLoader(FakeGarments(1, fields=["meta"], transform=refused), 1, num_workers=workers))
+        told.append(str(raised.value))
+    assert len(set(told)) == 1
+    assert any("in refused" in note for note in raised.value.__notes__)
 
 
 @pytest.mark.parametrize("workers", [0, 2])

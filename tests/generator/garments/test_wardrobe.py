@@ -73,7 +73,9 @@ def test_every_garment_has_a_name_and_every_section_a_kind_of_its_own() -> None:
 def test_a_skirt_is_added_by_a_file_and_a_line(tmp_path: Path) -> None:
     """Drawn by chance, narrowed by overlays, dressed and meshed, in a copy of the package with nothing else changed."""
     package = tmp_path / "gcd_dataset"
-    shutil.copytree(Path(gcd_dataset.__file__).parent, package, ignore=shutil.ignore_patterns("hub", "loaders", "shards"))
+    shutil.copytree(
+        Path(gcd_dataset.__file__).parent, package, ignore=shutil.ignore_patterns("hub", "loaders", "shards")
+    )
     garments = package / "generator" / "garments"
     shutil.copy(Path(own_skirt.__file__), garments)
     wardrobe = (garments / "wardrobe.py").read_text()

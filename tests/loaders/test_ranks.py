@@ -1,0 +1,105 @@
+"""Each rank has garments draped on a GPU of its own; a program without ranks on all of them."""
+
+import subprocess
+import sys
+
+import pytest
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.loaders import GeneratedGarments
+from gcd_dataset.shards.layout import recipe_hash
+
+GPUS = 4
+
+
+@pytest.fixture(autouse=True)
+def machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One with four GPUs, none of which is touched, and no rank."""
+    monkeypatch.setattr("torch.cuda.device_count", lambda: GPUS)
+    for name in ("LOCAL_RANK", "LOCAL_WORLD_SIZE"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def become(monkeypatch: pytest.MonkeyPatch, rank: int, count: int) -> None:
+    """Have this process be one that ``torchrun`` has started."""
+    monkeypatch.setenv("LOCAL_RANK", str(rank))
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", str(count))
+
+
+def device(name: str = "auto") -> str:
+    """Where garments are draped."""
+    return GeneratedGarments(1, device=name).config.device
+
+
+@pytest.mark.parametrize(
+    ("name", "devices"),
+    [("auto", "cuda:0,1,2,3"), ("cuda:0,2", "cuda:0,2"), ("cuda", "cuda:0"), ("cuda:3", "cuda:3"), ("cpu", "cpu")],
+)
+def test_without_ranks_all_that_are_named_are_used(name: str, devices: str) -> None:
+    assert device(name) == devices
+
+
+@pytest.mark.parametrize("name", ["auto", "cuda"])
+def test_each_rank_has_a_gpu_of_its_own(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    taken = []
+    for rank in range(6):
+        become(monkeypatch, rank, 6)
+        taken.append(device(name))
+    assert taken == ["cuda:0", "cuda:1", "cuda:2", "cuda:3", "cuda:0", "cuda:1"]
+
+
+def test_the_gpu_that_a_rank_has_chosen_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that has chosen none stands on the first, as torch does."""
+    become(monkeypatch, 1, 2)
+    monkeypatch.setattr("torch.cuda.is_initialized", lambda: True)
+    for current, taken in ((3, "cuda:3"), (0, "cuda:1")):
+        monkeypatch.setattr("torch.cuda.current_device", lambda current=current: current)
+        assert device() == taken
+
+
+def test_a_group_that_a_program_has_begun_itself_has_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("is_initialized", True), ("get_rank", 2), ("get_world_size", 4)):
+        monkeypatch.setattr(f"torch.distributed.{name}", lambda value=value: value)
+    assert device() == "cuda:2"
+
+
+def test_ranks_share_the_gpus_of_a_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken = []
+    for rank in range(2):
+        become(monkeypatch, rank, 2)
+        taken.append(device("cuda:0,1,3"))
+    assert taken == ["cuda:0,3", "cuda:1"]
+    monkeypatch.delenv("LOCAL_WORLD_SIZE")
+    assert device("cuda:0,1,3") == "cuda:1"
+    assert device("cuda:2") == "cuda:2"  # named alone, it may be each rank's: the only one that it is shown
+    become(monkeypatch, 0, 3)
+    with pytest.raises(ConfigError, match="3 ranks on this machine share 2 GPUs, cuda:0, cuda:1: give device='auto'"):
+        device("cuda:0,1")
+
+
+def test_an_environment_that_names_no_rank_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    for rank, count in (("two", "4"), ("4", "4"), ("-1", "4"), ("1", "")):
+        monkeypatch.setenv("LOCAL_RANK", rank)
+        monkeypatch.setenv("LOCAL_WORLD_SIZE", count)
+        with pytest.raises(ConfigError, match=f"LOCAL_RANK={rank!r}"):
+            device()
+    assert device("cpu") == "cpu"
+
+
+def test_the_recipe_does_not_tell_which_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that all ranks, and those who made garments before, share a cache."""
+    recipes = [GeneratedGarments(1, device=name).recipe(0)["recipe"] for name in ("auto", "cuda:0", "cuda:1,3")]
+    become(monkeypatch, 3, 4)
+    recipes.append(GeneratedGarments(1).recipe(0)["recipe"])
+    assert {recipe["device"] for recipe in recipes} == {"cuda"}
+    assert len({recipe_hash(recipe) for recipe in recipes}) == 1
+
+
+def test_no_gpu_is_started_by_a_process_that_forks_workers() -> None:
+    code = (
+        "import sys, torch; torch.cuda.device_count = lambda: 2\n"
+        "from gcd_dataset.loaders import GeneratedGarments\n"
+        "assert GeneratedGarments(2).config.device == 'cuda:0,1'\n"
+        "sys.exit('warp' in sys.modules or torch.cuda.is_initialized())\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
