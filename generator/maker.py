@@ -20,6 +20,7 @@ from gcd_dataset.generator.drapers.shared import AT_ONCE
 from gcd_dataset.generator.pipeline import DressedDesign, drape_jobs, finish, prepare, turned_down
 from gcd_dataset.generator.recipe import MakeConfig, devices_name, devices_of
 from gcd_dataset.records import Sample
+from gcd_dataset.waits import MAKERS
 from gcd_dataset.workers import streams
 
 __all__ = ["AHEAD", "READY", "LastDesign", "make", "produce"]
@@ -238,7 +239,8 @@ class _Share:
                 i for turn, group in enumerate(_designs(self.indices, self.config)) if self._has(turn) for i in group
             )
             options = {"draper": draper, "ahead": ahead, "finished": self.finished, "pictured": self.pictured}
-            yield from by_thread(produce(self.seed, own, self.config, **options), READY)  # type: ignore[call-overload]
+            made = produce(self.seed, own, self.config, **options)  # type: ignore[call-overload]
+            yield from by_thread(made, READY, name=MAKERS)
 
     def _has(self, turn: int) -> bool:
         return turn % self.step == self.first

@@ -88,6 +88,7 @@ def _generate(options: argparse.Namespace) -> int:
                 seed=options.seed,
                 config=MakeConfig(**given),
                 workers=options.workers,
+                log=options.log,
             )
         )
     done = bar.progress
@@ -112,7 +113,9 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
     if given.get("bodies", "random") != "random":
         raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
     with Bar("body", options.quiet) as bar:
-        bar.run(partial(generate_people, options.out, options.count, seed=options.seed, workers=options.workers or 0))
+        workers = options.workers or 0
+        work = partial(generate_people, options.out, options.count, seed=options.seed, workers=workers, log=options.log)
+        bar.run(work)
     done = bar.progress
     if bar.interrupted:
         return stopped("generate", f"{done.done} of {done.count}")
@@ -262,6 +265,9 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         type=Path,
         metavar="FILE.toml",
         help="a file of these options, and of tables such as [design.pants] that narrow what designs may be",
+    )
+    generate.add_argument(
+        "--log", type=Path, metavar="FILE", help="a file to which lines of JSON are added while it runs: rate, waits, …"
     )
     generate.more = partial(_add_make_options, generate)
     add_quiet(generate)

@@ -5,12 +5,14 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from gcd_dataset.verbs.progress import Progress, Told
+from gcd_dataset.verbs.progress import SETTLED, Progress, Told
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-__all__ = ["Bar"]
+__all__ = ["Bar", "postfix"]
+
+MOST_RULES = 3  # that stand in the bar
 
 
 class Bar:
@@ -46,16 +48,24 @@ class Bar:
         for fault in progress.left_out[len(self.progress.left_out) :]:
             self._bar.write(f"gcd {self._verb}: left out: {fault}", file=sys.stderr)
         self.progress = progress
-        counts = {"rejected": progress.rejects.total(), "unsettled": progress.unsettled}
-        self._bar.set_postfix({name: count for name, count in counts.items() if count}, refresh=False)
+        self._bar.set_postfix_str(postfix(progress), refresh=False)
         self._bar.update(progress.done + len(progress.left_out) - self._bar.n)
 
     def _begin(self, progress: Progress) -> None:
         from tqdm import tqdm
 
+        bar = self
+
+        class Paced(tqdm):
+            """Shows the rate of the last minute, and the time left at it, where that is taken."""
+
+            @property
+            def format_dict(self) -> dict[str, Any]:
+                return super().format_dict | ({} if bar.progress.rate is None else {"rate": bar.progress.rate})
+
         self._end()
         self.progress = Progress(progress.count, progress.there, split=progress.split)
-        self._bar = tqdm(
+        self._bar = Paced(
             total=progress.count,
             initial=progress.there,
             unit=self._unit,
@@ -74,3 +84,19 @@ class Bar:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._end()
+
+
+def postfix(progress: Progress) -> str:
+    """What stands behind the bar: outcomes but settled ones, who waits, and designs turned down, by rule.
+
+    >>> postfix(Progress(9, 0).with_sample(rejects=["too_heavy: 3 kg"], outcome="SETTLED"))
+    'rejected 1 (too_heavy 1)'
+    """
+    parts = [f"{name.lower()} {count}" for name, count in progress.outcomes.most_common() if name != SETTLED]
+    if progress.waits:
+        parts.append("waits: " + " ".join(f"{name} {share:.0%}" for name, share in progress.waits.items()))
+    if rejected := progress.rejects.total():
+        rules = [f"{rule} {count}" for rule, count in progress.rejects.most_common(MOST_RULES)]
+        more = ["…"] if len(progress.rejects) > MOST_RULES else []
+        parts.append(f"rejected {rejected} ({', '.join(rules + more)})")
+    return ", ".join(parts)

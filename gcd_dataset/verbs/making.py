@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
@@ -11,8 +12,10 @@ from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.unfinished import filling
+from gcd_dataset.verbs.log import logged
 from gcd_dataset.verbs.plan import Plan, check_count
-from gcd_dataset.verbs.progress import Progress, Told, unheard
+from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
+from gcd_dataset.waits import WRITER, Waits, added, taken, waited_for
 
 __all__ = ["GarmentPlan", "Stored", "generate", "plan", "stored", "workers_for"]
 
@@ -30,6 +33,8 @@ class Stored:
     """Why earlier attempts were turned down, in order."""
     outcome: Outcome | None
     """How the drape ended; ``None`` at an earlier stage."""
+    waits: Waits = field(default_factory=dict)
+    """What its maker, and the draping processes it asked, have waited since the sample before."""
 
 
 @dataclass(frozen=True)
@@ -66,23 +71,35 @@ def generate(
     config: MakeConfig | None = None,
     workers: int | None = None,
     told: Told = unheard,
+    log: Path | str | None = None,
 ) -> Progress:
     """Have samples 0 … ``count`` - 1 of ``seed`` in the folder ``out``; those that are there are not made again.
 
-    ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it. Stopped at any moment and called
-    again it goes on; the shards come out as the same bytes. Raises as ``plan`` and ``stored`` do.
+    ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it; ``log``: a file to which
+    ``gcd_dataset.verbs.log`` appends. Stopped at any moment and called again it goes on; the shards come out as the
+    same bytes. Raises as ``plan`` and ``stored`` do, and ``OutputError`` for a log that cannot be opened.
     """
-    task = plan(out, count, seed=seed, config=config)
-    if task.config.stage == "drape":
-        from gcd_dataset.generator.drape import tell_wait
+    config = config or MakeConfig()
+    options = {"out": str(out), "count": count, "seed": seed, "workers": workers} | _plain(config)
+    devices = devices_of(config) if config.stage == "drape" else ()
+    with logged(log, told, options=options, recipe=recipe_of(config), devices=devices) as told:
+        task = plan(out, count, seed=seed, config=config)
+        if config.stage == "drape":
+            from gcd_dataset.generator.drape import tell_wait
 
-        tell_wait(len(task.missing), task.config.device, task.config.resolution)
-    progress = Progress(count, task.there)
-    told(progress)
-    for made in stored(task, workers=workers):
-        progress = progress.with_sample(rejects=made.rejects, outcome=made.outcome and made.outcome.name)
+            tell_wait(len(task.missing), config.device, config.resolution)
+        progress, pace = Progress(count, task.there), Pace()
         told(progress)
+        for made in stored(task, workers=workers):
+            progress = progress.with_sample(rejects=made.rejects, outcome=made.outcome and made.outcome.name)
+            progress = pace.of(progress, added(made.waits, taken()))
+            told(progress)
     return progress
+
+
+def _plain(config: MakeConfig) -> dict[str, Any]:
+    """The options as JSON takes them."""
+    return {entry.name: getattr(config, entry.name) for entry in fields(config)} | {"design": config.design.to_dict()}
 
 
 def stored(plan: GarmentPlan, *, workers: int | None = None) -> Generator[Stored, None, None]:
@@ -97,7 +114,8 @@ def stored(plan: GarmentPlan, *, workers: int | None = None) -> Generator[Stored
         if not plan.missing:
             return
         with ShardWriter(plan.out, seed=plan.seed, recipe=recipe_of(plan.config)) as writer:
-            for stored, members in produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encoded):
+            made = produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encoded)
+            for stored, members in waited_for(made, WRITER):
                 writer.add(stored.index, members)
                 yield stored
 
@@ -115,4 +133,5 @@ def workers_for(plan: GarmentPlan) -> int:
 
 def _encoded(sample: Sample) -> tuple[Stored, Mapping[str, Bytes]]:
     made, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
-    return Stored(made.index, made.body_name, made.rejects, outcome), encode_sample(sample)
+    members = encode_sample(sample)
+    return Stored(made.index, made.body_name, made.rejects, outcome, taken()), members

@@ -10,8 +10,10 @@ from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, own_mesh
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.shards.people import BodyWriter
 from gcd_dataset.shards.unfinished import filling
+from gcd_dataset.verbs.log import logged
 from gcd_dataset.verbs.plan import Plan, check_count
-from gcd_dataset.verbs.progress import Progress, Told, unheard
+from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
+from gcd_dataset.waits import WRITER, taken, waited_for
 from gcd_dataset.workers import side_by_side_in_parts
 
 __all__ = ["PeoplePlan", "generate_people", "plan_people", "stored_people"]
@@ -38,18 +40,28 @@ def plan_people(out: Path | str, count: int, *, seed: int = 0) -> PeoplePlan:
     return PeoplePlan(Path(out), count, tuple(index for index in range(count) if index not in done), seed)
 
 
-def generate_people(out: Path | str, count: int, *, seed: int = 0, workers: int = 0, told: Told = unheard) -> Progress:
+def generate_people(
+    out: Path | str,
+    count: int,
+    *,
+    seed: int = 0,
+    workers: int = 0,
+    told: Told = unheard,
+    log: Path | str | None = None,
+) -> Progress:
     """Have people 0 … ``count`` - 1 of ``seed`` in the folder ``out``, in two poses, with their measures.
 
-    ``told`` is called with how far it has come. Stopped and called again it goes on. Raises as ``plan_people`` and
-    ``stored_people`` do.
+    ``told`` is called with how far it has come; ``log`` as ``generate`` takes it. Stopped and called again it goes on.
+    Raises as ``plan_people`` and ``stored_people`` do, and ``OutputError`` for a log that cannot be opened.
     """
-    task = plan_people(out, count, seed=seed)
-    progress = Progress(count, task.there)
-    told(progress)
-    for _ in stored_people(task, workers=workers):
-        progress = progress.with_sample()
+    options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "stage": "body"}
+    with logged(log, told, options=options, recipe=PEOPLE_RECIPE) as told:
+        task = plan_people(out, count, seed=seed)
+        progress, pace = Progress(count, task.there), Pace()
         told(progress)
+        for _ in stored_people(task, workers=workers):
+            progress = pace.of(progress.with_sample(), taken())
+            told(progress)
     return progress
 
 
@@ -63,7 +75,8 @@ def stored_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, No
         if not plan.missing:
             return
         with _writer(plan.out, plan.seed) as writer:
-            for index, person in zip(plan.missing, _made(plan, workers), strict=True):
+            made = waited_for(_made(plan, workers), WRITER)
+            for index, person in zip(plan.missing, made, strict=True):
                 writer.write(index, person)
                 yield person
 

@@ -1,13 +1,17 @@
 """How far a verb has come."""
 
-from collections import Counter
-from collections.abc import Callable, Iterable
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import NamedTuple, Self
 
-__all__ = ["Progress", "Told", "unheard"]
+from gcd_dataset.waits import Wait, Waits, added, shares
+
+__all__ = ["SETTLED", "Pace", "Progress", "Told", "unheard"]
 
 SETTLED = "SETTLED"  # the name of the outcome
+WINDOW = 60.0  # s over which rates and waits are taken
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,16 @@ class Progress:
     """How their drapes ended, by the name of the ``Outcome``."""
     left_out: tuple[str, ...] = ()
     """Samples that could not be made, with the reason."""
+    rate: float | None = None
+    """Samples a second over the last minute; ``None`` where it is not taken."""
+    waits: Mapping[str, float] = field(default_factory=dict)
+    """Share of the last minute in which the draping processes of each GPU waited for orders, by device; ``makers`` for
+    the writer to take their samples, where they are processes of their own; ``writer`` for samples."""
+
+    @property
+    def left_s(self) -> float | None:
+        """Seconds left at the rate of the last minute; ``None`` where that is not known, or nothing was made in it."""
+        return max(self.count - self.done, 0) / self.rate if self.rate else None
 
     @property
     def done(self) -> int:
@@ -48,6 +62,39 @@ class Progress:
     def without_sample(self, fault: str) -> Self:
         """One sample left out, for a reason."""
         return replace(self, left_out=(*self.left_out, fault))
+
+
+class _Mark(NamedTuple):
+    time: float
+    made: int
+    waits: Waits
+    """Since the beginning."""
+
+
+class Pace:
+    """Takes the rate and the waits of the last minute.
+
+    ``clock``: seconds from any beginning; ``every``: seconds between two marks, which are kept for a minute.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic, *, every: float = 1.0) -> None:
+        self._clock, self._every = clock, every
+        self._waits: Waits = {}
+        self._marks = deque([_Mark(clock(), 0, {})])
+
+    def of(self, progress: Progress, waits: Waits) -> Progress:
+        """The progress with its pace; ``waits``: those since the last call."""
+        now, marks = self._clock(), self._marks
+        self._waits = added(self._waits, waits)
+        while len(marks) > 1 and now - marks[1].time >= WINDOW:
+            marks.popleft()
+        first = marks[0]
+        if now - marks[-1].time >= self._every:
+            marks.append(_Mark(now, progress.made, self._waits))
+        if now <= first.time:
+            return progress
+        minute = added(self._waits, {name: Wait(-wait.idle, -wait.over) for name, wait in first.waits.items()})
+        return replace(progress, rate=(progress.made - first.made) / (now - first.time), waits=shares(minute))
 
 
 Told = Callable[[Progress], None]

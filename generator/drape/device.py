@@ -7,7 +7,7 @@ import stat
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -18,6 +18,7 @@ from gcd_dataset.errors import ConfigError, OutputError
 
 __all__ = [
     "cores",
+    "device_names",
     "every_device",
     "kernels_cached",
     "load_kernels",
@@ -55,6 +56,12 @@ def every_device() -> tuple[str, ...]:
     """All GPUs, or the CPU where there is none."""
     _begin()
     return tuple(device.alias for device in wp.get_cuda_devices()) or ("cpu",)
+
+
+def device_names(devices: Iterable[str]) -> dict[str, str]:
+    """What the makers of devices call them, by our name."""
+    _begin()
+    return {device: wp.get_device(device).name for device in devices}
 
 
 @cache

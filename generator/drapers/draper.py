@@ -1,6 +1,6 @@
 """What a draper is: garments are ordered and come back draped, in the order in which they come to rest."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
@@ -8,6 +8,7 @@ from jaxtyping import UInt8
 
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.records import Drape
+from gcd_dataset.waits import Waits
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -38,6 +39,8 @@ class Draped:
     """From the front and from behind."""
     seconds: float = 0.0
     """Time of its batch on the device, divided by the garments in it; 0 where several callers share the device."""
+    waits: Waits = field(default_factory=dict)
+    """How long a draping process has waited for orders since its answer before, by its device."""
 
 
 class Draper(Protocol):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar, Union
 
 from gcd_dataset.generator.drapers.draper import Draped, Draper, Order
+from gcd_dataset.waits import noted
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -97,6 +98,8 @@ class _Desk:
         """Wait for one answer."""
         assert self._draper is not None  # work without jobs is never waited for
         answer = self._draper.answer()
+        for name, wait in answer.waits.items():
+            noted(name, wait)
         place, part = self._part_of.pop(answer.number)
         place.drapes[part] = answer
         try:

@@ -15,6 +15,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from multiprocessing.connection import Connection, Listener
 from pathlib import Path
 from queue import SimpleQueue
@@ -28,6 +30,7 @@ from gcd_dataset.generator.drapers.draper import Draped, Order
 from gcd_dataset.generator.drapers.parcel import receive_parcel
 from gcd_dataset.generator.drapers.place import DRAPERS, READY, owner_file, socket_file
 from gcd_dataset.generator.drapers.studio import Studio
+from gcd_dataset.waits import WaitClock
 
 __all__ = ["main"]
 
@@ -109,6 +112,7 @@ class Inbox:
         self._some = threading.Condition()
         self._askers: set[Asker] = set()
         self._at_work: dict[int, tuple[Asker, Order]] = {}
+        self._clock = WaitClock()
 
     def put(self, asker: Asker, order: Order) -> None:
         """Add a garment."""
@@ -134,8 +138,10 @@ class Inbox:
 
     def drape(self, device: str) -> None:
         """Wait for a garment, then drape until none is left."""
+        begun = time.perf_counter()
         with self._some:
             self._some.wait_for(lambda: bool(self._waiting))
+        self._clock.idle(time.perf_counter() - begun)
         at_once, arrived, studio = places_on(device, sharers=DRAPERS), self._waiting.__len__, Studio(device)
         drapes = drape_in_turn(
             self._jobs(), CONFIG, device=device, at_once=at_once, arrived=arrived, between=studio.go_on
@@ -144,8 +150,12 @@ class Inbox:
             for number, drape in drapes:
                 asker, order = self._at_work.pop(number)
                 if asker.there:
-                    studio.take(order, drape, asker.tell)
+                    studio.take(order, drape, partial(self._answer, asker, device))
             studio.finish()
+
+    def _answer(self, asker: Asker, device: str, answer: Draped) -> None:
+        """Send an answer, and how long this process has waited since the one before."""
+        asker.tell(replace(answer, waits={device: self._clock.taken()}))
 
     def _jobs(self) -> Iterator[DrapeJob | Readied | None]:
         """Those that wait, whenever asked; ``None`` where there is none at this moment."""
