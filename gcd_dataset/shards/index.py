@@ -185,13 +185,13 @@ class ShardIndex(Record):
             raise ShardError(f"{path}: not an index ({error}): {remedy}") from error
         return cls(
             shards=tuple(arrays["shards"].tolist()),
-            length=arrays["length"].astype(np.int64),
-            shard=arrays["shard"].astype(np.int32),
+            length=arrays["length"].astype(np.int64, copy=False),
+            shard=arrays["shard"].astype(np.int32, copy=False),
             table=ShardTable(
-                sample=arrays["sample"].astype(np.int64),
-                offset=arrays["offset"].astype(np.int64),
-                size=arrays["size"].astype(np.uint32),
-                crc=arrays["crc"].astype(np.uint32),
+                sample=arrays["sample"].astype(np.int64, copy=False),
+                offset=arrays["offset"].astype(np.int64, copy=False),
+                size=arrays["size"].astype(np.uint32, copy=False),
+                crc=arrays["crc"].astype(np.uint32, copy=False),
                 settled=arrays["settled"],
             ),
             layout=found,
@@ -263,19 +263,22 @@ def _require_consistent(arrays: Mapping[str, np.ndarray], layout: Layout) -> Non
         raise ShardError("shards out of order")
     if layout.kind != FOREIGN and len(np.unique(arrays["sample"])) != n:
         raise ShardError("a sample that is there twice")
-    _require_inside(arrays, layout)
+    for first in range(0, n, AT_ONCE):
+        _require_inside(arrays, slice(first, first + AT_ONCE), layout)
 
 
 LONGEST = 1 << 62
+AT_ONCE = 1 << 12  # samples that are checked at a time: what is computed of them takes more room than they do
 
 
-def _require_inside(arrays: Mapping[str, np.ndarray], layout: Layout) -> None:
+def _require_inside(arrays: Mapping[str, np.ndarray], rows: slice, layout: Layout) -> None:
     """Raise ``ShardError`` for a member beyond the end of its shard, or a sample larger than is read."""
     least = -1 if layout.kind == FOREIGN else 0  # of foreign samples a member may be missing
-    length = arrays["length"].astype(np.int64)[arrays["shard"].astype(np.int64)][:, None]
-    if int(arrays["offset"].min()) < least or (arrays["offset"] > length).any():
+    length = arrays["length"].astype(np.int64, copy=False)[arrays["shard"][rows].astype(np.int64)][:, None]
+    offset = arrays["offset"][rows]
+    if int(offset.min()) < least or (offset > length).any():
         raise ShardError("a member beyond the end of its shard")
-    offset, size = arrays["offset"].astype(np.int64), arrays["size"].astype(np.int64)
+    offset, size = offset.astype(np.int64), arrays["size"][rows].astype(np.int64)
     if (np.where(offset >= 0, offset + size, 0) > length).any():
         raise ShardError("a member beyond the end of its shard")
     if layout.kind != FOREIGN:

@@ -14,7 +14,7 @@ from gcd_dataset.jsonfile import found
 from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import locked, read_small, reading
 from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, shard_number
-from gcd_dataset.shards.limits import LARGEST_JSON
+from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.meta import read_json
 
 __all__ = ["MANIFEST", "Manifest", "ShardRecord", "SplitRecord", "keep_split", "parse_manifest", "read_manifest"]
@@ -96,14 +96,14 @@ def read_manifest(folder: Path) -> Manifest | None:
     path = folder / MANIFEST
     with reading(path):
         is_there = path.exists()
-    content = read_small(path, LARGEST_JSON) if is_there else None
+    content = read_small(path, LARGEST_MANIFEST) if is_there else None
     return None if content is None else parse_manifest(content, str(path))
 
 
 def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
     """The manifest in a file's content; ``path`` and ``remedy`` stand in errors. Raises as ``read_manifest`` does."""
     try:
-        entry = read_json(content)
+        entry = read_json(content, most=LARGEST_MANIFEST)
         if not isinstance(entry, Mapping) or not _is_count(schema := entry.get("schema")):
             raise ShardError("no schema")
         if schema not in SCHEMAS:

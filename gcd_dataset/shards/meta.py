@@ -163,10 +163,10 @@ STORED: Mapping[str, Callable[[Any], Any]] = {
 # ------------------------------------------------------------------------------------------------------------- reading
 
 
-def read_json(data: Bytes, *, constants: bool = False) -> Any:
-    """Parsed JSON; ``constants``: NaN and infinities too. Raises ``ShardError``."""
-    if len(data) > LARGEST_JSON:
-        raise ShardError(f"{len(data)} bytes of JSON, where {LARGEST_JSON} are read")
+def read_json(data: Bytes, *, constants: bool = False, most: int = LARGEST_JSON) -> Any:
+    """Parsed JSON of up to ``most`` bytes; ``constants``: NaN and infinities too. Raises ``ShardError``."""
+    if len(data) > most:
+        raise ShardError(f"{len(data)} bytes of JSON, where {most} are read")
     try:
         return loads(str(data, "utf-8"), decode=json.loads if constants else STRICT.decode)
     except ValueError as error:

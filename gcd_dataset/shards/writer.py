@@ -30,6 +30,7 @@ from gcd_dataset.shards.origin import agreed, require_schema
 __all__ = ["ShardWriter"]
 
 SHARD_SIZE = 256  # samples: about 250 MB of draped garments at 1 cm
+UNLISTED = 1 / 64  # of the shards may be missing in the manifest while more are written: it tells of all of them anew
 
 
 class ShardWriter:
@@ -72,7 +73,7 @@ class ShardWriter:
             self._whole = {
                 number: table for name, table in tables.items() if (number := shard_number(name, split)) is not None
             }
-            self._shards = self._records()
+            self._shards, self._unlisted = self._records(), 0
             self._keep_manifest()
             self._take_up()
             self._held = held.pop_all()
@@ -112,6 +113,8 @@ class ShardWriter:
         with self._held:
             for number in sorted(self._open):
                 self._finish(number)
+            if self._unlisted:
+                self._keep_manifest()
             tables = {shard_name(self._split, number): self._whole[number] for number in sorted(self._whole)}
             ShardIndex.of(self._folder, tables, self._layout).write(self._folder / index_name(self._split))
 
@@ -151,7 +154,9 @@ class ShardWriter:
         else:
             shard.discard()
         self._open.pop(number).release()
-        self._keep_manifest()
+        self._unlisted += 1
+        if self._unlisted >= UNLISTED * len(self._shards):
+            self._keep_manifest()
 
     def _records(self) -> dict[int, ShardRecord]:
         """What the manifest says of the shards that are there; looked up anew where it is behind."""
@@ -166,6 +171,7 @@ class ShardWriter:
     def _keep_manifest(self) -> None:
         shards = tuple(self._shards[number] for number in sorted(self._shards))
         keep_split(self._folder, self._split, replace(self._record, shards=shards))
+        self._unlisted = 0
 
 
 def _release(shards: dict[int, GrowingShard]) -> None:
