@@ -212,13 +212,11 @@ def _whole(sample: Sample) -> Sample:
 
 @dataclass(frozen=True)
 class _Share:
-    """The part of the designs that one worker makes: every ``step``-th, from ``first`` on."""
+    """What one worker makes."""
 
     seed: int
     indices: tuple[int, ...]
     config: MakeConfig
-    first: int
-    step: int
     place: Place | None
     """Where its garments are draped; ``None``: in the worker."""
     finished: Callable[[Sample], Any]
@@ -235,15 +233,9 @@ class _Share:
                 from gcd_dataset.generator.drapers.here import DraperHere
 
                 draper = opened.enter_context(DraperHere("cpu", at_once=1))
-            own = (
-                i for turn, group in enumerate(_designs(self.indices, self.config)) if self._has(turn) for i in group
-            )
             options = {"draper": draper, "ahead": ahead, "finished": self.finished, "pictured": self.pictured}
-            made = produce(self.seed, own, self.config, **options)  # type: ignore[call-overload]
+            made = produce(self.seed, self.indices, self.config, **options)  # type: ignore[call-overload]
             yield from by_thread(made, READY, name=MAKERS)
-
-    def _has(self, turn: int) -> bool:
-        return turn % self.step == self.first
 
 
 def _by_workers(
@@ -260,12 +252,25 @@ def _by_workers(
     # By name: workers that looked for the devices themselves would each start CUDA.
     config = replace(config, device=devices_name(devices))
     shares = [
-        _Share(seed, indices, config, k, workers, places[k % len(places)], finished, pictured) for k in range(workers)
+        _Share(seed, own, config, places[k % len(places)], finished, pictured)
+        for k, own in enumerate(_dealt(indices, config, workers))
     ]
     with streams(_Share.made, shares) as made:
         for turn, group in enumerate(_designs(indices, config)):
             for _ in group:
                 yield next(made[turn % workers])
+
+
+def _dealt(indices: Iterable[int], config: MakeConfig, workers: int) -> list[tuple[int, ...]]:
+    """The indices of each worker: designs by turns.
+
+    >>> _dealt([0, 1, 2, 3, 5, 6, 7], MakeConfig(bodies="both"), 2)
+    [(0, 1, 5), (2, 3, 6, 7)]
+    """
+    hands: list[list[int]] = [[] for _ in range(workers)]
+    for turn, group in enumerate(_designs(indices, config)):
+        hands[turn % workers].extend(group)
+    return [tuple(hand) for hand in hands]
 
 
 def _designs(indices: Iterable[int], config: MakeConfig) -> Iterator[Iterator[int]]:

@@ -69,7 +69,7 @@ def test_the_waits_of_a_draping_process_come_with_its_drapes_and_change_no_byte(
     alone = [encode_sample(sample) for sample in produce(5, [0], DRAPED)]
     place = place_for("cpu")
     with SharedDraper(place):  # started: what it waits from here on is counted
-        share = _Share(5, (0,), DRAPED, first=0, step=1, place=place, finished=_encoded, pictured=True)
+        share = _Share(5, (0,), DRAPED, place, finished=_encoded, pictured=True)
         made = list(share.made())
     assert [members for _, members in made] == alone
     waited = added(*(stored.waits for stored, _ in made), taken())
