@@ -13,6 +13,7 @@ CASES: Mapping[str, str] = {
     "design_space": "benchmarks.cases.design_space",
     "drape": "benchmarks.cases.drape",
     "fabrics": "benchmarks.cases.fabrics",
+    "fleet": "benchmarks.cases.fleet",
     "generated": "benchmarks.cases.generated",
     "loaders": "benchmarks.cases.loaders",
     "measures": "benchmarks.cases.measures",

@@ -1,0 +1,98 @@
+"""Data sets on paper: the simulation gives what can be worked out, where it can be."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from benchmarks import run
+from benchmarks.fleet import Fleet, Machine, Store, bill, expected_seconds, limits, simulate
+from gcd_dataset.errors import ConfigError
+
+pytest.importorskip("simpy")
+
+CALM = Fleet(machines=8, rate=30.0, begin=0.0, again=0.0)
+SPOT = Fleet(machines=1, rate=30.0, begin=20.0, failing=1800.0, again=120.0)
+
+
+def test_machines_that_never_fail_take_the_garments_over_their_rate() -> None:
+    done = simulate(CALM, 240_000, 10_000)
+    assert done.seconds == pytest.approx(240_000 / (8 * 30.0))
+    assert (done.failures, done.lost, done.away, done.idle) == (0, 0.0, 0.0, pytest.approx(0.0))
+    assert done.efficiency == pytest.approx(1.0)
+
+
+def test_every_part_is_begun_once() -> None:
+    assert simulate(replace(CALM, begin=25.0), 240_000, 10_000).away == 24 * 25.0
+
+
+def test_the_last_part_is_waited_for() -> None:
+    done = simulate(CALM, 90_000, 10_000)  # nine parts on eight machines
+    assert done.seconds == pytest.approx(2 * 10_000 / 30.0)
+    assert done.idle == pytest.approx(7 * 10_000 / 30.0)
+
+
+def test_a_part_of_odd_size_is_made_too() -> None:
+    assert simulate(replace(CALM, machines=1), 25_001, 10_000).seconds == pytest.approx(25_001 / 30.0)
+
+
+@pytest.mark.parametrize("kept", [256, 10_000, 54_000, 100_000])
+def test_failures_cost_what_the_restart_model_expects(kept: int) -> None:
+    """54,000 garments are half an hour, as long as there is between two failures."""
+    fleet, parts = replace(SPOT, kept=kept), 3_000
+    taken = simulate(fleet, parts * 54_000, 54_000, seed=1).seconds / parts
+    assert taken == pytest.approx(expected_seconds(fleet, 54_000), rel=0.03)
+
+
+def test_one_stretch_without_delays_takes_the_textbook_time() -> None:
+    fleet = replace(SPOT, kept=54_000, begin=0.0, again=0.0)
+    assert expected_seconds(fleet, 54_000) == pytest.approx(1800.0 * (math.e - 1))
+
+
+def test_rare_failures_cost_half_a_stretch_each() -> None:
+    fleet = replace(SPOT, kept=256, failing=100_000.0)
+    work = 1_000_000 / 30.0
+    extra = expected_seconds(fleet, 1_000_000) - fleet.begin - work
+    assert extra == pytest.approx(work / 100_000.0 * (120.0 + 256 / 30.0 / 2), rel=0.01)
+
+
+def test_slow_machines_get_fewer_parts() -> None:
+    fleet = replace(CALM, slow_share=0.5)  # four at 30/s, four at 15/s: together 180/s
+    done = simulate(fleet, 1_800_000, 1_000)
+    assert done.efficiency > 0.99
+    assert done.seconds >= 10_000.0
+
+
+def test_the_bottleneck_is_what_lets_the_least_through() -> None:
+    machine, store = Machine(), Store()
+    assert bill(machine, store, garments=10**6, gpus=1, size=963e3, gpu_usd=1.0).bottleneck == "GPU"
+    eight = limits(machine, store, gpus=8, size=963e3)
+    assert eight["writer"] < eight["GPU"]  # one writing process for eight GPUs
+    assert eight["writers, a part for each GPU"] > eight["GPU"]
+    many = limits(machine, store, gpus=10_000, size=963e3)
+    assert min(many, key=lambda name: many[name]) == "requests"
+
+
+def test_a_bill_adds_up() -> None:
+    cost = bill(Machine(), Store(), garments=10_000_000, gpus=8, size=1e6, gpu_usd=2.0)
+    assert cost.shards == 39_063
+    assert cost.size == 1e13
+    assert cost.gpu_hours == pytest.approx(10_000_000 / 34.7 / 3600)
+    assert cost.compute_usd == pytest.approx(2.0 * cost.gpu_hours)
+    assert cost.store_usd == pytest.approx(39_063 * 10 * 5e-6 + 230.0)
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(ConfigError, match="1 or more"):
+        simulate(CALM, 0, 10)
+    with pytest.raises(ConfigError, match="above 0"):
+        Fleet(machines=0)
+
+
+def test_the_case_prints_the_size_of_parts_that_ends_soonest(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["fleet", "--machines", "20", "--garments", "2000000", "--parts", "256", "25600", "2000000"]
+    assert run.main(arguments) == 0
+    told = capsys.readouterr().out
+    assert "fleet.best_part 25600 garments" in told
+    assert "fleet.gpu_hours 16.0102 GPU-h" in told
+    assert run.main(["fleet", "--machines", "0"]) == 1
