@@ -61,7 +61,7 @@ class Bar:
 
             @property
             def format_dict(self) -> dict[str, Any]:
-                return super().format_dict | ({} if bar.progress.rate is None else {"rate": bar.progress.rate})
+                return {**super().format_dict, **({} if bar.progress.rate is None else {"rate": bar.progress.rate})}
 
         self._end()
         self.progress = Progress(progress.count, progress.there, split=progress.split)

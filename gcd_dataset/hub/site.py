@@ -17,12 +17,12 @@ from gcd_dataset.files import make_folder, user_path, write_whole
 from gcd_dataset.hub.place import COMMIT, Repo, Url
 from gcd_dataset.hub.web import Web
 from gcd_dataset.names import require_name, safe_name
-from gcd_dataset.shards.limits import LARGEST_FILE, LARGEST_MANIFEST
+from gcd_dataset.shards import limits
 from gcd_dataset.shards.manifest import MANIFEST
 
 __all__ = ["Remote", "Site", "hub_endpoint"]
 
-LARGEST_INDEX = LARGEST_FILE
+LARGEST_MANIFEST, LARGEST_INDEX = limits.LARGEST_MANIFEST, limits.LARGEST_FILE  # bytes
 LARGEST_LISTING = 64 << 20  # bytes: a million files of a repository
 LISTING = "files.json"
 CHECK = "check endpoint"

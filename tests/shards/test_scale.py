@@ -15,7 +15,7 @@ from gcd_dataset.shards import ShardReader, writer
 from gcd_dataset.shards.index import ShardIndex, ShardTable
 from gcd_dataset.shards.layout import GARMENTS, shard_name, shard_number
 from gcd_dataset.shards.limits import LARGEST_FILE
-from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, parse_manifest, read_manifest
+from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, keep_split, parse_manifest, read_manifest
 from gcd_dataset.shards.writer import SHARD_SIZE
 from gcd_dataset.verbs.plan import MOST
 from tests.shards.folders import RECIPE, contents, fill, open_writer
@@ -70,11 +70,11 @@ def test_shards_beyond_the_five_digits_of_their_names_stay_in_order() -> None:
 def test_the_manifest_is_written_ever_less_often_as_shards_grow_in_number(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept, keep = [], writer.keep_split
+    kept = []
 
     def counted(folder: Path, split: str, record: SplitRecord) -> None:
         kept.append(len(record.shards))
-        keep(folder, split, record)
+        keep_split(folder, split, record)
 
     monkeypatch.setattr(writer, "keep_split", counted)
     monkeypatch.setattr(writer, "UNLISTED", 1 / 4)

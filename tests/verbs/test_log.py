@@ -70,8 +70,8 @@ def test_the_last_line_says_what_ended_a_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, event: str, told: str | None
 ) -> None:
     def broken(*_: Any, **__: Any) -> Iterator[Any]:
+        yield from ()
         raise error
-        yield
 
     monkeypatch.setattr("gcd_dataset.verbs.making.produce", broken)
     with pytest.raises(type(error)):

@@ -1,6 +1,7 @@
 """How far a verb has come, and how fast it is going."""
 
 from collections import Counter
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import pytest
@@ -10,7 +11,7 @@ from gcd_dataset.verbs.progress import Pace, Progress
 from gcd_dataset.waits import Wait, Waits
 
 
-def paced(steps: list[tuple[float, Waits]], count: int = 10_000) -> Progress:
+def paced(steps: Sequence[tuple[float, Waits]], count: int = 10_000) -> Progress:
     """The progress after one sample for each step: seconds that it took, and what was waited."""
     clock = SimpleNamespace(now=100.0)
     pace, progress = Pace(lambda: clock.now), Progress(count, 0)
@@ -22,7 +23,7 @@ def paced(steps: list[tuple[float, Waits]], count: int = 10_000) -> Progress:
 
 
 def test_the_rate_is_that_of_the_last_minute() -> None:
-    slow_then_fast = [(1.0, {})] * 200 + [(0.1, {})] * 700
+    slow_then_fast: list[tuple[float, Waits]] = [(1.0, {})] * 200 + [(0.1, {})] * 700
     progress = paced(slow_then_fast)
     assert progress.rate == pytest.approx(10.0)
     assert progress.left_s == pytest.approx((10_000 - 900) / 10.0)
