@@ -197,6 +197,9 @@ def test_it_is_published_with_its_splits_and_its_name(made: Path, recipe: Recipe
         recipe.sizes()
     )
     assert not list(recipe_faults(staged.folder, recipe))
+    card = (staged.folder / "README.md").read_text()
+    assert "No design, and no body but the neutral one, is in two splits." in card
+    assert f"- recipe `tiny` of sha256 `{recipe.sha256}`" in card
 
 
 # --------------------------------------------------------------------------------------------------------- command line

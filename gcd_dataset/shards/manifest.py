@@ -108,8 +108,12 @@ class Manifest:
 
     def write(self, folder: Path) -> None:
         """Keep the manifest in the folder, whole or not at all. Raises ``OutputError``."""
+        write_whole(folder / MANIFEST, self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """The manifest as a file."""
         entry = {name: value for name, value in asdict(self).items() if (name, value) != ("recipe", None)}
-        write_whole(folder / MANIFEST, (json.dumps(entry, indent=1, sort_keys=True) + "\n").encode())
+        return (json.dumps(entry, indent=1, sort_keys=True) + "\n").encode()
 
 
 def read_manifest(folder: Path) -> Manifest | None:
