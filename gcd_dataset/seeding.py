@@ -12,7 +12,7 @@ __all__ = ["Stage", "rng"]
 
 
 class Stage(IntEnum):
-    """The steps of making a sample that draw random numbers."""
+    """The steps of making a sample, and a data set, that draw random numbers."""
 
     BODY = 1
     DESIGN = 2
@@ -21,6 +21,7 @@ class Stage(IntEnum):
     AUGMENT = 5
     KIND = 6
     ARMS = 7
+    SPLIT = 8
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from gcd_dataset.errors import GcdError
 
-__all__ = ["side_by_side", "side_by_side_in_parts", "streams"]
+__all__ = ["side_by_side", "side_by_side_in_parts", "streams", "without_program"]
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -83,6 +83,21 @@ def streams(work: Callable[[Task], Iterable[Result]], tasks: Sequence[Task]) -> 
         held.close()
         for process in processes:
             process.terminate()
+
+
+@contextmanager
+def without_program() -> Iterator[None]:
+    """Have processes of the block started without the main program: for work that needs nothing of it.
+
+    Each would run the top level of a script again, which had to be guarded by ``if __name__ == "__main__":``.
+    """
+    program = sys.modules["__main__"]
+    file = vars(program).pop("__file__", None)
+    try:
+        yield
+    finally:
+        if file is not None:
+            program.__file__ = file
 
 
 def _stream(work: Callable[[Task], Iterable[Result]], task: Task, results: Connection, lifeline: Connection) -> None:

@@ -20,13 +20,16 @@ from gcd_dataset.hub.site import Remote
 from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, made_with, naming, tensor_of
 from gcd_dataset.loaders.held import lacking_where
 from gcd_dataset.loaders.indexing import UnknownKeyError, number_in
+from gcd_dataset.loaders.named import RECIPE, recipe_folder
 from gcd_dataset.loaders.ranks import is_in_group, present_rank, runs_beside_accelerate, shared_out_by
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
+from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import FOREIGN, MEMBERS, Bytes, fields_of, key_of, members_of
 from gcd_dataset.shards.npy import write_npy
 from gcd_dataset.shards.plain import decode_member
 from gcd_dataset.shards.reader import ShardReader, Verify, naming_place
+from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import BLOCK, stream_samples
 
 __all__ = ["GarmentDataset", "StreamedGarments"]
@@ -43,14 +46,17 @@ class GarmentDataset(Garments):
     >>> ds[0]["verts"].shape  # doctest: +SKIP
     torch.Size([14425, 3])
     >>> GarmentDataset("org/garments", "train[:10%]", fields=["points"], max_cache_size="20GB")  # doctest: +SKIP
+    >>> GarmentDataset("recipe:standard-1k", "test")  # doctest: +SKIP
 
-    ``source``: a folder, ``http://…``, ``https://…``, ``file://…``, or ``ORG/NAME`` (also ``hf://…``, ``…@REVISION``).
+    ``source``: a folder, ``http://…``, ``https://…``, ``file://…``, or ``ORG/NAME`` (also ``hf://…``, ``…@REVISION``);
+    or ``recipe:NAME``, or ``recipe:FILE.toml``: a data set that is made by its recipe, here and now if it is not there.
     ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
     ``fields``: what to read; for ``None`` all that the garments hold, which those made up to the stage ``pattern`` or
     ``mesh`` do not have all; nothing else is touched, nor asked of a server. ``dtype``: of floating fields, float32 by
     default, ``None`` for what is stored.
-    ``root``: download the split, or the fields of it, into this folder first, and read it there.
-    ``download``: without it no server is asked: what is in ``root`` or the cache has to do.
+    ``root``: download the split, or the fields of it, into this folder first, and read it there. Of a recipe, make all
+    of its data set in the folder NAME there, by default in that of the cache.
+    ``download``: without it no server is asked, and nothing made: what is in ``root`` or the cache has to do.
     ``revision``: branch, tag or commit of a repository; looked up once, see the attribute ``revision``.
     ``cache_dir``, ``max_cache_size``: where what was read of a server is kept, and how much of it, such as ``"20GB"``;
     may be shared by any number of processes. By default ``~/.cache/gcd_dataset``, without limit.
@@ -100,7 +106,10 @@ class GarmentDataset(Garments):
         fields = None if fields is None else [fields] if isinstance(fields, str) else list(fields)
         remote = Remote(revision, cache_dir, max_cache_size, endpoint, token, allowed=download, patience=patience)
         splits = tuple(dict.fromkeys(part.name for part in parts))
-        store = open_store(source, remote, root=root, splits=splits, fields=fields)
+        if isinstance(source, str) and source.startswith(RECIPE):
+            store: Store = FolderStore(recipe_folder(source, remote, root, splits))
+        else:
+            store = open_store(source, remote, root=root, splits=splits, fields=fields)
         readers = {name: ShardReader(store, name, verify=verify, settled_only=settled_only) for name in splits}
         self._parts = [_Part(readers[part.name], part.range_of(len(readers[part.name]))) for part in parts]
         self._ends = list(accumulate(len(part.positions) for part in self._parts))

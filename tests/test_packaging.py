@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import gcd_dataset
+from gcd_dataset.generator.recipes import recipe_names
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -35,6 +36,13 @@ def test_data_files_are_packed() -> None:
     assert data
     assert all(path.match(pattern) for path in data for pattern in packed)
     assert sum(path.stat().st_size for path in data) < 2_500_000
+
+
+def test_recipes_are_packed() -> None:
+    packed = project()["tool"]["setuptools"]["package-data"]["gcd_dataset.generator.recipes"]
+    names = {path.name for path in (ROOT / "generator" / "recipes").glob("*.toml")}
+    assert {name.removesuffix(".toml") for name in names} == set(recipe_names())
+    assert all(any(Path(name).match(pattern) for pattern in packed) for name in names)
 
 
 def test_one_version() -> None:

@@ -9,7 +9,7 @@ import argparse
 import logging
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -74,23 +74,28 @@ def _generate(options: argparse.Namespace) -> int:
     from gcd_dataset.generator.recipe import MakeConfig
     from gcd_dataset.verbs import generate
 
-    known = {found.name for found in options_of(MakeConfig)}
-    given = _read_config(options.config, known) if options.config else {}
-    given |= given_options(options, MakeConfig)
-    if given.get("stage") == BODY_STAGE:
-        return _generate_people(options, given)
-    with Bar("garment", options.quiet) as bar:
-        bar.run(
-            partial(
-                generate,
-                options.out,
-                options.count,
-                seed=options.seed,
-                config=MakeConfig(**given),
-                workers=options.workers,
-                log=options.log,
-            )
+    if options.recipe is not None:
+        work = _of_recipe(options, given_options(options, MakeConfig))
+    else:
+        if options.count is None:
+            raise ConfigError("how many? Give --count N, or --recipe NAME for a data set of that name")
+        known = {found.name for found in options_of(MakeConfig)}
+        given = _read_config(options.config, known) if options.config else {}
+        given |= given_options(options, MakeConfig)
+        options.seed = options.seed or 0
+        if given.get("stage") == BODY_STAGE:
+            return _generate_people(options, given)
+        work = partial(
+            generate,
+            options.out,
+            options.count,
+            seed=options.seed,
+            config=MakeConfig(**given),
+            workers=options.workers,
+            log=options.log,
         )
+    with Bar("garment", options.quiet) as bar:
+        bar.run(work)
     done = bar.progress
     if bar.interrupted:
         return stopped("generate", f"{done.done} of {done.count}")
@@ -101,6 +106,25 @@ def _generate(options: argparse.Namespace) -> int:
     if failed := done.unsettled:
         print(f"  {failed} did not settle: each holds its outcome in meta.json")
     return 0
+
+
+def _of_recipe(options: argparse.Namespace, given: Mapping[str, Any]) -> Callable[..., Any]:
+    """To make the data set of a recipe. Raises ``ConfigError`` for options that are the recipe's to give."""
+    from gcd_dataset.verbs import generate_recipe
+
+    told = {"count": options.count, "seed": options.seed, "config": options.config, **given}
+    if contrary := [name for name, value in told.items() if value is not None and name != "device"]:
+        raise ConfigError(
+            f"--{contrary[0].replace('_', '-')} is for the recipe to say: leave it out, or write a recipe of your own"
+        )
+    return partial(
+        generate_recipe,
+        options.out,
+        options.recipe,
+        device=given.get("device", "auto"),
+        workers=options.workers,
+        log=options.log,
+    )
 
 
 def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
@@ -252,8 +276,13 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
 
     generate = add_verb(verbs, "generate", _generate, "make a data set")
     generate.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; made if it is not there")
-    generate.add_argument("--count", type=natural, required=True, help="number of garments, or of bodies")
-    generate.add_argument("--seed", type=natural, default=0, help="names the data set (default: 0)")
+    generate.add_argument("--count", type=natural, help="number of garments, or of bodies")
+    generate.add_argument("--seed", type=natural, help="names the data set (default: 0)")
+    generate.add_argument(
+        "--recipe",
+        metavar="NAME|FILE.toml",
+        help="a data set of that name, which says count, seed, options and splits: gcd info recipe: lists them",
+    )
     generate.add_argument(
         "--workers",
         type=processes,

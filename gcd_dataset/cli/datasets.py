@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +11,23 @@ from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
 
 __all__ = ["add_verbs"]
 
+RECIPE = "recipe:"
+
 
 def add_verbs(verbs: Any) -> None:
     """Give ``gcd`` these verbs."""
     info = add_verb(verbs, "info", _info, "counts, shares and plots of a data set")
-    info.add_argument("dataset", metavar="DATASET", help=ANYWHERE)
+    info.add_argument(
+        "dataset", metavar="DATASET", help=f"{ANYWHERE}; recipe: lists the recipes, recipe:NAME tells of one"
+    )
     add_server(info)
 
     verify = add_verb(verbs, "verify", _verify, "whether a data set is whole; exit 1 if not")
     verify.add_argument("dataset", metavar="DATASET", help="folder of shards")
     verify.add_argument("--full", action="store_true", help="every byte of it, not only headers and lengths")
+    verify.add_argument(
+        "--recipe", metavar="NAME|FILE.toml", help="whether it is the data set of that name, pattern by pattern"
+    )
 
     index = add_verb(verbs, "index", _index, "the index of a data set, made anew from its tars")
     index.add_argument("dataset", metavar="DATASET", help="folder of shards, ours or webdataset's")
@@ -60,6 +68,11 @@ def add_verbs(verbs: Any) -> None:
 def _info(options: argparse.Namespace) -> int:
     from gcd_dataset.cli.inspect import info_lines
 
+    if options.dataset.startswith(RECIPE):
+        from gcd_dataset.verbs.recipes import recipe_lines
+
+        print(*recipe_lines(options.dataset.removeprefix(RECIPE)), sep="\n")
+        return 0
     for line in info_lines(open_anywhere(options.dataset, options.endpoint)):
         print(line)
     return 0
@@ -68,12 +81,19 @@ def _info(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from gcd_dataset.cli.inspect import faults
 
-    folder, found = require_folder(options.dataset), 0
-    for fault in faults(folder, full=options.full):
+    folder, found, named = require_folder(options.dataset), 0, ""
+    told = faults(folder, full=options.full)
+    if options.recipe is not None:
+        from gcd_dataset.generator.recipes import find_recipe
+        from gcd_dataset.verbs.recipes import recipe_faults
+
+        recipe = find_recipe(options.recipe)
+        named, told = f": this is {recipe.name}", chain(told, recipe_faults(folder, recipe))
+    for fault in told:
         print(fault)
         found += 1
     if not found:
-        print(f"{folder}: no fault found{'' if options.full else '; --full reads every byte'}")
+        print(f"{folder}: no fault found{named}{'' if options.full else '; --full reads every byte'}")
     return 1 if found else 0
 
 

@@ -6,8 +6,8 @@ __all__ = ["EXAMPLES"]
 
 EXAMPLES: Mapping[str, tuple[str, str]] = {
     "generate": (
-        "gcd generate patterns --count 100 --stage pattern",
         "gcd generate shards --count 1000 --bodies both --resolution 2 --workers 8",
+        "gcd generate smoke --recipe smoke-64",
     ),
     "drape": (
         "gcd drape shirt_specification.json --out draped",
@@ -30,8 +30,8 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
         "gcd info org/garments",
     ),
     "verify": (
-        "gcd verify shards",
         "gcd verify shards --full",
+        "gcd verify smoke --recipe smoke-64",
     ),
     "index": (
         "gcd index shards",

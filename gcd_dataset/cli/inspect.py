@@ -41,6 +41,9 @@ def info_lines(store: Store) -> Iterator[str]:
     source = "" if store.source in (None, store.place()) else f", from {store.source}"
     maker = "" if manifest is None else f", begun by gcd_dataset {manifest.generator}, schema {manifest.schema}"
     yield f"{store.place()}{source}{maker}"
+    if manifest is not None and manifest.recipe is not None:
+        named = manifest.recipe
+        yield f"  recipe {named.name}, sha256 {named.sha256}, patterns {named.patterns or 'not all there yet'}"
     for split in splits:
         layout = layout_in(store.folder, split) if isinstance(store, FolderStore) else GARMENTS
         reader = ShardReader(store, split, layout=layout)

@@ -94,7 +94,7 @@ class Release:
     """Files of each garment."""
     license: str
     divided: bool
-    """Whether the splits were made from one, so that neither designs nor bodies are shared."""
+    """Whether the splits were made from one, or by a recipe, so that neither designs nor bodies are shared."""
     endpoint: str
 
     @property
@@ -163,7 +163,16 @@ def _made(manifest: Manifest) -> list[str]:
     for name, split in manifest.splits.items():
         options = {option: value for option, value in split.recipe.items() if option != "part"}
         ways.setdefault(f"seed {split.seed}, recipe `{json.dumps(options, sort_keys=True)}`", []).append(name)
-    return [f"- {', '.join(names)}: {way}" for way, names in ways.items()]
+    return [*_named(manifest), *(f"- {', '.join(names)}: {way}" for way, names in ways.items())]
+
+
+def _named(manifest: Manifest) -> list[str]:
+    """A line for a data set that has a name."""
+    recipe = manifest.recipe
+    if recipe is None:
+        return []
+    told = f"- recipe `{recipe.name}` of sha256 `{recipe.sha256}`, patterns `{recipe.patterns}`"
+    return [f"{told}: `gcd verify FOLDER --recipe {recipe.name}` compares"]
 
 
 def croissant(release: Release, files: Mapping[str, tuple[int, str]]) -> dict[str, Any]:

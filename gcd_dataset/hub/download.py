@@ -33,7 +33,7 @@ from gcd_dataset.shards.layout import (
     part_path,
     shard_number,
 )
-from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_split
+from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_recipe, keep_split
 from gcd_dataset.shards.reader import ShardReader
 
 __all__ = ["download", "remote_splits"]
@@ -99,6 +99,8 @@ def download(
         else:
             shards = _bring_fields(folder, reader, layout, told or _silent)
         keep_split(folder, split, replace(record, shards=tuple(shards)))
+        if reader.manifest.recipe is not None:
+            keep_recipe(folder, reader.manifest.recipe)
         return end(folder, site.source, split, layout)
 
 

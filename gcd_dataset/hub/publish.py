@@ -98,7 +98,8 @@ def stage(
     manifest = replace(generator, splits=splits)
     _tidy(folder, manifest)
     manifest.write(folder)
-    release = Release(repo, manifest, settled, members, license, len(splits_in(dataset)) == 1, hub_endpoint(endpoint))
+    divided = len(splits_in(dataset)) == 1 or manifest.recipe is not None
+    release = Release(repo, manifest, settled, members, license, divided, hub_endpoint(endpoint))
     write_whole(folder / CARD, card(release).encode())
     listed = {name: _size_and_hash(folder / name) for name in [MANIFEST, *map(index_name, splits)]}
     listed |= {shard.name: (shard.size, shard.sha256) for split in splits.values() for shard in split.shards}

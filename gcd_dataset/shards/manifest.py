@@ -17,7 +17,17 @@ from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, shard_number
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.meta import read_json
 
-__all__ = ["MANIFEST", "Manifest", "ShardRecord", "SplitRecord", "keep_split", "parse_manifest", "read_manifest"]
+__all__ = [
+    "MANIFEST",
+    "Manifest",
+    "RecipeRecord",
+    "ShardRecord",
+    "SplitRecord",
+    "keep_recipe",
+    "keep_split",
+    "parse_manifest",
+    "read_manifest",
+]
 
 MANIFEST = "manifest.json"
 REMEDY = "delete it: shards are read without it, and gcd generate makes it again"
@@ -71,6 +81,17 @@ class SplitRecord:
 
 
 @dataclass(frozen=True)
+class RecipeRecord:
+    """The recipe of a data set that has a name."""
+
+    name: str
+    sha256: str
+    """Of the recipe."""
+    patterns: str = ""
+    """``gcd_dataset.patternhash`` of all patterns; empty until all of them are there."""
+
+
+@dataclass(frozen=True)
 class Manifest:
     """The contents of ``manifest.json``."""
 
@@ -78,6 +99,8 @@ class Manifest:
     generator: str = gcd_dataset.__version__
     """Version of this package that began the data set."""
     schema: int = SCHEMA
+    recipe: RecipeRecord | None = None
+    """Of the data set as a whole; ``None`` for one without a name."""
 
     def with_split(self, name: str, record: SplitRecord) -> "Manifest":
         """The manifest with one split put in or replaced."""
@@ -85,7 +108,12 @@ class Manifest:
 
     def write(self, folder: Path) -> None:
         """Keep the manifest in the folder, whole or not at all. Raises ``OutputError``."""
-        write_whole(folder / MANIFEST, (json.dumps(asdict(self), indent=1, sort_keys=True) + "\n").encode())
+        write_whole(folder / MANIFEST, self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """The manifest as a file."""
+        entry = {name: value for name, value in asdict(self).items() if (name, value) != ("recipe", None)}
+        return (json.dumps(entry, indent=1, sort_keys=True) + "\n").encode()
 
 
 def read_manifest(folder: Path) -> Manifest | None:
@@ -112,11 +140,12 @@ def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
                 f"{gcd_dataset.__version__} reads schema {' and '.join(map(str, SCHEMAS))}: install the version that "
                 "wrote it"
             )
-        values = _checked(entry, "the file", {"generator": _is_text, "splits": _is_mapping, "schema": _is_count}, {})
+        values = _checked(entry, "the file", FILE_TYPES, {"recipe": None})
         for name in values["splits"]:
             require_name(name, "split")
         splits = {name: SplitRecord.from_json(name, split) for name, split in values["splits"].items()}
-        return Manifest(splits, values["generator"], schema)
+        named = None if values["recipe"] is None else _checked(values["recipe"], "recipe", RECIPE_TYPES, {})
+        return Manifest(splits, values["generator"], schema, None if named is None else RecipeRecord(**named))
     except ShardError as error:
         if str(error).startswith(path):
             raise
@@ -135,6 +164,13 @@ def _is_mapping(value: Any) -> bool:
     return isinstance(value, Mapping)
 
 
+FILE_TYPES: Mapping[str, Callable[[Any], bool]] = {
+    "generator": _is_text,
+    "splits": _is_mapping,
+    "schema": _is_count,
+    "recipe": lambda value: value is None or _is_mapping(value),
+}
+RECIPE_TYPES: Mapping[str, Callable[[Any], bool]] = {"name": _is_text, "sha256": _is_text, "patterns": _is_text}
 SPLIT_TYPES: Mapping[str, Callable[[Any], bool]] = {
     "seed": lambda value: isinstance(value, int) and not isinstance(value, bool) and value >= 0,
     "recipe": _is_mapping,
@@ -170,3 +206,9 @@ def keep_split(folder: Path, split: str, record: SplitRecord) -> None:
     """Put a split into the folder's manifest, beside those that other writers put there. Raises ``OutputError``."""
     with locked(folder / f".{MANIFEST}.lock", f"writing {MANIFEST}", wait=True):
         (read_manifest(folder) or Manifest()).with_split(split, record).write(folder)
+
+
+def keep_recipe(folder: Path, record: RecipeRecord) -> None:
+    """Name the recipe of a folder in its manifest. Raises ``OutputError``."""
+    with locked(folder / f".{MANIFEST}.lock", f"writing {MANIFEST}", wait=True):
+        replace(read_manifest(folder) or Manifest(), recipe=record).write(folder)

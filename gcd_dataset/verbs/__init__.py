@@ -13,18 +13,29 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gcd_dataset.verbs.converting import convert
     from gcd_dataset.verbs.exporting import export
-    from gcd_dataset.verbs.making import generate
+    from gcd_dataset.verbs.making import generate, generate_recipe
     from gcd_dataset.verbs.people import generate_people
     from gcd_dataset.verbs.progress import Progress, Told
     from gcd_dataset.verbs.publishing import Published, publish
 
-__all__ = ["Progress", "Published", "Told", "convert", "export", "generate", "generate_people", "publish"]
+__all__ = [
+    "Progress",
+    "Published",
+    "Told",
+    "convert",
+    "export",
+    "generate",
+    "generate_people",
+    "generate_recipe",
+    "publish",
+]
 
 _HOME = {
     "convert": "converting",
     "export": "exporting",
     "generate": "making",
     "generate_people": "people",
+    "generate_recipe": "making",
     "Progress": "progress",
     "Told": "progress",
     "Published": "publishing",

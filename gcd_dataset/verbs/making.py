@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass, field, fields
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
+from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import Bytes
@@ -15,9 +17,11 @@ from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.verbs.log import logged
 from gcd_dataset.verbs.plan import Plan, check_count
 from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
+from gcd_dataset.verbs.seal import claim, seal
+from gcd_dataset.verbs.splits import DividedWriter, divided_writer, filling_splits
 from gcd_dataset.waits import WRITER, Waits, added, taken, waited_for
 
-__all__ = ["GarmentPlan", "Stored", "generate", "plan", "stored", "workers_for"]
+__all__ = ["GarmentPlan", "Stored", "generate", "generate_recipe", "plan", "stored", "workers_for"]
 
 BEGUN = 4.0  # s that a worker takes to start
 MADE = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # CPU-s of a worker for a garment of a stage, without the drape
@@ -43,9 +47,13 @@ class GarmentPlan(Plan):
 
     seed: int
     config: MakeConfig
+    recipe: Recipe | None = None
+    """Divides them into splits; without one all go into ``train``."""
 
 
-def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | None = None) -> GarmentPlan:
+def plan(
+    out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | None = None, recipe: Recipe | None = None
+) -> GarmentPlan:
     """What it takes to have samples 0 … ``count`` - 1 of ``seed`` in ``out``.
 
     What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError`` where ``out`` holds a data
@@ -58,9 +66,11 @@ def plan(out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | Non
 
         for device in devices_of(config):
             resolve_device(device)  # told before anything is written
-    with ShardWriter(out, seed=seed, recipe=recipe_of(config)) as writer:
+    claim(Path(out), recipe)
+    with _writer(out, seed, config, recipe) as writer:
         done = writer.done
-    return GarmentPlan(Path(out), count, tuple(index for index in range(count) if index not in done), seed, config)
+    missing = tuple(index for index in range(count) if index not in done)
+    return GarmentPlan(Path(out), count, missing, seed, config, recipe)
 
 
 def generate(
@@ -69,13 +79,15 @@ def generate(
     *,
     seed: int = 0,
     config: MakeConfig | None = None,
+    recipe: Recipe | None = None,
     workers: int | None = None,
     told: Told = unheard,
     log: Path | str | None = None,
 ) -> Progress:
     """Have samples 0 … ``count`` - 1 of ``seed`` in the folder ``out``; those that are there are not made again.
 
-    ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it; ``log``: a file to which
+    ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it; ``recipe`` divides the samples into
+    splits (``generate_recipe`` takes the other options from it too); ``log``: a file to which
     ``gcd_dataset.verbs.log`` appends. Stopped at any moment and called again it goes on; the shards come out as the
     same bytes. Raises as ``plan`` and ``stored`` do, and ``OutputError`` for a log that cannot be opened.
     """
@@ -83,7 +95,7 @@ def generate(
     options = {"out": str(out), "count": count, "seed": seed, "workers": workers} | _plain(config)
     devices = devices_of(config) if config.stage == "drape" else ()
     with logged(log, told, options=options, recipe=recipe_of(config), devices=devices) as told:
-        task = plan(out, count, seed=seed, config=config)
+        task = plan(out, count, seed=seed, config=config, recipe=recipe)
         if config.stage == "drape":
             from gcd_dataset.generator.drape import tell_wait
 
@@ -110,14 +122,52 @@ def stored(plan: GarmentPlan, *, workers: int | None = None) -> Generator[Stored
     drape for them. Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
     """
     workers = workers_for(plan) if workers is None else workers
-    with filling(plan.out, plan.count):
+    with filling(plan.out, plan.count) if plan.recipe is None else filling_splits(plan.out, plan.recipe):
         if not plan.missing:
             return
-        with ShardWriter(plan.out, seed=plan.seed, recipe=recipe_of(plan.config)) as writer:
+        with _writer(plan.out, plan.seed, plan.config, plan.recipe) as writer:
             made = produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encoded)
             for stored, members in waited_for(made, WRITER):
                 writer.add(stored.index, members)
                 yield stored
+
+
+def generate_recipe(
+    out: Path | str,
+    recipe: Recipe | str,
+    *,
+    device: str = "auto",
+    workers: int | None = None,
+    told: Told = unheard,
+    log: Path | str | None = None,
+) -> Progress:
+    """Have the data set of a recipe in the folder ``out``, with its splits; gone on with as ``generate`` does.
+
+    ``recipe``: one of ``find_recipe``, or its name. When all of it is there the manifest gets the hash of its patterns.
+    Raises as ``find_recipe`` and ``generate`` do.
+    """
+    recipe = recipe if isinstance(recipe, Recipe) else find_recipe(recipe)
+    config = replace(recipe.config, device=device)
+    progress = generate(
+        out,
+        recipe.count,
+        seed=recipe.seed,
+        config=config,
+        recipe=recipe,
+        workers=workers,
+        told=told,
+        log=log,
+    )
+    seal(Path(out), recipe)
+    return progress
+
+
+def _writer(
+    out: Path | str, seed: int, config: MakeConfig, recipe: Recipe | None
+) -> AbstractContextManager[ShardWriter | DividedWriter]:
+    if recipe is None:
+        return ShardWriter(out, seed=seed, recipe=recipe_of(config))
+    return divided_writer(out, recipe, config)
 
 
 def workers_for(plan: GarmentPlan) -> int:

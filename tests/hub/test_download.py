@@ -24,7 +24,7 @@ from gcd_dataset.shards import ShardReader, read_index, rebuild_index
 from gcd_dataset.shards.fetched import Fetched, read_fetched
 from gcd_dataset.shards.index import scan_shard
 from gcd_dataset.shards.layout import GARMENTS, MEMBERS
-from gcd_dataset.shards.manifest import read_manifest
+from gcd_dataset.shards.manifest import RecipeRecord, keep_recipe, read_manifest
 from tests.hub.conftest import COUNT
 from tests.hub.server import Fault, Hub, read_folder
 from tests.loaders.test_shards import assert_all_same
@@ -53,6 +53,15 @@ def test_a_download_is_the_folder_that_was_published(
     hub.log.clear()
     bring(hub, tmp_path, place)
     assert not hub.log
+
+
+def test_the_name_of_a_data_set_comes_with_it(hub: Hub, tmp_path: Path) -> None:
+    named, record = fill(tmp_path / "named", range(3)), RecipeRecord("tiny", "ab" * 32, "cd" * 32)
+    keep_recipe(named, record)
+    hub.publish("org/named", named)
+    manifest = read_manifest(bring(hub, tmp_path, Repo("org/named")))
+    assert manifest is not None
+    assert manifest.recipe == record
 
 
 def test_fields_make_a_data_set_of_their_own(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:

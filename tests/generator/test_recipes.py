@@ -1,0 +1,140 @@
+"""Recipes say all that a data set holds, and the split of a design for ever."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.generator.recipes import find_recipe, read_recipe, recipe_names
+from gcd_dataset.generator.recipes.patterns import made_patterns
+from gcd_dataset.patternhash import PatternHash
+
+TINY = """
+name = "tiny"
+about = "ten designs as patterns"
+designs = 10
+seed = 3
+[options]
+bodies = "both"
+stage = "pattern"
+[splits]
+test = 0.2
+train = 0.8
+"""
+
+
+def written(folder: Path, text: str = TINY) -> Path:
+    path = folder / "tiny.toml"
+    path.write_text(text)
+    return path
+
+
+def test_the_recipes_of_the_package() -> None:
+    recipes = [find_recipe(name) for name in recipe_names()]
+    assert [recipe.name for recipe in recipes] == list(recipe_names())
+    counts = {recipe.name.removesuffix("-draft"): recipe.count for recipe in recipes}
+    assert counts == {"smoke-64": 64, "standard-1k": 1000, "standard-24k": 24_000, "full-230k": 230_000}
+    for recipe in recipes:
+        assert recipe.config.bodies == "both"
+        assert recipe.config.on_fail == "keep"
+        assert sum(recipe.sizes().values()) == recipe.count
+        assert min(recipe.sizes().values()) > 0
+
+
+def test_all_garments_of_a_design_are_in_one_split_and_every_garment_in_one() -> None:
+    recipe = find_recipe("standard-1k-draft")
+    indices = {split: recipe.indices_in(split) for split in recipe.splits}
+    assert sorted(np.concatenate(list(indices.values())).tolist()) == list(range(1000))
+    designs = {split: set((there // 2).tolist()) for split, there in indices.items()}
+    assert sum(map(len, designs.values())) == 500
+    assert all(recipe.split_of(int(index)) == split for split, there in indices.items() for index in there)
+
+
+def test_a_design_of_a_small_data_set_is_in_the_same_split_of_a_large_one() -> None:
+    small, large = find_recipe("standard-1k-draft"), find_recipe("full-230k-draft")
+    assert all(small.split_of(index) == large.split_of(index) for index in range(small.count))
+
+
+def test_the_split_of_a_design_stands_for_ever() -> None:
+    """Written down once: whoever changes how splits are drawn changes what others have cited."""
+    recipe = find_recipe("full-230k-draft")
+    put_aside = {split: recipe.indices_in(split)[::2][:4] // 2 for split in ("test", "validation")}
+    assert {split: designs.tolist() for split, designs in put_aside.items()} == PUT_ASIDE
+    assert recipe.sizes() == {"test": 11634, "validation": 11438, "train": 206928}
+
+
+PUT_ASIDE = {"test": [11, 51, 54, 55], "validation": [1, 28, 32, 62]}
+
+
+def test_the_smoke_set_is_the_one_that_is_cited() -> None:
+    """Where the sampler has changed, ``python -m gcd_dataset.generator.recipes.patterns NAME`` gives the new hashes."""
+    recipe = find_recipe("smoke-64-draft")
+    assert PatternHash.of(made_patterns(recipe, range(recipe.designs))).agrees(recipe.patterns)
+
+
+def test_a_draft_answers_to_the_name_it_will_have(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO", logger="gcd_dataset"):
+        assert find_recipe("smoke-64") == find_recipe("smoke-64-draft")
+    assert "smoke-64 is not frozen yet: smoke-64-draft is taken" in caplog.text
+
+
+def test_an_unknown_recipe_is_answered_with_those_there_are() -> None:
+    with pytest.raises(ConfigError, match=r"no recipe smok-64: there are smoke-64-draft, .*: did you mean smoke-64\?"):
+        find_recipe("smok-64")
+    with pytest.raises(ConfigError, match=r"gone\.toml: no such file"):
+        find_recipe("gone.toml")
+
+
+def test_a_recipe_of_ones_own(tmp_path: Path) -> None:
+    recipe = find_recipe(written(tmp_path))
+    assert (recipe.name, recipe.count, recipe.patterns) == ("tiny", 20, "")
+    assert recipe.config == MakeConfig(bodies="both", stage="pattern", on_fail="keep")
+    overlaid = TINY.replace("[splits]", '[options.design.meta]\nbottom = "none"\n[splits]')
+    told = read_recipe(written(tmp_path, overlaid)).config.design.to_dict()
+    assert told["meta"]["bottom"]["options"] == ["none"]
+
+
+def test_comments_and_names_do_not_change_what_a_recipe_makes(tmp_path: Path) -> None:
+    first = read_recipe(written(tmp_path)).sha256
+    same = TINY.replace('"tiny"', '"small"').replace("0.2", "0.20  # of the designs")
+    assert read_recipe(written(tmp_path, same)).sha256 == first
+    for other in (
+        TINY.replace("seed = 3", "seed = 4"),
+        TINY.replace("test = 0.2\ntrain = 0.8", "train = 0.8\ntest = 0.2"),
+    ):
+        assert read_recipe(written(tmp_path, other)).sha256 != first
+
+
+@pytest.mark.parametrize(
+    ("change", "to", "message"),
+    [
+        ("seed = 3", "sead = 3", r"no entry sead: .* did you mean seed\?"),
+        ("seed = 3", "", "no seed: give a whole number"),
+        ("seed = 3", "seed = -3", "seed is -3: give 0 or more"),
+        ("designs = 10", "designs = 1e3", "designs is 1000.0: give a whole number"),
+        ("designs = 10", "designs = 0", "designs is 0: give 1 to"),
+        ("designs = 10", "designs = 1000000000000", "designs is 1000000000000: give 1 to"),
+        ("designs = 10", "designs = true", "designs is True: give a whole number"),
+        ('"tiny"', '"../tiny"', "cannot be a file's name"),
+        ("test =", '"../test" =', "cannot be a file's name"),
+        ("test = 0.2", "test = 0.3", "shares add up to 1.1"),
+        ("test = 0.2", "test = -0.2", "test is -0.2: give its share"),
+        ("test = 0.2", 'test = "20%"', "test is '20%': give its share"),
+        ("test = 0.2\ntrain = 0.8", "test = 0.001\ntrain = 0.999", "test gets none of 10 designs"),
+        ("test = 0.2\ntrain = 0.8", "", "shares add up to 0"),
+        ('stage = "pattern"', 'stage = "drap"', "stage is 'drap': known are pattern, mesh, drape"),
+        ('stage = "pattern"', "resolutoin = 2", r"no option resolutoin: .* did you mean resolution\?"),
+        ('stage = "pattern"', 'device = "cpu"', "options: device is no part of a recipe"),
+        ('stage = "pattern"', 'on-fail = "retry"', "options: on_fail is no part of a recipe"),
+        ('stage = "pattern"', 'design = "hoodie"', "design is 'hoodie'"),
+        ("[options]", "options = 3\n[splits.other]", "options is 3: give a table"),
+        ("seed = 3", 'seed = 3\npatterns = "abc"', "patterns is 'abc': give 64 hexadecimal digits"),
+    ],
+)
+def test_a_broken_recipe_is_told_with_the_entry(tmp_path: Path, change: str, to: str, message: str) -> None:
+    assert change in TINY
+    with pytest.raises(ConfigError, match=message) as told:
+        read_recipe(written(tmp_path, TINY.replace(change, to)))
+    assert str(told.value).startswith(str(tmp_path / "tiny.toml"))

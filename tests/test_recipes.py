@@ -1,0 +1,336 @@
+"""Data sets of recipes: their splits, their name in the manifest, and whether a folder is one of them."""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gcd_dataset.cli import main
+from gcd_dataset.errors import ConfigError, ShardError
+from gcd_dataset.generator.recipes import Recipe, find_recipe
+from gcd_dataset.hub.partition import leaks
+from gcd_dataset.hub.publish import stage
+from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
+from gcd_dataset.shards import ShardReader, read_manifest
+from gcd_dataset.shards.access import locked
+from gcd_dataset.verbs import generate, generate_recipe
+from gcd_dataset.verbs.making import plan, stored
+from gcd_dataset.verbs.recipes import LOCK, have_recipe, recipe_faults
+from tests.generator.test_recipes import TINY, written
+from tests.shards.folders import contents
+
+
+@pytest.fixture(scope="module")
+def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("recipe"))
+
+
+@pytest.fixture(scope="module")
+def recipe(toml: Path) -> Recipe:
+    return find_recipe(toml)
+
+
+@pytest.fixture(scope="module")
+def made(recipe: Recipe, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten designs as patterns, in two splits."""
+    folder = tmp_path_factory.mktemp("made") / "tiny"
+    assert generate_recipe(folder, recipe, workers=0).made == 20
+    return folder
+
+
+@pytest.fixture
+def copy(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "copy"))
+
+
+def test_splits_hold_what_one_run_would_under_the_same_index(made: Path, recipe: Recipe) -> None:
+    whole = GeneratedGarments(20, 3, bodies="both", stage="pattern", on_fail="keep", fields=["panels", "edges"])
+    for split, count in recipe.sizes().items():
+        ds = GarmentDataset(made, split, fields=["panels", "edges"])
+        assert len(ds) == count
+        for item, index in zip(ds, recipe.indices_in(split).tolist(), strict=True):
+            assert all(item[name].equal(whole[index][name]) for name in item)
+
+
+def test_no_design_and_no_body_but_the_neutral_one_is_in_two_splits(made: Path, recipe: Recipe) -> None:
+    readers = {split: ShardReader(made, split) for split in recipe.splits}
+    assert not leaks(readers)
+    worn: dict[str, set[bytes]] = {}
+    for split, reader in readers.items():
+        samples = [reader.sample(position) for position in range(len(reader))]
+        shapes = {sample.provenance.body_name: sample.shape for sample in samples}
+        worn[split] = {shape.weights.tobytes() for name, shape in shapes.items() if name != "neutral" and shape}
+        assert len(worn[split]) == len(samples) / 2
+    assert not set.intersection(*worn.values())
+
+
+def test_the_manifest_names_recipe_and_patterns(made: Path, recipe: Recipe) -> None:
+    manifest = read_manifest(made)
+    assert manifest is not None
+    assert manifest.recipe is not None
+    assert (manifest.recipe.name, manifest.recipe.sha256) == ("tiny", recipe.sha256)
+    assert len(manifest.recipe.patterns) == 64
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    folder = tmp_path / "stopped"
+    task = plan(folder, recipe.count, seed=recipe.seed, config=recipe.config, recipe=recipe)
+    run = stored(task, workers=0)
+    for _ in range(7):
+        next(run)
+    run.close()
+    assert any("lacks" in fault and "run gcd generate again" in fault for fault in recipe_faults(folder, recipe))
+    assert generate_recipe(folder, recipe, workers=2).made == 13
+    assert contents(folder) == contents(made)
+
+
+def test_what_is_whole_is_not_made_again(copy: Path, recipe: Recipe) -> None:
+    before = contents(copy)
+    assert generate_recipe(copy, recipe).made == 0
+    assert contents(copy) == before
+
+
+def test_a_folder_of_one_recipe_takes_no_other_and_none(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
+    other = find_recipe(written(tmp_path, TINY.replace("designs = 10", "designs = 12")))
+    with pytest.raises(ConfigError, match=r"made by recipe tiny \(\w{12}\), asked for tiny \(\w{12}\): use the same"):
+        generate_recipe(copy, other)
+    with pytest.raises(ConfigError, match="the data set tiny: go on with --recipe"):
+        generate(copy, 20, seed=3, config=recipe.config)
+    plain = tmp_path / "plain"
+    generate(plain, 1, seed=3, config=recipe.config)
+    with pytest.raises(ConfigError, match="made without a recipe, asked for tiny"):
+        generate_recipe(plain, recipe)
+
+
+# -------------------------------------------------------------------------------------------------------------- verify
+
+
+def test_a_folder_is_the_data_set_of_its_recipe(made: Path, recipe: Recipe) -> None:
+    assert not list(recipe_faults(made, recipe))
+
+
+def test_another_recipe_is_told(made: Path, tmp_path: Path) -> None:
+    other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
+    (told,) = recipe_faults(made, other)
+    assert "tells of recipe tiny" in told
+
+
+def manifest_with(folder: Path, **entries: str) -> None:
+    """Write these entries of the recipe into a folder's manifest."""
+    path = folder / "manifest.json"
+    content = json.loads(path.read_text())
+    content["recipe"] |= entries
+    path.write_text(json.dumps(content))
+
+
+def test_other_patterns_are_told(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
+    """The same indices, of another seed, in a folder that says it is the recipe's."""
+    other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
+    renamed = tmp_path / "other"
+    generate_recipe(renamed, other, workers=0)
+    manifest_with(renamed, sha256=recipe.sha256)
+    told = list(recipe_faults(renamed, recipe))
+    assert any("is not of seed 3" in line for line in told)
+    # Told of another hash, the same patterns are others.
+    manifest_with(copy, patterns="0" * 64)
+    assert "and manifest.json tells of 0000" in next(recipe_faults(copy, recipe))
+
+
+def test_patterns_are_made_again_where_their_hash_is_not_known(tmp_path: Path) -> None:
+    """Ten patterns of another seed, whose manifest says that they are the recipe's."""
+    other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
+    same = written(tmp_path, TINY.replace("test = 0.2\ntrain = 0.8", "train = 1.0"))
+    asked, folder = find_recipe(same), tmp_path / "other"
+    generate(folder, 20, seed=4, config=other.config)
+    path = folder / "manifest.json"
+    content = json.loads(path.read_text())
+    content["splits"]["train"]["seed"] = 3
+    content["recipe"] = {"name": "tiny", "sha256": asked.sha256, "patterns": ""}
+    path.write_text(json.dumps(content))
+    told = list(recipe_faults(folder, asked))
+    assert "no hash of the patterns yet" in told[0]
+    assert len(told) == 21
+    assert all("has another pattern when it is made again" in line for line in told[1:])
+
+
+def test_a_split_that_is_missing_or_another_is_told(copy: Path, recipe: Recipe) -> None:
+    for path in copy.glob("*test*"):
+        path.rename(path.with_name(path.name.replace("test", "tset")))
+    told = list(recipe_faults(copy, recipe))
+    assert any("split tset is none of tiny" in line for line in told)
+    assert any("no split test: run gcd generate --recipe tiny again" in line for line in told)
+
+
+def test_samples_in_the_wrong_split_are_told(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    """Splits of other shares, with a manifest that says they are the recipe's."""
+    other = find_recipe(written(tmp_path, TINY.replace("test = 0.2\ntrain = 0.8", "train = 0.2\ntest = 0.8")))
+    folder = tmp_path / "other"
+    generate_recipe(folder, other, workers=0)
+    manifest_with(folder, sha256=recipe.sha256)
+    told = list(recipe_faults(folder, recipe))
+    assert any("samples of other splits" in line for line in told)
+    assert any("split train lacks" in line for line in told)
+
+
+def test_a_damaged_pattern_is_told(copy: Path, recipe: Recipe) -> None:
+    reader = ShardReader(copy, "test")
+    row, column = int(reader.rows([0])[0]), reader.layout.members.index("edges.npy")
+    shard = copy / "test-00000.tar"
+    content = bytearray(shard.read_bytes())
+    content[int(reader.index.table.offset[row, column]) + 200] ^= 1
+    shard.write_bytes(content)
+    (told,) = recipe_faults(copy, recipe)
+    assert "test-00000.tar" in told
+    assert "edges.npy" in told
+
+
+# ------------------------------------------------------------------------------------------------------------- publish
+
+
+def test_it_is_published_with_its_splits_and_its_name(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    staged = stage(made, "org/tiny", tmp_path / "up", endpoint="https://hub.example")
+    assert {split: sum(shard.count for shard in record.shards) for split, record in staged.manifest.splits.items()} == (
+        recipe.sizes()
+    )
+    assert not list(recipe_faults(staged.folder, recipe))
+    card = (staged.folder / "README.md").read_text()
+    assert "No design, and no body but the neutral one, is in two splits." in card
+    assert f"- recipe `tiny` of sha256 `{recipe.sha256}`" in card
+
+
+# --------------------------------------------------------------------------------------------------------- command line
+
+
+def test_the_command_line_makes_tells_and_verifies(
+    toml: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = str(tmp_path / "tiny")
+    assert main(["generate", folder, "--recipe", str(toml), "--quiet", "--workers", "0"]) == 0
+    assert "20 garments, 20 of them made now" in capsys.readouterr().out
+    assert main(["info", folder]) == 0
+    assert "  recipe tiny, sha256 " in capsys.readouterr().out
+    assert main(["verify", folder, "--recipe", str(toml)]) == 0
+    assert "no fault found: this is tiny" in capsys.readouterr().out
+    assert main(["verify", folder, "--recipe", "smoke-64-draft"]) == 1
+    assert "tells of recipe tiny" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "option"),
+    [("--count 5", "count"), ("--seed 0", "seed"), ("--resolution 2", "resolution"), ("--stage body", "stage")],
+)
+def test_options_that_a_recipe_gives_are_refused(
+    given: str, option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["generate", str(tmp_path / "a"), "--recipe", "smoke-64-draft", *given.split()]) == 2
+    assert f"--{option} is for the recipe to say: leave it out" in capsys.readouterr().err
+    assert not (tmp_path / "a").exists()
+
+
+def test_without_count_and_recipe_there_is_nothing_to_make(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["generate", str(tmp_path / "a")]) == 2
+    assert "Give --count N, or --recipe NAME" in capsys.readouterr().err
+
+
+def test_recipes_are_listed_and_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", "recipe:"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in listed][:2] == ["smoke-64-draft", "standard-1k-draft"]
+    assert main(["info", "recipe:standard-1k"]) == 0
+    assert "splits: test 50, validation 52, train 898" in capsys.readouterr().out
+
+
+# -------------------------------------------------------------------------------------------------------------- loading
+
+
+def test_a_data_set_is_made_where_it_is_not_there(
+    toml: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    ds = GarmentDataset(f"recipe:{toml}", "test", root=tmp_path, fields=["panels"])
+    assert len(ds) == 6
+    assert f"tiny: 20 garments are to be made in {tmp_path / 'tiny'}, in about" in caplog.text
+    assert "20/20" in capsys.readouterr().err
+    caplog.clear()
+    again = GarmentDataset(f"recipe:{toml}", "train+test", root=tmp_path, fields=["panels"], download=False)
+    assert len(again) == 20
+    assert not caplog.text
+
+
+def test_it_is_made_in_the_cache(toml: Path, tmp_path: Path) -> None:
+    GarmentDataset(f"recipe:{toml}", cache_dir=tmp_path, fields=["panels"])
+    assert (tmp_path / "recipes" / "tiny" / "manifest.json").exists()
+
+
+def test_what_cannot_be_is_told_before_anything_is_made(toml: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"tiny has no split tset: there are test, train: did you mean test\?"):
+        GarmentDataset(f"recipe:{toml}", "tset", root=tmp_path)
+    with pytest.raises(ConfigError, match="revision is for URLs and the Hub"):
+        GarmentDataset(f"recipe:{toml}", "test", root=tmp_path, revision="main")
+    with pytest.raises(ShardError, match="tiny is not there, and download=False"):
+        GarmentDataset(f"recipe:{toml}", "test", root=tmp_path, download=False)
+    with pytest.raises(ConfigError, match="no recipe nothing"):
+        GarmentDataset("recipe:nothing")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_data_set_of_another_version_is_not_taken_for_it(made: Path, tmp_path: Path) -> None:
+    """The recipe tells a hash that the patterns there do not have."""
+    shutil.copytree(made, tmp_path / "tiny")
+    newer = written(tmp_path, TINY.replace("seed = 3", f'seed = 3\npatterns = "{"ab" * 32}"'))
+    with pytest.raises(ConfigError, match="with other patterns than this version of the package draws: delete it"):
+        GarmentDataset(f"recipe:{newer}", "test", root=tmp_path)
+
+
+SCRIPT = """
+import sys
+import gcd_dataset.verbs.making as making
+making.BEGUN = 0.1  # s: begin workers for little
+from gcd_dataset.loaders import GarmentDataset
+print(len(GarmentDataset("recipe:" + sys.argv[1], "test", root=sys.argv[2], fields=["panels"])), flush=True)
+"""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[Path]:
+    path = tmp_path / "train.py"
+    path.write_text(SCRIPT)
+    yield path
+
+
+def test_programs_wait_for_each_other_and_need_no_guard(toml: Path, program: Path, tmp_path: Path) -> None:
+    """Two processes of a training ask for it at once; workers do not run the program again."""
+    command = [sys.executable, str(program), str(toml), str(tmp_path)]
+    with locked(_folder(tmp_path) / LOCK, "making tiny"):
+        both = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+        for process in both:
+            assert process.stderr is not None
+            assert "another process is making tiny there: waiting for it" in process.stderr.readline()
+    ended = [process.communicate(timeout=120) for process in both]
+    assert [out for out, _ in ended] == ["6\n", "6\n"], ended
+    assert sum("garments are to be made" in err for _, err in ended) == 1
+
+
+def _folder(root: Path) -> Path:
+    folder = root / "tiny"
+    folder.mkdir()
+    return folder
+
+
+def test_an_interrupted_making_goes_on(
+    recipe: Recipe, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "tiny"
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("gcd_dataset.verbs.making.seal", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            have_recipe(recipe, folder)
+    have_recipe(recipe, folder)
+    assert contents(folder) == contents(made)
