@@ -1,4 +1,4 @@
-"""What the verbs of ``gcd`` do, as functions: ``generate``, ``convert``, ``export`` and ``publish``.
+"""What the verbs of ``gcd`` do, as functions: ``generate``, ``merge``, ``convert``, ``export`` and ``publish``.
 
 Each tells how far it has come, returns that, and goes on where an earlier call was stopped.
 
@@ -14,17 +14,34 @@ if TYPE_CHECKING:
     from gcd_dataset.verbs.converting import convert
     from gcd_dataset.verbs.exporting import export
     from gcd_dataset.verbs.making import generate
+    from gcd_dataset.verbs.merging import Merged, merge
+    from gcd_dataset.verbs.parts import Part
     from gcd_dataset.verbs.people import generate_people
     from gcd_dataset.verbs.progress import Progress, Told
     from gcd_dataset.verbs.publishing import Published, publish
 
-__all__ = ["Progress", "Published", "Told", "convert", "export", "generate", "generate_people", "publish"]
+__all__ = [
+    "Merged",
+    "Part",
+    "Progress",
+    "Published",
+    "Told",
+    "convert",
+    "export",
+    "generate",
+    "generate_people",
+    "merge",
+    "publish",
+]
 
 _HOME = {
     "convert": "converting",
     "export": "exporting",
     "generate": "making",
     "generate_people": "people",
+    "Merged": "merging",
+    "merge": "merging",
+    "Part": "parts",
     "Progress": "progress",
     "Told": "progress",
     "Published": "publishing",
