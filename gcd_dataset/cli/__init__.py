@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
-from gcd_dataset.cli import datasets, exchange
+from gcd_dataset.cli import datasets, exchange, parts
 from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.verb import (
     ANYWHERE,
@@ -79,6 +79,7 @@ def _generate(options: argparse.Namespace) -> int:
     given |= given_options(options, MakeConfig)
     if given.get("stage") == BODY_STAGE:
         return _generate_people(options, given)
+    part = None if options.shard is None else parts.part_of(options.shard)
     with Bar("garment", options.quiet) as bar:
         bar.run(
             partial(
@@ -87,6 +88,7 @@ def _generate(options: argparse.Namespace) -> int:
                 options.count,
                 seed=options.seed,
                 config=MakeConfig(**given),
+                part=part,
                 workers=options.workers,
             )
         )
@@ -94,11 +96,15 @@ def _generate(options: argparse.Namespace) -> int:
     if bar.interrupted:
         return stopped("generate", f"{done.done} of {done.count}")
     rejected = done.rejects.total()
+    which = "" if part is None else f"part {part}: " if done.made else f"part {part} is there already: "
     print(
-        f"{options.out}: {done.count} garments, {done.made} of them made now, {rejected} designs or drapes turned down"
+        f"{options.out}: {which}{done.count} garments, {done.made} of them made now, {rejected} designs or drapes "
+        "turned down"
     )
     if failed := done.unsettled:
         print(f"  {failed} did not settle: each holds its outcome in meta.json")
+    for line in parts.there(options.out, part):
+        print(f"  {line}")
     return 0
 
 
@@ -109,6 +115,8 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
         raise ConfigError(
             f"{idle[0].replace('_', '-')} is for garments, and stage {BODY_STAGE} makes none: leave it out"
         )
+    if options.shard is not None:
+        raise ConfigError(f"--shard is for garments: bodies of stage {BODY_STAGE} are made in one go: leave it out")
     if given.get("bodies", "random") != "random":
         raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
     with Bar("body", options.quiet) as bar:
@@ -263,8 +271,11 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         metavar="FILE.toml",
         help="a file of these options, and of tables such as [design.pants] that narrow what designs may be",
     )
+    parts.add_shard(generate)
     generate.more = partial(_add_make_options, generate)
     add_quiet(generate)
+
+    parts.add_verbs(verbs)
 
     drape = add_verb(
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"

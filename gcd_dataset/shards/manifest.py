@@ -79,6 +79,11 @@ class Manifest:
     """Version of this package that began the data set."""
     schema: int = SCHEMA
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Split to the number of its samples."""
+        return {name: sum(shard.count for shard in split.shards) for name, split in self.splits.items()}
+
     def with_split(self, name: str, record: SplitRecord) -> "Manifest":
         """The manifest with one split put in or replaced."""
         return replace(self, splits=dict(sorted({**self.splits, name: record}.items())))

@@ -76,7 +76,7 @@ class PartsPlan:
 
     def _told(self) -> dict[str, Any]:
         """Name to value of everything in it."""
-        own = {"of": self.of, "count": self.count, "seed": self.seed, "shard_size": self.shard_size}
+        own = {"parts": self.of, "count": self.count, "seed": self.seed, "shard_size": self.shard_size}
         return {**own, "schema": self.schema, **self.versions, **self.recipe}
 
 
@@ -109,8 +109,8 @@ class FinishedPart:
 
     def require_of(self, plan: PartsPlan, place: Path, remedy: str) -> None:
         """Raise ``ConfigError`` where this is no part of ``plan``; ``place``: its file."""
-        mine = {"of": self.of, "count": self.count, "seed": self.seed, "recipe_sha256": self.recipe_sha256}
-        theirs = {"of": plan.of, "count": plan.count, "seed": plan.seed, "recipe_sha256": recipe_hash(plan.recipe)}
+        mine = {"parts": self.of, "count": self.count, "seed": self.seed, "recipe_sha256": self.recipe_sha256}
+        theirs = {"parts": plan.of, "count": plan.count, "seed": plan.seed, "recipe_sha256": recipe_hash(plan.recipe)}
         mine |= {"schema": self.schema, **self.versions}
         theirs |= {"schema": plan.schema, **plan.versions}
         for name in sorted(mine.keys() | theirs.keys()):

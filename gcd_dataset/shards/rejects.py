@@ -32,7 +32,8 @@ from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import Rejected
 from gcd_dataset.shards.access import reading, writing
-from gcd_dataset.shards.index import ShardTable, tables_of
+from gcd_dataset.shards.contents import read_index
+from gcd_dataset.shards.index import ShardTable
 from gcd_dataset.shards.manifest import read_manifest
 from gcd_dataset.shards.meta import json_bytes, read_json, read_meta
 
@@ -136,7 +137,7 @@ class RejectLog:
         manifest = read_manifest(self._folder)
         for split, record in manifest.splits.items() if manifest is not None else ():
             counted = {shard.name: shard.rejects for shard in record.shards}
-            for name, table in tables_of(self._folder, split).items():
+            for name, table in read_index(self._folder, split).tables().items():
                 if self._counts(table) != Counter(counted.get(name, {})):
                     self._add_from(self._folder / name, table)
 

@@ -14,14 +14,13 @@ if TYPE_CHECKING:
     from gcd_dataset.verbs.converting import convert
     from gcd_dataset.verbs.exporting import export
     from gcd_dataset.verbs.making import generate
-    from gcd_dataset.verbs.merging import Merged, merge
+    from gcd_dataset.verbs.merging import merge
     from gcd_dataset.verbs.parts import Part
     from gcd_dataset.verbs.people import generate_people
     from gcd_dataset.verbs.progress import Progress, Told
     from gcd_dataset.verbs.publishing import Published, publish
 
 __all__ = [
-    "Merged",
     "Part",
     "Progress",
     "Published",
@@ -39,7 +38,6 @@ _HOME = {
     "export": "exporting",
     "generate": "making",
     "generate_people": "people",
-    "Merged": "merging",
     "merge": "merging",
     "Part": "parts",
     "Progress": "progress",

@@ -1,6 +1,5 @@
 """The parts of a data set joined: whole shards are renamed, those at the border of parts are copied together."""
 
-import contextlib
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.growing import GrowingShard, shard_record, sync_folder
 from gcd_dataset.shards.index import ShardIndex, ShardTable, empty_table, known_index, scan_shard, whole_samples
-from gcd_dataset.shards.layout import GARMENTS, TRAIN, index_name, lock_name
+from gcd_dataset.shards.layout import GARMENTS, TRAIN, Layout, index_name, lock_name
 from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, read_manifest
 from gcd_dataset.shards.parts import (
     MERGED,
@@ -32,18 +31,9 @@ from gcd_dataset.shards.rejects import REJECTS, joined_rejects
 from gcd_dataset.verbs.parts import command_of
 from gcd_dataset.verbs.progress import Progress, Told, unheard
 
-__all__ = ["Merged", "merge"]
+__all__ = ["merge"]
 
 NAMED = 5  # parts that a message lists
-
-
-@dataclass(frozen=True)
-class Merged:
-    """A data set that was made in parts."""
-
-    splits: Mapping[str, int]
-    """Split to its samples."""
-    parts: int
 
 
 @dataclass(frozen=True)
@@ -53,11 +43,15 @@ class _Source:
     part: int
     path: Path
     record: ShardRecord
+    layout: Layout
+    table: ShardTable | None
+    """Its contents by the index of its part, if that tells."""
 
 
-def merge(out: Path | str, *, told: Told = unheard) -> Merged:
-    """Join the parts that wait in ``out``: it holds the shards, index and manifest of one run then, byte for byte.
+def merge(out: Path | str, *, told: Told = unheard) -> dict[str, int]:
+    """Join the parts that wait in ``out``; the number of samples of each split.
 
+    It holds the shards, index, manifest and rejects of one run then, byte for byte, and nothing else.
     ``told`` is called with how many samples are in their place. Stopped at any moment and called again it goes on.
     Raises ``ShardError`` for a part that is missing, not finished or damaged, and a folder without parts;
     ``ConfigError`` for parts that do not belong together; ``OutputError`` where ``out`` cannot be written, or another
@@ -69,15 +63,14 @@ def merge(out: Path | str, *, told: Told = unheard) -> Merged:
     if not waiting and not rest:
         raise ShardError(f"{out}: no parts to be merged: {_way_out(out)}")
     with locked(out / lock_name(TRAIN), "merging its parts"):
-        if not waiting:  # a kill left what is to be removed
-            merged = Merged(_counts(out), 0)
-        else:
-            merged = _merge(out, told)
+        if waiting:
+            _merge(out, told)
         _remove(out / MERGED)
-    return merged
+        manifest = read_manifest(out)
+    return {} if manifest is None else manifest.counts
 
 
-def _merge(out: Path, told: Told) -> Merged:
+def _merge(out: Path, told: Told) -> None:
     plan = read_plan(out)
     require_version(out, plan)
     _begin(out)
@@ -91,20 +84,22 @@ def _merge(out: Path, told: Told) -> Merged:
     total = sum(record.record.count for found in sources.values() for record in found)
     progress = Progress(total, 0)
     told(progress)
-    records: dict[str, list[ShardRecord]] = {split: [] for part in parts for split in part.splits}
+    layouts = {split: found[0].layout for (split, _), found in sources.items()}
+    records: dict[str, list[ShardRecord]] = {split: [] for split in {TRAIN: GARMENTS, **layouts}}
     tables: dict[str, dict[str, ShardTable]] = {split: {} for split in records}
     for (split, name), found in sorted(sources.items()):
-        record, table = _join(out / name, split, found)
+        record, table = _join(out / name, found)
         records[split].append(record)
         tables[split][name] = table
         progress = replace(progress, made=progress.made + record.count)
         told(progress)
-    _describe(out, plan, records, tables)
+    for split in records:
+        ShardIndex.of(out, tables[split], layouts.get(split, GARMENTS)).write(out / index_name(split))
+    _describe(out, plan, records)
     with changing_parts(out), writing(out / PARTS):
         _remove(out / MERGED)
         (out / PARTS).rename(out / MERGED)
         sync_folder(out)
-    return Merged({split: sum(shard.count for shard in shards) for split, shards in records.items()}, plan.of)
 
 
 # ------------------------------------------------------------------------------------------------------- what is there
@@ -168,8 +163,11 @@ def _sources(out: Path, plan: PartsPlan, parts: Sequence[FinishedPart]) -> dict[
     for part in parts:
         folder = part_folder(out, part.part, part.of)
         for split, records in part.splits.items():
+            index = known_index(folder, split, partial=True)
+            layout, tables = (GARMENTS, {}) if index is None else (index.layout, index.tables())
             for record in records:
-                sources.setdefault((split, record.name), []).append(_Source(part.part, folder / record.name, record))
+                source = _Source(part.part, folder / record.name, record, layout, tables.get(record.name))
+                sources.setdefault((split, record.name), []).append(source)
     for (_, name), found in sources.items():
         for source in found if not (out / name).exists() else ():
             if (fault := _fault(source, is_shared=len(found) > 1)) is not None:
@@ -184,7 +182,7 @@ def _fault(source: _Source, *, is_shared: bool) -> str | None:
         size = source.path.stat().st_size if source.path.exists() else 0
     if size != source.record.size:
         return f"{size} of its {source.record.size} bytes are there"
-    if is_shared and (whole := len(whole_samples(source.path))) != source.record.count:
+    if is_shared and (whole := len(whole_samples(source.path, source.layout))) != source.record.count:
         return f"{whole} of its {source.record.count} samples are whole"
     return None
 
@@ -192,16 +190,16 @@ def _fault(source: _Source, *, is_shared: bool) -> str | None:
 # ------------------------------------------------------------------------------------------------------------- joining
 
 
-def _join(target: Path, split: str, sources: Sequence[_Source]) -> tuple[ShardRecord, ShardTable]:
+def _join(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, ShardTable]:
     """A shard of the data set, made of those of its parts, which are gone then."""
     count = sum(source.record.count for source in sources)
     with reading(target):
         is_there = target.exists()
     if is_there:
-        table = scan_shard(target)
+        table = scan_shard(target, sources[0].layout)
         record = sources[0].record if len(sources) == 1 else shard_record(target, table)
     elif len(sources) == 1:
-        table = _table(sources[0], split)
+        table = _table(sources[0])
         record = sources[0].record
         with writing(target):
             sources[0].path.rename(target)
@@ -215,43 +213,33 @@ def _join(target: Path, split: str, sources: Sequence[_Source]) -> tuple[ShardRe
     return record, table
 
 
-def _table(source: _Source, split: str) -> ShardTable:
+def _table(source: _Source) -> ShardTable:
     """The contents of a whole shard of a part."""
-    index = known_index(source.path.parent, split)
-    table = None if index is None else index.tables().get(source.path.name)
-    return scan_shard(source.path) if table is None or len(table) != source.record.count else table
+    if source.table is not None and len(source.table) == source.record.count:
+        return source.table
+    return scan_shard(source.path, source.layout)
 
 
 def _copied(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, ShardTable]:
     """The samples of several shards as one; gone on with where a merge was stopped."""
-    with contextlib.closing(GrowingShard(target, empty_table(), GARMENTS)) as shard:
+    layout = sources[0].layout
+    shard = GrowingShard(target, empty_table(layout), layout)
+    try:
         for source in sources:
-            shard.copy(source.path, whole_samples(source.path))
+            shard.copy(source.path, whole_samples(source.path, layout))
         return shard.finish(), shard.table()
+    finally:
+        shard.release()
 
 
-def _describe(
-    out: Path,
-    plan: PartsPlan,
-    records: Mapping[str, Sequence[ShardRecord]],
-    tables: Mapping[str, Mapping[str, ShardTable]],
-) -> None:
-    """Write indices, manifest and rejects."""
-    splits = {}
-    for split, shards in records.items():
-        ShardIndex.of(out, tables[split]).write(out / index_name(split))
-        splits[split] = SplitRecord(plan.seed, plan.recipe, plan.shard_size, tuple(shards))
+def _describe(out: Path, plan: PartsPlan, records: Mapping[str, Sequence[ShardRecord]]) -> None:
+    """Write manifest and rejects."""
     manifest = Manifest()
-    for split, record in splits.items():
+    for split, shards in records.items():
+        record = SplitRecord(plan.seed, plan.recipe, plan.shard_size, tuple(shards))
         manifest = manifest.with_split(split, record)
     manifest.write(out)
     write_whole(out / REJECTS, joined_rejects(part_folder(out, part, plan.of) for part in range(plan.of)))
-
-
-def _counts(out: Path) -> dict[str, int]:
-    """Split to its samples, of a data set that is whole."""
-    manifest = read_manifest(out) or Manifest()
-    return {split: sum(shard.count for shard in record.shards) for split, record in manifest.splits.items()}
 
 
 def _remove(folder: Path) -> None:

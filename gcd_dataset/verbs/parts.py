@@ -10,7 +10,7 @@ from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.options import options_of
 from gcd_dataset.shards.access import writing
-from gcd_dataset.shards.index import tables_of
+from gcd_dataset.shards.contents import read_index
 from gcd_dataset.shards.layout import SCHEMA
 from gcd_dataset.shards.manifest import SplitRecord, read_manifest
 from gcd_dataset.shards.origin import agreed
@@ -28,8 +28,7 @@ from gcd_dataset.shards.parts import (
     read_plan,
     write_finished,
 )
-from gcd_dataset.shards.writer import SHARD_SIZE
-from gcd_dataset.verbs.storing import is_begun, splits_of
+from gcd_dataset.verbs.storing import GarmentWriter, is_begun, splits_of
 
 __all__ = ["Part", "PartPlace", "begin_part", "command_of"]
 
@@ -126,7 +125,7 @@ def begin_part(out: Path, part: Part, count: int, seed: int, config: MakeConfig)
             _require_there(out, part, indices, seed, config)
             return PartPlace(out, part, indices, is_merged=True)
         _require_not_merging(out)
-        agree_on(out, PartsPlan(part.of, count, seed, recipe_of(config), SHARD_SIZE, SCHEMA, versions()))
+        agree_on(out, PartsPlan(part.of, count, seed, recipe_of(config), GarmentWriter.shard_size, SCHEMA, versions()))
     return PartPlace(out, part, indices)
 
 
@@ -155,12 +154,12 @@ def _require_not_merging(out: Path) -> None:
 
 def _require_there(out: Path, part: Part, indices: range, seed: int, config: MakeConfig) -> None:
     """Raise ``ConfigError`` unless a data set that is merged, or was made in one go, holds these samples."""
-    asked = SplitRecord(seed, recipe_of(config), SHARD_SIZE)
+    asked = SplitRecord(seed, recipe_of(config), GarmentWriter.shard_size)
     there: set[int] = set()
     for split in splits_of(config):
-        tables = tables_of(out, split)
-        agreed(out, split, tables, asked)
-        there.update(*(table.sample.tolist() for table in tables.values()))
+        index = read_index(out, split)
+        agreed(out, split, index.tables(), asked)
+        there.update(index.table.sample.tolist())
     if missing := set(indices) - there:
         raise ConfigError(
             f"{out}: holds a data set that is not made in parts, without {len(missing)} of the {len(indices)} samples "

@@ -14,6 +14,7 @@ from gcd_dataset.records import Outcome
 from gcd_dataset.shards import ShardWriter, read_index
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.layout import FAILED, TRAIN, Bytes, shard_number
+from gcd_dataset.shards.writer import SHARD_SIZE
 
 __all__ = ["GarmentWriter", "is_begun", "splits_of"]
 
@@ -29,6 +30,8 @@ class GarmentWriter:
     The lock of ``train`` keeps other writers out of both splits. ``failed`` is begun with the first drape that failed.
     Raises as ``ShardWriter`` does, and ``ConfigError`` for a folder whose ``train`` holds failed drapes.
     """
+
+    shard_size = SHARD_SIZE
 
     def __init__(self, folder: Path, seed: int, config: MakeConfig) -> None:
         self._folder, self._seed, self._recipe = folder, seed, recipe_of(config)
@@ -62,8 +65,8 @@ class GarmentWriter:
 
     def _writer(self, split: str) -> ShardWriter:
         if split not in self._splits:
-            writer = ShardWriter(self._folder, split=split, seed=self._seed, recipe=self._recipe)
-            self._splits[split] = self._opened.enter_context(writer)
+            origin = {"seed": self._seed, "recipe": self._recipe, "shard_size": self.shard_size}
+            self._splits[split] = self._opened.enter_context(ShardWriter(self._folder, split=split, **origin))
         return self._splits[split]
 
 
