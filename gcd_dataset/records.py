@@ -35,6 +35,7 @@ __all__ = [
     "Placement",
     "Provenance",
     "Record",
+    "Rejected",
     "Sample",
     "Seam",
     "Strain",
@@ -55,7 +56,8 @@ class Record:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return all(_same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))  # type: ignore[arg-type]
+        compared = [f.name for f in fields(self) if f.compare]  # type: ignore[arg-type]
+        return all(_same(getattr(self, name), getattr(other, name)) for name in compared)
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -440,6 +442,23 @@ class Drape(Record):
 # -------------------------------------------------------------------------------------------------------------- sample
 
 
+@dataclass(frozen=True)
+class Rejected:
+    """An attempt at a design that was turned down."""
+
+    index: int
+    """The sample whose wearer it did not fit, or whose drape failed."""
+    rule: str
+    """The rule it broke; ``drape`` for a drape that failed."""
+    reason: str
+    """What was met, in words."""
+    figures: Mapping[str, float] = field(default_factory=dict)
+    """The numbers behind the rule, as far as they are known; a name ends in its unit: ``cuff_cm``."""
+
+    def __str__(self) -> str:
+        return f"{self.rule}: {self.reason}"
+
+
 @dataclass(frozen=True, eq=False)
 class Provenance(Record):
     """Where a sample comes from: enough to make it again."""
@@ -457,6 +476,8 @@ class Provenance(Record):
     body_name: str = ""
     source: str = ""
     """Where a garment that others have made was published; empty for our own."""
+    turned_down: tuple[Rejected, ...] = field(default=(), compare=False)
+    """``rejects`` with their figures, of a sample made just now; ``rejects.jsonl`` of a data set keeps them."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drapers.shared import AT_ONCE
 from gcd_dataset.generator.pipeline import DressedDesign, drape_jobs, finish, prepare, turned_down
 from gcd_dataset.generator.recipe import MakeConfig, devices_name, devices_of
-from gcd_dataset.records import Sample
+from gcd_dataset.records import Rejected, Sample
 from gcd_dataset.waits import MAKERS
 from gcd_dataset.workers import streams
 
@@ -172,7 +172,7 @@ class _Asked(Generic[Made]):
             self.done[index] = known
         return known is not None
 
-    def _attempt(self, index: int, rejects: tuple[str, ...]) -> Work[int]:
+    def _attempt(self, index: int, rejects: tuple[Rejected, ...]) -> Work[int]:
         """The next design of an index that can be worn, to be draped."""
         design = prepare(self.seed, index // self.config.wearers, self.config, rejects)
         picture = self.config.picture if self.pictured else 0

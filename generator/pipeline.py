@@ -27,6 +27,7 @@ from gcd_dataset.records import (
     Outcome,
     Pattern,
     Provenance,
+    Rejected,
     Sample,
 )
 from gcd_dataset.seeding import Stage, rng
@@ -102,12 +103,12 @@ class DressedDesign:
 
     seed: int
     number: int
-    rejects: tuple[str, ...]
+    rejects: tuple[Rejected, ...]
     design: OutfitDesign
     dressed: tuple[Dressed, ...]
 
 
-def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[str, ...] = ()) -> DressedDesign:
+def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[Rejected, ...] = ()) -> DressedDesign:
     """Design ``number`` with its bodies, patterns and meshes: the first that can be worn after those turned down."""
     wearers = _wearers(seed, number, config)
     # One stream for the kind, whatever the attempt: a kind that is often turned down would become rare otherwise.
@@ -117,9 +118,9 @@ def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[str, ...]
         sizes = [wearer.size for wearer in wearers]
         design = sample_design(chance, sizes, kind=kind, overlay=config.design)
         dressed = _dress_all(seed, wearers, design, config)
-        if not isinstance(dressed, Reject):
+        if not isinstance(dressed, Rejected):
             return DressedDesign(seed, number, rejects, design, dressed)
-        rejects += (str(dressed),)
+        rejects += (dressed,)
     raise PatternError(
         f"sample {number * config.wearers} of seed {seed}: {len(rejects)} designs were turned down, the last for: "
         f"{rejects[-1]}: raise max_attempts"
@@ -153,13 +154,13 @@ def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
 
 def _dress_all(
     seed: int, wearers: Iterable[_Wearer], design: OutfitDesign, config: MakeConfig
-) -> tuple[Dressed, ...] | Reject:
+) -> tuple[Dressed, ...] | Rejected:
     """All wearers in the design, or why one of them cannot wear it."""
     dressed = []
     for wearer in wearers:
         worn = _dress(seed, wearer, design, config)
         if isinstance(worn, Reject):
-            return worn
+            return Rejected(wearer.index, worn.rule, worn.figures, worn.numbers)
         dressed.append(worn)
     return tuple(dressed)
 
@@ -204,11 +205,19 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
 
 def turned_down(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig) -> DressedDesign | None:
     """The design with the reason for another attempt, if one of its drapes failed and may be tried again."""
-    failed = next((drape.outcome for drape in drapes if drape.outcome is not Outcome.SETTLED), None)
+    failed = next((place for place, drape in enumerate(drapes) if drape.outcome is not Outcome.SETTLED), None)
     last = len(design.rejects) + 1 >= config.max_attempts
     if failed is None or config.on_fail == "keep" or last:
         return None
-    return replace(design, rejects=design.rejects + (f"drape: {failed.name.lower()}",))
+    drape = drapes[failed]
+    reject = Rejected(design.dressed[failed].index, "drape", drape.outcome.name.lower(), _drape_figures(drape))
+    return replace(design, rejects=(*design.rejects, reject))
+
+
+def _drape_figures(drape: Drape) -> dict[str, float]:
+    """The numbers of a drape; without the stretch of one that diverged, which is none."""
+    names = ("frames", "self_crossings", "body_crossings", "body_through", "stretch_median", "stretch_p99")
+    return {name: value for name in names if math.isfinite(value := getattr(drape, name))}
 
 
 def finish(design: DressedDesign, index: int, config: MakeConfig, draped: "Draped | None") -> Sample:
@@ -225,7 +234,8 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, draped: "Drape
             seed=design.seed,
             index=index,
             attempts=len(design.rejects) + 1,
-            rejects=design.rejects,
+            rejects=tuple(map(str, design.rejects)),
+            turned_down=design.rejects,
             versions=versions(),
             recipe=recipe_of(config),
             body_name=dressed.body_name,

@@ -87,7 +87,7 @@ class MakeConfig:
         OnFail,
         Option(
             "a drape that does not settle: the next design instead (for all its bodies), or the sample as it is, with "
-            "its outcome"
+            "its outcome; gcd generate puts those that are kept into split failed"
         ),
     ] = "retry"
     points: Annotated[int, Option("surface points of a sample")] = 8192

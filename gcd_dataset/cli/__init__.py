@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
-from gcd_dataset.cli import datasets, exchange
+from gcd_dataset.cli import datasets, exchange, parts
 from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.verb import (
     ANYWHERE,
@@ -74,6 +74,7 @@ def _generate(options: argparse.Namespace) -> int:
     from gcd_dataset.generator.recipe import MakeConfig
     from gcd_dataset.verbs import generate
 
+    part = None if options.shard is None else parts.part_of(options.shard)
     if options.recipe is not None:
         work = _of_recipe(options, given_options(options, MakeConfig))
     else:
@@ -85,26 +86,22 @@ def _generate(options: argparse.Namespace) -> int:
         options.seed = options.seed or 0
         if given.get("stage") == BODY_STAGE:
             return _generate_people(options, given)
-        work = partial(
-            generate,
-            options.out,
-            options.count,
-            seed=options.seed,
-            config=MakeConfig(**given),
-            workers=options.workers,
-            log=options.log,
-        )
+        work = partial(generate, options.out, options.count, seed=options.seed, config=MakeConfig(**given))
     with Bar("garment", options.quiet) as bar:
-        bar.run(work)
+        bar.run(partial(work, part=part, workers=options.workers, log=options.log))
     done = bar.progress
     if bar.interrupted:
         return stopped("generate", f"{done.done} of {done.count}")
     rejected = done.rejects.total()
+    which = "" if part is None else f"part {part}: " if done.made else f"part {part} is there already: "
     print(
-        f"{options.out}: {done.count} garments, {done.made} of them made now, {rejected} designs or drapes turned down"
+        f"{options.out}: {which}{done.count} garments, {done.made} of them made now, {rejected} designs or drapes "
+        "turned down"
     )
     if failed := done.unsettled:
         print(f"  {failed} did not settle: each holds its outcome in meta.json")
+    for line in parts.there(options.out, part):
+        print(f"  {line}")
     return 0
 
 
@@ -117,14 +114,7 @@ def _of_recipe(options: argparse.Namespace, given: Mapping[str, Any]) -> Callabl
         raise ConfigError(
             f"--{contrary[0].replace('_', '-')} is for the recipe to say: leave it out, or write a recipe of your own"
         )
-    return partial(
-        generate_recipe,
-        options.out,
-        options.recipe,
-        device=given.get("device", "auto"),
-        workers=options.workers,
-        log=options.log,
-    )
+    return partial(generate_recipe, options.out, options.recipe, device=given.get("device", "auto"))
 
 
 def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
@@ -134,6 +124,8 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
         raise ConfigError(
             f"{idle[0].replace('_', '-')} is for garments, and stage {BODY_STAGE} makes none: leave it out"
         )
+    if options.shard is not None:
+        raise ConfigError(f"--shard is for garments: bodies of stage {BODY_STAGE} are made in one go: leave it out")
     if given.get("bodies", "random") != "random":
         raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
     with Bar("body", options.quiet) as bar:
@@ -295,11 +287,14 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         metavar="FILE.toml",
         help="a file of these options, and of tables such as [design.pants] that narrow what designs may be",
     )
+    parts.add_shard(generate)
     generate.add_argument(
         "--log", type=Path, metavar="FILE", help="a file to which lines of JSON are added while it runs: rate, waits, …"
     )
     generate.more = partial(_add_make_options, generate)
     add_quiet(generate)
+
+    parts.add_verbs(verbs)
 
     drape = add_verb(
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"

@@ -19,6 +19,7 @@ from gcd_dataset.shards.index import ShardTable, known_index, scan_shard
 from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Bytes, fields_of, index_name
 from gcd_dataset.shards.manifest import MANIFEST, SplitRecord
 from gcd_dataset.shards.reader import ShardReader
+from gcd_dataset.shards.rejects import REJECTS
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.unfinished import unfinished
 
@@ -54,6 +55,7 @@ def info_lines(store: Store) -> Iterator[str]:
         record = manifest.splits.get(split) if manifest is not None else None
         if record is not None:
             yield from _made_lines(record)
+            yield from _reject_lines(store, record)
         yield from _bars("bytes by field", _bytes_by_member(reader))
         if reader.layout.kind == GARMENTS.kind and isinstance(store, FolderStore):
             yield from _content_lines(reader)
@@ -71,6 +73,12 @@ def _made_lines(record: SplitRecord) -> Iterator[str]:
     yield f"  seed {record.seed}, recipe {json.dumps(dict(record.recipe), sort_keys=True)}"
     if record.rejects:
         yield from _bars("turned down on the way, by rule", record.rejects)
+
+
+def _reject_lines(store: Store, record: SplitRecord) -> Iterator[str]:
+    """Where the attempts that were turned down are listed."""
+    if record.rejects and isinstance(store, FolderStore) and (store.folder / REJECTS).exists():
+        yield f"    each of them, with its figures: {store.folder / REJECTS}"
 
 
 def _bytes_by_member(reader: ShardReader) -> dict[str, int]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from gcd_dataset.shards.layout import fields_of
+from gcd_dataset.shards.layout import FAILED, fields_of
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 
 __all__ = ["Release", "card", "croissant"]
@@ -150,11 +150,12 @@ def _split_rows(release: Release) -> list[str]:
 
 
 def _promise(release: Release) -> str:
-    if len(release.manifest.splits) < 2:
+    splits = release.manifest.splits
+    if len(splits) < 2:
         return "There is one split."
-    if release.divided:
-        return "No design, and no body but the neutral one, is in two splits."
-    return "No design is in two splits."
+    promise = "No design, and no body but the neutral one," if release.divided else "No design"
+    failed = f"; `{FAILED}` holds drapes that failed, of the designs of any other" if FAILED in splits else ""
+    return f"{promise} is in two splits{failed}."
 
 
 def _made(manifest: Manifest) -> list[str]:

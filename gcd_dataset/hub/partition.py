@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.codec import read_meta
-from gcd_dataset.shards.layout import FIELDS, Bytes, fields_of
+from gcd_dataset.shards.layout import FAILED, FIELDS, Bytes, fields_of
 from gcd_dataset.shards.npy import read_npy
 from gcd_dataset.shards.reader import ShardReader
 
@@ -64,8 +64,11 @@ def families(reader: ShardReader) -> Int[np.ndarray, " n"]:
 
 
 def leaks(readers: Mapping[str, ShardReader]) -> list[str]:
-    """What is in two splits, one line each pair of splits; nothing where all is well."""
-    told, names = [], list(readers)
+    """What is in two splits, one line each pair of splits; nothing where all is well.
+
+    Drapes that failed, in split ``failed``, may be of designs of any other.
+    """
+    told, names = [], [name for name in readers if name != FAILED]
     for place, first in enumerate(names):
         for second in names[place + 1 :]:
             shared = _marks(readers[first], DESIGN) & _marks(readers[second], DESIGN)

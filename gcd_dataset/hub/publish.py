@@ -5,7 +5,7 @@ import json
 import logging
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -21,8 +21,9 @@ from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.index import ShardIndex
-from gcd_dataset.shards.layout import FOREIGN, fields_of, index_name, lock_name, shard_name, shards_in
+from gcd_dataset.shards.layout import FAILED, FOREIGN, fields_of, index_name, lock_name, shard_name, shards_in
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
+from gcd_dataset.shards.parts import require_merged
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.unfinished import unfinished
 
@@ -77,10 +78,12 @@ def stage(
 
     A data set of one split is divided by ``shares``, so that neither designs nor bodies are shared; several splits stay
     as they are. Raises ``ConfigError`` for splits that share designs, a data set that is not ours, one whose making was
-    stopped, unless it is to be published in part (``partial``), or a folder that holds another data set.
+    stopped, unless it is to be published in part (``partial``), one whose parts are not merged, or a folder that holds
+    another data set.
     """
     if not isinstance(find_place(repo), Repo):
         raise ConfigError(f"{repo}: no repository: write ORG/NAME, and see to it that no folder here is called so")
+    require_merged(dataset, ConfigError)
     for split in splits_in(dataset):
         if not partial and (told := unfinished(dataset, split)) is not None:
             raise ConfigError(f"{dataset}: split {split} is not whole: {told}, or publish what is there with --partial")
@@ -98,8 +101,8 @@ def stage(
     manifest = replace(generator, splits=splits)
     _tidy(folder, manifest)
     manifest.write(folder)
-    divided = len(splits_in(dataset)) == 1 or manifest.recipe is not None
-    release = Release(repo, manifest, settled, members, license, divided, hub_endpoint(endpoint))
+    is_divided = _only_split(splits_in(dataset)) is not None or manifest.recipe is not None
+    release = Release(repo, manifest, settled, members, license, is_divided, hub_endpoint(endpoint))
     write_whole(folder / CARD, card(release).encode())
     listed = {name: _size_and_hash(folder / name) for name in [MANIFEST, *map(index_name, splits)]}
     listed |= {shard.name: (shard.size, shard.sha256) for split in splits.values() for shard in split.shards}
@@ -162,20 +165,28 @@ def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
             raise ConfigError(f"{dataset}: {MANIFEST} does not tell how split {split} was made: run gcd generate again")
         if missing := [field for field in (DESIGN, BODY) if field not in fields_of(reader.layout.members)]:
             raise ConfigError(f"{dataset}: its garments have no {missing[0]} to divide them by: publish the whole")
-    if len(readers) == 1:
-        ((split, reader),) = readers.items()
-        assert reader.manifest is not None
-        record, parts = reader.manifest.splits[split], partition(reader, shares)
-        _tell_missing(dataset, shares, parts)
-        return {name: _Plan(reader, _part(record, shares, name), positions) for name, positions in parts.items()}
     if told := leaks(readers):
         raise ConfigError(f"{dataset}: {told[0]}: publish it as one split, which is then divided, or make them anew")
-    manifests = {split: reader.manifest for split, reader in readers.items()}
-    return {
-        HUB_NAMES.get(split, split): _Plan(reader, manifest.splits[split], list(range(len(reader))))
-        for (split, reader), manifest in zip(readers.items(), manifests.values(), strict=True)
-        if manifest is not None
+    divided = _only_split(readers)
+    plans = {
+        HUB_NAMES.get(split, split): _Plan(reader, reader.manifest.splits[split], list(range(len(reader))))
+        for split, reader in readers.items()
+        if reader.manifest is not None and split != divided
     }
+    return plans if divided is None else _divided(dataset, readers[divided], shares) | plans
+
+
+def _divided(dataset: Path, reader: ShardReader, shares: Mapping[str, float]) -> dict[str, _Plan]:
+    assert reader.manifest is not None
+    record, parts = reader.manifest.splits[reader.split], partition(reader, shares)
+    _tell_missing(dataset, shares, parts)
+    return {name: _Plan(reader, _part(record, shares, name), positions) for name, positions in parts.items()}
+
+
+def _only_split(splits: Collection[str]) -> str | None:
+    """The split that is to be divided, if there is one alone; beside it drapes that failed may be kept."""
+    others = [split for split in splits if split != FAILED] or [*splits]
+    return others[0] if len(others) == 1 else None
 
 
 def _tell_missing(dataset: Path, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:

@@ -20,6 +20,7 @@ from gcd_dataset.shards.layout import (
     shards_in,
 )
 from gcd_dataset.shards.manifest import MANIFEST, read_manifest
+from gcd_dataset.shards.parts import require_merged
 
 __all__ = ["layout_in", "read_index", "rebuild_index", "require_splits", "splits_in", "way_out"]
 
@@ -63,7 +64,8 @@ def splits_in(folder: Path | str) -> tuple[str, ...]:
 
 
 def require_splits(folder: Path | str) -> tuple[str, ...]:
-    """As ``splits_in``. Raises ``ShardError`` for a folder without any shards."""
+    """As ``splits_in``. Raises ``ShardError`` for a folder without any shards, or whose parts are not merged."""
+    require_merged(Path(folder))
     splits = splits_in(folder)
     if not splits:
         raise ShardError(f"{folder}: no shards: {way_out(Path(folder))}")

@@ -14,6 +14,7 @@ from gcd_dataset.shards.fetched import read_fetched
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import FOREIGN, Layout, member_name, shard_number
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, read_manifest
+from gcd_dataset.shards.parts import require_merged
 from gcd_dataset.shards.room import room_for
 from gcd_dataset.shards.store import Part, Store, runs
 from gcd_dataset.shards.tar import BLOCK
@@ -82,7 +83,9 @@ class FolderStore(Store):
             return (self.folder / shard).open("rb")
 
     def _require_whole(self, split: str) -> None:
-        """Raise ``ShardError`` if a download of the split has not ended, or a shard is missing or cut off."""
+        """Raise ``ShardError`` if a download of the split has not ended, parts are not merged, or a shard is missing
+        or cut off."""
+        require_merged(self.folder)
         fetched = read_fetched(self.folder)
         if fetched is not None and split in fetched.unfinished:
             raise ShardError(f"{self.folder}: the download of split {split} has not ended: run gcd download again")

@@ -21,7 +21,7 @@ from gcd_dataset.shards.manifest import ShardRecord
 from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.tar import BLOCK, END, padded, tar_entry
 
-__all__ = ["GrowingShard", "shard_record"]
+__all__ = ["GrowingShard", "shard_record", "sync_folder"]
 
 META = 0  # every layout begins with meta.json
 
@@ -47,8 +47,7 @@ class GrowingShard:
         with writing(self.part):
             os.ftruncate(self._file, self._end)
         missing = there[~np.isin(there.sample, kept.sample)]
-        for i in range(len(missing)):
-            self._take_over(missing[i : i + 1])
+        self.copy(self.path, missing)
 
     def table(self) -> ShardTable:
         """The samples so far, in the order of the file."""
@@ -75,6 +74,13 @@ class GrowingShard:
         self._write(b"".join(entries))
         self.rows.append(row)
 
+    def copy(self, source: Path, samples: ShardTable) -> None:
+        """Add samples of another shard that are not there yet. Raises ``ShardError``, ``OutputError``."""
+        there = {int(row.sample[0]) for row in self.rows}
+        for i in range(len(samples)):
+            if int(samples.sample[i]) not in there:
+                self._take_over(source, samples[i : i + 1])
+
     def finish(self) -> ShardRecord:
         """Give the shard its name, whole and in order."""
         if any(a.sample[0] > b.sample[0] for a, b in pairwise(self.rows)):
@@ -86,7 +92,7 @@ class GrowingShard:
             os.fsync(self._file)
             record = shard_record(self.part, self.table())
             self.part.replace(self.path)
-            _sync_folder(self.path.parent)
+            sync_folder(self.path.parent)
         return replace(record, name=self.path.name)
 
     def discard(self) -> None:
@@ -113,10 +119,10 @@ class GrowingShard:
                 written = os.pwrite(self._file, rest, position)
                 rest, position = rest[written:], position + written
 
-    def _take_over(self, row: ShardTable) -> None:
-        """Copy a sample from the shard that this one will replace."""
+    def _take_over(self, path: Path, row: ShardTable) -> None:
+        """Copy a sample of another shard."""
         start, end = _span(row)
-        with reading(self.path), self.path.open("rb") as source:
+        with reading(path), path.open("rb") as source:
             source.seek(start)
             block = source.read(end - start)
         moved = replace(row, offset=row.offset + (self._end - start))
@@ -163,7 +169,7 @@ def _span(row: ShardTable) -> tuple[int, int]:
     return int(row.offset[0, 0]) - BLOCK, int(row.offset[0, -1]) + padded(int(row.size[0, -1]))
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     """Bring new names to the disk, as ``fsync`` brings content."""
     fd = os.open(folder, os.O_RDONLY)
     try:

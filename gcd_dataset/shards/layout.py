@@ -24,6 +24,7 @@ from gcd_dataset.names import require_name
 __all__ = [
     "BODIES",
     "CAPTION",
+    "FAILED",
     "FIELDS",
     "FIRST_NAMES",
     "FOREIGN",
@@ -32,6 +33,7 @@ __all__ = [
     "MOST_VIEWS",
     "SCHEMA",
     "SCHEMAS",
+    "TRAIN",
     "Bytes",
     "Layout",
     "content_of",
@@ -71,6 +73,9 @@ MEMBERS: tuple[str, ...] = (
 
 FIRST_NAMES: Mapping[str, str] = {"spec.txt": "spec.json", "design.txt": "design.json"}
 """Member to its name in schema 1, where that differed."""
+
+TRAIN, FAILED = "train", "failed"
+"""The split of what is made, and that of drapes that failed and are kept."""
 
 CAPTION = "caption.txt"
 MOST_VIEWS = 100

@@ -102,6 +102,11 @@ class Manifest:
     recipe: RecipeRecord | None = None
     """Of the data set as a whole; ``None`` for one without a name."""
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Split to the number of its samples."""
+        return {name: sum(shard.count for shard in split.shards) for name, split in self.splits.items()}
+
     def with_split(self, name: str, record: SplitRecord) -> "Manifest":
         """The manifest with one split put in or replaced."""
         return replace(self, splits=dict(sorted({**self.splits, name: record}.items())))

@@ -1,31 +1,38 @@
 """Whether a split is all that was asked for: a run that was stopped leaves whole shards, and this note of how many.
 
-``.unfinished-train.json`` holds the number of samples that a run is to fill the split up to, until they are there.
+``.unfinished-train.json`` holds the number of samples that a run is to fill the split up to, until they are there; and
+the splits that share them, where failed drapes go into one of their own.
 """
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.fetched import read_fetched
-from gcd_dataset.shards.layout import shard_number
+from gcd_dataset.shards.layout import TRAIN, shard_number
 from gcd_dataset.shards.manifest import Manifest, read_manifest
 
 __all__ = ["filling", "unfinished"]
 
 
 @contextlib.contextmanager
-def filling(folder: Path, count: int, split: str = "train") -> Iterator[None]:
-    """Note that a split is to have ``count`` samples, until the block ends well. Raises ``OutputError``."""
-    note = _note(make_folder(folder), split)
-    write_whole(note, json.dumps({"count": count}).encode())
+def filling(folder: Path, count: int, *splits: str) -> Iterator[None]:
+    """Note that ``splits``, by default ``train``, are to have ``count`` samples together, until the block ends well.
+
+    Raises ``OutputError``.
+    """
+    splits = splits or (TRAIN,)
+    notes = [_note(make_folder(folder), split) for split in splits]
+    for note in notes:
+        write_whole(note, json.dumps({"count": count, "splits": splits}).encode())
     yield
-    with writing(note):
-        note.unlink(missing_ok=True)
+    for note in notes:
+        with writing(note):
+            note.unlink(missing_ok=True)
 
 
 def unfinished(folder: Path, split: str) -> str | None:
@@ -42,9 +49,8 @@ def unfinished(folder: Path, split: str) -> str | None:
         content = note.read_bytes() if note.exists() else None
     if content is None and not parts:
         return None
-    record = (read_manifest(folder) or Manifest()).splits.get(split)
-    there = sum(shard.count for shard in record.shards) if record is not None else 0
-    return f"{_told(there, content)}: its making was stopped, or goes on: run the same command again"
+    told = _told(read_manifest(folder) or Manifest(), split, content)
+    return f"{told}: its making was stopped, or goes on: run the same command again"
 
 
 def _note(folder: Path, split: str) -> Path:
@@ -55,8 +61,14 @@ def _is_part(name: str, split: str) -> bool:
     return name.endswith(".part") and shard_number(name.removesuffix(".part"), split) is not None
 
 
-def _told(there: int, content: bytes | None) -> str:
+def _told(manifest: Manifest, split: str, content: bytes | None) -> str:
     """How many samples are there, and how many there are to be by the note, if that can be read."""
-    with contextlib.suppress(ValueError, KeyError, TypeError, OverflowError, RecursionError):
-        return f"{there} of {int(json.loads(content or b'{}')['count'])} samples"
-    return f"{there} samples in whole shards"
+    with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+        note = json.loads(content or b"{}")
+        return f"{_there(manifest, note.get('splits', [split]))} of {int(note['count'])} samples"
+    return f"{_there(manifest, [split])} samples in whole shards"
+
+
+def _there(manifest: Manifest, splits: Iterable[str]) -> int:
+    """How many samples of these splits are in whole shards."""
+    return sum(shard.count for split in splits if split in manifest.splits for shard in manifest.splits[split].shards)

@@ -1,4 +1,4 @@
-"""What the verbs of ``gcd`` do, as functions: ``generate``, ``convert``, ``export`` and ``publish``.
+"""What the verbs of ``gcd`` do, as functions: ``generate``, ``merge``, ``convert``, ``export`` and ``publish``.
 
 Each tells how far it has come, returns that, and goes on where an earlier call was stopped.
 
@@ -14,11 +14,14 @@ if TYPE_CHECKING:
     from gcd_dataset.verbs.converting import convert
     from gcd_dataset.verbs.exporting import export
     from gcd_dataset.verbs.making import generate, generate_recipe
+    from gcd_dataset.verbs.merging import merge
+    from gcd_dataset.verbs.parts import Part
     from gcd_dataset.verbs.people import generate_people
     from gcd_dataset.verbs.progress import Progress, Told
     from gcd_dataset.verbs.publishing import Published, publish
 
 __all__ = [
+    "Part",
     "Progress",
     "Published",
     "Told",
@@ -27,6 +30,7 @@ __all__ = [
     "generate",
     "generate_people",
     "generate_recipe",
+    "merge",
     "publish",
 ]
 
@@ -36,6 +40,8 @@ _HOME = {
     "generate": "making",
     "generate_people": "people",
     "generate_recipe": "making",
+    "merge": "merging",
+    "Part": "parts",
     "Progress": "progress",
     "Told": "progress",
     "Published": "publishing",

@@ -2,23 +2,26 @@
 
 import math
 from collections.abc import Generator, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+from gcd_dataset.errors import ConfigError
+from gcd_dataset.files import user_path
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe
-from gcd_dataset.records import Outcome, Sample
-from gcd_dataset.shards import ShardWriter, encode_sample
+from gcd_dataset.records import Outcome, Rejected, Sample
+from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.layout import Bytes
-from gcd_dataset.shards.unfinished import filling
+from gcd_dataset.shards.parts import require_merged
+from gcd_dataset.shards.rejects import RejectLog, has_rejects
 from gcd_dataset.verbs.log import logged
+from gcd_dataset.verbs.parts import Part, PartPlace, begin_part
 from gcd_dataset.verbs.plan import Plan, check_count
 from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
 from gcd_dataset.verbs.seal import claim, seal
-from gcd_dataset.verbs.splits import DividedWriter, divided_writer, filling_splits
+from gcd_dataset.verbs.storing import Division, GarmentWriter, division_of, filling_all
 from gcd_dataset.waits import WRITER, Waits, added, taken, waited_for
 
 __all__ = ["GarmentPlan", "Stored", "generate", "generate_recipe", "plan", "stored", "workers_for"]
@@ -33,12 +36,17 @@ class Stored:
 
     index: int
     body_name: str
-    rejects: tuple[str, ...]
-    """Why earlier attempts were turned down, in order."""
+    turned_down: tuple[Rejected, ...]
+    """Earlier attempts, in order."""
     outcome: Outcome | None
     """How the drape ended; ``None`` at an earlier stage."""
     waits: Waits = field(default_factory=dict)
     """What its maker, and the draping processes it asked, have waited since the sample before."""
+
+    @property
+    def rejects(self) -> tuple[str, ...]:
+        """Why earlier attempts were turned down."""
+        return tuple(map(str, self.turned_down))
 
 
 @dataclass(frozen=True)
@@ -47,30 +55,49 @@ class GarmentPlan(Plan):
 
     seed: int
     config: MakeConfig
-    recipe: Recipe | None = None
-    """Divides them into splits; without one all go into ``train``."""
+    division: Division
+    """Into splits."""
+    place: PartPlace | None = None
+    """Of a part of a data set; ``out`` is the part's folder then, and ``count`` its samples."""
 
 
 def plan(
-    out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | None = None, recipe: Recipe | None = None
+    out: Path | str,
+    count: int,
+    *,
+    seed: int = 0,
+    config: MakeConfig | None = None,
+    recipe: Recipe | None = None,
+    part: Part | None = None,
 ) -> GarmentPlan:
-    """What it takes to have samples 0 … ``count`` - 1 of ``seed`` in ``out``.
+    """What it takes to have samples 0 … ``count`` - 1 of ``seed`` in ``out``, or those of one ``part``.
 
     What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError`` where ``out`` holds a data
-    set of another recipe or seed, ``OutputError`` where it cannot be written.
+    set of another recipe or seed, parts of another plan, or, without ``part``, parts that wait to be merged;
+    ``OutputError`` where it cannot be written.
     """
     config = config or MakeConfig()
     check_count(count)
+    out = user_path(out)
     if config.stage == "drape":
         from gcd_dataset.generator.drape import resolve_device
 
         for device in devices_of(config):
             resolve_device(device)  # told before anything is written
-    claim(Path(out), recipe)
-    with _writer(out, seed, config, recipe) as writer:
+    claim(out, recipe)
+    division = division_of(config, recipe)
+    if part is None:
+        require_merged(out, ConfigError)
+        return GarmentPlan(out, count, _missing(out, range(count), seed, config, division), seed, config, division)
+    place = begin_part(out, part, count, seed, config, division)
+    missing = () if place.is_merged else _missing(place.folder, place.indices, seed, config, division)
+    return GarmentPlan(place.folder, len(place.indices), missing, seed, config, division, place)
+
+
+def _missing(out: Path, indices: range, seed: int, config: MakeConfig, division: Division) -> tuple[int, ...]:
+    with GarmentWriter(out, seed, config, division) as writer:
         done = writer.done
-    missing = tuple(index for index in range(count) if index not in done)
-    return GarmentPlan(Path(out), count, missing, seed, config, recipe)
+    return tuple(index for index in indices if index not in done)
 
 
 def generate(
@@ -80,27 +107,30 @@ def generate(
     seed: int = 0,
     config: MakeConfig | None = None,
     recipe: Recipe | None = None,
+    part: Part | None = None,
     workers: int | None = None,
     told: Told = unheard,
     log: Path | str | None = None,
 ) -> Progress:
     """Have samples 0 … ``count`` - 1 of ``seed`` in the folder ``out``; those that are there are not made again.
 
-    ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it; ``recipe`` divides the samples into
-    splits (``generate_recipe`` takes the other options from it too); ``log``: a file to which
-    ``gcd_dataset.verbs.log`` appends. Stopped at any moment and called again it goes on; the shards come out as the
-    same bytes. Raises as ``plan`` and ``stored`` do, and ``OutputError`` for a log that cannot be opened.
+    ``recipe`` divides the samples into splits (``generate_recipe`` takes the other options from it too). ``part``: one
+    part of them, as ``Part(2, 8)``, in a place of its own in ``out``; any number of processes may make one each, and
+    ``merge`` joins them. ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it; ``log``: a
+    file to which ``gcd_dataset.verbs.log`` appends. Stopped at any moment and called again it goes on; the shards come
+    out as the same bytes. Raises as ``plan`` and ``stored`` do, and ``OutputError`` for a log that cannot be opened.
     """
     config = config or MakeConfig()
     options = {"out": str(out), "count": count, "seed": seed, "workers": workers} | _plain(config)
+    options |= {"part": part and str(part), "name": recipe and recipe.name}
     devices = devices_of(config) if config.stage == "drape" else ()
     with logged(log, told, options=options, recipe=recipe_of(config), devices=devices) as told:
-        task = plan(out, count, seed=seed, config=config, recipe=recipe)
+        task = plan(out, count, seed=seed, config=config, recipe=recipe, part=part)
         if config.stage == "drape":
             from gcd_dataset.generator.drape import tell_wait
 
             tell_wait(len(task.missing), config.device, config.resolution)
-        progress, pace = Progress(count, task.there), Pace()
+        progress, pace = Progress(task.count, task.there), Pace()
         told(progress)
         for made in stored(task, workers=workers):
             progress = progress.with_sample(rejects=made.rejects, outcome=made.outcome and made.outcome.name)
@@ -122,14 +152,30 @@ def stored(plan: GarmentPlan, *, workers: int | None = None) -> Generator[Stored
     drape for them. Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
     """
     workers = workers_for(plan) if workers is None else workers
-    with filling(plan.out, plan.count) if plan.recipe is None else filling_splits(plan.out, plan.recipe):
-        if not plan.missing:
-            return
-        with _writer(plan.out, plan.seed, plan.config, plan.recipe) as writer:
-            made = produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encoded)
-            for stored, members in waited_for(made, WRITER):
-                writer.add(stored.index, members)
-                yield stored
+    if plan.place is not None and not plan.missing and plan.place.is_finished:
+        return
+    with filling_all(plan.out, plan.count, plan.division):
+        if plan.missing or not has_rejects(plan.out):
+            yield from _stored(plan, workers)
+    if plan.place is not None:
+        plan.place.finish()
+
+
+def _stored(plan: GarmentPlan, workers: int) -> Generator[Stored, None, None]:
+    writer = GarmentWriter(plan.out, plan.seed, plan.config, plan.division)
+    with writer, _reject_log(plan, writer) as rejects:
+        if plan.place is not None:
+            plan.place.begin()
+        indices = plan.missing
+        made = produce(plan.seed, indices, plan.config, workers=workers, finished=_encoded) if indices else iter(())
+        for stored, members in waited_for(made, WRITER):
+            rejects.add(stored.turned_down)
+            writer.add(stored.index, members, stored.outcome)
+            yield stored
+
+
+def _reject_log(plan: GarmentPlan, writer: GarmentWriter) -> RejectLog:
+    return RejectLog(plan.out, seed=plan.seed, wearers=plan.config.wearers, done=lambda: writer.done)
 
 
 def generate_recipe(
@@ -137,13 +183,16 @@ def generate_recipe(
     recipe: Recipe | str,
     *,
     device: str = "auto",
+    part: Part | None = None,
     workers: int | None = None,
     told: Told = unheard,
     log: Path | str | None = None,
 ) -> Progress:
-    """Have the data set of a recipe in the folder ``out``, with its splits; gone on with as ``generate`` does.
+    """Have the data set of a recipe in the folder ``out``, with its splits, or one part; gone on with as ``generate``
+    does.
 
-    ``recipe``: one of ``find_recipe``, or its name. When all of it is there the manifest gets the hash of its patterns.
+    ``recipe``: one of ``find_recipe``, or its name. When all of it is there the manifest gets the hash of its patterns;
+    call this again, without ``part``, after ``merge``.
     Raises as ``find_recipe`` and ``generate`` do.
     """
     recipe = recipe if isinstance(recipe, Recipe) else find_recipe(recipe)
@@ -154,20 +203,14 @@ def generate_recipe(
         seed=recipe.seed,
         config=config,
         recipe=recipe,
+        part=part,
         workers=workers,
         told=told,
         log=log,
     )
-    seal(Path(out), recipe)
+    if part is None:
+        seal(Path(out), recipe)
     return progress
-
-
-def _writer(
-    out: Path | str, seed: int, config: MakeConfig, recipe: Recipe | None
-) -> AbstractContextManager[ShardWriter | DividedWriter]:
-    if recipe is None:
-        return ShardWriter(out, seed=seed, recipe=recipe_of(config))
-    return divided_writer(out, recipe, config)
 
 
 def workers_for(plan: GarmentPlan) -> int:
@@ -184,4 +227,4 @@ def workers_for(plan: GarmentPlan) -> int:
 def _encoded(sample: Sample) -> tuple[Stored, Mapping[str, Bytes]]:
     made, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
     members = encode_sample(sample)
-    return Stored(made.index, made.body_name, made.rejects, outcome, taken()), members
+    return Stored(made.index, made.body_name, made.turned_down, outcome, taken()), members

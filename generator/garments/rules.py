@@ -3,8 +3,8 @@
 Each rule is a function of a ``Fitted`` outfit that returns a ``Reject`` or ``None``; ``check_outfit`` asks them all.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
 from gcd_dataset.crossings import edge_hulls
@@ -55,6 +55,9 @@ class Reject:
 
     rule: str
     figures: str
+    """In words."""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    """The same by name, which ends in the unit where there is one."""
 
     def __str__(self) -> str:
         return f"{self.rule}: {self.figures}"
@@ -100,7 +103,8 @@ def reaches_floor(outfit: Fitted) -> Reject | None:
     length, room = garment_length(outfit.size, outfit.design), room_to_floor(outfit.size, outfit.design)
     if length <= room:
         return None
-    return Reject("reaches_floor", f"{length:.1f} cm of garment over {room:.1f} cm of body: shorten it")
+    figures = f"{length:.1f} cm of garment over {room:.1f} cm of body: shorten it"
+    return Reject("reaches_floor", figures, {"length_cm": length, "room_cm": room})
 
 
 def slides_off(outfit: Fitted) -> Reject | None:
@@ -111,7 +115,8 @@ def slides_off(outfit: Fitted) -> Reject | None:
     girth, trunk = top_girth(size, outfit.design), max(size.waist, size.hips)
     if girth <= trunk:
         return None
-    return Reject("slides_off", f"a bottom of {girth:.1f} cm at the top on a trunk of {trunk:.1f} cm: narrow its band")
+    figures = f"a bottom of {girth:.1f} cm at the top on a trunk of {trunk:.1f} cm: narrow its band"
+    return Reject("slides_off", figures, {"girth_cm": girth, "trunk_cm": trunk})
 
 
 def loose_gathers(outfit: Fitted) -> Reject | None:
@@ -120,7 +125,9 @@ def loose_gathers(outfit: Fitted) -> Reject | None:
     if not _alone(design) or not is_gathered(design) or has_snug_band(design):
         return None
     gathers = top_parameter(design, "gathers")
-    return Reject("loose_gathers", f"gathers of {gathers:.2f} hang from no snug waistband") if gathers > 1 else None
+    if gathers <= 1:
+        return None
+    return Reject("loose_gathers", f"gathers of {gathers:.2f} hang from no snug waistband", {"gathers": gathers})
 
 
 def too_heavy(outfit: Fitted) -> Reject | None:
@@ -131,7 +138,8 @@ def too_heavy(outfit: Fitted) -> Reject | None:
     length, suns = bottom_length(design), top_parameter(design, "fullness")
     if length <= LIGHT_LENGTH and suns <= LIGHT_SUNS:
         return None
-    return Reject("too_heavy", f"length {length:.2f} and {suns:.2f} suns hang from no firm waistband")
+    figures = f"length {length:.2f} and {suns:.2f} suns hang from no firm waistband"
+    return Reject("too_heavy", figures, {"length": length, "suns": suns})
 
 
 def tight_cuff(outfit: Fitted) -> Reject | None:
@@ -139,14 +147,14 @@ def tight_cuff(outfit: Fitted) -> Reject | None:
     size, design = outfit.size, outfit.design
     if has_tight_cuffs(size, design):
         cuff, leg = cuff_and_leg(size, design)
-        return Reject(
-            "tight_cuff", f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
-        )
+        figures = f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
+        return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": leg})
     left = design.left_half() if design.meta.upper else None
     for side, sleeve in (("right", design.sleeve), ("left", left[-1] if left else design.sleeve)):
         cuff, arm = band_girth(outfit.pattern.panels, f"sl_{side}_cuff"), arm_in_cuff(size, sleeve)
         if 0.0 < cuff * CLOTH_GIVES < arm:
-            return Reject("tight_cuff", f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle")
+            figures = f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle"
+            return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": arm})
     return None
 
 
@@ -155,7 +163,8 @@ def mismatched_seam(outfit: Fitted) -> Reject | None:
     for sewn in outfit.joins:
         if is_mismatched(sewn):
             one, other = (f"{side[0].panel} {side[0].edge}" for side in (sewn.join.left, sewn.join.right))
-            return Reject("mismatched_seam", f"{sewn.left:.1f} cm of {one} on {sewn.right:.1f} cm of {other}")
+            figures = f"{sewn.left:.1f} cm of {one} on {sewn.right:.1f} cm of {other}"
+            return Reject("mismatched_seam", figures, {"left_cm": sewn.left, "right_cm": sewn.right})
     return None
 
 
@@ -167,7 +176,8 @@ def sharp_corner(outfit: Fitted) -> Reject | None:
         return None
     corners = [(panel.name, edge) for panel in panels for edge in range(len(panel.edges))]
     name, edge = corners[int(angles.argmin())]
-    return Reject("sharp_corner", f"panel {name}, start of edge {edge}: {angles.min():.1f} degrees")
+    figures = f"panel {name}, start of edge {edge}: {angles.min():.1f} degrees"
+    return Reject("sharp_corner", figures, {"angle_deg": float(angles.min())})
 
 
 def short_edge(outfit: Fitted) -> Reject | None:

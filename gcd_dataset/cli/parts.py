@@ -1,0 +1,83 @@
+"""Data sets made in parts: the option ``--shard`` of ``gcd generate``, and ``gcd merge``."""
+
+import argparse
+import os
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gcd_dataset.cli.bar import Bar
+from gcd_dataset.cli.verb import add_quiet, add_verb, require_folder, stopped
+from gcd_dataset.errors import ConfigError, shown
+
+if TYPE_CHECKING:
+    from gcd_dataset.verbs import Part
+
+__all__ = ["add_shard", "add_verbs", "part_of", "there"]
+
+SLURM, TASK = "SLURM", "SLURM_ARRAY_TASK_ID"
+
+
+def add_verbs(verbs: Any) -> None:
+    """Give ``gcd`` these verbs."""
+    merge = add_verb(verbs, "merge", _merge, "join the parts that gcd generate --shard has made: the bytes of one run")
+    merge.add_argument("out", metavar="OUT", help="folder of the parts; all of them finished")
+    add_quiet(merge)
+
+
+def add_shard(parser: argparse.ArgumentParser) -> None:
+    """Give ``gcd generate`` the option to make one part."""
+    parser.add_argument(
+        "--shard",
+        metavar="I/N",
+        help=f"make part I, from 0 on, of N, all into the same OUT, for gcd merge; {SLURM}/N takes I from {TASK} "
+        "(default: all of it)",
+    )
+
+
+def part_of(text: str) -> "Part":
+    """The part that ``I/N`` or ``SLURM/N`` names. Raises ``ConfigError``."""
+    from gcd_dataset.verbs import Part
+
+    number, _, of = text.partition("/")
+    try:
+        if number.upper() != SLURM:
+            return Part.parse(text)
+        array = f"submit it with sbatch --array=0-{Part.parse(f'0/{of}').of - 1}"
+        if (task := os.environ.get(TASK)) is None:
+            raise ConfigError(f"{TASK} is not set: {array}, or give I/{of}")
+        try:
+            return Part.parse(f"{task}/{of}")
+        except ConfigError as error:
+            raise ConfigError(f"{TASK} is {shown(task)}: {array}") from error
+    except ConfigError as error:
+        raise ConfigError(f"--shard {shown(text)}: {error}") from error
+
+
+def there(out: Path, part: "Part | None") -> Iterator[str]:
+    """What a run leaves: samples by split where there are several, and what is to be done about parts."""
+    from gcd_dataset.shards.manifest import read_manifest
+    from gcd_dataset.shards.parts import part_folder, parts_waiting
+
+    manifest = read_manifest(out if part is None else part_folder(out, part.number, part.of))
+    if manifest is not None and len(manifest.counts) > 1:
+        yield ", ".join(f"{split} {count}" for split, count in sorted(manifest.counts.items(), reverse=True))
+    waiting = None if part is None else parts_waiting(out)
+    if waiting is not None:
+        yield waiting
+    elif part is not None:
+        yield "they are part of a data set that is whole"
+
+
+def _merge(options: argparse.Namespace) -> int:
+    from gcd_dataset.verbs import merge
+
+    folder = require_folder(options.out)
+    with Bar("garment", options.quiet, verb="merge") as bar:
+        counts = bar.run(partial(merge, folder))
+    if bar.interrupted:
+        return stopped("merge", f"{bar.progress.done} of {bar.progress.count}")
+    splits = ", ".join(f"{split} {count}" for split, count in sorted(counts.items(), reverse=True))
+    print(f"{folder}: {sum(counts.values())} garments: {splits}")
+    return 0

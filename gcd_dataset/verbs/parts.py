@@ -1,0 +1,167 @@
+"""A data set made in parts: which samples a part makes, where, and what it leaves when it is finished."""
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from gcd_dataset.errors import ConfigError, shown
+from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
+from gcd_dataset.options import options_of
+from gcd_dataset.shards.access import writing
+from gcd_dataset.shards.contents import read_index
+from gcd_dataset.shards.layout import SCHEMA
+from gcd_dataset.shards.manifest import SplitRecord, read_manifest
+from gcd_dataset.shards.origin import agreed
+from gcd_dataset.shards.parts import (
+    PARTS,
+    FinishedPart,
+    PartsPlan,
+    agree_on,
+    changing_parts,
+    finished_path,
+    is_merging,
+    part_folder,
+    parts_waiting,
+    read_finished,
+    read_plan,
+    write_finished,
+)
+from gcd_dataset.verbs.storing import Division, is_begun
+
+__all__ = ["Part", "PartPlace", "begin_part", "command_of"]
+
+MOST = 100_000  # parts: five digits in their names
+
+
+@dataclass(frozen=True)
+class Part:
+    """One of several parts that together make a data set. Raises ``ConfigError`` for one that there is not.
+
+    >>> Part.parse("2/8").indices(100, wearers=2)
+    range(24, 36)
+    """
+
+    number: int
+    """From 0 on."""
+    of: int
+    """How many parts there are."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.of <= MOST:
+            raise ConfigError(f"part {self}: of {self.of} parts: give 1 to {MOST}, as 0/{min(max(self.of, 1), MOST)}")
+        if not 0 <= self.number < self.of:
+            raise ConfigError(
+                f"part {self}: there is no such part: the first is 0/{self.of}, the last {self.of - 1}/{self.of}"
+            )
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.of}"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """The part that ``I/N`` names. Raises ``ConfigError``."""
+        number, _, of = text.partition("/")
+        if not all(word.isascii() and word.isdecimal() and len(word) < 10 for word in (number, of)):
+            raise ConfigError(f"part {shown(text)}: write I/N, two whole numbers, I from 0 to N - 1: 0/8, 1/8, … 7/8")
+        return cls(int(number), int(of))
+
+    def indices(self, count: int, *, wearers: int) -> range:
+        """The samples of this part, of ``count`` in all: those of whole designs, each with ``wearers`` samples."""
+        designs = -(-count // wearers)
+        first, stop = (designs * place // self.of for place in (self.number, self.number + 1))
+        return range(min(first * wearers, count), min(stop * wearers, count))
+
+
+@dataclass(frozen=True)
+class PartPlace:
+    """Where a part is made: in a folder of its own, or nowhere, since the data set holds its samples already."""
+
+    out: Path
+    """The folder of the data set."""
+    part: Part
+    indices: range
+    is_merged: bool = False
+    """Whether the data set holds the samples of this part."""
+
+    @property
+    def folder(self) -> Path:
+        """The part's own."""
+        return part_folder(self.out, self.part.number, self.part.of)
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the part has left word that it is finished, or is merged. Raises ``ShardError``."""
+        return self.is_merged or read_finished(self.folder) is not None
+
+    def begin(self) -> None:
+        """Take back that the part is finished, before it is made (again). To be called while its writer is open.
+
+        Raises ``ConfigError`` where the parts are being merged.
+        """
+        _require_not_merging(self.out)
+        with writing(finished_path(self.folder)):
+            finished_path(self.folder).unlink(missing_ok=True)
+
+    def finish(self) -> None:
+        """Leave word that the part is finished. Raises ``OutputError``."""
+        manifest = read_manifest(self.folder)
+        assert manifest is not None
+        plan = read_plan(self.out)
+        finished = FinishedPart.of_plan(self.part.number, self.indices, plan, manifest.splits)
+        write_finished(self.folder, finished)
+
+
+def begin_part(out: Path, part: Part, count: int, seed: int, config: MakeConfig, division: Division) -> PartPlace:
+    """The place of a part; the first writes down what all parts have in common.
+
+    Raises ``ConfigError`` for parts of another plan, while they are merged, and where ``out`` holds a data set without
+    the samples of this part; ``OutputError`` where it cannot be written.
+    """
+    indices = part.indices(count, wearers=config.wearers)
+    with changing_parts(out):
+        if not (out / PARTS).exists() and any(is_begun(out, split) for split in division.shard_sizes):
+            _require_there(out, part, indices, seed, config, division)
+            return PartPlace(out, part, indices, is_merged=True)
+        _require_not_merging(out)
+        agree_on(out, PartsPlan(part.of, count, seed, recipe_of(config), division.shard_sizes, SCHEMA, versions()))
+    return PartPlace(out, part, indices)
+
+
+def command_of(out: Path, plan: PartsPlan, part: int) -> str:
+    """The command that makes a part of a plan."""
+    words = ["gcd", "generate", str(out), "--count", str(plan.count), "--seed", str(plan.seed)]
+    return shlex.join([*words, *_options_of(plan), "--shard", str(Part(part, plan.of))])
+
+
+def _options_of(plan: PartsPlan) -> Iterator[str]:
+    """The options of a recipe that are not their defaults."""
+    for option in options_of(MakeConfig):
+        value = plan.recipe.get(option.name, option.default)
+        if option.name == "design":
+            yield from ("--config", "FILE.toml") if value else ()
+        elif option.name == "device":
+            yield from ("--device", "cpu") if value == "cpu" and plan.recipe.get("stage") == "drape" else ()
+        elif value != option.default:
+            yield from (option.flag, str(value))
+
+
+def _require_not_merging(out: Path) -> None:
+    if is_merging(out):
+        raise ConfigError(f"{out}: {parts_waiting(out)}")
+
+
+def _require_there(out: Path, part: Part, indices: range, seed: int, config: MakeConfig, division: Division) -> None:
+    """Raise ``ConfigError`` unless a data set that is merged, or was made in one go, holds these samples."""
+    there: set[int] = set()
+    for split, size in division.shard_sizes.items():
+        asked = SplitRecord(seed, recipe_of(config), size)
+        index = read_index(out, split)
+        agreed(out, split, index.tables(), asked)
+        there.update(index.table.sample.tolist())
+    if missing := set(indices) - there:
+        raise ConfigError(
+            f"{out}: holds a data set that is not made in parts, without {len(missing)} of the {len(indices)} samples "
+            f"of part {part}: go on with it without --shard, or choose another folder"
+        )

@@ -1,0 +1,69 @@
+"""Data sets of real garments, small and made in seconds."""
+
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from gcd_dataset.generator.garments.overlay import Overlay
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.records import Sample
+from gcd_dataset.verbs.progress import Progress
+
+__all__ = ["COUNT", "CUFFED", "contents", "killed", "made_once"]
+
+CUFFED = MakeConfig(
+    stage="pattern",
+    bodies="both",
+    design=Overlay.from_dict(
+        {
+            "meta": {"upper": "none", "bottom": "Pants"},
+            "pants": {"cuff": {"type": {"options": ["CuffBand"]}, "top_ruffle": 2.0}},
+        }
+    ),
+)
+"""Trousers on two bodies with narrow cuffs, which some legs do not go through."""
+
+COUNT = 23
+"""Samples: eleven designs on two bodies, and one on one."""
+
+
+@cache
+def _samples(seed: int, config: MakeConfig, count: int) -> tuple[Sample, ...]:
+    return tuple(produce(seed, range(count), config))
+
+
+def made_once(
+    seed: int, indices: Iterable[int], config: MakeConfig, *, finished: Callable[[Sample], Any], workers: int = 0
+) -> Iterator[Any]:
+    """As ``produce``, with samples that a process makes only once."""
+    for index in indices:
+        yield finished(_samples(seed, config, COUNT)[index])
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Path to content of every file, hidden ones too."""
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+def killed(work: Callable[..., Any], *, after: int) -> None:
+    """Do ``work`` in a process that is killed when it has told of ``after`` steps; its error is this process's."""
+    child = os.fork()
+    if child == 0:
+        steps = 0
+
+        def told(progress: Progress) -> None:
+            nonlocal steps
+            if steps == after:
+                os.kill(os.getpid(), signal.SIGKILL)
+            steps += 1
+
+        try:
+            work(told=told)
+        finally:
+            os._exit(1)
+    assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
