@@ -50,7 +50,10 @@ def told(error: GcdError) -> GcdError:
 def received(made: Made | GcdError) -> Made:
     """What a worker has handed over. Raises its error."""
     if isinstance(made, GcdError):
-        raise made
+        try:
+            raise made
+        finally:
+            del made  # the error would hold this frame, and with it the loader and its workers
     return made
 
 

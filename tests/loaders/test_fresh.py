@@ -1,5 +1,6 @@
 """Garments made ahead of a training, and given several times."""
 
+import contextlib
 import gc
 import multiprocessing
 import os
@@ -141,6 +142,25 @@ def test_an_error_in_a_worker_is_the_error_of_one_process() -> None:
         told.append(str(raised.value))
     assert len(set(told)) == 1
     assert any("in refused" in note for note in raised.value.__notes__)
+    del raised
+    gc.collect()  # the error has held the workers
+
+
+def refused_first(item: dict[str, Any]) -> dict[str, Any]:
+    return refused(item) if item["meta"]["index"] == 0 else item
+
+
+def test_an_error_of_a_worker_holds_no_workers() -> None:
+    ds = FakeGarments(99, fields=["meta"], transform=refused_first)
+    loader = GarmentLoader(ds, 1, shuffle=False, num_workers=2)
+    gc.disable()
+    try:
+        with contextlib.suppress(TransformError):
+            next(iter(loader))
+        del loader
+        assert multiprocessing.active_children() == []
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("workers", [0, 2])
