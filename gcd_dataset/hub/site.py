@@ -43,7 +43,7 @@ class Remote:
     allowed: bool = True
     """Whether any server may be asked at all."""
     patience: float | None = None
-    """Seconds to wait for a server that is gone or busy; ``None`` for ``web.PATIENCE``."""
+    """Seconds to wait for a server that is gone or busy; ``None`` for ``patience.PATIENCE``."""
 
     def __post_init__(self) -> None:
         if self.patience is not None and not 0 <= self.patience <= math.inf:
