@@ -1,8 +1,8 @@
 """Making a data set: samples into shards, going on where an earlier run was stopped."""
 
+import contextlib
 import math
 from collections.abc import Generator, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,14 +11,13 @@ from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.records import Outcome, Sample
-from gcd_dataset.shards import ShardWriter, encode_sample
+from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.layout import Bytes
-from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.verbs.log import logged
 from gcd_dataset.verbs.plan import Plan, check_count
 from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
-from gcd_dataset.verbs.seal import claim, seal
-from gcd_dataset.verbs.splits import DividedWriter, divided_writer, filling_splits
+from gcd_dataset.verbs.seal import seal
+from gcd_dataset.verbs.target import Target, require_folder, target_of
 from gcd_dataset.waits import WRITER, Waits, added, taken, waited_for
 
 __all__ = ["GarmentPlan", "Stored", "generate", "generate_recipe", "plan", "stored", "workers_for"]
@@ -45,19 +44,27 @@ class Stored:
 class GarmentPlan(Plan):
     """Garments to be made."""
 
+    target: Target
     seed: int
     config: MakeConfig
-    recipe: Recipe | None = None
-    """Divides them into splits; without one all go into ``train``."""
 
 
 def plan(
-    out: Path | str, count: int, *, seed: int = 0, config: MakeConfig | None = None, recipe: Recipe | None = None
+    out: Path | str,
+    count: int,
+    *,
+    seed: int = 0,
+    config: MakeConfig | None = None,
+    recipe: Recipe | None = None,
+    spool: Path | str | None = None,
+    patience: float | None = None,
 ) -> GarmentPlan:
-    """What it takes to have samples 0 … ``count`` - 1 of ``seed`` in ``out``.
+    """What it takes to have samples 0 … ``count`` - 1 of ``seed`` in ``out``, a folder or the URL of a store.
 
-    What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError`` where ``out`` holds a data
-    set of another recipe or seed, ``OutputError`` where it cannot be written.
+    ``recipe`` divides them into splits; without one all go into ``train``. ``spool`` and ``patience`` as ``target_of``
+    takes them. What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError`` where ``out``
+    holds a data set of another recipe or seed, ``OutputError`` where it cannot be written, ``RemoteError`` for a store
+    that does not answer, or refuses.
     """
     config = config or MakeConfig()
     check_count(count)
@@ -66,11 +73,10 @@ def plan(
 
         for device in devices_of(config):
             resolve_device(device)  # told before anything is written
-    claim(Path(out), recipe)
-    with _writer(out, seed, config, recipe) as writer:
-        done = writer.done
+    target = target_of(out, seed=seed, config=config, recipe=recipe, spool=spool, patience=patience)
+    done = target.done(count)
     missing = tuple(index for index in range(count) if index not in done)
-    return GarmentPlan(Path(out), count, missing, seed, config, recipe)
+    return GarmentPlan(count, missing, target, seed, config)
 
 
 def generate(
@@ -81,10 +87,15 @@ def generate(
     config: MakeConfig | None = None,
     recipe: Recipe | None = None,
     workers: int | None = None,
+    spool: Path | str | None = None,
+    patience: float | None = None,
     told: Told = unheard,
     log: Path | str | None = None,
 ) -> Progress:
     """Have samples 0 … ``count`` - 1 of ``seed`` in the folder ``out``; those that are there are not made again.
+
+    ``out`` may be the URL of a store, ``s3://BUCKET/PREFIX`` or any other of ``fsspec``: shards fill in ``spool`` and
+    go up one by one, whole; readers see the data set when all of it is there.
 
     ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it; ``recipe`` divides the samples into
     splits (``generate_recipe`` takes the other options from it too); ``log``: a file to which
@@ -95,17 +106,18 @@ def generate(
     options = {"out": str(out), "count": count, "seed": seed, "workers": workers} | _plain(config)
     devices = devices_of(config) if config.stage == "drape" else ()
     with logged(log, told, options=options, recipe=recipe_of(config), devices=devices) as told:
-        task = plan(out, count, seed=seed, config=config, recipe=recipe)
+        task = plan(out, count, seed=seed, config=config, recipe=recipe, spool=spool, patience=patience)
         if config.stage == "drape":
             from gcd_dataset.generator.drape import tell_wait
 
             tell_wait(len(task.missing), config.device, config.resolution)
         progress, pace = Progress(count, task.there), Pace()
         told(progress)
-        for made in stored(task, workers=workers):
-            progress = progress.with_sample(rejects=made.rejects, outcome=made.outcome and made.outcome.name)
-            progress = pace.of(progress, added(made.waits, taken()))
-            told(progress)
+        with contextlib.closing(stored(task, workers=workers)) as samples:
+            for made in samples:
+                progress = progress.with_sample(rejects=made.rejects, outcome=made.outcome and made.outcome.name)
+                progress = pace.of(progress, added(made.waits, taken()))
+                told(progress)
     return progress
 
 
@@ -122,14 +134,13 @@ def stored(plan: GarmentPlan, *, workers: int | None = None) -> Generator[Stored
     drape for them. Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
     """
     workers = workers_for(plan) if workers is None else workers
-    with filling(plan.out, plan.count) if plan.recipe is None else filling_splits(plan.out, plan.recipe):
+    with plan.target.filling(plan.count) as writer:
         if not plan.missing:
             return
-        with _writer(plan.out, plan.seed, plan.config, plan.recipe) as writer:
-            made = produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encoded)
-            for stored, members in waited_for(made, WRITER):
-                writer.add(stored.index, members)
-                yield stored
+        made = produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encoded)
+        for stored, members in waited_for(made, WRITER):
+            writer.add(stored.index, members)
+            yield stored
 
 
 def generate_recipe(
@@ -147,9 +158,9 @@ def generate_recipe(
     Raises as ``find_recipe`` and ``generate`` do.
     """
     recipe = recipe if isinstance(recipe, Recipe) else find_recipe(recipe)
-    config = replace(recipe.config, device=device)
+    folder, config = require_folder(out, "data sets of recipes"), replace(recipe.config, device=device)
     progress = generate(
-        out,
+        folder,
         recipe.count,
         seed=recipe.seed,
         config=config,
@@ -158,16 +169,8 @@ def generate_recipe(
         told=told,
         log=log,
     )
-    seal(Path(out), recipe)
+    seal(folder, recipe)
     return progress
-
-
-def _writer(
-    out: Path | str, seed: int, config: MakeConfig, recipe: Recipe | None
-) -> AbstractContextManager[ShardWriter | DividedWriter]:
-    if recipe is None:
-        return ShardWriter(out, seed=seed, recipe=recipe_of(config))
-    return divided_writer(out, recipe, config)
 
 
 def workers_for(plan: GarmentPlan) -> int:
