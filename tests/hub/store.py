@@ -78,7 +78,7 @@ class Store:
                 environ["wsgi.input"].read(int(environ.get("CONTENT_LENGTH") or 0))
                 if not fault.code:
                     environ["werkzeug.socket"].shutdown(socket.SHUT_RDWR)
-                    return []
+                    raise ConnectionResetError
                 start_response(fault.status, [("Content-Type", "application/xml")])
                 return [ERROR.format(code=fault.code).encode()] if environ["REQUEST_METHOD"] != "HEAD" else []
         return _application()(environ, start_response)
