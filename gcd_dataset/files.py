@@ -4,6 +4,7 @@ import contextlib
 import errno
 import fcntl
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ from gcd_dataset.errors import GcdError, OutputError, shown
 
 __all__ = ["drafted", "make_folder", "open_whole", "read_whole", "user_path", "write_whole", "writing_to"]
 
+URL = re.compile(r"[a-z][a-z0-9+-]+:/")  # what a path keeps of s3://bucket
 DRAFTS = 8  # names of drafts that the writers of one file share; more writers at once take names by chance
 REMEDIES = {
     "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
@@ -142,6 +144,11 @@ def make_folder(path: Path | str) -> Path:
     path = Path(path)
     if "\0" in str(path):
         raise OutputError(f"{shown(str(path))}: names no folder: give a folder name")
+    if URL.match(str(path)):
+        raise OutputError(
+            f"{shown(str(path))}: a URL, where a folder of this machine is written: give a folder, or, where URLs are "
+            "taken, the URL as text"
+        )
     with writing_to(path):
         path.mkdir(parents=True, exist_ok=True)
     return path

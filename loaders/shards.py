@@ -48,8 +48,9 @@ class GarmentDataset(Garments):
     >>> GarmentDataset("org/garments", "train[:10%]", fields=["points"], max_cache_size="20GB")  # doctest: +SKIP
     >>> GarmentDataset("recipe:standard-1k", "test")  # doctest: +SKIP
 
-    ``source``: a folder, ``http://…``, ``https://…``, ``file://…``, or ``ORG/NAME`` (also ``hf://…``, ``…@REVISION``);
-    or ``recipe:NAME``, or ``recipe:FILE.toml``: a data set that is made by its recipe, here and now if it is not there.
+    ``source``: a folder, ``http://…``, ``https://…``, ``file://…``, ``s3://BUCKET/PREFIX`` or any other URL of
+    ``fsspec``, or ``ORG/NAME`` (also ``hf://…``, ``…@REVISION``); or ``recipe:NAME``, or ``recipe:FILE.toml``: a data
+    set that is made by its recipe, here and now if it is not there.
     ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
     ``fields``: what to read; for ``None`` all that the garments hold, which those made up to the stage ``pattern`` or
     ``mesh`` do not have all; nothing else is touched, nor asked of a server. ``dtype``: of floating fields, float32 by

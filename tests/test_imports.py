@@ -99,5 +99,7 @@ def test_shards_and_published_files_know_nothing_of_the_generator() -> None:
 def test_the_hub_is_imported_in_its_package_alone_and_shards_know_nothing_of_it() -> None:
     for path in sources():
         part, names = path.relative_to(PACKAGE).parts[0], imports_of(path)
-        assert part == "hub" or not any(name.startswith(("huggingface_hub", "httpx")) for name in names)
+        assert part == "hub" or not any(
+            name.startswith(("huggingface_hub", "httpx", "fsspec", "s3fs")) for name in names
+        )
         assert part not in ("shards", "release") or not any(name.startswith("gcd_dataset.hub") for name in names)

@@ -86,7 +86,15 @@ def _generate(options: argparse.Namespace) -> int:
         options.seed = options.seed or 0
         if given.get("stage") == BODY_STAGE:
             return _generate_people(options, given)
-        work = partial(generate, options.out, options.count, seed=options.seed, config=MakeConfig(**given))
+        work = partial(
+            generate,
+            options.out,
+            options.count,
+            seed=options.seed,
+            config=MakeConfig(**given),
+            spool=options.spool,
+            patience=options.patience,
+        )
     with Bar("garment", options.quiet) as bar:
         bar.run(partial(work, part=part, workers=options.workers, log=options.log))
     done = bar.progress
@@ -109,6 +117,7 @@ def _of_recipe(options: argparse.Namespace, given: Mapping[str, Any]) -> Callabl
     """To make the data set of a recipe. Raises ``ConfigError`` for options that are the recipe's to give."""
     from gcd_dataset.verbs import generate_recipe
 
+    _require_no_store(options, "recipes")
     told = {"count": options.count, "seed": options.seed, "config": options.config, **given}
     if contrary := [name for name, value in told.items() if value is not None and name != "device"]:
         raise ConfigError(
@@ -128,6 +137,7 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
         raise ConfigError(f"--shard is for garments: bodies of stage {BODY_STAGE} are made in one go: leave it out")
     if given.get("bodies", "random") != "random":
         raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
+    _require_no_store(options, "bodies")
     with Bar("body", options.quiet) as bar:
         workers = options.workers or 0
         work = partial(generate_people, options.out, options.count, seed=options.seed, workers=workers, log=options.log)
@@ -137,6 +147,12 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
         return stopped("generate", f"{done.done} of {done.count}")
     print(f"{options.out}: {done.count} bodies in two poses, {done.made} of them made now")
     return 0
+
+
+def _require_no_store(options: argparse.Namespace, what: str) -> None:
+    """Raise ``ConfigError`` for options of a store, where data sets are made in a folder alone."""
+    if options.spool is not None or options.patience is not None:
+        raise ConfigError(f"--spool and --patience are for URLs, and {what} are made in a folder: leave them out")
 
 
 def _drape(options: argparse.Namespace) -> int:
@@ -267,7 +283,9 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
 
     generate = add_verb(verbs, "generate", _generate, "make a data set")
-    generate.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; made if it is not there")
+    generate.add_argument(
+        "out", metavar="OUT", help="folder for the shards, made if it is not there; or a URL such as s3://BUCKET/PREFIX"
+    )
     generate.add_argument("--count", type=natural, help="number of garments, or of bodies")
     generate.add_argument("--seed", type=natural, help="names the data set (default: 0)")
     generate.add_argument(
@@ -290,6 +308,18 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     parts.add_shard(generate)
     generate.add_argument(
         "--log", type=Path, metavar="FILE", help="a file to which lines of JSON are added while it runs: rate, waits, …"
+    )
+    generate.add_argument(
+        "--spool",
+        type=Path,
+        metavar="DIR",
+        help="for a URL: where up to three shards wait for their upload (default: ~/.cache/gcd_dataset/spool)",
+    )
+    generate.add_argument(
+        "--patience",
+        type=float,
+        metavar="SECONDS",
+        help="for a URL: how long to wait for a store that is gone (default: 30)",
     )
     generate.more = partial(_add_make_options, generate)
     add_quiet(generate)

@@ -55,11 +55,14 @@ def part_of(text: str) -> "Part":
         raise ConfigError(f"--shard {shown(text)}: {error}") from error
 
 
-def there(out: Path, part: "Part | None") -> Iterator[str]:
+def there(out: Path | str, part: "Part | None") -> Iterator[str]:
     """What a run leaves: samples by split where there are several, and what is to be done about parts."""
     from gcd_dataset.shards.manifest import read_manifest
     from gcd_dataset.shards.parts import part_folder, parts_waiting
 
+    if "://" in str(out):
+        return
+    out = Path(out)
     manifest = read_manifest(out if part is None else part_folder(out, part.number, part.of))
     if manifest is not None and len(manifest.counts) > 1:
         yield ", ".join(f"{split} {count}" for split, count in sorted(manifest.counts.items(), reverse=True))

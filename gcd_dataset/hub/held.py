@@ -106,7 +106,7 @@ def _followed(folder: Path, note: Fetched, source: str, manifest: Manifest) -> F
     Raises ``ConfigError`` for another place, another commit, or a URL at which another data set is.
     """
     url = source.rpartition("@")[0]
-    if note.source.rpartition("@")[0] != url or not url.startswith(("http://", "https://")):
+    if note.source.rpartition("@")[0] != url or url.startswith("hf://"):
         raise ConfigError(f"{folder}: holds {note.source}, asked for {source}: choose another folder, or that revision")
     here = read_manifest(folder) or Manifest()
     for name, record in here.splits.items():

@@ -1,11 +1,14 @@
 """What a user may write where a data set is asked for: a folder, a URL, a repository of the Hugging Face Hub.
 
+A URL is that of a web server, or any that ``fsspec`` knows: ``s3://``, ``gs://``, ``az://`` and others.
+
 >>> find_place("org/garments@v1.0")
 Repo(name='org/garments', revision='v1.0')
 >>> find_place("https://example.org/garments/").url
 'https://example.org/garments'
 """
 
+import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +17,15 @@ from urllib.parse import unquote, urlsplit
 
 from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.files import user_path
+from gcd_dataset.names import safe_name
 from gcd_dataset.shards.access import reading
 
-__all__ = ["Folder", "Place", "Repo", "Url", "find_place"]
+__all__ = ["Folder", "Place", "Repo", "Url", "find_place", "place_to_write", "slug"]
 
 MAIN = "main"
+WEB = ("http://", "https://")
+HERE = ("file://", "local://")
+STORE = re.compile(r"(?P<protocol>[a-z][a-z0-9+-]*)://[^/:].*")
 COMMIT = re.compile(r"[0-9a-f]{40}")
 REPO = re.compile(r"(?:hf://)?(?:datasets/)?(?P<name>\w[\w.-]*/\w[\w.-]*)(?:@(?P<revision>.+))?")
 REVISION = re.compile(r"\w[\w.+-]*(?:/\w[\w.+-]*)*")
@@ -36,11 +43,21 @@ class Folder:
 
 @dataclass(frozen=True)
 class Url:
-    """A folder of a web server."""
+    """A folder of a web server, or the objects of a store below a prefix."""
 
     url: str
     revision: str = ""
     """Hash of its manifest; empty for whatever is there."""
+
+    @property
+    def is_web(self) -> bool:
+        """Whether a web server is asked."""
+        return self.url.startswith(WEB)
+
+    @property
+    def slug(self) -> str:
+        """A folder's name for what is kept here of it."""
+        return slug(re.sub(r"[^\w.-]+", "-", self.url)[:80], self.url)
 
     def __str__(self) -> str:
         return self.url
@@ -83,16 +100,18 @@ def find_place(source: str | Path, revision: str | None = None) -> Place:
         raise ConfigError(
             f"{shown(text)}: a file, not a folder of shards: give that; Hdf5Garments reads what gcd export --hdf5 makes"
         )
-    if text.startswith("file://"):
+    if text.startswith(HERE):
         return find_place(Path(unquote(urlsplit(text).path)), revision)
-    if text.startswith(("http://", "https://")) and text.isprintable():
+    if text.startswith(WEB) and text.isprintable():
         _require_address(text)
+        return _without_revision(Url(text.rstrip("/")), revision)
+    if _is_in_store(text):
         return _without_revision(Url(text.rstrip("/")), revision)
     match = None if isinstance(source, Path) else REPO.fullmatch(text)
     if match is None:
         raise ConfigError(
             f"{shown(text)}: no such folder, and neither a URL nor a repository of the Hub: give a folder, http://…, "
-            "https://… or ORG/NAME"
+            "https://…, s3://BUCKET/PREFIX or ORG/NAME"
         )
     if match["revision"] and revision and match["revision"] != revision:
         raise ConfigError(f"{text}: revision={revision!r} is another: give one of them")
@@ -102,10 +121,37 @@ def find_place(source: str | Path, revision: str | None = None) -> Place:
     return Repo(match["name"], asked)
 
 
+def place_to_write(out: str | Path) -> Folder | Url:
+    """Where a data set is to be made: a folder, there or not, or the URL of a store. Raises ``ConfigError``."""
+    text = str(out)
+    if text.startswith(HERE):
+        return Folder(Path(unquote(urlsplit(text).path)))
+    if _is_in_store(text):
+        return Url(text.rstrip("/"))
+    if "://" in text:
+        raise ConfigError(f"{shown(text)}: cannot be written to: give a folder, or a URL such as s3://BUCKET/PREFIX")
+    return Folder(user_path(out))
+
+
+def slug(name: str, address: str) -> str:
+    """A folder's name for something at an address, which another of the same name has not."""
+    return safe_name(f"{name}-{hashlib.sha256(address.encode()).hexdigest()[:8]}")
+
+
 def _without_revision(place: Folder | Url, revision: str | None) -> Folder | Url:
     if revision is not None:
         raise ConfigError(f"revision={revision!r} is for repositories of the Hub, and {place} is none: leave it out")
     return place
+
+
+def _is_in_store(text: str) -> bool:
+    """Whether this is a URL of a store. One in another, ``a::b://c``, is none: what it does is not only to read."""
+    from gcd_dataset.hub.objects import is_store
+
+    match = STORE.fullmatch(text)
+    if match is None or text.startswith((*WEB, "hf://")) or "::" in text or not text.isprintable():
+        return False
+    return is_store(match["protocol"])
 
 
 def _require_address(url: str) -> None:

@@ -14,7 +14,8 @@ from urllib.parse import quote
 
 from gcd_dataset.errors import ConfigError, MissingError, OutputError, RefusedError, RemoteError
 from gcd_dataset.files import make_folder, user_path, write_whole
-from gcd_dataset.hub.place import COMMIT, Repo, Url
+from gcd_dataset.hub.objects import Objects
+from gcd_dataset.hub.place import COMMIT, Repo, Url, slug
 from gcd_dataset.hub.web import Web
 from gcd_dataset.names import require_name, safe_name
 from gcd_dataset.shards import limits
@@ -43,7 +44,7 @@ class Remote:
     allowed: bool = True
     """Whether any server may be asked at all."""
     patience: float | None = None
-    """Seconds to wait for a server that is gone or busy; ``None`` for ``web.PATIENCE``."""
+    """Seconds to wait for a server that is gone or busy; ``None`` for ``patience.PATIENCE``."""
 
     def __post_init__(self) -> None:
         if self.patience is not None and not 0 <= self.patience <= math.inf:
@@ -76,10 +77,11 @@ class Site:
         if isinstance(place, Repo):
             base = f"{hub_endpoint(remote.endpoint)}/datasets/{place.name}/resolve"
             self.revision = place.revision if place.is_pinned else self._look_up(place.revision, self._commit)
-            self.web = Web(f"{base}/{self.revision}", headers=self._headers, patience=remote.patience)
+            self.web: Web | Objects = Web(f"{base}/{self.revision}", headers=self._headers, patience=remote.patience)
             self.source = str(Repo(place.name, self.revision))
         else:
-            self.web = Web(place.url, patience=remote.patience)
+            _require_unused(place, remote)
+            self.web = self._files()
             self.revision = self._look_up("now", self._manifest_hash)
             self.source = f"{place.url}@{self.revision}"
 
@@ -138,7 +140,7 @@ class Site:
         return self._seen / self.revision / require_name(name, self.source)
 
     @staticmethod
-    def _checked(web: Web, name: str) -> bytes:
+    def _checked(web: Web | Objects, name: str) -> bytes:
         """A file whose hash is that of its ETag, if that is one."""
         for _ in range(2):
             content = web.get(name, LARGEST_MANIFEST if name == MANIFEST else LARGEST_INDEX)
@@ -178,10 +180,21 @@ class Site:
         return str(commit)
 
     def _manifest_hash(self, patient: bool) -> str:
-        content = self._checked(Web(self.web.base, patience=self.web.patience, patient=patient), MANIFEST)
+        try:
+            content = self._checked(self._files(patient=patient), MANIFEST)
+        except MissingError as error:
+            if isinstance(self._place, Url) and not self._place.is_web:
+                raise MissingError(f"{error}; a set that is being made shows when all of it is there") from error
+            raise
         revision = hashlib.sha256(content).hexdigest()
         _keep(self._seen / revision / MANIFEST, content)
         return revision
+
+    def _files(self, *, patient: bool = True) -> Web | Objects:
+        """The way to the files of a URL."""
+        assert isinstance(self._place, Url)
+        kind = Web if self._place.is_web else Objects
+        return kind(self._place.url, patience=self._remote.patience, patient=patient)
 
     def _api(self, revision: str, *, patient: bool = True) -> Web:
         assert isinstance(self._place, Repo)
@@ -195,11 +208,19 @@ class Site:
 
     def _slug(self) -> str:
         """A folder's name for the place, whatever the server."""
-        if isinstance(self._place, Repo):
-            name, server = self._place.name.replace("/", "--"), hub_endpoint(self._remote.endpoint)
-        else:
-            name, server = re.sub(r"[^\w.-]+", "-", self._place.url)[:80], self._place.url
-        return safe_name(f"{name}-{hashlib.sha256(server.encode()).hexdigest()[:8]}")
+        if isinstance(self._place, Url):
+            return self._place.slug
+        return slug(self._place.name.replace("/", "--"), hub_endpoint(self._remote.endpoint))
+
+
+def _require_unused(place: Url, remote: Remote) -> None:
+    """Raise ``ConfigError`` for an option of the Hub that a store has no use for."""
+    for name in ("endpoint", "token"):
+        if not place.is_web and getattr(remote, name) is not None:
+            raise ConfigError(
+                f"{name} is for the Hub, and {place} is none: set what its store takes, such as AWS_ENDPOINT_URL and "
+                "AWS_ACCESS_KEY_ID"
+            )
 
 
 def _revision_in(path: Path) -> str | None:

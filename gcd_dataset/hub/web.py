@@ -6,36 +6,28 @@ allocated because a server declares a size: memory grows with the bytes that com
 
 import atexit
 import functools
-import logging
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote, urlsplit
 
 from gcd_dataset.errors import MissingError, RefusedError, RemoteError, shown
+from gcd_dataset.hub.patience import Outage, Trouble, reason
 
 if TYPE_CHECKING:
     import httpx2
 
-__all__ = ["PATIENCE", "Web"]
+__all__ = ["Web"]
 
-PATIENCE = 30.0  # s of waits between attempts that brought nothing
-FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s: each wait is twice the one before, up to the last
-ASKED_WAITS = 6  # in a row that a server may ask for
-LONGEST_WAIT = 300.0  # s; a server that asks for more is given up
 TIMEOUT = 30.0  # s without a byte
 MOST_REDIRECTS = 8  # the Hub and its storage take three
 
 BUSY = frozenset({408, 425, 429, 500, 502, 503, 504})
 REFUSED = frozenset({401, 403})
 GONE = frozenset({404, 410})
-
-log = logging.getLogger(__name__)
 
 
 class Web:
@@ -55,7 +47,7 @@ class Web:
         patience: float | None = None,
         patient: bool = True,
     ) -> None:
-        self.base, self.patience = base.rstrip("/"), PATIENCE if patience is None else patience
+        self.base, self.patience = base.rstrip("/"), patience
         self._make_headers, self._patient = headers, patient
         self._headers: Mapping[str, str] | None = None
         self._moved: dict[str, str] = {}
@@ -94,7 +86,7 @@ class Web:
         ``only`` these: a server that sends others with them is not read. Raises ``RemoteError`` for a file that is
         declared to have, or has, more than ``most`` bytes.
         """
-        place, outage = start, _Outage(self.patience)
+        place, outage = start, Outage(self.patience)
         while True:
             before = place
             try:
@@ -105,28 +97,15 @@ class Web:
                     yield piece
                 if end is None or place == end:
                     return
-                trouble = _Trouble(f"ends at byte {place} of {end}")
-            except _Trouble as error:
+                trouble = Trouble(f"ends at byte {place} of {end}")
+            except Trouble as error:
                 trouble = error
             if place > before:
-                outage = _Outage(self.patience)
-            self._rest(path, trouble, outage)
-
-    def _rest(self, path: str, trouble: "_Trouble", outage: "_Outage") -> None:
-        """Wait before the next attempt. Raises ``RemoteError`` where there shall be none."""
-        wait = outage.next_wait(trouble.wait)
-        if trouble.is_unreachable and not self._patient:
-            wait = None
-        if wait is None:
-            raise RemoteError(
-                f"{self.address(path)}: {trouble}, {outage}: try again later, or with more "
-                "patience (--patience, patience=); what has come is kept"
-            )
-        log.info("%s: %s: once more in %.1f s", self.address(path), trouble, wait)
-        time.sleep(wait)
+                outage = Outage(self.patience)
+            outage.rest(self.address(path), trouble, patient=self._patient)
 
     def _once(self, path: str, start: int, end: int | None, only: bool, most: int | None) -> Iterator[bytes]:
-        """One attempt. Raises ``_Trouble`` where another may do better."""
+        """One attempt. Raises ``Trouble`` where another may do better."""
         whole = start == 0 and end is None
         if end is not None and start >= end:
             return
@@ -157,7 +136,7 @@ class Web:
 
     @contextmanager
     def _answer(self, path: str, wanted: Mapping[str, str]) -> Iterator["httpx2.Response"]:
-        """The server's answer. Raises ``_Trouble`` for a line that breaks, now or while the answer is read."""
+        """The server's answer. Raises ``Trouble`` for a line that breaks, now or while the answer is read."""
         import httpx2
         from huggingface_hub import constants
 
@@ -172,21 +151,21 @@ class Web:
             with _client(os.getpid()).stream("GET", url, headers=headers) as response:
                 if url != own and response.status_code in REFUSED | GONE:
                     self._moved.pop(path, None)
-                    raise _Trouble(f"its address has expired ({response.status_code})", wait=0.0)
+                    raise Trouble(f"its address has expired ({response.status_code})", wait=0.0)
                 if response.is_success:
                     self._remember(path, response)
                 yield response
         except (httpx2.UnsupportedProtocol, httpx2.TooManyRedirects) as error:
             raise RemoteError(
-                f"{own}: leads to {shown(str(error.request.url))} ({_reason(error)}): up to {MOST_REDIRECTS} redirects "
+                f"{own}: leads to {shown(str(error.request.url))} ({reason(error)}): up to {MOST_REDIRECTS} redirects "
                 "to http and https are followed: check the address, or tell its publisher"
             ) from error
         except httpx2.TransportError as error:
             self._moved.pop(path, None)
             nobody = isinstance(error, httpx2.ConnectError | httpx2.ConnectTimeout)
-            raise _Trouble(f"no connection ({_reason(error)})", is_unreachable=nobody) from error
+            raise Trouble(f"no connection ({reason(error)})", is_unreachable=nobody) from error
         except httpx2.HTTPError as error:
-            raise RemoteError(f"{own}: cannot be read ({_reason(error)}): check the address") from error
+            raise RemoteError(f"{own}: cannot be read ({reason(error)}): check the address") from error
         except httpx2.InvalidURL as error:
             raise RemoteError(f"{own}: no address ({error}): check it") from error
 
@@ -206,10 +185,10 @@ class Web:
             self._moved[path] = str(response.url)
 
     def _require(self, path: str, response: "httpx2.Response", *, ranged: bool) -> None:
-        """Raise ``_Trouble`` or ``RemoteError`` unless the answer holds what was asked for."""
+        """Raise ``Trouble`` or ``RemoteError`` unless the answer holds what was asked for."""
         status, own = response.status_code, self.address(path)
         if status in BUSY:
-            raise _Trouble(f"the server is busy ({status})", wait=_retry_after(response.headers))
+            raise Trouble(f"the server is busy ({status})", wait=_retry_after(response.headers))
         if status in GONE:
             raise MissingError(f"{own}: not there ({status}): check the name, and the token if it is private")
         if status in REFUSED:
@@ -232,43 +211,6 @@ def _client(process: int) -> "httpx2.Client":
     client = httpx2.Client(follow_redirects=True, max_redirects=MOST_REDIRECTS, timeout=TIMEOUT)
     atexit.register(client.close)
     return client
-
-
-@dataclass
-class _Outage:
-    """The attempts since a byte came last."""
-
-    patience: float
-    attempts: int = 0
-    waited: float = 0.0
-    asked: int = 0
-    """Waits that the server asked for."""
-
-    def next_wait(self, asked: float | None) -> float | None:
-        """Seconds to the next attempt, ``asked`` if the server said so; ``None`` where there shall be none."""
-        self.attempts += 1
-        if asked is not None:
-            self.asked += 1
-            wait = asked
-            over = self.asked > ASKED_WAITS or asked > max(LONGEST_WAIT, self.patience)
-        else:
-            wait = min(FIRST_WAIT * 2 ** min(self.attempts - 1, 16), LAST_WAIT, self.patience - self.waited)
-            over = wait <= 0
-        if over:
-            return None
-        self.waited += wait
-        return wait
-
-    def __str__(self) -> str:
-        return f"after {self.attempts} attempt{'s' if self.attempts > 1 else ''} and {self.waited:.0f} s of waiting"
-
-
-class _Trouble(Exception):  # noqa: N818 - nothing has failed yet
-    """What may pass; ``wait``: seconds that the server asks for; ``is_unreachable``: there is nobody to ask."""
-
-    def __init__(self, what: str, wait: float | None = None, *, is_unreachable: bool = False) -> None:
-        super().__init__(what)
-        self.wait, self.is_unreachable = wait, is_unreachable
 
 
 def _skip(response: "httpx2.Response", start: int, where: str) -> int:
@@ -304,7 +246,3 @@ def _retry_after(headers: Mapping[str, str]) -> float | None:
 def _origin(url: str) -> tuple[str, str]:
     parts = urlsplit(url)
     return parts.scheme, parts.netloc
-
-
-def _reason(error: Any) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

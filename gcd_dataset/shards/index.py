@@ -10,7 +10,7 @@ import io
 import os
 import re
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -123,11 +123,16 @@ class ShardIndex(Record):
     @classmethod
     def of(cls, folder: Path, tables: Mapping[str, ShardTable], layout: Layout = GARMENTS) -> Self:
         """The index of shards that lie in ``folder``, from file name to contents."""
-        counts = [len(table) for table in tables.values()]
         with reading(folder):
-            length = np.array([(folder / name).stat().st_size for name in tables], np.int64)
-        shard = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-        return cls(tuple(tables), length, shard, ShardTable.of(tables.values(), layout), layout)
+            length = [(folder / name).stat().st_size for name in tables]
+        return cls.joined(tables, length, layout)
+
+    @classmethod
+    def joined(cls, tables: Mapping[str, ShardTable], length: Sequence[int], layout: Layout = GARMENTS) -> Self:
+        """The index of shards of these lengths [bytes], wherever they lie, from file name to contents."""
+        shard = np.repeat(np.arange(len(tables), dtype=np.int32), [len(table) for table in tables.values()])
+        table = ShardTable.of(tables.values(), layout)
+        return cls(tuple(tables), np.array(length, np.int64), shard, table, layout)
 
     def __len__(self) -> int:
         return len(self.table)

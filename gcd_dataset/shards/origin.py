@@ -10,10 +10,10 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.index import ShardTable, first_sample, whole_samples
 from gcd_dataset.shards.layout import GARMENTS, SCHEMAS, Layout, recipe_hash, shard_number, shards_in
-from gcd_dataset.shards.manifest import MANIFEST, SplitRecord, read_manifest
+from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord, read_manifest
 from gcd_dataset.shards.meta import read_meta
 
-__all__ = ["agreed", "require_schema"]
+__all__ = ["agreed", "agreed_with", "require_schema"]
 
 META = 0  # every layout begins with meta.json
 
@@ -45,10 +45,8 @@ def agreed(
     asked for, in the version of this package too; ``ShardError`` for a broken manifest, or samples of another kind.
     """
     manifest = read_manifest(folder)
-    if manifest is not None:
-        _require_version(folder / MANIFEST, manifest.generator)
-        if split in manifest.splits:
-            return _same(folder / MANIFEST, manifest.splits[split], asked)
+    if manifest is not None and (there := agreed_with(manifest, folder / MANIFEST, split, asked)) is not None:
+        return there
     shards = {folder / name: table for name, table in tables.items()} | _half_written(folder, split, layout)
     for path, table in shards.items():
         if (table.sample // asked.shard_size != _number(path, split)).any():
@@ -59,7 +57,17 @@ def agreed(
     return asked
 
 
-def _same(place: Path, there: SplitRecord, asked: SplitRecord) -> SplitRecord:
+def agreed_with(manifest: Manifest, place: Path | str, split: str, asked: SplitRecord) -> SplitRecord | None:
+    """The record of a split in a manifest, to go on with; ``None`` where there is none. ``place`` stands in errors.
+
+    Raises ``ConfigError`` as ``agreed`` does.
+    """
+    _require_version(place, manifest.generator)
+    there = manifest.splits.get(split)
+    return None if there is None else _same(place, there, asked)
+
+
+def _same(place: Path | str, there: SplitRecord, asked: SplitRecord) -> SplitRecord:
     """The record that is there, unless it differs from what is asked for."""
     for name in ("kind", "seed", "shard_size"):
         if getattr(there, name) != getattr(asked, name):
@@ -71,13 +79,13 @@ def _same(place: Path, there: SplitRecord, asked: SplitRecord) -> SplitRecord:
     return there
 
 
-def _other(place: Path, name: str, before: Any, now: Any) -> ConfigError:
+def _other(place: Path | str, name: str, before: Any, now: Any) -> ConfigError:
     return ConfigError(
         f"{place}: made with {name}={before!r}, asked for {name}={now!r}: use the same or another folder"
     )
 
 
-def _require_version(place: Path, began: str) -> None:
+def _require_version(place: Path | str, began: str) -> None:
     if began != (now := gcd_dataset.__version__):
         raise ConfigError(
             f"{place}: made by gcd_dataset {began}, and this is {now}: choose another folder, or install {began} to go "

@@ -36,6 +36,7 @@ class Source:
 class ConvertPlan(Plan):
     """Garments to be converted; those missing by their positions among the published ones."""
 
+    out: Path
     source: Source
 
 
@@ -122,7 +123,7 @@ def _plan(source: Source, out: Path) -> ConvertPlan:
         done = writer.done
     published = _dataset(source)
     missing = tuple(position for position in range(len(published)) if published.number(position) not in done)
-    return ConvertPlan(out, len(published), missing, source)
+    return ConvertPlan(len(published), missing, out, source)
 
 
 def _writer(source: Source, out: Path) -> ShardWriter:

@@ -1,27 +1,24 @@
 """Making a data set: samples into shards, going on where an earlier run was stopped."""
 
+import contextlib
 import math
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.errors import ConfigError
-from gcd_dataset.files import user_path
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.records import Outcome, Rejected, Sample
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.layout import Bytes
-from gcd_dataset.shards.parts import require_merged
-from gcd_dataset.shards.rejects import RejectLog, has_rejects
 from gcd_dataset.verbs.log import logged
-from gcd_dataset.verbs.parts import Part, PartPlace, begin_part
+from gcd_dataset.verbs.parts import Part
 from gcd_dataset.verbs.plan import Plan, check_count
 from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
-from gcd_dataset.verbs.seal import claim, seal
-from gcd_dataset.verbs.storing import Division, GarmentWriter, division_of, filling_all
+from gcd_dataset.verbs.seal import seal
+from gcd_dataset.verbs.target import Target, require_folder, target_of
 from gcd_dataset.waits import WRITER, Waits, added, taken, waited_for
 
 __all__ = ["GarmentPlan", "Stored", "generate", "generate_recipe", "plan", "stored", "workers_for"]
@@ -53,12 +50,9 @@ class Stored:
 class GarmentPlan(Plan):
     """Garments to be made."""
 
+    target: Target
     seed: int
     config: MakeConfig
-    division: Division
-    """Into splits."""
-    place: PartPlace | None = None
-    """Of a part of a data set; ``out`` is the part's folder then, and ``count`` its samples."""
 
 
 def plan(
@@ -69,35 +63,28 @@ def plan(
     config: MakeConfig | None = None,
     recipe: Recipe | None = None,
     part: Part | None = None,
+    spool: Path | str | None = None,
+    patience: float | None = None,
 ) -> GarmentPlan:
     """What it takes to have samples 0 … ``count`` - 1 of ``seed`` in ``out``, or those of one ``part``.
 
-    What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError`` where ``out`` holds a data
-    set of another recipe or seed, parts of another plan, or, without ``part``, parts that wait to be merged;
-    ``OutputError`` where it cannot be written.
+    ``out``: a folder, or the URL of a store; ``recipe`` divides the samples into splits; ``spool`` and ``patience`` as
+    ``target_of`` takes them. What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError``
+    where ``out`` holds a data set of another recipe or seed, parts of another plan, or, without ``part``, parts that
+    wait to be merged; ``OutputError`` where it cannot be written, ``RemoteError`` for a store that does not answer, or
+    refuses.
     """
     config = config or MakeConfig()
     check_count(count)
-    out = user_path(out)
     if config.stage == "drape":
         from gcd_dataset.generator.drape import resolve_device
 
         for device in devices_of(config):
             resolve_device(device)  # told before anything is written
-    claim(out, recipe)
-    division = division_of(config, recipe)
-    if part is None:
-        require_merged(out, ConfigError)
-        return GarmentPlan(out, count, _missing(out, range(count), seed, config, division), seed, config, division)
-    place = begin_part(out, part, count, seed, config, division)
-    missing = () if place.is_merged else _missing(place.folder, place.indices, seed, config, division)
-    return GarmentPlan(place.folder, len(place.indices), missing, seed, config, division, place)
-
-
-def _missing(out: Path, indices: range, seed: int, config: MakeConfig, division: Division) -> tuple[int, ...]:
-    with GarmentWriter(out, seed, config, division) as writer:
-        done = writer.done
-    return tuple(index for index in indices if index not in done)
+    target = target_of(out, count, seed=seed, config=config, recipe=recipe, part=part, spool=spool, patience=patience)
+    done = target.done()
+    missing = tuple(index for index in target.indices if index not in done)
+    return GarmentPlan(len(target.indices), missing, target, seed, config)
 
 
 def generate(
@@ -109,10 +96,15 @@ def generate(
     recipe: Recipe | None = None,
     part: Part | None = None,
     workers: int | None = None,
+    spool: Path | str | None = None,
+    patience: float | None = None,
     told: Told = unheard,
     log: Path | str | None = None,
 ) -> Progress:
     """Have samples 0 … ``count`` - 1 of ``seed`` in the folder ``out``; those that are there are not made again.
+
+    ``out`` may be the URL of a store, ``s3://BUCKET/PREFIX`` or any other of ``fsspec``: shards fill in ``spool`` and
+    go up one by one, whole; readers see the data set when all of it is there.
 
     ``recipe`` divides the samples into splits (``generate_recipe`` takes the other options from it too). ``part``: one
     part of them, as ``Part(2, 8)``, in a place of its own in ``out``; any number of processes may make one each, and
@@ -125,17 +117,18 @@ def generate(
     options |= {"part": part and str(part), "name": recipe and recipe.name}
     devices = devices_of(config) if config.stage == "drape" else ()
     with logged(log, told, options=options, recipe=recipe_of(config), devices=devices) as told:
-        task = plan(out, count, seed=seed, config=config, recipe=recipe, part=part)
+        task = plan(out, count, seed=seed, config=config, recipe=recipe, part=part, spool=spool, patience=patience)
         if config.stage == "drape":
             from gcd_dataset.generator.drape import tell_wait
 
             tell_wait(len(task.missing), config.device, config.resolution)
         progress, pace = Progress(task.count, task.there), Pace()
         told(progress)
-        for made in stored(task, workers=workers):
-            progress = progress.with_sample(rejects=made.rejects, outcome=made.outcome and made.outcome.name)
-            progress = pace.of(progress, added(made.waits, taken()))
-            told(progress)
+        with contextlib.closing(stored(task, workers=workers)) as samples:
+            for made in samples:
+                progress = progress.with_sample(rejects=made.rejects, outcome=made.outcome and made.outcome.name)
+                progress = pace.of(progress, added(made.waits, taken()))
+                told(progress)
     return progress
 
 
@@ -152,30 +145,12 @@ def stored(plan: GarmentPlan, *, workers: int | None = None) -> Generator[Stored
     drape for them. Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
     """
     workers = workers_for(plan) if workers is None else workers
-    if plan.place is not None and not plan.missing and plan.place.is_finished:
-        return
-    with filling_all(plan.out, plan.count, plan.division):
-        if plan.missing or not has_rejects(plan.out):
-            yield from _stored(plan, workers)
-    if plan.place is not None:
-        plan.place.finish()
-
-
-def _stored(plan: GarmentPlan, workers: int) -> Generator[Stored, None, None]:
-    writer = GarmentWriter(plan.out, plan.seed, plan.config, plan.division)
-    with writer, _reject_log(plan, writer) as rejects:
-        if plan.place is not None:
-            plan.place.begin()
+    with plan.target.filling(is_missing=bool(plan.missing)) as writer:
         indices = plan.missing
         made = produce(plan.seed, indices, plan.config, workers=workers, finished=_encoded) if indices else iter(())
         for stored, members in waited_for(made, WRITER):
-            rejects.add(stored.turned_down)
-            writer.add(stored.index, members, stored.outcome)
+            writer.add(stored.index, members, stored.outcome, stored.turned_down)
             yield stored
-
-
-def _reject_log(plan: GarmentPlan, writer: GarmentWriter) -> RejectLog:
-    return RejectLog(plan.out, seed=plan.seed, wearers=plan.config.wearers, done=lambda: writer.done)
 
 
 def generate_recipe(
@@ -196,9 +171,9 @@ def generate_recipe(
     Raises as ``find_recipe`` and ``generate`` do.
     """
     recipe = recipe if isinstance(recipe, Recipe) else find_recipe(recipe)
-    config = replace(recipe.config, device=device)
+    folder, config = require_folder(out, "data sets of recipes"), replace(recipe.config, device=device)
     progress = generate(
-        out,
+        folder,
         recipe.count,
         seed=recipe.seed,
         config=config,
@@ -209,7 +184,7 @@ def generate_recipe(
         log=log,
     )
     if part is None:
-        seal(Path(out), recipe)
+        seal(folder, recipe)
     return progress
 
 

@@ -13,6 +13,7 @@ from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.verbs.log import logged
 from gcd_dataset.verbs.plan import Plan, check_count
 from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
+from gcd_dataset.verbs.target import require_folder
 from gcd_dataset.waits import WRITER, taken, waited_for
 from gcd_dataset.workers import side_by_side_in_parts
 
@@ -25,6 +26,7 @@ AT_ONCE = 16  # people a task: a quarter of a second of work, 10 MB to be sent b
 class PeoplePlan(Plan):
     """A body set to be made."""
 
+    out: Path
     seed: int
 
 
@@ -35,9 +37,10 @@ def plan_people(out: Path | str, count: int, *, seed: int = 0) -> PeoplePlan:
     another seed, ``ShardError`` where it holds garments, ``OutputError`` where it cannot be written.
     """
     check_count(count)
-    with _writer(out, seed) as writer:
+    folder = require_folder(out, "bodies")
+    with _writer(folder, seed) as writer:
         done = writer.done
-    return PeoplePlan(Path(out), count, tuple(index for index in range(count) if index not in done), seed)
+    return PeoplePlan(count, tuple(index for index in range(count) if index not in done), folder, seed)
 
 
 def generate_people(

@@ -1,7 +1,6 @@
-"""What is to be put into a folder of shards, when some of it may be there."""
+"""What is to be put into a data set, when some of it may be there."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from gcd_dataset.errors import ConfigError
 
@@ -14,7 +13,6 @@ MOST = 10_000_000  # samples of a data set, ten terabytes of garments; a plan of
 class Plan:
     """A data set to be made, and what of it is still missing."""
 
-    out: Path
     count: int
     missing: tuple[int, ...]
 

@@ -112,7 +112,7 @@ def test_a_tag_is_downloaded_once(
 def test_a_download_that_broke_off_goes_on(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.web.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
     hub.faults = [Fault(r"storage/.*train-00000", cut=20000), Fault(r"storage/.*train-00000", drop=True, times=99)]
     with pytest.raises(RemoteError, match="what has come is kept"):
         bring(hub, tmp_path)
@@ -141,7 +141,7 @@ def test_a_download_goes_on_though_the_server_sends_whole_files_only(
 def test_a_download_of_fields_that_broke_off_goes_on(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.web.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
     monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
     hub.faults = [
         Fault(r"storage/.*train-00001.*", times=1, cut=10**9),
@@ -160,7 +160,7 @@ def test_a_download_of_fields_that_broke_off_goes_on(
 def test_a_download_that_broke_off_may_be_one_of_other_fields_next(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: Any, then: Any
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.web.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
     monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
     hub.faults = [Fault(r"storage/.*train-0000[12]", drop=True, times=99)]
     with pytest.raises(RemoteError, match="what has come is kept"):
@@ -264,7 +264,7 @@ def test_a_set_that_has_shrunk_leaves_no_shards_behind(hub: Hub, tmp_path: Path)
 def test_a_shard_of_the_right_length_is_not_believed(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.web.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
     hub.faults = [Fault(r"storage/.*train-00002", drop=True, times=99)]
     with pytest.raises(RemoteError, match="what has come is kept"):
         bring(hub, tmp_path, fields=fields)
