@@ -29,10 +29,12 @@ __all__ = [
     "MERGED",
     "PARTS",
     "FinishedPart",
+    "NamedSet",
     "PartsPlan",
     "agree_on",
     "changing_parts",
     "finished_path",
+    "has_plan",
     "is_merging",
     "merging_path",
     "part_folder",
@@ -47,6 +49,20 @@ __all__ = [
 PARTS, MERGED = ".parts", ".parts-merged"
 PLAN, FINISHED, MERGING = "parts.json", "part.json", "merging"
 LOCK = ".parts.lock"
+DIGITS = 12  # of a hash, in messages
+
+
+@dataclass(frozen=True)
+class NamedSet:
+    """The recipe of a data set that has a name, as far as ``merge`` needs it."""
+
+    name: str
+    sha256: str
+    """Of the recipe."""
+    splits: Mapping[str, float]
+    """Split to its share of the designs."""
+    patterns: str
+    """The hash of all its patterns; empty where the recipe does not tell it."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +75,19 @@ class PartsPlan:
     """Samples of all parts."""
     seed: int
     recipe: Mapping[str, Any]
+    """The options that samples are made with."""
     shard_sizes: Mapping[str, int]
     """Split to the range of indices of its shards."""
     schema: int
     versions: Mapping[str, str]
     """Package to version, of all that decides the bytes."""
+    named: NamedSet | None = None
+    """The recipe, of a data set that has a name."""
+
+    @property
+    def recipe_sha256(self) -> str:
+        """Of the options, and of the recipe of a data set that has a name."""
+        return recipe_hash({**self.recipe, **({} if self.named is None else {"named": self.named.sha256})})
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -83,7 +107,8 @@ class PartsPlan:
     def _told(self) -> dict[str, Any]:
         """Name to value of everything in it."""
         own = {"parts": self.of, "count": self.count, "seed": self.seed, "shard_sizes": dict(self.shard_sizes)}
-        return {**own, "schema": self.schema, **self.versions, **self.recipe}
+        named = None if self.named is None else f"{self.named.name} ({self.named.sha256[:DIGITS]})"
+        return {"named": named, **own, "schema": self.schema, **self.versions, **self.recipe}
 
 
 @dataclass(frozen=True)
@@ -109,14 +134,14 @@ class FinishedPart:
     def of_plan(cls, part: int, indices: range, plan: PartsPlan, splits: Mapping[str, SplitRecord]) -> Self:
         """Part ``part`` of a plan, of these samples, with the splits of its manifest."""
         return cls(
-            part, plan.of, indices.start, indices.stop, plan.count, plan.seed, recipe_hash(plan.recipe), plan.schema,
+            part, plan.of, indices.start, indices.stop, plan.count, plan.seed, plan.recipe_sha256, plan.schema,
             plan.versions, {name: split.shards for name, split in splits.items()},
         )  # fmt: skip
 
     def require_of(self, plan: PartsPlan, place: Path, remedy: str) -> None:
         """Raise ``ConfigError`` where this is no part of ``plan``; ``place``: its file."""
         mine = {"parts": self.of, "count": self.count, "seed": self.seed, "recipe_sha256": self.recipe_sha256}
-        theirs = {"parts": plan.of, "count": plan.count, "seed": plan.seed, "recipe_sha256": recipe_hash(plan.recipe)}
+        theirs = {"parts": plan.of, "count": plan.count, "seed": plan.seed, "recipe_sha256": plan.recipe_sha256}
         mine |= {"schema": self.schema, **self.versions}
         theirs |= {"schema": plan.schema, **plan.versions}
         for name in sorted(mine.keys() | theirs.keys()):
@@ -165,7 +190,7 @@ def parts_waiting(out: Path) -> str | None:
         begun = (folder / PLAN).exists()
     if is_merging(out):
         return f"the merge of its parts goes on, or was stopped: run gcd merge {out}"
-    of = read_plan(out).of if begun else 0
+    of = read_plan(folder).of if begun else 0
     others = "" if finished == of else "make the others, then "
     return f"{finished} of {of or 'its'} parts are finished: {others}run gcd merge {out}"
 
@@ -194,15 +219,21 @@ def agree_on(out: Path, asked: PartsPlan) -> None:
     path = make_folder(out / PARTS) / PLAN
     if not path.exists():
         write_whole(path, _json(asdict(asked)))
-    read_plan(out).require_same(asked, path)
+    read_plan(out / PARTS).require_same(asked, path)
 
 
-def read_plan(out: Path) -> PartsPlan:
-    """The plan of the parts in ``out``. Raises ``ShardError`` for one that is missing or broken."""
-    path = out / PARTS / PLAN
-    remedy = f"copy it again, or delete {path.parent} and make the parts anew"
-    values = _read(path, PLAN_TYPES, remedy)
-    return PartsPlan(**values)
+def has_plan(folder: Path) -> bool:
+    """Whether parts were begun in ``folder``. Raises ``ShardError``."""
+    with reading(folder):
+        return (folder / PLAN).exists()
+
+
+def read_plan(folder: Path) -> PartsPlan:
+    """The plan of the parts in ``folder``. Raises ``ShardError`` for one that is missing or broken."""
+    remedy = f"copy it again, or delete {folder} and make the parts anew"
+    values = _read(folder / PLAN, PLAN_TYPES, remedy)
+    named = values["named"]
+    return PartsPlan(**{**values, "named": None if named is None else NamedSet(**named)})
 
 
 def read_finished(folder: Path) -> FinishedPart | None:
@@ -261,9 +292,21 @@ def _is_sizes(value: Any) -> bool:
     return isinstance(value, Mapping) and all(_is_count(size) and size > 0 for size in value.values())
 
 
+def _is_named(value: Any) -> bool:
+    if value is None:
+        return True
+    texts = ("name", "sha256", "patterns")
+    return (
+        isinstance(value, Mapping)
+        and value.keys() == {"splits", *texts}
+        and all(_is_text(value[name]) for name in texts)
+        and _is_mapping(value["splits"])
+    )
+
+
 PLAN_TYPES = {
     "of": _is_count, "count": _is_count, "seed": _is_natural, "recipe": _is_mapping, "shard_sizes": _is_sizes,
-    "schema": _is_count, "versions": _is_versions,
+    "schema": _is_count, "versions": _is_versions, "named": _is_named,
 }  # fmt: skip
 FINISHED_TYPES = {
     "part": _is_count, "of": _is_count, "first": _is_count, "stop": _is_count, "count": _is_count,

@@ -166,9 +166,8 @@ def generate_recipe(
     """Have the data set of a recipe in the folder ``out``, with its splits, or one part; gone on with as ``generate``
     does.
 
-    ``recipe``: one of ``find_recipe``, or its name. When all of it is there the manifest gets the hash of its patterns;
-    call this again, without ``part``, after ``merge``.
-    Raises as ``find_recipe`` and ``generate`` do.
+    ``recipe``: one of ``find_recipe``, or its name. When all of it is there, by ``merge`` if it is made in parts, the
+    manifest gets the hash of its patterns. Raises as ``find_recipe`` and ``generate`` do.
     """
     recipe = recipe if isinstance(recipe, Recipe) else find_recipe(recipe)
     folder, config = require_folder(out, "data sets of recipes"), replace(recipe.config, device=device)

@@ -12,7 +12,7 @@ from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.growing import GrowingShard, shard_record, sync_folder
 from gcd_dataset.shards.index import ShardIndex, ShardTable, empty_table, known_index, scan_shard, whole_samples
 from gcd_dataset.shards.layout import GARMENTS, TRAIN, Layout, index_name, lock_name
-from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, read_manifest
+from gcd_dataset.shards.manifest import Manifest, RecipeRecord, ShardRecord, SplitRecord, read_manifest
 from gcd_dataset.shards.parts import (
     MERGED,
     PARTS,
@@ -20,6 +20,7 @@ from gcd_dataset.shards.parts import (
     PartsPlan,
     changing_parts,
     finished_path,
+    has_plan,
     is_merging,
     merging_path,
     part_folder,
@@ -30,6 +31,7 @@ from gcd_dataset.shards.parts import (
 from gcd_dataset.shards.rejects import REJECTS, joined_rejects
 from gcd_dataset.verbs.parts import command_of
 from gcd_dataset.verbs.progress import Progress, Told, unheard
+from gcd_dataset.verbs.seal import seal
 
 __all__ = ["merge"]
 
@@ -65,13 +67,23 @@ def merge(out: Path | str, *, told: Told = unheard) -> dict[str, int]:
     with locked(out / lock_name(TRAIN), "merging its parts"):
         if waiting:
             _merge(out, told)
-        _remove(out / MERGED)
+        _complete(out)
         manifest = read_manifest(out)
     return {} if manifest is None else manifest.counts
 
 
+def _complete(out: Path) -> None:
+    """Put the hash of the patterns of a data set that has a name into its manifest; remove what is left of the parts.
+
+    In this order: a kill between the two leaves what it takes to go on.
+    """
+    if has_plan(out / MERGED) and (named := read_plan(out / MERGED).named) is not None:
+        seal(out, named)
+    _remove(out / MERGED)
+
+
 def _merge(out: Path, told: Told) -> None:
-    plan = read_plan(out)
+    plan = read_plan(out / PARTS)
     require_version(out, plan)
     _begin(out)
     try:
@@ -135,6 +147,8 @@ def _finished_parts(out: Path, plan: PartsPlan) -> list[FinishedPart]:
     for part, (finished, folder) in enumerate(zip(parts, folders, strict=True)):
         remedy = f"delete {folder} and run {command_of(out, plan, part)}"
         finished.require_of(plan, finished_path(folder), remedy)
+        if others := sorted(finished.splits.keys() - plan.shard_sizes.keys()):
+            raise ConfigError(f"{finished_path(folder)}: tells of split {others[0]}, as no other part: {remedy}")
     return parts
 
 
@@ -234,8 +248,8 @@ def _copied(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, Shar
 
 def _describe(out: Path, plan: PartsPlan, records: Mapping[str, Sequence[ShardRecord]]) -> None:
     """Write manifest and rejects."""
-    begun = read_manifest(out)
-    manifest = Manifest(recipe=None if begun is None else begun.recipe)
+    named = plan.named
+    manifest = Manifest(recipe=None if named is None else RecipeRecord(named.name, named.sha256))
     for split, shards in records.items():
         record = SplitRecord(plan.seed, plan.recipe, plan.shard_sizes[split], tuple(shards))
         manifest = manifest.with_split(split, record)

@@ -8,6 +8,7 @@ from typing import Self
 
 from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
+from gcd_dataset.generator.recipes import Recipe, recipe_names
 from gcd_dataset.options import options_of
 from gcd_dataset.shards.access import writing
 from gcd_dataset.shards.contents import read_index
@@ -17,6 +18,7 @@ from gcd_dataset.shards.origin import agreed
 from gcd_dataset.shards.parts import (
     PARTS,
     FinishedPart,
+    NamedSet,
     PartsPlan,
     agree_on,
     changing_parts,
@@ -108,7 +110,7 @@ class PartPlace:
         """Leave word that the part is finished. Raises ``OutputError``."""
         manifest = read_manifest(self.folder)
         assert manifest is not None
-        plan = read_plan(self.out)
+        plan = read_plan(self.out / PARTS)
         finished = FinishedPart.of_plan(self.part.number, self.indices, plan, manifest.splits)
         write_finished(self.folder, finished)
 
@@ -125,24 +127,42 @@ def begin_part(out: Path, part: Part, count: int, seed: int, config: MakeConfig,
             _require_there(out, part, indices, seed, config, division)
             return PartPlace(out, part, indices, is_merged=True)
         _require_not_merging(out)
-        agree_on(out, PartsPlan(part.of, count, seed, recipe_of(config), division.shard_sizes, SCHEMA, versions()))
+        options, named = recipe_of(config), _named(division.recipe)
+        agree_on(out, PartsPlan(part.of, count, seed, options, division.shard_sizes, SCHEMA, versions(), named))
     return PartPlace(out, part, indices)
 
 
 def command_of(out: Path, plan: PartsPlan, part: int) -> str:
     """The command that makes a part of a plan."""
-    words = ["gcd", "generate", str(out), "--count", str(plan.count), "--seed", str(plan.seed)]
-    return shlex.join([*words, *_options_of(plan), "--shard", str(Part(part, plan.of))])
+    options = _options_of(plan) if plan.named is None else _options_of_named(plan, plan.named)
+    return shlex.join(["gcd", "generate", str(out), *options, "--shard", str(Part(part, plan.of))])
+
+
+def _named(recipe: Recipe | None) -> NamedSet | None:
+    if recipe is None:
+        return None
+    return NamedSet(recipe.name, recipe.sha256, dict(recipe.splits), recipe.patterns)
+
+
+def _options_of_named(plan: PartsPlan, named: NamedSet) -> Iterator[str]:
+    yield from ("--recipe", named.name if named.name in recipe_names() else "FILE.toml")
+    yield from _device_of(plan)
+
+
+def _device_of(plan: PartsPlan) -> tuple[str, ...]:
+    is_on_cpu = (plan.recipe.get("device"), plan.recipe.get("stage")) == ("cpu", "drape")
+    return ("--device", "cpu") if is_on_cpu else ()
 
 
 def _options_of(plan: PartsPlan) -> Iterator[str]:
-    """The options of a recipe that are not their defaults."""
+    """Count, seed, and the options that are not their defaults."""
+    yield from ("--count", str(plan.count), "--seed", str(plan.seed))
     for option in options_of(MakeConfig):
         value = plan.recipe.get(option.name, option.default)
         if option.name == "design":
             yield from ("--config", "FILE.toml") if value else ()
         elif option.name == "device":
-            yield from ("--device", "cpu") if value == "cpu" and plan.recipe.get("stage") == "drape" else ()
+            yield from _device_of(plan)
         elif value != option.default:
             yield from (option.flag, str(value))
 

@@ -1,7 +1,9 @@
 """The name of a data set in its manifest: there before the first sample, the hash of its patterns after the last."""
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Protocol
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import make_folder, user_path
@@ -50,7 +52,20 @@ def claim(folder: Path, recipe: Recipe | None) -> None:
         )
 
 
-def seal(folder: Path, recipe: Recipe) -> None:
+class Named(Protocol):
+    """A recipe, or what the parts of its data set have noted of it."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def sha256(self) -> str: ...
+    @property
+    def splits(self) -> Mapping[str, float]: ...
+    @property
+    def patterns(self) -> str: ...
+
+
+def seal(folder: Path, recipe: Named) -> None:
     """Put the hash of all patterns into the manifest of a whole data set; nothing where it is.
 
     Where the recipe tells it, and numbers on the boundary between two steps alone are rounded otherwise, the recipe's
@@ -72,7 +87,7 @@ def seal(folder: Path, recipe: Recipe) -> None:
     keep_recipe(folder, RecipeRecord(recipe.name, recipe.sha256, recipe.patterns if agrees else found.text))
 
 
-def is_sealed(folder: Path, recipe: Recipe) -> bool:
+def is_sealed(folder: Path, recipe: Named) -> bool:
     """Whether all of the recipe's data set has been put into a folder, by what its manifest says."""
     with reading(folder):
         manifest = read_manifest(folder) if folder.is_dir() else None
@@ -80,7 +95,7 @@ def is_sealed(folder: Path, recipe: Recipe) -> bool:
     return there is not None and (there.name, there.sha256) == (recipe.name, recipe.sha256) and bool(there.patterns)
 
 
-def hash_of(folder: Path, recipe: Recipe) -> PatternHash:
+def hash_of(folder: Path, recipe: Named) -> PatternHash:
     """The hash of the patterns of all splits. Raises ``ShardError``."""
     store = FolderStore(folder)
     return sum((PatternHash.of(stored_patterns(ShardReader(store, split))) for split in recipe.splits), PatternHash())

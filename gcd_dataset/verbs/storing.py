@@ -36,6 +36,8 @@ class Division:
     """Split to its samples in the end, where that is known."""
     split_of: Callable[[int, Outcome | None], str]
     """The split of the sample with an index, whose drape ended so."""
+    recipe: Recipe | None = None
+    """That divides them."""
 
     @property
     def at_once(self) -> tuple[str, ...]:
@@ -48,7 +50,7 @@ def division_of(config: MakeConfig, recipe: Recipe | None = None) -> Division:
     if recipe is not None:
         # Shards of all splits hold about as many samples each.
         sizes = {split: round(SHARD_SIZE / max(share, SMALLEST_SHARE)) for split, share in recipe.splits.items()}
-        return Division(sizes, recipe.sizes(), lambda index, outcome: recipe.split_of(index))
+        return Division(sizes, recipe.sizes(), lambda index, outcome: recipe.split_of(index), recipe)
     if config.stage != "drape" or config.on_fail != "keep":
         return Division({TRAIN: SHARD_SIZE}, None, lambda index, outcome: TRAIN)
     sizes = dict.fromkeys((TRAIN, FAILED), SHARD_SIZE)

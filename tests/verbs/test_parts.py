@@ -15,12 +15,14 @@ import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, GcdError, OutputError, ShardError
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.recipes import Recipe
 from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.layout import lock_name
 from gcd_dataset.shards.parts import part_folder
-from gcd_dataset.verbs import Part, generate, making, merge, storing
+from gcd_dataset.verbs import Part, generate, generate_recipe, making, merge, merging, storing
 from gcd_dataset.verbs.storing import GarmentWriter, division_of
 from tests.verbs.real import COUNT, CUFFED, contents, killed, made_once
 
@@ -124,6 +126,58 @@ def test_a_finished_part_says_what_it_is(tmp_path: Path) -> None:
     assert [told[name] for name in ("part", "of", "first", "stop", "count", "seed")] == [1, 3, 8, 16, COUNT, 0]
     assert told["versions"].keys() >= {"gcd_dataset", "numpy"}
     assert [shard["count"] for shard in told["splits"]["train"]] == [4, 4]
+
+
+@pytest.mark.parametrize("of", [1, 3])
+def test_parts_of_a_recipe_are_the_data_set_of_its_name(
+    of: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(making, "produce", produce)
+    recipe = tmp_path / "flat.toml"
+    recipe.write_text(
+        'name = "flat"\nabout = "flat"\ndesigns = 6\nseed = 3\n[options]\nstage = "pattern"\nbodies = "both"\n'
+        "[splits]\ntest = 0.3\ntrain = 0.7\n"
+    )
+    command = ["generate", "--recipe", str(recipe), "--quiet"]
+    assert main([*command, str(tmp_path / "whole")]) == 0
+    for number in range(of):
+        assert main([*command, str(tmp_path / "parts"), "--shard", f"{number}/{of}"]) == 0
+    merge(tmp_path / "parts")
+    assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
+    assert main(["verify", str(tmp_path / "parts"), "--recipe", str(recipe)]) == 0
+    assert main([*command, str(tmp_path / "parts"), "--shard", "0/2"]) == 0
+    assert "part 0/2 is there already: 6 garments" in capsys.readouterr().out
+
+
+def test_parts_of_another_recipe_are_refused(tmp_path: Path) -> None:
+    recipe = Recipe("flat", "flat", 6, 0, CUFFED, {"train": 1.0})
+    generate_recipe(tmp_path, recipe, part=Part(0, 2))
+    for other in (replace(recipe, splits={"test": 0.5, "train": 0.5}), replace(recipe, name="other")):
+        with pytest.raises(
+            ConfigError, match=r"made by recipe flat \(.*\), asked for .*: use the same or another folder"
+        ):
+            generate_recipe(tmp_path, other, part=Part(1, 2))
+    with pytest.raises(ConfigError, match="go on with --recipe, or choose another folder"):
+        part_of(tmp_path, 1, 2, count=12)
+    with pytest.raises(ShardError, match=r"part 1/2 is missing: run gcd generate \S+ --recipe FILE\.toml --shard 1/2"):
+        merge(tmp_path)
+
+
+def test_a_recipe_whose_merge_was_killed_gets_its_hash_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = Recipe("flat", "flat", 6, 0, CUFFED, {"train": 1.0})
+    generate_recipe(tmp_path / "whole", recipe)
+    for number in (0, 1):
+        generate_recipe(tmp_path / "parts", recipe, part=Part(number, 2))
+
+    def work(told: Callable[..., None]) -> None:
+        monkeypatch.setattr(merging, "seal", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+        merge(tmp_path / "parts")
+
+    killed(work, after=99)
+    merge(tmp_path / "parts")
+    assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
 
 
 # ------------------------------------------------------------------------------------------------------ a broken merge
