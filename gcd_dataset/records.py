@@ -7,9 +7,9 @@ Arrays are made read-only when they enter a record; records compare by value.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from enum import Enum
+from enum import Enum, StrEnum
 from math import cos, sin
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -26,11 +26,13 @@ __all__ = [
     "Drape",
     "Edge",
     "EdgeRef",
+    "EdgeRole",
     "Grade",
     "Measurements",
     "NamedFabric",
     "Outcome",
     "Panel",
+    "PanelRole",
     "Pattern",
     "Placement",
     "Provenance",
@@ -40,6 +42,7 @@ __all__ = [
     "Seam",
     "Strain",
     "View",
+    "role_of",
 ]
 
 
@@ -227,6 +230,51 @@ class Measurements:
 # ------------------------------------------------------------------------------------------------------------- pattern
 
 
+class PanelRole(StrEnum):
+    """The part of the body that a panel covers; the value is its label in files."""
+
+    BODY = "body"
+    LEG = "leg"
+    """Skirts, too."""
+    ARM = "arm"
+
+
+class EdgeRole(StrEnum):
+    """What an edge is to a drape; the value is its label in files."""
+
+    LOWER_INTERFACE = "lower_interface"
+    """The top of what hangs from the waist."""
+    LEFT_COLLAR = "left_collar"
+    RIGHT_COLLAR = "right_collar"
+    LEFT_ARMHOLE = "left_armhole"
+    RIGHT_ARMHOLE = "right_armhole"
+    STRAPLESS_TOP = "strapless_top"
+
+    @property
+    def mirrored(self) -> "EdgeRole":
+        """The role of the edge's mirror image about x = 0."""
+        return MIRRORED.get(self, self)
+
+
+MIRRORED = {
+    EdgeRole.LEFT_COLLAR: EdgeRole.RIGHT_COLLAR,
+    EdgeRole.RIGHT_COLLAR: EdgeRole.LEFT_COLLAR,
+    EdgeRole.LEFT_ARMHOLE: EdgeRole.RIGHT_ARMHOLE,
+    EdgeRole.RIGHT_ARMHOLE: EdgeRole.LEFT_ARMHOLE,
+}
+
+R = TypeVar("R", bound=StrEnum)
+
+
+def role_of(kind: type[R], label: str) -> R | str:
+    """The role that a label in a file stands for; the label itself, where it stands for none.
+
+    >>> role_of(PanelRole, "arm"), role_of(PanelRole, "pocket")
+    (<PanelRole.ARM: 'arm'>, 'pocket')
+    """
+    return next((role for role in kind if role == label), label)
+
+
 @dataclass(frozen=True, slots=True)
 class Edge:
     """One edge of a panel, from vertex ``start`` to vertex ``end``."""
@@ -234,8 +282,8 @@ class Edge:
     start: int
     end: int
     curve: Curve = LINE
-    label: str = ""
-    """What the edge is to a drape: ``lower_interface``, ``left_collar``, …; empty for none."""
+    label: EdgeRole | str = ""
+    """What the edge is to a drape; empty for nothing, another text as a file has it."""
     name: str = ""
     """How the drawing calls it; not part of a specification file."""
 
@@ -279,8 +327,8 @@ class Panel(Record):
     """Corner points in the panel's plane [cm]."""
     edges: tuple[Edge, ...]
     placement: Placement
-    label: str = ""
-    """The part of the body it covers: ``body``, ``arm``, ``leg``; empty if unknown."""
+    label: PanelRole | str = ""
+    """The part of the body it covers; empty if unknown, another text as a file has it."""
 
     def edge_ends(self, index: int) -> tuple[Point, Point]:
         """Start and end point of edge ``index`` [cm]."""
@@ -364,11 +412,11 @@ class BoxMesh(Record):
     panel_id: Int[np.ndarray, " f"]
     """Row of ``panel_names`` for each face."""
     panel_names: tuple[str, ...]
-    panel_labels: tuple[str, ...]
-    """``body``, ``arm``, ``leg`` or empty, beside ``panel_names``."""
+    panel_labels: tuple[PanelRole | str, ...]
+    """What each panel covers, beside ``panel_names``; as ``Panel.label``."""
     seams: Int[np.ndarray, "s 2"]
     """Pairs (vertex, row of the pattern's seams); a vertex stands once for every seam that runs through it."""
-    labels: Mapping[str, Int[np.ndarray, " n"]] = field(default_factory=dict)
+    labels: Mapping[EdgeRole | str, Int[np.ndarray, " n"]] = field(default_factory=dict)
     """Edge label to the ids of the vertices on such edges."""
 
     @property

@@ -14,7 +14,7 @@ from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT, PencilSkir
 from gcd_dataset.generator.garments.shirt import LeftShirtDesign, ShirtDesign
 from gcd_dataset.generator.garments.sleeve import LeftSleeveDesign, SleeveDesign
 from gcd_dataset.generator.garments.space import Design, choice, flag, part, with_parts
-from gcd_dataset.generator.garments.upper import STRAIGHT_SHIRT
+from gcd_dataset.generator.garments.upper import STRAIGHT_SHIRT, Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
@@ -76,6 +76,13 @@ class OutfitDesign(Design):
 
     def writes(self, name: str) -> bool:
         return name in self.sections_used()
+
+    def halves(self) -> tuple[UpperHalf, ...]:
+        """What the halves of a shirt are drawn from, those that differ; none without a shirt."""
+        if self.meta.upper is None or not isinstance(self.meta.upper.garment, Shirt):
+            return ()
+        left = self.left_half()
+        return (self.right_half(),) if left is None else (self.right_half(), left)
 
     def right_half(self) -> UpperHalf:
         """What the right half of the upper body is drawn from; it has a collar only if the left one is its image."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, part
 from gcd_dataset.generator.pattern import Component
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import Measurements, PanelRole
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.garments.design import OutfitDesign
@@ -113,7 +113,7 @@ class SimpleUpper(UpperGarment[D]):
     long: Callable[[Measurements, D], float]
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
-        return self.cut(size, self.own(design)).labelled("body")
+        return self.cut(size, self.own(design)).labelled(PanelRole.BODY)
 
     def length(self, size: Measurements, design: "OutfitDesign") -> float:
         return self.long(size, self.own(design))
