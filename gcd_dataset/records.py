@@ -9,15 +9,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum, StrEnum
 from math import cos, sin
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.curves import LINE, Curve, Point, curve_length
-from gcd_dataset.errors import BodyError, PatternError
+from gcd_dataset.errors import PatternError
+from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
 
 __all__ = [
+    "ANGLES",
     "MEASURES",
     "Body",
     "BodyPart",
@@ -114,117 +116,6 @@ class Body(Record):
     parts: UInt8[np.ndarray, " v"]
     """``BodyPart`` value of each vertex."""
     name: str = "body"
-
-
-MEASURES: tuple[str, ...] = (
-    "height", "head_l", "neck_w", "shoulder_w", "shoulder_incl", "armscye_depth", "arm_length", "arm_pose_angle",
-    "wrist", "bust", "underbust", "waist", "hips", "leg_circ", "waist_back_width", "back_width", "hip_back_width",
-    "bust_points", "bum_points", "waist_line", "waist_over_bust_line", "bust_line", "vert_bust_line", "hips_line",
-    "hip_inclination", "crotch_hip_diff",
-)  # fmt: skip
-"""The 26 keys of a GarmentCode measurement file: lengths in cm; the three inclinations in degrees in files."""
-
-ARMSCYE_EASE = 2.5  # cm, GarmentCode body_params.py
-SLEEVE_BALANCE = 2.0  # cm, GarmentCode body_params.py
-ANGLES = frozenset({"shoulder_incl", "arm_pose_angle", "hip_inclination"})
-
-
-@dataclass(frozen=True)
-class Measurements:
-    """A tailor's measures [cm]; inclinations [rad]. NaN marks a measure nobody took.
-
-    The meaning of each is that of GarmentCode's measurement files; see ``generator.body.measure``.
-    """
-
-    height: float = np.nan
-    head_l: float = np.nan
-    """Nape of the neck to the top of the head, vertically."""
-    neck_w: float = np.nan
-    """Neck base round the back, from one side-neck point to the other."""
-    shoulder_w: float = np.nan
-    shoulder_incl: float = np.nan
-    """Slope of the shoulder below the horizontal [rad]."""
-    armscye_depth: float = np.nan
-    """Shoulder point to underarm point, straight."""
-    arm_length: float = np.nan
-    """Shoulder to wrist over the skin."""
-    arm_pose_angle: float = np.nan
-    """Angle of the arm below the horizontal [rad]."""
-    wrist: float = np.nan
-    bust: float = np.nan
-    underbust: float = np.nan
-    waist: float = np.nan
-    hips: float = np.nan
-    leg_circ: float = np.nan
-    waist_back_width: float = np.nan
-    back_width: float = np.nan
-    hip_back_width: float = np.nan
-    bust_points: float = np.nan
-    bum_points: float = np.nan
-    waist_line: float = np.nan
-    """Nape to waist along the back."""
-    waist_over_bust_line: float = np.nan
-    bust_line: float = np.nan
-    vert_bust_line: float = np.nan
-    hips_line: float = np.nan
-    """Waist to hips, vertically."""
-    hip_inclination: float = np.nan
-    """Lean of the side between hips and waist from the vertical [rad]."""
-    crotch_hip_diff: float = np.nan
-
-    @classmethod
-    def from_file_values(cls, values: Mapping[str, float]) -> Self:
-        """From the numbers of a measurement file: angles in degrees, derived keys (leading ``_``) left out."""
-        known = {key: float(value) for key, value in values.items() if key in MEASURES}
-        return cls(**{key: float(np.radians(value)) if key in ANGLES else value for key, value in known.items()})
-
-    def to_file_values(self) -> dict[str, float]:
-        """The numbers as a measurement file holds them: angles in degrees, measures nobody took left out."""
-        values = {key: float(getattr(self, key)) for key in MEASURES}
-        return {
-            key: float(np.degrees(value)) if key in ANGLES else value
-            for key, value in values.items()
-            if not np.isnan(value)
-        }
-
-    def require(self, *names: str) -> Self:
-        """These measurements, or ``BodyError`` with the names of those that nobody took."""
-        missing = [name for name in names if np.isnan(getattr(self, name))]
-        if missing:
-            raise BodyError(f"measures {', '.join(missing)} are missing: add them to the measurement file")
-        return self
-
-    @property
-    def waist_level(self) -> float:
-        """Height of the waist over the floor [cm]."""
-        return self.height - self.head_l - self.waist_line
-
-    @property
-    def leg_length(self) -> float:
-        """Hip line to floor [cm]."""
-        return self.waist_level - self.hips_line
-
-    @property
-    def sleeve_balance(self) -> float:
-        """Distance between the armholes' shoulder ends [cm]."""
-        return self.shoulder_w - SLEEVE_BALANCE
-
-    @property
-    def drawn_bust_line(self) -> float:
-        """The bust line as the patterns use it: two thirds vertical, one third over the bust [cm]."""
-        if np.isnan(self.vert_bust_line):
-            return self.bust_line
-        return 2 / 3 * self.vert_bust_line + 1 / 3 * self.bust_line
-
-    @property
-    def drawn_hip_inclination(self) -> float:
-        """Half the hips' inclination, as the patterns use it [rad]."""
-        return self.hip_inclination / 2
-
-    @property
-    def eased_armscye_depth(self) -> float:
-        """Armscye depth with ease [cm]."""
-        return self.armscye_depth + ARMSCYE_EASE
 
 
 # ------------------------------------------------------------------------------------------------------------- pattern

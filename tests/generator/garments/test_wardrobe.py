@@ -50,6 +50,7 @@ print(json.dumps({
     "panels": [panel.name for panel in pattern.panels],
     "parts": [panel.label for panel in pattern.panels],
     "vertices": len(build_box_mesh(pattern, spacing=4.0).vertices),
+    "measures": size.to_file_values(),
 }))
 """
 
@@ -67,8 +68,13 @@ def test_every_garment_has_a_name_and_every_section_a_kind_of_its_own() -> None:
     assert all(isinstance(garment.own(OutfitDesign()), garment.design) for garment in GARMENTS)
 
 
-def test_a_skirt_is_added_by_a_file_and_a_line(tmp_path: Path) -> None:
-    """Drawn by chance, narrowed by overlays, dressed and meshed, in a copy of the package with nothing else changed."""
+MEASURE = """    torso: float = measure(lambda tape: tape.above("nape_of_neck", "crotch_point"))
+    \"\"\"Nape to crotch, vertically.\"\"\"
+"""
+
+
+def test_a_skirt_is_added_by_a_file_and_a_line_and_a_measure_by_a_field(tmp_path: Path) -> None:
+    """Drawn by chance, narrowed by overlays, and meshed, in a copy of the package with nothing else changed."""
     package = tmp_path / "gcd_dataset"
     shutil.copytree(
         Path(gcd_dataset.__file__).parent, package, ignore=shutil.ignore_patterns("hub", "loaders", "shards")
@@ -80,6 +86,11 @@ def test_a_skirt_is_added_by_a_file_and_a_line(tmp_path: Path) -> None:
     assert wardrobe.count(line) == wardrobe.count(member) == 1
     wardrobe = wardrobe.replace(line, f"{line}from gcd_dataset.generator.garments.own_skirt import OWN_SKIRT\n")
     (garments / "wardrobe.py").write_text(wardrobe.replace(member, f"{member}    OWN = OWN_SKIRT\n"))
+    measurements = (package / "measurements.py").read_text()
+    assert measurements.count("\n    @classmethod\n") == 1
+    (package / "measurements.py").write_text(
+        measurements.replace("\n    @classmethod\n", f"{MEASURE}\n    @classmethod\n")
+    )
     run = subprocess.run([sys.executable, "-c", TRIAL], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
@@ -88,6 +99,9 @@ def test_a_skirt_is_added_by_a_file_and_a_line(tmp_path: Path) -> None:
     assert set(found["panels"]) == {"own_skirt_front", "own_skirt_back"}
     assert found["parts"] == ["leg", "leg"]
     assert found["vertices"] > 100
+    taken = found["measures"]
+    down_the_back = taken["waist_line"] + taken["hips_line"] + taken["crotch_hip_diff"]
+    assert taken["torso"] == pytest.approx(down_the_back, rel=0.05)
 
 
 # ----------------------------------------------------------------------------------- garments that GarmentCode has not
