@@ -1,13 +1,15 @@
 """The design of an outfit: all its parameters, in the order and under the names of GarmentCode's design files."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from gcd_dataset.generator.garments.circle_skirt import CIRCLE_SKIRT
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
-from gcd_dataset.generator.garments.garment import one_of, section_of
+from gcd_dataset.generator.garments.garment import Garment, one_of, section_of
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT, GatheredSkirtDesign
 from gcd_dataset.generator.garments.godet_skirt import GODET_SKIRT, GodetSkirtDesign
 from gcd_dataset.generator.garments.levels_skirt import LEVELS_SKIRT, LevelsSkirtDesign
+from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.neckline import LeftNecklineDesign, NecklineDesign
 from gcd_dataset.generator.garments.pants import PANTS, PantsDesign
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT, PencilSkirtDesign
@@ -73,6 +75,13 @@ class OutfitDesign(Design):
         if meta.bottom:
             used.update(part.field for part in (meta.bottom.garment, *meta.bottom.garment.parts(self)))
         return frozenset(used)
+
+    def mends(self) -> frozenset[Mend]:
+        """The mends that change the pattern of the outfit, or may."""
+        worn: list[Garment[Any]] = [] if self.meta.upper is None else [self.meta.upper.garment]
+        if self.meta.bottom is not None:
+            worn += [self.meta.bottom.garment, *self.meta.bottom.garment.parts(self)]
+        return frozenset({Mend.EXPORT_PIVOT}.union(*(garment.mends for garment in worn)))
 
     def writes(self, name: str) -> bool:
         return name in self.sections_used()

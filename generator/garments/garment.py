@@ -46,6 +46,8 @@ class Garment(ABC, Generic[D]):
     """The kind of that section."""
     weight: int = 1
     """Chance of being drawn beside garments of weight 1; at 0, a garment is drawn only where an overlay names it."""
+    mends: frozenset[Mend] = frozenset()
+    """The faults of GarmentCode's drawing of this garment that ours mends."""
 
     @property
     def field(self) -> str:

@@ -24,11 +24,13 @@ from gcd_dataset.generator.garments import (
     try_on,
 )
 from gcd_dataset.generator.garments.design_file import read_design, write_design
+from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.verbs.statistics import garment_type
 from tests.generator.garments import own_skirt
+from tests.generator.garments.conftest import OUTFITS
 
 OWN = [upper for upper in Upper if not upper.garment.weight]
 TRIAL = """
@@ -194,3 +196,11 @@ def test_their_neck_goes_round_the_back_of_the_neck(woman: Measurements, upper: 
     necks = {panel.name: length(pattern, panel.name, "neck") for panel in pattern.panels}
     behind = necks.pop(f"{upper.garment.section}_back")
     assert 0.8 * woman.neck_w < behind < sum(necks.values()) < 2.5 * woman.neck_w
+
+
+@pytest.mark.parametrize("name", OUTFITS)
+def test_no_mend_but_those_of_its_garments_changes_an_outfit(woman: Measurements, name: str) -> None:
+    design = design_from_dict(OUTFITS[name])
+    others = ALL_MENDS - design.mends()
+    assert outfit(woman, design, mends=ALL_MENDS - others) == outfit(woman, design)
+    assert design.mends() >= {Mend.EXPORT_PIVOT}
