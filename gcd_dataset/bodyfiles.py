@@ -13,7 +13,8 @@ from jaxtyping import UInt8
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.files import read_whole, write_whole
 from gcd_dataset.jsonfile import read_json
-from gcd_dataset.records import ANGLES, MEASURES, BodyPart, Measurements
+from gcd_dataset.measurements import MEASURE, Measure
+from gcd_dataset.records import BodyPart, Measurements
 from gcd_dataset.yamlfile import LARGEST_YAML, strict_yaml
 
 __all__ = [
@@ -27,13 +28,9 @@ __all__ = [
 
 LARGEST_BODY_FILE = 512 << 20  # bytes: of a mesh, or of a shape space with its components
 LONGEST_NAME = 40  # letters of a name, in a message
-LARGEST_MEASURE = 1e4  # cm, or degrees: no giant has more
 LONGEST_NUMBER = 10**15  # from here on a whole number is not printed
 SHORT = reprlib.Repr()
 SHORT.maxlevel = 2
-
-OPTIONAL = frozenset({"underbust", "vert_bust_line"})
-"""No pattern needs them, and GarmentCode's SMPL bodies lack the second."""
 
 LIMBS = frozenset({"left_arm", "right_arm", "left_leg", "right_leg"})
 """Parts without which no garment can be put on."""
@@ -63,11 +60,11 @@ def parsed_measurements(table: Mapping[str, Any], path: str) -> Measurements:
     values = table.get("body")
     if not isinstance(values, dict):
         raise BodyError(f"{path}: no map named body: a measurement file begins with 'body:' and one 'key: cm' a line")
-    for key in MEASURES:
-        if key in values and not _is_measure(key, values[key]):
-            wanted = "a number of degrees" if key in ANGLES else "a positive number of centimetres"
+    for key, known in MEASURE.items():
+        if key in values and not _is_measure(known, values[key]):
+            wanted = "a number of degrees" if known.unit == "degrees" else "a positive number of centimetres"
             raise BodyError(f"{path}: body.{key} is {_found(values[key])}: give {wanted}")
-    missing = [key for key in MEASURES if key not in values and key not in OPTIONAL]
+    missing = [key for key, known in MEASURE.items() if key not in values and not known.optional]
     if missing:
         raise BodyError(f"{path}: body lacks {', '.join(missing)}: add {'it' if len(missing) == 1 else 'them'}")
     return Measurements.from_file_values(values)
@@ -158,10 +155,8 @@ def _told(error: yaml.MarkedYAMLError) -> str:
     return f"{place}{shown(str(error.problem or error.context)[:160])}"
 
 
-def _is_measure(key: str, value: Any) -> bool:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= LARGEST_MEASURE:
-        return False
-    return key in ANGLES or value > 0
+def _is_measure(known: Measure, value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and known.holds(value)
 
 
 def _found(value: Any) -> str:

@@ -7,17 +7,19 @@ Arrays are made read-only when they enter a record; records compare by value.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from enum import Enum
+from enum import Enum, StrEnum
 from math import cos, sin
-from typing import Any, Self
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.curves import LINE, Curve, Point, curve_length
-from gcd_dataset.errors import BodyError, PatternError
+from gcd_dataset.errors import PatternError
+from gcd_dataset.measurements import ANGLES, MEASURES, Measurements
 
 __all__ = [
+    "ANGLES",
     "MEASURES",
     "Body",
     "BodyPart",
@@ -26,11 +28,13 @@ __all__ = [
     "Drape",
     "Edge",
     "EdgeRef",
+    "EdgeRole",
     "Grade",
     "Measurements",
     "NamedFabric",
     "Outcome",
     "Panel",
+    "PanelRole",
     "Pattern",
     "Placement",
     "Provenance",
@@ -40,6 +44,7 @@ __all__ = [
     "Seam",
     "Strain",
     "View",
+    "role_of",
 ]
 
 
@@ -113,118 +118,52 @@ class Body(Record):
     name: str = "body"
 
 
-MEASURES: tuple[str, ...] = (
-    "height", "head_l", "neck_w", "shoulder_w", "shoulder_incl", "armscye_depth", "arm_length", "arm_pose_angle",
-    "wrist", "bust", "underbust", "waist", "hips", "leg_circ", "waist_back_width", "back_width", "hip_back_width",
-    "bust_points", "bum_points", "waist_line", "waist_over_bust_line", "bust_line", "vert_bust_line", "hips_line",
-    "hip_inclination", "crotch_hip_diff",
-)  # fmt: skip
-"""The 26 keys of a GarmentCode measurement file: lengths in cm; the three inclinations in degrees in files."""
-
-ARMSCYE_EASE = 2.5  # cm, GarmentCode body_params.py
-SLEEVE_BALANCE = 2.0  # cm, GarmentCode body_params.py
-ANGLES = frozenset({"shoulder_incl", "arm_pose_angle", "hip_inclination"})
-
-
-@dataclass(frozen=True)
-class Measurements:
-    """A tailor's measures [cm]; inclinations [rad]. NaN marks a measure nobody took.
-
-    The meaning of each is that of GarmentCode's measurement files; see ``generator.body.measure``.
-    """
-
-    height: float = np.nan
-    head_l: float = np.nan
-    """Nape of the neck to the top of the head, vertically."""
-    neck_w: float = np.nan
-    """Neck base round the back, from one side-neck point to the other."""
-    shoulder_w: float = np.nan
-    shoulder_incl: float = np.nan
-    """Slope of the shoulder below the horizontal [rad]."""
-    armscye_depth: float = np.nan
-    """Shoulder point to underarm point, straight."""
-    arm_length: float = np.nan
-    """Shoulder to wrist over the skin."""
-    arm_pose_angle: float = np.nan
-    """Angle of the arm below the horizontal [rad]."""
-    wrist: float = np.nan
-    bust: float = np.nan
-    underbust: float = np.nan
-    waist: float = np.nan
-    hips: float = np.nan
-    leg_circ: float = np.nan
-    waist_back_width: float = np.nan
-    back_width: float = np.nan
-    hip_back_width: float = np.nan
-    bust_points: float = np.nan
-    bum_points: float = np.nan
-    waist_line: float = np.nan
-    """Nape to waist along the back."""
-    waist_over_bust_line: float = np.nan
-    bust_line: float = np.nan
-    vert_bust_line: float = np.nan
-    hips_line: float = np.nan
-    """Waist to hips, vertically."""
-    hip_inclination: float = np.nan
-    """Lean of the side between hips and waist from the vertical [rad]."""
-    crotch_hip_diff: float = np.nan
-
-    @classmethod
-    def from_file_values(cls, values: Mapping[str, float]) -> Self:
-        """From the numbers of a measurement file: angles in degrees, derived keys (leading ``_``) left out."""
-        known = {key: float(value) for key, value in values.items() if key in MEASURES}
-        return cls(**{key: float(np.radians(value)) if key in ANGLES else value for key, value in known.items()})
-
-    def to_file_values(self) -> dict[str, float]:
-        """The numbers as a measurement file holds them: angles in degrees, measures nobody took left out."""
-        values = {key: float(getattr(self, key)) for key in MEASURES}
-        return {
-            key: float(np.degrees(value)) if key in ANGLES else value
-            for key, value in values.items()
-            if not np.isnan(value)
-        }
-
-    def require(self, *names: str) -> Self:
-        """These measurements, or ``BodyError`` with the names of those that nobody took."""
-        missing = [name for name in names if np.isnan(getattr(self, name))]
-        if missing:
-            raise BodyError(f"measures {', '.join(missing)} are missing: add them to the measurement file")
-        return self
-
-    @property
-    def waist_level(self) -> float:
-        """Height of the waist over the floor [cm]."""
-        return self.height - self.head_l - self.waist_line
-
-    @property
-    def leg_length(self) -> float:
-        """Hip line to floor [cm]."""
-        return self.waist_level - self.hips_line
-
-    @property
-    def sleeve_balance(self) -> float:
-        """Distance between the armholes' shoulder ends [cm]."""
-        return self.shoulder_w - SLEEVE_BALANCE
-
-    @property
-    def drawn_bust_line(self) -> float:
-        """The bust line as the patterns use it: two thirds vertical, one third over the bust [cm]."""
-        if np.isnan(self.vert_bust_line):
-            return self.bust_line
-        return 2 / 3 * self.vert_bust_line + 1 / 3 * self.bust_line
-
-    @property
-    def drawn_hip_inclination(self) -> float:
-        """Half the hips' inclination, as the patterns use it [rad]."""
-        return self.hip_inclination / 2
-
-    @property
-    def eased_armscye_depth(self) -> float:
-        """Armscye depth with ease [cm]."""
-        return self.armscye_depth + ARMSCYE_EASE
-
-
 # ------------------------------------------------------------------------------------------------------------- pattern
+
+
+class PanelRole(StrEnum):
+    """The part of the body that a panel covers; the value is its label in files."""
+
+    BODY = "body"
+    LEG = "leg"
+    """Skirts, too."""
+    ARM = "arm"
+
+
+class EdgeRole(StrEnum):
+    """What an edge is to a drape; the value is its label in files."""
+
+    LOWER_INTERFACE = "lower_interface"
+    """The top of what hangs from the waist."""
+    LEFT_COLLAR = "left_collar"
+    RIGHT_COLLAR = "right_collar"
+    LEFT_ARMHOLE = "left_armhole"
+    RIGHT_ARMHOLE = "right_armhole"
+    STRAPLESS_TOP = "strapless_top"
+
+    @property
+    def mirrored(self) -> "EdgeRole":
+        """The role of the edge's mirror image about x = 0."""
+        return MIRRORED.get(self, self)
+
+
+MIRRORED = {
+    EdgeRole.LEFT_COLLAR: EdgeRole.RIGHT_COLLAR,
+    EdgeRole.RIGHT_COLLAR: EdgeRole.LEFT_COLLAR,
+    EdgeRole.LEFT_ARMHOLE: EdgeRole.RIGHT_ARMHOLE,
+    EdgeRole.RIGHT_ARMHOLE: EdgeRole.LEFT_ARMHOLE,
+}
+
+R = TypeVar("R", bound=StrEnum)
+
+
+def role_of(kind: type[R], label: str) -> R | str:
+    """The role that a label in a file stands for; the label itself, where it stands for none.
+
+    >>> role_of(PanelRole, "arm"), role_of(PanelRole, "pocket")
+    (<PanelRole.ARM: 'arm'>, 'pocket')
+    """
+    return next((role for role in kind if role == label), label)
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,8 +173,8 @@ class Edge:
     start: int
     end: int
     curve: Curve = LINE
-    label: str = ""
-    """What the edge is to a drape: ``lower_interface``, ``left_collar``, …; empty for none."""
+    label: EdgeRole | str = ""
+    """What the edge is to a drape; empty for nothing, another text as a file has it."""
     name: str = ""
     """How the drawing calls it; not part of a specification file."""
 
@@ -279,8 +218,8 @@ class Panel(Record):
     """Corner points in the panel's plane [cm]."""
     edges: tuple[Edge, ...]
     placement: Placement
-    label: str = ""
-    """The part of the body it covers: ``body``, ``arm``, ``leg``; empty if unknown."""
+    label: PanelRole | str = ""
+    """The part of the body it covers; empty if unknown, another text as a file has it."""
 
     def edge_ends(self, index: int) -> tuple[Point, Point]:
         """Start and end point of edge ``index`` [cm]."""
@@ -364,11 +303,11 @@ class BoxMesh(Record):
     panel_id: Int[np.ndarray, " f"]
     """Row of ``panel_names`` for each face."""
     panel_names: tuple[str, ...]
-    panel_labels: tuple[str, ...]
-    """``body``, ``arm``, ``leg`` or empty, beside ``panel_names``."""
+    panel_labels: tuple[PanelRole | str, ...]
+    """What each panel covers, beside ``panel_names``; as ``Panel.label``."""
     seams: Int[np.ndarray, "s 2"]
     """Pairs (vertex, row of the pattern's seams); a vertex stands once for every seam that runs through it."""
-    labels: Mapping[str, Int[np.ndarray, " n"]] = field(default_factory=dict)
+    labels: Mapping[EdgeRole | str, Int[np.ndarray, " n"]] = field(default_factory=dict)
     """Edge label to the ids of the vertices on such edges."""
 
     @property

@@ -24,15 +24,32 @@ from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, mirror
 from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.jsonfile import Place, found, read_json
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam, role_of
 
-__all__ = ["panel_order", "pattern_from_spec", "read_pattern", "spec_from_pattern", "write_pattern"]
+__all__ = [
+    "is_bodice",
+    "is_trouser_leg",
+    "panel_order",
+    "pattern_from_spec",
+    "read_pattern",
+    "role_by_name",
+    "spec_from_pattern",
+    "write_pattern",
+]
 
 UNITS_IN_METER = 100  # ours: centimetres
 NEIGHBOURS = 10.0  # cm: panels that close in x, or in y, stand in one row of the panel order (pattern-format)
 UNPLACED = [0.0, 0.0, 0.0]  # the translation and rotation of a panel that is given none
 LARGEST_UNIT = 1e6  # units in a metre, and metres in a unit
 MOST_NAMES = 40  # in a message
+NAMES = {
+    PanelRole.LEG: ("pant", "skirt", "leg", "trouser", "short"),
+    PanelRole.ARM: ("sleeve", "arm", "cuff", "sl_"),
+    PanelRole.BODY: ("torso", "bodice", "wb", "hood", "collar", "lapel", "body", "top", "waist"),
+}
+"""Words in the names of panels, by what such panels cover."""
+TROUSERS = "pant"  # in the names of GarmentCode's trousers and their cuffs
+BODICE = ("torso", "bodice", "top", "bust")  # in the names of panels that hang from the armpits
 NAMELESS = frozenset({"specification", "template", "prediction"})  # file names that leave the name to the folder
 
 
@@ -108,6 +125,21 @@ def panel_order(panels: Iterable[Panel]) -> tuple[str, ...]:
     return tuple(name for _, name in ordered)
 
 
+def role_by_name(name: str) -> PanelRole | None:
+    """The part of the body that a panel's name hints at, where files have no label."""
+    return next((role for role, words in NAMES.items() if any(word in name.lower() for word in words)), None)
+
+
+def is_trouser_leg(name: str) -> bool:
+    """Whether a panel goes round one leg, by its name: labels tell trousers from skirts as little."""
+    return TROUSERS in name
+
+
+def is_bodice(name: str) -> bool:
+    """Whether a panel hangs from the armpits, by its name."""
+    return any(word in name.lower() for word in BODICE)
+
+
 # ------------------------------------------------------------------------------------------------------------- reading
 
 
@@ -150,7 +182,7 @@ def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: Place) -> Panel
         centre = vertices.mean(axis=0)
         vertices = vertices - centre
         translation = translation + np.append(centre, 0.0)
-    label = at.text(entry.get("label") or "", "label")
+    label = role_of(PanelRole, at.text(entry.get("label") or "", "label"))
     return Panel(name, vertices, edges, Placement(translation, rotation), label)
 
 
@@ -159,7 +191,7 @@ def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _F
     if not (isinstance(ends, list) and len(ends) == 2):
         raise at.error(f"endpoints must be two vertex numbers, found {found(ends)}")
     start, end = (at.index(vertex, "endpoint") for vertex in ends)
-    label = at.text(entry.get("label") or "", "label")
+    label = role_of(EdgeRole, at.text(entry.get("label") or "", "label"))
     if "curvature" not in entry:
         return Edge(start, end, label=label)
     curve = _curve(entry["curvature"], form.scale, at)

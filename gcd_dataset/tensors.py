@@ -27,7 +27,7 @@ from jaxtyping import Float, Int
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, curve_points, curve_tangents, from_frame, to_frame
 from gcd_dataset.errors import PatternError
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Record, Seam
+from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Record, Seam, role_of
 
 __all__ = [
     "EDGE_LABELS",
@@ -43,11 +43,9 @@ __all__ = [
     "require_closed",
 ]
 
-PANEL_LABELS = ("", "body", "leg", "arm")
+PANEL_LABELS = ("", *(role.value for role in PanelRole))
 """Panel labels that have the same number in every tensor; others are numbered after them."""
-EDGE_LABELS = (
-    "", "lower_interface", "left_collar", "right_collar", "left_armhole", "right_armhole", "strapless_top",
-)  # fmt: skip
+EDGE_LABELS = ("", *(role.value for role in EdgeRole))
 """Edge labels that have the same number in every tensor; others are numbered after them."""
 
 NO_AREA = 1e-6  # share of the squared extent: a flatter panel has no centroid of area worth the name
@@ -329,12 +327,12 @@ def _panel(tensor: PatternTensor, row: int, loop: Float[np.ndarray, "n 13"]) -> 
         Edge(start, end, _curve(entry, vertices[start], vertices[end], numbers[CENTROID]), _label(tensor, entry))
         for entry, start, end in zip(loop, corner, corner[1:] + corner[:1], strict=True)
     )
-    label = tensor.panel_labels[int(numbers[PanelColumn.LABEL])]
+    label = role_of(PanelRole, tensor.panel_labels[int(numbers[PanelColumn.LABEL])])
     return Panel(tensor.panel_names[row], vertices, edges, placement, label)
 
 
-def _label(tensor: PatternTensor, entry: Float[np.ndarray, "13"]) -> str:
-    return tensor.edge_labels[int(entry[EdgeColumn.LABEL])]
+def _label(tensor: PatternTensor, entry: Float[np.ndarray, "13"]) -> EdgeRole | str:
+    return role_of(EdgeRole, tensor.edge_labels[int(entry[EdgeColumn.LABEL])])
 
 
 def _curve(entry: Float[np.ndarray, "13"], start: np.ndarray, end: np.ndarray, centroid: np.ndarray) -> Curve:

@@ -69,14 +69,15 @@ def test_warp_is_imported_by_drape_and_render_alone() -> None:
 
 
 LAYERS = {
-    "records": {"errors", "curves"},
+    "measurements": {"errors"},
+    "records": {"errors", "curves", "measurements"},
     "jsonfile": {"errors", "files"},
     "spec": {"errors", "curves", "records", "files", "jsonfile"},
     "crossings": {"curves", "records"},
     "validate": {"errors", "curves", "records", "crossings"},
     "tensors": {"errors", "curves", "records"},
     "bodies": {"errors", "records"},
-    "bodyfiles": {"errors", "files", "jsonfile", "records", "yamlfile"},
+    "bodyfiles": {"errors", "files", "jsonfile", "measurements", "records", "yamlfile"},
     "seeding": set(),
     "curves": {"errors"},
 }

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Quadratic, sample_curve
 from gcd_dataset.errors import PatternError
-from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.tensors import (
+    EDGE_LABELS,
+    PANEL_LABELS,
     EdgeColumn,
     PanelColumn,
     PatternTensor,
@@ -201,3 +203,22 @@ def test_broken_arrays_are_named() -> None:
     ):
         with pytest.raises(PatternError, match=message):
             decode_pattern(broken)
+
+
+def test_roles_have_the_numbers_that_stored_tensors_have() -> None:
+    assert PANEL_LABELS == ("", "body", "leg", "arm")
+    assert EDGE_LABELS == (
+        "", "lower_interface", "left_collar", "right_collar", "left_armhole", "right_armhole", "strapless_top",
+    )  # fmt: skip
+
+
+def test_labels_come_back_as_roles_and_other_texts_as_they_are() -> None:
+    edges = tuple(Edge(i, (i + 1) % 4, label=label) for i, label in enumerate(("", "left_collar", "pocket", "")))
+    corners = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
+    panel = Panel("front", corners, edges, Placement(np.zeros(3), np.zeros(3)), "arm")
+    (read,) = decode_pattern(encode_pattern(Pattern("shirt", (panel,), ()))).panels
+    assert read.label is PanelRole.ARM
+    assert sorted(edge.label for edge in read.edges) == ["", "", "left_collar", "pocket"]
+    assert [edge.label for edge in read.edges if isinstance(edge.label, EdgeRole)] == [EdgeRole.LEFT_COLLAR]
+    assert EdgeRole.LEFT_COLLAR.mirrored is EdgeRole.RIGHT_COLLAR
+    assert EdgeRole.STRAPLESS_TOP.mirrored is EdgeRole.STRAPLESS_TOP

@@ -123,7 +123,7 @@ def _judge(root: Path, folder: Path, expected: Mapping[str, frozenset[Mend]] | N
         design, size = read_design(folder / "design_params.yaml"), read_measurements(folder / "body_measurements.yaml")
         theirs = read_pattern(next(folder.glob("*_specification.json")))
         best = _verdict(name, size, design, theirs, ())
-        for left_out in _subsets(may_explain):
+        for left_out in _subsets(may_explain & design.mends()):
             if best.agrees:
                 break
             other = _verdict(name, size, design, theirs, left_out)

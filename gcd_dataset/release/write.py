@@ -77,7 +77,7 @@ def garment_files(
         "measures": yaml_bytes({"body": _measures(sample.measurements, body_sample)}),
         **_meshes(sample.key, mesh, drape, drawn),
         "segmentation": "".join(f"{line}\n" for line in _segments(mesh)).encode(),
-        "vertex_labels": yaml_bytes({label: ids.tolist() for label, ids in mesh.labels.items()}),
+        "vertex_labels": yaml_bytes({str(label): ids.tolist() for label, ids in mesh.labels.items()}),
         "rest_lengths": pickle.dumps(_rest_lengths(mesh), protocol=PICKLE),
         "texture": drawn.texture,
         "front": _render(sample.front),

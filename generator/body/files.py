@@ -17,6 +17,7 @@ from gcd_dataset.generator.body.meshfile import read_mesh
 from gcd_dataset.generator.body.pose import stand
 from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, Taken
 from gcd_dataset.generator.body.upright import UNITS, unit_of
+from gcd_dataset.measurements import MEASURE
 from gcd_dataset.records import Body, Measurements, Record
 
 __all__ = ["measure_file", "read_body"]
@@ -27,7 +28,7 @@ ADULT = (120.0, 230.0)  # cm; outside it the unit may be one that is not known, 
 UNLIKE = 0.6  # cm of misfit, over which a body is told to be unusual; the published means have 0.3 to 0.4
 SURE = 0.96  # of a shoulder's confidence, over which arms laid down are as good as arms held so; 0.99 on most bodies
 BESIDE_ARMS = ("shoulder_left", "shoulder_right", "underarm_right")
-HANGING_ON_ARMS = ("shoulder_w", "shoulder_incl", "armscye_depth", "arm_length", "bust_points", "waist_over_bust_line")
+HANGING_ON_ARMS = tuple(name for name, known in MEASURE.items() if known.on_arms)
 UNDERBUST_OFF = 0.5  # cm
 COARSE = 0.8  # cm that a girth may be off, over which a mesh is told to be coarse; 6,890 vertices make 0.7
 GIRTH_OFF = 18.0  # times the sagitta; a tape drawn over flat triangles is 2 pi short, and of a merged mesh more

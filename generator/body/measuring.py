@@ -14,7 +14,7 @@ from gcd_dataset.generator.body.doubts import require_body_alone, require_free_l
 from gcd_dataset.generator.body.find import found_marks, found_parts
 from gcd_dataset.generator.body.geodesic import net_between
 from gcd_dataset.generator.body.marks import GivenMarks, Marks, own_marks
-from gcd_dataset.generator.body.measures import arm_pose_angle
+from gcd_dataset.generator.body.measures import sinking
 from gcd_dataset.generator.body.register import Registration, laid_over, register
 from gcd_dataset.generator.body.scan import Scan
 from gcd_dataset.generator.body.surface import Surface
@@ -45,7 +45,7 @@ def take_own(vertices: Float[np.ndarray, "v 3"]) -> Taken:
     Where they are held otherwise they are laid there first, and only ``arm_pose_angle`` tells how they are held.
     """
     marks = own_marks(vertices)
-    angle = float(arm_pose_angle(marks.points["shoulder_right"], marks.points["wrist_right"]))
+    angle = float(sinking(marks.points["shoulder_right"], marks.points["wrist_right"]))
     if not held_otherwise(angle):
         return take(vertices, marks, own_sites())
     laid = own_arms_laid(vertices)
@@ -173,7 +173,7 @@ class _Lowered(Record):
     def as_held(self, taken: Taken, marks: Marks) -> Taken:
         """The measures with the one that tells how the arms are held."""
         points = self.marks_as_held(marks).points
-        return _with_arms_at(float(arm_pose_angle(points["shoulder_right"], points["wrist_right"])), taken)
+        return _with_arms_at(float(sinking(points["shoulder_right"], points["wrist_right"])), taken)
 
     def _moved(self, way: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> np.ndarray:
         scale, shift = self.standing.scale, self.standing.shift

@@ -1,4 +1,4 @@
-"""A tailor at work: finds the level of each girth, moves the landmarks there, and takes the 26 measures.
+"""A tailor at work: finds the level of each girth, moves the landmarks there, and takes the measures.
 
 Girths are tapes drawn tight round level sections. The level is searched near a ring of points: fullest bust, fullest
 hips, narrowest waist; the points beside them (bust, sides, buttocks, mid back) are moved to the section found. On our
@@ -21,6 +21,7 @@ from gcd_dataset.generator.body.geodesic import WayNet
 from gcd_dataset.generator.body.marks import Marks, own_marks
 from gcd_dataset.generator.body.section import clipped, girth, rough_girths, section, section_points
 from gcd_dataset.generator.body.subdivide import unique_edges
+from gcd_dataset.measurements import MEASURE
 from gcd_dataset.records import BodyPart, Measurements, Record
 
 __all__ = [
@@ -86,7 +87,6 @@ def take(vertices: Float[np.ndarray, "v 3"], marks: Marks, sites: "Sites") -> Ta
         "waist": _searched(skin, local, marks, "waist", np.argmin, wide),
         "hips": _searched(skin, local, marks, "hips", np.argmax, wide),
     }
-    bust, underbust, waist, hips = found.values()
     at = dict(marks.points)
     for name, beside in BESIDE.items():
         cut = section(skin, local.bands[name], Y, found[name][0, Y])
@@ -94,36 +94,67 @@ def take(vertices: Float[np.ndarray, "v 3"], marks: Marks, sites: "Sites") -> Ta
     over_bust = _over_bust(skin, local, marks, wide)
     spine = section(skin, local.spine, X, (at["nape_of_neck"][X] + at["mid_waist_back"][X]) / 2).reshape(-1, 3)
     leg_level, leg_circ = _leg_girth(skin, local, marks, wide)
-    measurements = Measurements(
-        height=tall,
-        head_l=float(m.head_l(upright, at["nape_of_neck"])),
-        neck_w=float(m.neck_w(marks.rings["neck_back"])),
-        shoulder_w=float(m.shoulder_w(at["shoulder_left"], at["shoulder_right"])),
-        shoulder_incl=float(m.shoulder_incl(at["neck_right"], at["shoulder_right"])),
-        armscye_depth=float(m.armscye_depth(at["shoulder_right"], at["underarm_right"])),
-        arm_length=sites.arm.length(vertices),
-        arm_pose_angle=float(m.arm_pose_angle(at["shoulder_right"], at["wrist_right"])),
-        wrist=float(m.wrist(marks.rings["wrist_right"])),
-        bust=m.bust(bust),
-        underbust=m.underbust(underbust),
-        waist=m.waist(waist),
-        hips=m.hips(hips),
-        leg_circ=leg_circ,
-        waist_back_width=m.waist_back_width(waist, at["waist_side_left"], at["waist_side_right"]),
-        back_width=m.back_width(bust, at["bust_side_left"], at["bust_side_right"]),
-        hip_back_width=m.hip_back_width(hips, at["hips_side_left"], at["hips_side_right"]),
-        bust_points=float(m.bust_points(at["bust_left"], at["bust_right"])),
-        bum_points=float(m.bum_points(at["bum_left"], at["bum_right"])),
-        waist_line=m.waist_line(spine, at["nape_of_neck"], at["mid_waist_back"]),
-        waist_over_bust_line=m.waist_over_bust_line(over_bust, at["mid_waist_back"]),
-        bust_line=m.bust_line(over_bust, at["bust_right"]),
-        vert_bust_line=float(m.vert_bust_line(at["nape_of_neck"], at["bust_side_right"])),
-        hips_line=float(m.hips_line(at["waist_side_right"], at["hips_side_right"])),
-        hip_inclination=float(m.hip_inclination(at["waist_side_right"], at["hips_side_right"])),
-        crotch_hip_diff=float(m.crotch_hip_diff(at["hips_side_right"], at["crotch_point"])),
-    )
+    tape = _Tape(upright, at, marks.rings, found, spine, over_bust, leg_circ, sites.arm.length(vertices))
+    measurements = Measurements(**{name: float(known.taken(tape)) for name, known in MEASURE.items()})
     levels = {name: float(points[0, Y]) for name, points in found.items()} | {"leg_circ": leg_level}
     return Taken(measurements, levels, _at_border(levels, marks, wide))
+
+
+@dataclass(frozen=True, eq=False)
+class _Tape:
+    """A ``measurements.Tape`` on one body."""
+
+    upright: Float[np.ndarray, "2 3"]
+    """The lowest vertex and the highest."""
+    points: Mapping[str, Float[np.ndarray, "3"]]
+    rings: Mapping[str, Float[np.ndarray, "n 3"]]
+    sections: Mapping[str, Float[np.ndarray, "n 3"]]
+    spine: Float[np.ndarray, "n 3"]
+    breast: Float[np.ndarray, "s 2 3"]
+    larger_thigh: float
+    arm: float
+
+    def height(self) -> float:
+        return float(m.height(self.upright))
+
+    def to_crown(self, point: str) -> float:
+        return float(m.to_crown(self.upright, self.points[point]))
+
+    def apart(self, point: str, other: str) -> float:
+        return float(m.apart(self.points[point], self.points[other]))
+
+    def above(self, point: str, other: str) -> float:
+        return float(m.above(self.points[point], self.points[other]))
+
+    def sinking(self, start: str, end: str) -> float:
+        return float(m.sinking(self.points[start], self.points[end]))
+
+    def leaning(self, upper: str, lower: str) -> float:
+        return float(m.leaning(self.points[upper], self.points[lower]))
+
+    def along(self, ring: str) -> float:
+        return float(m.along(self.rings[ring]))
+
+    def around(self, ring: str) -> float:
+        return float(m.around(self.rings[ring]))
+
+    def down_arm(self) -> float:
+        return self.arm
+
+    def girth(self, section: str) -> float:
+        return m.round_section(self.sections[section])
+
+    def thigh(self) -> float:
+        return self.larger_thigh
+
+    def over_back(self, section: str, left: str, right: str) -> float:
+        return m.over_back(self.sections[section], self.points[left], self.points[right])
+
+    def down_spine(self, upper: str, lower: str) -> float:
+        return m.down_spine(self.spine, self.points[upper], self.points[lower])
+
+    def over_breast(self, level: str, facing: tuple[float, float], over: float) -> float:
+        return m.over_breast(self.breast, float(self.points[level][Y]), facing, over)
 
 
 def room(vertices: Float[np.ndarray, "v 3"]) -> float:
@@ -295,7 +326,7 @@ def _leg_girth(vertices: np.ndarray, sites: Sites, marks: Marks, wide: float) ->
     right = cut[:, :, X].mean(axis=1) < middle
     if not right.any() or right.all():
         raise BodyError(f"no two legs are met at {level:.1f} cm: mend the mesh there")
-    return level, m.leg_circ(cut, middle) if len(parted) else girth(cut[right, 0][:, XZ])
+    return level, m.larger_thigh(cut, middle) if len(parted) else girth(cut[right, 0][:, XZ])
 
 
 def _between_legs(

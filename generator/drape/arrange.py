@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.generator.drape.inside import InsideTest
 from gcd_dataset.generator.drape.limbs import Limb, limbs_of
-from gcd_dataset.records import Body, BodyPart, BoxMesh
+from gcd_dataset.records import Body, BodyPart, BoxMesh, PanelRole
 
 __all__ = ["arrange", "arranged"]
 
@@ -118,7 +118,7 @@ def _hung(mesh: BoxMesh, panel: int, limbs: dict[BodyPart, Limb]) -> _Hung:
     rows = np.unique(mesh.corners[mesh.panel_id == panel])
     points = _flat(mesh, rows)
     limb = limbs[BodyPart.TRUNK]
-    if mesh.panel_labels[panel] == "arm":
+    if mesh.panel_labels[panel] == PanelRole.ARM:
         side = BodyPart.LEFT_ARM if points[:, 0].mean() > 0 else BodyPart.RIGHT_ARM
         limb = limbs.get(side, limb)
     local = limb.local(points)
@@ -146,7 +146,7 @@ def _some(points: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "n d"]:
 
 def _bodice(panels: list[_Hung], trunk: Limb) -> Limb:
     """As much of the trunk as a bodice covers; all of it where there is none."""
-    bodice = [panel for panel in panels if panel.limb is trunk and panel.label == "body"]
+    bodice = [panel for panel in panels if panel.limb is trunk and panel.label == PanelRole.BODY]
     return _stretch(bodice) if bodice else trunk
 
 

@@ -16,11 +16,12 @@ from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.generator.drape.body_field import AXES, FOREARM
 from gcd_dataset.generator.drape.config import DrapeJob
-from gcd_dataset.records import BodyPart, BoxMesh, Measurements
+from gcd_dataset.records import BodyPart, BoxMesh, EdgeRole, Measurements, PanelRole
+from gcd_dataset.spec import is_trouser_leg
 
 __all__ = ["Wear", "fell", "floor", "held_from_below", "holds", "off_body", "own_parts", "unseen_parts"]
 
-NECKLINE = frozenset({"left_collar", "right_collar"})
+NECKLINE = frozenset({EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR})
 SLIDING_DROP = 18.0  # cm below its level at which a held edge counts as slid off: about armpits to waist
 UNDER_HIPS = 4.0  # cm below the hips at which they hold nothing any more
 KNEES = 0.4  # of the waist's height: what hung from the hips up and ends here is off the body
@@ -52,7 +53,7 @@ def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " 
     offset = np.zeros(len(job.box_mesh.vertices))
     for label, (direction, level) in _half_spaces(job.measurements).items():
         ids = job.box_mesh.labels.get(label)
-        if label == "lower_interface" and _hangs_from_shoulders(job):
+        if label is EdgeRole.LOWER_INTERFACE and _hangs_from_shoulders(job):
             continue
         if ids is not None and np.isfinite(level):
             normal[ids] = direction
@@ -60,13 +61,13 @@ def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " 
     return normal, offset
 
 
-def _half_spaces(size: Measurements) -> dict[str, tuple[tuple[float, float, float], float]]:
+def _half_spaces(size: Measurements) -> dict[EdgeRole, tuple[tuple[float, float, float], float]]:
     collar = -(size.neck_w - COLLAR_SLACK) / 2
     return {
-        "right_collar": ((1.0, 0.0, 0.0), collar),
-        "left_collar": ((-1.0, 0.0, 0.0), collar),
-        "strapless_top": ((0.0, 1.0, 0.0), size.height - size.head_l - size.armscye_depth),
-        "lower_interface": ((0.0, 1.0, 0.0), size.waist_level),
+        EdgeRole.RIGHT_COLLAR: ((1.0, 0.0, 0.0), collar),
+        EdgeRole.LEFT_COLLAR: ((-1.0, 0.0, 0.0), collar),
+        EdgeRole.STRAPLESS_TOP: ((0.0, 1.0, 0.0), size.height - size.head_l - size.armscye_depth),
+        EdgeRole.LOWER_INTERFACE: ((0.0, 1.0, 0.0), size.waist_level),
     }
 
 
@@ -77,7 +78,10 @@ def held_from_below(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
     for a garment with a neckline: shoulders keep it up, and its waist may hang where it likes.
     """
     size, labels = job.measurements, job.box_mesh.labels
-    drops = {"strapless_top": SLIDING_DROP, "lower_interface": max(SLIDING_DROP, size.hips_line + UNDER_HIPS)}
+    drops = {
+        EdgeRole.STRAPLESS_TOP: SLIDING_DROP,
+        EdgeRole.LOWER_INTERFACE: max(SLIDING_DROP, size.hips_line + UNDER_HIPS),
+    }
     for label, drop in drops.items():
         lowest = _half_spaces(size)[label][1] - drop
         if label in labels and np.isfinite(lowest) and not _hangs_from_shoulders(job):
@@ -129,7 +133,7 @@ def unseen_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     hands. A bodice with sleeves meets the whole arm. A seam vertex passes through what all of its panels pass through.
     """
     labels = np.array(mesh.panel_labels)
-    on_leg, on_arm = labels == "leg", labels == "arm"
+    on_leg, on_arm = labels == PanelRole.LEG, labels == PanelRole.ARM
     forearms = 1 << FOREARM
     arms = forearms | sum(1 << part.value for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS))
     panel_of_row = _panel_of_row(mesh)
@@ -153,12 +157,12 @@ def own_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     axis = np.full(len(mesh.panel_names), -1)
     for panel, (name, label) in enumerate(zip(mesh.panel_names, mesh.panel_labels, strict=True)):
         side = "right" if aside[panel] < 0 else "left"
-        if label == "body":
+        if label == PanelRole.BODY:
             axis[panel] = axes.index("trunk")
-        elif label == "arm":
+        elif label == PanelRole.ARM:
             axis[panel] = axes.index(f"{side} arm")
-        elif label == "leg":
-            axis[panel] = axes.index(f"{side} leg" if "pant" in name else "legs")
+        elif label == PanelRole.LEG:
+            axis[panel] = axes.index(f"{side} leg" if is_trouser_leg(name) else "legs")
     own = np.full(len(mesh.vertices), -1)
     own[mesh.uv_vertex] = axis[panel_of_row]
     return own

@@ -8,12 +8,13 @@ from jaxtyping import Float
 
 from gcd_dataset.generator.dressing.openings import Opening, edge_line, openings_of, outline
 from gcd_dataset.generator.dressing.wearer import Wearer
-from gcd_dataset.records import BodyPart, EdgeRef, Panel, Pattern
+from gcd_dataset.records import BodyPart, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
+from gcd_dataset.spec import is_trouser_leg
 
 __all__ = ["has_legs", "label_edges"]
 
-COLLARS = ("right_collar", "left_collar")
-HOLDING = frozenset({*COLLARS, "strapless_top", "lower_interface"})
+COLLARS = (EdgeRole.RIGHT_COLLAR, EdgeRole.LEFT_COLLAR)
+HOLDING = frozenset({*COLLARS, EdgeRole.STRAPLESS_TOP, EdgeRole.LOWER_INTERFACE})
 ASIDE = 8.0  # cm from the middle: the centre of an opening further out is that of an arm or a leg
 LEGS_WITHIN = 36.0  # cm: centres of openings further out are those of sleeves
 OVER_WAIST = 12.0  # cm: a top edge higher than this over the waist is a bodice's
@@ -42,9 +43,8 @@ def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, .
             "no opening lies round the waist or the bust: nothing holds the garment up; "
             "label the edge that should be held lower_interface or strapless_top",
         )
-    label, place = (
-        ("strapless_top", "bust") if top.centre[1] > wearer.waist + OVER_WAIST else ("lower_interface", "waist")
-    )
+    is_bodice = top.centre[1] > wearer.waist + OVER_WAIST
+    label, place = (EdgeRole.STRAPLESS_TOP, "bust") if is_bodice else (EdgeRole.LOWER_INTERFACE, "waist")
     return _labelled(pattern, dict.fromkeys(top.edges, label)), (
         f"{_named(top.edges)} taken for {label}: the highest opening round the trunk, {top.length:.0f} cm long, "
         f"lies {top.centre[1] - (wearer.waist if place == 'waist' else wearer.armpit):+.0f} cm from the "
@@ -54,7 +54,7 @@ def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, .
 
 def hangs_from_shoulders(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> bool:
     """Whether arms go through the garment: it has sleeves, or an opening beside the trunk above the waist."""
-    if any(panel.label == "arm" for panel in pattern.panels):
+    if any(panel.label == PanelRole.ARM for panel in pattern.panels):
         return True
     return any(abs(o.centre[0]) > ASIDE and o.low[1] > wearer.waist for o in openings)
 
@@ -62,9 +62,9 @@ def hangs_from_shoulders(pattern: Pattern, openings: tuple[Opening, ...], wearer
 def has_legs(pattern: Pattern) -> bool:
     """Whether legs go through the garment one by one, so that its wearer's must not touch.
 
-    It has an opening low on either side, and but one round the middle, above them; or panels called ``pant_``.
+    It has an opening low on either side, and but one round the middle, above them; or its panels are named so.
     """
-    if any(panel.name.startswith("pant_") for panel in pattern.panels):
+    if any(is_trouser_leg(panel.name) for panel in pattern.panels):
         return True
     openings = openings_of(pattern)
     middle = [o for o in openings if abs(o.centre[0]) < ASIDE]
@@ -81,7 +81,7 @@ def _is_round_trunk(opening: Opening, wearer: Wearer) -> bool:
     return bool(wide and deep and wearer.waist - WAIST_BAND < opening.centre[1] < wearer.nape)
 
 
-def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> dict[EdgeRef, str]:
+def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> dict[EdgeRef, EdgeRole]:
     """The edges of the neckline, each with its side; those across the middle with none."""
     necks = {panel.name for panel in pattern.panels if _is_over_neck(panel, wearer)}
     sewn = {side: other for s in pattern.seams for side, other in ((s.left, s.right), (s.right, s.left))}
@@ -92,7 +92,7 @@ def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) ->
     found = {}
     for ref in ends:
         line = edge_line(pattern.panel(ref.panel), ref.edge)
-        if pattern.panel(ref.panel).label != "body" or line[:, 1].max() < wearer.waist + OVER_WAIST:
+        if pattern.panel(ref.panel).label != PanelRole.BODY or line[:, 1].max() < wearer.waist + OVER_WAIST:
             continue
         middle = _side(line[:, 0]) or _side(_points(pattern.panel(ref.panel))[:, 0])
         if middle:
@@ -115,7 +115,7 @@ def _points(panel: Panel) -> Float[np.ndarray, "n 3"]:
     return panel.placement.apply(outline(panel))
 
 
-def _labelled(pattern: Pattern, found: dict[EdgeRef, str]) -> Pattern:
+def _labelled(pattern: Pattern, found: dict[EdgeRef, EdgeRole]) -> Pattern:
     def panel(given: Panel) -> Panel:
         edges = tuple(
             replace(edge, label=edge.label or found.get(EdgeRef(given.name, i), ""))
@@ -126,7 +126,7 @@ def _labelled(pattern: Pattern, found: dict[EdgeRef, str]) -> Pattern:
     return replace(pattern, panels=tuple(panel(p) for p in pattern.panels))
 
 
-def _collar_sentences(found: dict[EdgeRef, str]) -> Iterable[str]:
+def _collar_sentences(found: dict[EdgeRef, EdgeRole]) -> Iterable[str]:
     for label in COLLARS:
         refs = [ref for ref, given in found.items() if given == label]
         if refs:

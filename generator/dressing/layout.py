@@ -17,9 +17,10 @@ from jaxtyping import Complex, Float
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.dressing.openings import Opening, edge_line, openings_of, outline
-from gcd_dataset.generator.dressing.parts import label_sentences, named_part, trunk_part
+from gcd_dataset.generator.dressing.parts import label_sentences, trunk_part
 from gcd_dataset.generator.dressing.wearer import Wearer
-from gcd_dataset.records import BodyPart, Panel, Pattern, Placement, Seam
+from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement, Seam
+from gcd_dataset.spec import is_bodice, role_by_name
 
 __all__ = ["height_for", "lay_on_body"]
 
@@ -34,7 +35,6 @@ ARMHOLE = 4.0  # cm of an armhole's middle below the armpit, as GarmentCode hang
 UNDER_NAPE = 5.0  # cm of the highest point of a neckline below the nape, as GarmentCode hangs bodices
 PAIRED = 40  # openings that are compared pair by pair, the longest; a garment has up to ten
 UNPAIRED = 15.0  # cm that an opening without a counterpart counts
-BODICE = ("torso", "bodice", "top", "bust")  # in the names of panels that hang from the armpits
 ASIDE = 8.0  # cm from the middle: the centre of an opening further out is that of an arm or a leg
 
 
@@ -98,7 +98,9 @@ def _joined(table: Sequence[_Laid], pattern: Pattern) -> dict[str, _Laid]:
     """The panels joined along their seams: from the largest on, always the one with the longest seam to those laid."""
     waiting = {laid.panel.name: laid for laid in table}
     lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
-    first = max(waiting.values(), key=lambda laid: (named_part(laid.panel.name) != "arm", laid.polygon.area))
+    first = max(
+        waiting.values(), key=lambda laid: (role_by_name(laid.panel.name) is not PanelRole.ARM, laid.polygon.area)
+    )
     done = {first.panel.name: waiting.pop(first.panel.name)}
     while waiting:
         shared: dict[tuple[str, str], list[Seam]] = {}
@@ -184,7 +186,7 @@ def _hang(table: Mapping[str, _Laid], pattern: Pattern, wearer: Wearer) -> Patte
 
 
 def _labelled(panel: Panel, on_arm: bool, wearer: Wearer) -> Panel:
-    return replace(panel, label=panel.label or ("arm" if on_arm else trunk_part(panel, wearer)))
+    return replace(panel, label=panel.label or (PanelRole.ARM if on_arm else trunk_part(panel, wearer)))
 
 
 def height_for(openings: Sequence[Opening], pattern: Pattern, wearer: Wearer) -> float:
@@ -201,7 +203,7 @@ def height_for(openings: Sequence[Opening], pattern: Pattern, wearer: Wearer) ->
 
 def _is_bodice(top: Opening) -> bool:
     """Whether the panels round the highest opening are a bodice's, by name: a skirt's may look the same."""
-    return all(any(word in ref.panel.lower() for word in BODICE) for ref in top.edges)
+    return all(is_bodice(ref.panel) for ref in top.edges)
 
 
 def _depths(table: Mapping[str, _Laid]) -> dict[str, float]:

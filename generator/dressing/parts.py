@@ -8,9 +8,10 @@ import shapely
 
 from gcd_dataset.generator.dressing.openings import outline
 from gcd_dataset.generator.dressing.wearer import Wearer
-from gcd_dataset.records import BodyPart, Panel, Pattern
+from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern
+from gcd_dataset.spec import role_by_name
 
-__all__ = ["covered_part", "label_panels", "label_sentences", "named_part", "trunk_part"]
+__all__ = ["covered_part", "label_panels", "label_sentences", "trunk_part"]
 
 ASIDE = 0.1  # of half the trunk's width: what comes nearer to the middle is on no arm
 BESIDE = 20.0  # cm from an arm's axis to the middle of a panel, at most, for the panel to be on that arm
@@ -20,12 +21,11 @@ ABOVE_WAIST = 15.0  # cm that a skirt's panel may reach above the waist
 ABOVE_CROTCH = 4.0  # cm: what ends higher is a band
 BAND = 24.0  # cm: so is what is no taller, and ends
 UNDER_CROTCH = 2.0  # cm below the crotch, or higher
-WORDS = {
-    "leg": ("pant", "skirt", "leg", "trouser", "short"),
-    "arm": ("sleeve", "arm", "cuff", "sl_"),
-    "body": ("torso", "bodice", "wb", "hood", "collar", "lapel", "body", "top", "waist"),
+WHERE = {
+    PanelRole.ARM: "beside an arm",
+    PanelRole.LEG: "round hips and legs",
+    PanelRole.BODY: "round the trunk",
 }
-WHERE = {"arm": "beside an arm", "leg": "round hips and legs", "body": "round the trunk"}
 
 
 def label_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
@@ -36,35 +36,30 @@ def label_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, 
     return replace(pattern, panels=panels), tuple(label_sentences(found))
 
 
-def _off_skirts(found: Mapping[str, str], pattern: Pattern) -> dict[str, str]:
+def _off_skirts(found: Mapping[str, PanelRole], pattern: Pattern) -> dict[str, PanelRole]:
     """The labels, where no panel on an arm is sewn to one on legs: a wide skirt hangs where the arms are."""
     parts = {panel.name: found.get(panel.name, panel.label) for panel in pattern.panels}
     while True:
         sewn = [
             (a, b) for s in pattern.seams for a, b in ((s.left.panel, s.right.panel), (s.right.panel, s.left.panel))
         ]
-        skirts = {a for a, b in sewn if a in found and parts[a] == "arm" and parts[b] == "leg"}
+        skirts = {a for a, b in sewn if a in found and parts[a] == PanelRole.ARM and parts[b] == PanelRole.LEG}
         if not skirts:
-            return {name: parts[name] for name in found}
-        parts |= dict.fromkeys(skirts, "leg")
+            return {name: PanelRole(parts[name]) for name in found}
+        parts |= dict.fromkeys(skirts, PanelRole.LEG)
 
 
-def covered_part(panel: Panel, wearer: Wearer) -> str:
-    """``arm``, ``leg`` or ``body``, by where the panel hangs; its name has no say."""
-    return "arm" if _is_on_arm(panel, wearer) else trunk_part(panel, wearer)
+def covered_part(panel: Panel, wearer: Wearer) -> PanelRole:
+    """What a panel covers, by where it hangs; its name has no say."""
+    return PanelRole.ARM if _is_on_arm(panel, wearer) else trunk_part(panel, wearer)
 
 
-def trunk_part(panel: Panel, wearer: Wearer) -> str:
-    """``leg`` or ``body`` for a panel that is on no arm."""
+def trunk_part(panel: Panel, wearer: Wearer) -> PanelRole:
+    """Legs or body, for a panel that is on no arm."""
     heights = panel.placement.apply(outline(panel))[:, 1]
     low, high = heights.min(), heights.max()
     is_band = low > wearer.crotch + (ABOVE_CROTCH if high - low > BAND else -UNDER_CROTCH)
-    return "body" if high > wearer.waist + ABOVE_WAIST or is_band else "leg"
-
-
-def named_part(name: str) -> str:
-    """What a panel's name hints at: ``arm``, ``leg``, ``body``, or nothing."""
-    return next((part for part, words in WORDS.items() if any(word in name.lower() for word in words)), "")
+    return PanelRole.BODY if high > wearer.waist + ABOVE_WAIST or is_band else PanelRole.LEG
 
 
 def _is_on_arm(panel: Panel, wearer: Wearer) -> bool:
@@ -81,7 +76,7 @@ def _is_on_arm(panel: Panel, wearer: Wearer) -> bool:
     return bool(across < BESIDE and along < half + BEYOND and forward < BEFORE)
 
 
-def label_sentences(found: Mapping[str, str]) -> Iterator[str]:
+def label_sentences(found: Mapping[str, PanelRole | str]) -> Iterator[str]:
     """A sentence for each part that panels without a label were taken to cover."""
     for part in WHERE:
         names = [name for name, label in found.items() if label == part]
@@ -91,6 +86,6 @@ def label_sentences(found: Mapping[str, str]) -> Iterator[str]:
                 if len(names) == 1
                 else "panels {} have no label: taken to cover"
             )
-            odd = [name for name in names if named_part(name) not in ("", part)]
+            odd = [name for name in names if role_by_name(name) not in (None, part)]
             hint = f"; by name, {', '.join(odd)} would not" if odd else ""
             yield f"{are.format(', '.join(names))} {part}, since hung {WHERE[part]}{hint}"

@@ -6,6 +6,7 @@ from enum import Enum
 
 from gcd_dataset.curves import Cubic
 from gcd_dataset.generator.pattern import Outline, Stroke
+from gcd_dataset.records import EdgeRole
 
 __all__ = ["Armhole", "armhole"]
 
@@ -26,7 +27,7 @@ def armhole(kind: Armhole, width: float, depth: float, *, corner: float) -> tupl
     ``corner`` is where the corner of an angled one lies, as a fraction of its width and height.
     """
     drawn = DRAWINGS[kind](width, depth, corner)
-    return tuple(replace(stroke, name="armhole", label="right_armhole") for stroke in drawn.strokes)
+    return tuple(replace(stroke, name="armhole", label=EdgeRole.RIGHT_ARMHOLE) for stroke in drawn.strokes)
 
 
 def _square(width: float, depth: float, corner: float) -> Outline:

@@ -16,7 +16,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.ring import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
 from gcd_dataset.generator.pattern import Component, Piece
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import Measurements, PanelRole
 
 __all__ = [
     "Cuff",
@@ -115,15 +115,20 @@ def sleeve_cuff_length(size: Measurements, design: CuffedSleeve) -> float:
 def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component) -> Component:
     """The right sleeve, lying along the x axis with its wrist to the left, and its cuff, no tighter than the wrist.
 
-    Offers ``opening`` like the sleeve.
+    Offers ``opening`` like the sleeve, and the top of a band as ``band`` [ring].
     """
     if design.cuff.type is None:
         return sleeve
     girth = max(sleeve.length("end") / design.cuff.top_ruffle, size.wrist)
-    drawn = cuff("sl_right", girth, sleeve_cuff_length(size, design), design.cuff.type, design.cuff).labelled("arm")
+    drawn = cuff("sl_right", girth, sleeve_cuff_length(size, design), design.cuff.type, design.cuff).labelled(
+        PanelRole.ARM
+    )
     hung = drawn.turned(-pi / 2).placed_by("top", sleeve, "end", gap=GAP, top=True)
     sewn = Component.of(sleeve, hung).sewn(sleeve.interface("end"), hung.interface("top"), gathered=True)
-    return sewn.offering(opening=sleeve.interface("opening"))
+    offered = {"opening": sleeve.interface("opening")}
+    if design.cuff.type in (Cuff.BAND, Cuff.BAND_SKIRT):
+        offered["band"] = hung.interface("top")
+    return sewn.offering(**offered)
 
 
 def cuff(limb: str, girth: float, length: float, kind: Cuff, design: CuffDesign) -> Component:

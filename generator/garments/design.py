@@ -1,20 +1,22 @@
 """The design of an outfit: all its parameters, in the order and under the names of GarmentCode's design files."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from gcd_dataset.generator.garments.circle_skirt import CIRCLE_SKIRT
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
-from gcd_dataset.generator.garments.garment import one_of, section_of
+from gcd_dataset.generator.garments.garment import Garment, one_of, section_of
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT, GatheredSkirtDesign
 from gcd_dataset.generator.garments.godet_skirt import GODET_SKIRT, GodetSkirtDesign
 from gcd_dataset.generator.garments.levels_skirt import LEVELS_SKIRT, LevelsSkirtDesign
+from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.neckline import LeftNecklineDesign, NecklineDesign
 from gcd_dataset.generator.garments.pants import PANTS, PantsDesign
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT, PencilSkirtDesign
 from gcd_dataset.generator.garments.shirt import LeftShirtDesign, ShirtDesign
 from gcd_dataset.generator.garments.sleeve import LeftSleeveDesign, SleeveDesign
 from gcd_dataset.generator.garments.space import Design, choice, flag, part, with_parts
-from gcd_dataset.generator.garments.upper import STRAIGHT_SHIRT
+from gcd_dataset.generator.garments.upper import STRAIGHT_SHIRT, Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
@@ -74,8 +76,22 @@ class OutfitDesign(Design):
             used.update(part.field for part in (meta.bottom.garment, *meta.bottom.garment.parts(self)))
         return frozenset(used)
 
+    def mends(self) -> frozenset[Mend]:
+        """The mends that change the pattern of the outfit, or may."""
+        worn: list[Garment[Any]] = [] if self.meta.upper is None else [self.meta.upper.garment]
+        if self.meta.bottom is not None:
+            worn += [self.meta.bottom.garment, *self.meta.bottom.garment.parts(self)]
+        return frozenset({Mend.EXPORT_PIVOT}.union(*(garment.mends for garment in worn)))
+
     def writes(self, name: str) -> bool:
         return name in self.sections_used()
+
+    def halves(self) -> tuple[UpperHalf, ...]:
+        """What the halves of a shirt are drawn from, those that differ; none without a shirt."""
+        if self.meta.upper is None or not isinstance(self.meta.upper.garment, Shirt):
+            return ()
+        left = self.left_half()
+        return (self.right_half(),) if left is None else (self.right_half(), left)
 
     def right_half(self) -> UpperHalf:
         """What the right half of the upper body is drawn from; it has a collar only if the left one is its image."""

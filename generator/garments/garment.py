@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, part
 from gcd_dataset.generator.pattern import Component
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import Measurements, PanelRole
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.garments.design import OutfitDesign
@@ -46,6 +46,8 @@ class Garment(ABC, Generic[D]):
     """The kind of that section."""
     weight: int = 1
     """Chance of being drawn beside garments of weight 1; at 0, a garment is drawn only where an overlay names it."""
+    mends: frozenset[Mend] = frozenset()
+    """The faults of GarmentCode's drawing of this garment that ours mends."""
 
     @property
     def field(self) -> str:
@@ -113,7 +115,7 @@ class SimpleUpper(UpperGarment[D]):
     long: Callable[[Measurements, D], float]
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
-        return self.cut(size, self.own(design)).labelled("body")
+        return self.cut(size, self.own(design)).labelled(PanelRole.BODY)
 
     def length(self, size: Measurements, design: "OutfitDesign") -> float:
         return self.long(size, self.own(design))

@@ -64,6 +64,7 @@ def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]
 GATHERED_SKIRT = SimpleBottom(
     name="Skirt2",
     section="skirt",
+    mends=frozenset({Mend.SLIT_LENGTH}),
     design=GatheredSkirtDesign,
     cut=gathered_skirt,
     long=_length,

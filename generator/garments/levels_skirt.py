@@ -122,6 +122,7 @@ def _length(size: Measurements, design: LevelsSkirtDesign, rise: float) -> float
 LEVELS_SKIRT = CombinedBottom(
     name="SkirtLevels",
     section="levels-skirt",
+    mends=frozenset({Mend.LEVEL_GIRTH}),
     design=LevelsSkirtDesign,
     made_of=lambda design: (design.base.garment, design.level.garment),
     combine=_combined,

@@ -11,7 +11,7 @@ from gcd_dataset.generator.garments.collar import Collar, CollarDesign
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
 from gcd_dataset.generator.garments.trunk import blend
 from gcd_dataset.generator.pattern import Stroke
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import EdgeRole, Measurements
 
 __all__ = [
     "LeftNecklineDesign",
@@ -139,7 +139,7 @@ def half_neckline(
     if depth <= 0.0:
         raise PatternError(f"a neckline of {2 * half_width:.2f} cm is wider than the shirt: narrow collar.width")
     strokes = neckline_shape(design, front=front, half_width=half_width, depth=depth)
-    return tuple(replace(stroke, name="neck", label="right_collar") for stroke in strokes)
+    return tuple(replace(stroke, name="neck", label=EdgeRole.RIGHT_COLLAR) for stroke in strokes)
 
 
 def neckline_shape(design: NecklineDesign, *, front: bool, half_width: float, depth: float) -> tuple[Stroke, ...]:

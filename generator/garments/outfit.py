@@ -10,7 +10,7 @@ from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.waistband import waistband
 from gcd_dataset.generator.pattern import Component, Piece, assemble
-from gcd_dataset.records import Measurements, Pattern
+from gcd_dataset.records import EdgeRole, Measurements, PanelRole, Pattern
 
 __all__ = ["bottom", "bottom_rise", "outfit", "pieces"]
 
@@ -43,7 +43,7 @@ def pieces(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend] =
     if Mend.EXPORT_PIVOT not in mends:
         whole = replace(whole, pieces=tuple(_displaced(piece) for piece in whole.pieces))
     held = [hung.interface("top") for hung in parts if "top" in hung.interfaces]
-    return whole.with_edge_label(held[0], "lower_interface") if held else whole
+    return whole.with_edge_label(held[0], EdgeRole.LOWER_INTERFACE) if held else whole
 
 
 def bottom_rise(design: OutfitDesign) -> float:
@@ -58,7 +58,7 @@ def bottom_rise(design: OutfitDesign) -> float:
 def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
     """The bottom of a design that has one; offers ``top`` [ring]."""
     assert design.meta.bottom is not None
-    return design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design), mends=mends).labelled("leg")
+    return design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design), mends=mends).labelled(PanelRole.LEG)
 
 
 def _parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> tuple[Component, ...]:
@@ -71,7 +71,7 @@ def _parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> 
         if not meta.upper.garment.carries and (meta.wb or meta.bottom):
             raise PatternError(f"nothing is sewn to the hem of a {meta.upper.value}: leave out meta.wb and meta.bottom")
     if meta.wb is not None:
-        parts.append(waistband(size, design.waistband, meta.wb, rise=rise).labelled("body"))
+        parts.append(waistband(size, design.waistband, meta.wb, rise=rise).labelled(PanelRole.BODY))
     if meta.bottom is not None:
         parts.append(bottom(size, design, mends))
     return tuple(parts)

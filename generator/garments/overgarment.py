@@ -10,7 +10,7 @@ from math import cos, sin, tan
 from gcd_dataset.curves import Point, Quadratic, to_frame
 from gcd_dataset.generator.garments.neckline import Neckline, NecklineDesign, neckline_shape
 from gcd_dataset.generator.pattern import Outline, Piece, Stroke, chain_from
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import EdgeRole, Measurements
 
 __all__ = ["NeckHole", "both_halves", "hung", "neck_hole", "right_neck", "with_shoulder"]
 
@@ -40,7 +40,7 @@ def right_neck(hole: NeckHole, kind: Neckline, *, front: bool) -> tuple[Stroke, 
     design = NecklineDesign(f_collar=kind, b_collar=kind)
     depth = hole.front if front else hole.back
     drawn = neckline_shape(design, front=front, half_width=hole.half_width, depth=depth)
-    named = (replace(stroke, name="neck", label="right_collar") for stroke in drawn)
+    named = (replace(stroke, name="neck", label=EdgeRole.RIGHT_COLLAR) for stroke in drawn)
     return chain_from((-hole.half_width, 0.0), *named)
 
 
@@ -62,7 +62,7 @@ def both_halves(right: Outline, neck: tuple[Stroke, ...]) -> Outline:
     The names of the mirror image's edges begin with ``left_``.
     """
     left = [replace(stroke.mirrored(), name=f"left_{stroke.name}").reversed() for stroke in reversed(right.strokes)]
-    left_neck = [replace(stroke.mirrored(), label="left_collar") for stroke in neck]
+    left_neck = [replace(stroke.mirrored(), label=EdgeRole.LEFT_COLLAR) for stroke in neck]
     return right.then(*left, *left_neck, *(stroke.reversed() for stroke in reversed(neck)))
 
 

@@ -9,7 +9,6 @@ from typing import Any, Literal, Self
 
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.cuff import arm_in_cuff
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
@@ -18,7 +17,7 @@ from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.garments.wholeness import (
     CLOTH_GIVES,
     SHARPEST_CORNER,
-    band_girth,
+    band_and_arm,
     corner_angles,
     is_mismatched,
 )
@@ -149,9 +148,8 @@ def tight_cuff(outfit: Fitted) -> Reject | None:
         cuff, leg = cuff_and_leg(size, design)
         figures = f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
         return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": leg})
-    left = design.left_half() if design.meta.upper else None
-    for side, sleeve in (("right", design.sleeve), ("left", left[-1] if left else design.sleeve)):
-        cuff, arm = band_girth(outfit.pattern.panels, f"sl_{side}_cuff"), arm_in_cuff(size, sleeve)
+    for half in design.halves():
+        cuff, arm = band_and_arm(size, design, half)
         if 0.0 < cuff * CLOTH_GIVES < arm:
             figures = f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle"
             return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": arm})

@@ -173,8 +173,7 @@ class _Draft:
         return None
 
     def _has_tight_sleeves(self, design: OutfitDesign) -> bool:
-        halves = [half for half in (design.right_half(), design.left_half()) if half is not None]
-        return any(sleeve_is_tight(size, design, half) for half in halves for size in self.sizes)
+        return any(sleeve_is_tight(size, design, half) for half in design.halves() for size in self.sizes)
 
     def _is_whole(self, design: OutfitDesign, half: UpperHalf) -> bool:
         return all(half_is_whole(size, design, half) for size in self.sizes)

@@ -11,7 +11,7 @@ from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign, sleeve_c
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, chain_from, rotate, smooth_cubic
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import Measurements, PanelRole
 
 __all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve"]
 
@@ -99,7 +99,7 @@ def sleeve(
             end=front.along("end") + back.against("end"),
         )
     )
-    return with_sleeve_cuff(size, design, plain).turned(size.arm_pose_angle).labelled("arm")
+    return with_sleeve_cuff(size, design, plain).turned(size.arm_pose_angle).labelled(PanelRole.ARM)
 
 
 def _opening(armhole: Stroke, rest: float, mix: float) -> Stroke:

@@ -28,7 +28,9 @@ def with_sleeve(size: Measurements, design: SleeveDesign, half: Component, *, me
     arm = arm.placed_by("opening", half, "armhole", gap=-gap, top=True)
     if Mend.SLEEVE_START in mends:
         arm = _clear_of(half, arm, size.arm_pose_angle)
-    return Component.of(arm, half).sewn(arm.interface("opening"), half.interface("armhole")).offering(**half.interfaces)
+    band = {name: ring for name, ring in arm.interfaces.items() if name == "band"}
+    sewn = Component.of(arm, half).sewn(arm.interface("opening"), half.interface("armhole"))
+    return sewn.offering(**half.interfaces, **band)
 
 
 def _clear_of(half: Component, arm: Component, angle: float) -> Component:

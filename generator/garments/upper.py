@@ -39,6 +39,7 @@ class Shirt(UpperGarment[ShirtDesign]):
 
     section: str = "shirt"
     design: type[ShirtDesign] = ShirtDesign
+    mends: frozenset[Mend] = frozenset({Mend.SLEEVE_START, Mend.ARMHOLE_ROOM, Mend.SLEEVE_SURPLUS})
     fitted: bool
     """Whether darts fit it to bust and waist, where it ends."""
 

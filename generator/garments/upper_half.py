@@ -15,7 +15,7 @@ from gcd_dataset.generator.garments.sleeve import SleeveDesign
 from gcd_dataset.generator.garments.sleeve_start import with_sleeve
 from gcd_dataset.generator.garments.torso import TorsoHalf
 from gcd_dataset.generator.pattern import Component, Piece, Stroke, cut_corner
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import EdgeRole, Measurements, PanelRole
 
 __all__ = ["UpperHalf", "right_half", "right_torso"]
 
@@ -39,14 +39,14 @@ def right_half(
 ) -> Component:
     """Front, back, sleeve and collar of the right side.
 
-    Offers what meets the left half, ``*_centre``, and the hem, ``front_bottom`` and ``back_bottom``, each walked away
-    from the centre.
+    Offers what meets the left half, ``*_centre``, the hem, ``front_bottom`` and ``back_bottom``, each walked away
+    from the centre, and the top of a band at the end of the sleeve, ``band``.
     """
     half = right_torso(size, shirt, neck, arm, fitted=fitted, mends=mends)
     if not (fitted and shirt.strapless):
         half = half if arm.sleeveless else with_sleeve(size, arm, half, mends=mends)
         half = with_collar(size, neck.component, half)
-    return half.labelled("body")
+    return half.labelled(PanelRole.BODY)
 
 
 @lru_cache(maxsize=8)  # drawn to see whether it is whole, it is asked for again for the outfit
@@ -150,5 +150,5 @@ def _cropped(size: Measurements, neck: NecklineDesign, half: TorsoHalf, kept: fl
             "side: change sleeve.connecting_width"
         )
     under, _ = side.split([kept / side.length])
-    top = Stroke(under.end, inner, name="top", label="strapless_top")
+    top = Stroke(under.end, inner, name="top", label=EdgeRole.STRAPLESS_TOP)
     return half.cut_to(half.outline.with_strokes((side, shoulder, centre), (under, top, replace(centre, start=inner))))

@@ -22,7 +22,7 @@ __all__ = [
     "CLOTH_GIVES",
     "SHARPEST_CORNER",
     "are_whole",
-    "band_girth",
+    "band_and_arm",
     "bottom_is_whole",
     "corner_angles",
     "half_is_whole",
@@ -46,21 +46,23 @@ def half_is_whole(size: Measurements, design: OutfitDesign, half: UpperHalf) -> 
 
 def sleeve_is_tight(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
     """Whether the arm does not go through the band at the end of the sleeve of one half."""
-    arm = 0.0 if half[-1].sleeveless else arm_in_cuff(size, half[-1])
-    if arm == 0.0:
-        return False
     try:
-        drawn = right_half(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
+        band, arm = band_and_arm(size, design, half)
     except PatternError:  # which is told elsewhere
         return False
-    return band_girth([panel_of(piece) for piece in drawn.pieces], "sl_right_cuff") * CLOTH_GIVES < arm
+    return band * CLOTH_GIVES < arm
 
 
-def band_girth(panels: Sequence[Panel], name: str) -> float:
-    """Girth of a band by the tops of its two panels [cm]; 0 if there is none."""
-    halves = [panel for panel in panels if panel.name in (f"{name}_f", f"{name}_b")]
-    tops = [zip(panel.edges, panel.edge_lengths(), strict=True) for panel in halves]
-    return sum(length for edges in tops for edge, length in edges if edge.name == "top")
+def band_and_arm(size: Measurements, design: OutfitDesign, half: UpperHalf) -> tuple[float, float]:
+    """Girth of the band at the end of the sleeve of one half, and of the arm in it [cm]; 0 where there is none.
+
+    Raises ``PatternError`` for a half that cannot be drawn.
+    """
+    arm = 0.0 if half[-1].sleeveless else arm_in_cuff(size, half[-1])
+    if arm == 0.0:
+        return 0.0, 0.0
+    drawn = right_half(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
+    return drawn.length("band") if "band" in drawn.interfaces else 0.0, arm
 
 
 def bottom_is_whole(size: Measurements, design: OutfitDesign) -> bool:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.panel import Piece, Vector
 from gcd_dataset.generator.pattern.seam import Interface, Join
+from gcd_dataset.records import EdgeRole, PanelRole
 
 __all__ = ["Component"]
 
@@ -64,17 +65,17 @@ class Component:
         """Turned about the z axis through the world's origin [rad]."""
         return replace(self, pieces=tuple(piece.turned(angle) for piece in self.pieces))
 
-    def labelled(self, label: str) -> Self:
+    def labelled(self, label: PanelRole) -> Self:
         """With the part of the body written on every piece that has none."""
         return replace(self, pieces=tuple(p if p.label else replace(p, label=label) for p in self.pieces))
 
-    def with_edge_label(self, interface: Interface, label: str) -> Self:
+    def with_edge_label(self, interface: Interface, label: EdgeRole) -> Self:
         """With a label on the edges of an interface; it stays on every piece they are divided into."""
         edges = {(section.panel, section.edge) for section in interface}
         return replace(self, pieces=tuple(_labelled(piece, edges, label) for piece in self.pieces))
 
     def mirrored(self, old: str, new: str) -> Self:
-        """The mirror image about x = 0, with ``old`` exchanged for ``new`` in the names and labels.
+        """The mirror image about x = 0, with ``old`` exchanged for ``new`` in the names.
 
         >>> from gcd_dataset.generator.pattern.outline import Outline
         >>> sleeve = Piece("right_sleeve", Outline.start(0, 0).line(10, 0).line(10, 20).close()).at(-30, 120, 0)
@@ -84,7 +85,7 @@ class Component:
         """
         return replace(
             self,
-            pieces=tuple(_renamed_labels(p.mirrored(p.name.replace(old, new)), old, new) for p in self.pieces),
+            pieces=tuple(_with_mirrored_labels(p.mirrored(p.name.replace(old, new))) for p in self.pieces),
             joins=tuple(Join(_renamed(j.left, old, new), _renamed(j.right, old, new), j.gathered) for j in self.joins),
             interfaces={name: _renamed(interface, old, new) for name, interface in self.interfaces.items()},
         )
@@ -129,14 +130,18 @@ def _renamed(interface: Interface, old: str, new: str) -> Interface:
     return tuple(replace(section, panel=section.panel.replace(old, new)) for section in interface)
 
 
-def _renamed_labels(piece: Piece, old: str, new: str) -> Piece:
-    if not any(old in stroke.label for stroke in piece.outline.strokes):
+def _with_mirrored_labels(piece: Piece) -> Piece:
+    if not any(stroke.label for stroke in piece.outline.strokes):
         return piece
-    strokes = tuple(replace(stroke, label=stroke.label.replace(old, new)) for stroke in piece.outline.strokes)
+    strokes = tuple(replace(stroke, label=_mirrored(stroke.label)) for stroke in piece.outline.strokes)
     return replace(piece, outline=replace(piece.outline, strokes=strokes))
 
 
-def _labelled(piece: Piece, edges: set[tuple[str, str]], label: str) -> Piece:
+def _mirrored(label: EdgeRole | str) -> EdgeRole | str:
+    return label.mirrored if isinstance(label, EdgeRole) else label
+
+
+def _labelled(piece: Piece, edges: set[tuple[str, str]], label: EdgeRole) -> Piece:
     if not any((piece.name, stroke.name) in edges for stroke in piece.outline.strokes):
         return piece
     strokes = tuple(

@@ -34,6 +34,7 @@ from gcd_dataset.curves import (
     to_frame,
 )
 from gcd_dataset.errors import PatternError
+from gcd_dataset.records import EdgeRole
 
 __all__ = ["Stroke", "chain_from", "rotate"]
 
@@ -57,8 +58,8 @@ class Stroke:
     curve: Curve = LINE
     name: str = ""
     """What the drawing calls it; pieces of a divided stroke keep the name."""
-    label: str = ""
-    """What it is to a drape (``lower_interface``, ``left_collar``, …); empty for none."""
+    label: EdgeRole | str = ""
+    """What it is to a drape; empty for nothing."""
 
     @property
     def length(self) -> float:

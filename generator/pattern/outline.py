@@ -16,6 +16,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import LINE, Curve, Point
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.edge import Stroke
+from gcd_dataset.records import EdgeRole
 
 __all__ = ["Outline"]
 
@@ -39,11 +40,11 @@ class Outline:
         """Where the drawing has got to [cm]."""
         return self.strokes[-1].end if self.strokes else self.origin
 
-    def line(self, x: float, y: float, *, name: str = "", label: str = "") -> Self:
+    def line(self, x: float, y: float, *, name: str = "", label: EdgeRole | str = "") -> Self:
         """Drawn on, straight to a point [cm]."""
         return self.curve(x, y, LINE, name=name, label=label)
 
-    def curve(self, x: float, y: float, curve: Curve, *, name: str = "", label: str = "") -> Self:
+    def curve(self, x: float, y: float, curve: Curve, *, name: str = "", label: EdgeRole | str = "") -> Self:
         """Drawn on, to a point [cm] along a curve in the edge frame."""
         return self.then(Stroke(self.pen, (float(x), float(y)), curve, name, label))
 
@@ -58,7 +59,7 @@ class Outline:
             pen = stroke.end
         return type(self)(self.origin, (*self.strokes, *strokes))
 
-    def close(self, *, name: str = "", label: str = "") -> Self:
+    def close(self, *, name: str = "", label: EdgeRole | str = "") -> Self:
         """Closed, with a straight edge back to the origin unless the pen is there already."""
         if _meet(self.pen, self.origin):
             return self

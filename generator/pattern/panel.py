@@ -15,7 +15,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.edge import rotate
 from gcd_dataset.generator.pattern.outline import Outline
 from gcd_dataset.generator.pattern.seam import Interface, Section
-from gcd_dataset.records import Placement
+from gcd_dataset.records import PanelRole, Placement
 
 __all__ = ["Piece", "Vector"]
 
@@ -36,8 +36,8 @@ class Piece:
     """Where the origin of the drawing hangs [cm]."""
     rotation: Vector = (0.0, 0.0, 0.0)
     """Angles about the fixed x, y, z axes, applied in that order [rad]."""
-    label: str = ""
-    """``body``, ``arm``, ``leg``; empty if undecided."""
+    label: PanelRole | str = ""
+    """The part of the body it covers; empty if undecided."""
 
     def __post_init__(self) -> None:
         if not self.outline.closed:

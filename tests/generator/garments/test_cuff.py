@@ -17,7 +17,7 @@ from gcd_dataset.generator.garments.cuff import (
 )
 from gcd_dataset.generator.garments.sleeve import SleeveDesign
 from gcd_dataset.generator.pattern import Component, Outline, Piece, assemble
-from gcd_dataset.records import Measurements
+from gcd_dataset.records import Measurements, PanelRole
 from gcd_dataset.validate import check_pattern
 
 DESIGN = PantsCuffDesign(skirt_fraction=0.25, skirt_flare=1.5, skirt_ruffle=1.2)
@@ -45,7 +45,7 @@ def straight_sleeve(*, end: float, height: float = 20.0) -> Component:
         .offering(
             opening=front.along("opening") + back.against("opening"), end=front.along("end") + back.against("end")
         )
-        .labelled("arm")
+        .labelled(PanelRole.ARM)
     )
 
 

@@ -24,17 +24,18 @@ from gcd_dataset.generator.garments import (
     try_on,
 )
 from gcd_dataset.generator.garments.design_file import read_design, write_design
+from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.verbs.statistics import garment_type
 from tests.generator.garments import own_skirt
+from tests.generator.garments.conftest import OUTFITS
 
 OWN = [upper for upper in Upper if not upper.garment.weight]
 TRIAL = """
 import json, numpy as np
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.dressing import dress
 from gcd_dataset.generator.garments import design_from_dict, design_to_dict, sample_design, try_on
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -45,14 +46,13 @@ two = Overlay.from_dict({"meta": {"upper": "none", "bottom": {"options": ["Skirt
 drawn = [sample_design(np.random.default_rng(seed), [size], overlay=two).meta.bottom for seed in range(8)]
 asked = Overlay.from_dict({"meta": {"upper": "none", "bottom": "OwnSkirt"}, "own-skirt": {"spread": 0.5}})
 pattern = try_on(size, design_from_dict({"meta": {"bottom": "OwnSkirt"}}))
-dressed = dress(pattern, body, size)
 print(json.dumps({
     "drawn": sum(bottom is not None and bottom.value == "OwnSkirt" for bottom in drawn),
     "spread": design_to_dict(sample_design(np.random.default_rng(0), [size], overlay=asked))["own-skirt"]["spread"],
     "panels": [panel.name for panel in pattern.panels],
-    "parts": [panel.label for panel in dressed.pattern.panels],
-    "assumed": dressed.assumed,
+    "parts": [panel.label for panel in pattern.panels],
     "vertices": len(build_box_mesh(pattern, spacing=4.0).vertices),
+    "measures": size.to_file_values(),
 }))
 """
 
@@ -70,8 +70,13 @@ def test_every_garment_has_a_name_and_every_section_a_kind_of_its_own() -> None:
     assert all(isinstance(garment.own(OutfitDesign()), garment.design) for garment in GARMENTS)
 
 
-def test_a_skirt_is_added_by_a_file_and_a_line(tmp_path: Path) -> None:
-    """Drawn by chance, narrowed by overlays, dressed and meshed, in a copy of the package with nothing else changed."""
+MEASURE = """    torso: float = measure(lambda tape: tape.above("nape_of_neck", "crotch_point"))
+    \"\"\"Nape to crotch, vertically.\"\"\"
+"""
+
+
+def test_a_skirt_is_added_by_a_file_and_a_line_and_a_measure_by_a_field(tmp_path: Path) -> None:
+    """Drawn by chance, narrowed by overlays, and meshed, in a copy of the package with nothing else changed."""
     package = tmp_path / "gcd_dataset"
     shutil.copytree(
         Path(gcd_dataset.__file__).parent, package, ignore=shutil.ignore_patterns("hub", "loaders", "shards")
@@ -83,14 +88,22 @@ def test_a_skirt_is_added_by_a_file_and_a_line(tmp_path: Path) -> None:
     assert wardrobe.count(line) == wardrobe.count(member) == 1
     wardrobe = wardrobe.replace(line, f"{line}from gcd_dataset.generator.garments.own_skirt import OWN_SKIRT\n")
     (garments / "wardrobe.py").write_text(wardrobe.replace(member, f"{member}    OWN = OWN_SKIRT\n"))
+    measurements = (package / "measurements.py").read_text()
+    assert measurements.count("\n    @classmethod\n") == 1
+    (package / "measurements.py").write_text(
+        measurements.replace("\n    @classmethod\n", f"{MEASURE}\n    @classmethod\n")
+    )
     run = subprocess.run([sys.executable, "-c", TRIAL], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
     assert found["drawn"] > 0
     assert found["spread"] == 0.5
     assert set(found["panels"]) == {"own_skirt_front", "own_skirt_back"}
-    assert (found["parts"], found["assumed"]) == (["leg", "leg"], [])
+    assert found["parts"] == ["leg", "leg"]
     assert found["vertices"] > 100
+    taken = found["measures"]
+    down_the_back = taken["waist_line"] + taken["hips_line"] + taken["crotch_hip_diff"]
+    assert taken["torso"] == pytest.approx(down_the_back, rel=0.05)
 
 
 # ----------------------------------------------------------------------------------- garments that GarmentCode has not
@@ -183,3 +196,11 @@ def test_their_neck_goes_round_the_back_of_the_neck(woman: Measurements, upper: 
     necks = {panel.name: length(pattern, panel.name, "neck") for panel in pattern.panels}
     behind = necks.pop(f"{upper.garment.section}_back")
     assert 0.8 * woman.neck_w < behind < sum(necks.values()) < 2.5 * woman.neck_w
+
+
+@pytest.mark.parametrize("name", OUTFITS)
+def test_no_mend_but_those_of_its_garments_changes_an_outfit(woman: Measurements, name: str) -> None:
+    design = design_from_dict(OUTFITS[name])
+    others = ALL_MENDS - design.mends()
+    assert outfit(woman, design, mends=ALL_MENDS - others) == outfit(woman, design)
+    assert design.mends() >= {Mend.EXPORT_PIVOT}

@@ -5,7 +5,7 @@ import pytest
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern import Component, Outline, Piece, assemble
-from gcd_dataset.records import Panel, Pattern
+from gcd_dataset.records import EdgeRole, Panel, Pattern
 
 
 def rectangle(name: str, width: float = 20.0, height: float = 30.0) -> Piece:
@@ -68,7 +68,7 @@ def test_a_panel_sewn_inside_out_is_right_to_wrong() -> None:
 def test_a_divided_edge_keeps_its_label_on_every_piece() -> None:
     skirt, belt = tube("skirt"), rectangle("belt", width=40.0, height=5.0).at(-20, 95, 20)
     whole = Component.of(skirt, belt).sewn(belt.along("hem"), skirt.interface("top"))
-    pattern = assemble(whole.with_edge_label(belt.along("hem"), "lower_interface"), "skirt")
+    pattern = assemble(whole.with_edge_label(belt.along("hem"), EdgeRole.LOWER_INTERFACE), "skirt")
     labelled = [edge.name for edge in pattern.panel("belt").edges if edge.label == "lower_interface"]
     assert labelled == ["hem", "hem"]
 
