@@ -92,6 +92,7 @@ def _generate(options: argparse.Namespace) -> int:
             seed=options.seed,
             config=MakeConfig(**given),
             workers=options.workers,
+            engine=options.engine,
             log=options.log,
         )
     with Bar("garment", options.quiet) as bar:
@@ -123,6 +124,7 @@ def _of_recipe(options: argparse.Namespace, given: Mapping[str, Any]) -> Callabl
         options.recipe,
         device=given.get("device", "auto"),
         workers=options.workers,
+        engine=options.engine,
         log=options.log,
     )
 
@@ -134,6 +136,8 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
         raise ConfigError(
             f"{idle[0].replace('_', '-')} is for garments, and stage {BODY_STAGE} makes none: leave it out"
         )
+    if options.engine != "local":
+        raise ConfigError(f"stage {BODY_STAGE} is made on this machine: leave --engine out")
     if given.get("bodies", "random") != "random":
         raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
     with Bar("body", options.quiet) as bar:
@@ -288,6 +292,13 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         type=processes,
         metavar="K|auto",
         help="processes that make garments; on each GPU two more drape for them (default: auto, one for each core)",
+    )
+    generate.add_argument(
+        "--engine",
+        choices=("local", "ray"),
+        default="local",
+        help="who makes them: this machine, or the Ray cluster of RAY_ADDRESS or of this machine, or else a local one "
+        "that ends with gcd; needs pip install 'gcd-dataset[ray]' (default: local)",
     )
     generate.add_argument(
         "--config",
