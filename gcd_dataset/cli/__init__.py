@@ -49,18 +49,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``gcd`` with ``arguments`` and return its exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     logging.getLogger("gcd_dataset").setLevel(logging.INFO)
-    options = _at_home(_parsed(arguments))
+    name = "gcd"
     try:
         with interrupts_after_imports():
+            options = _at_home(_parsed(arguments))
+            name = f"gcd {options.verb}"
             return int(options.run(options))
     except KeyboardInterrupt:
-        print(f"gcd {options.verb}: stopped: what it had written whole is kept", file=sys.stderr)
+        print(f"{name}: stopped: what it had written whole is kept", file=sys.stderr)
         return INTERRUPTED
     except ConfigError as error:
-        print(f"gcd {options.verb}: {error}", file=sys.stderr)
+        print(f"{name}: {error}", file=sys.stderr)
         return 2
     except GcdError as error:
-        print(f"gcd {options.verb}: {error}", file=sys.stderr)
+        print(f"{name}: {error}", file=sys.stderr)
         return 1
     except BrokenPipeError:  # the reader of our output has gone: nobody is left to be told
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

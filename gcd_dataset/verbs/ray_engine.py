@@ -40,6 +40,7 @@ LOOK = 30.0  # s between two looks at the nodes while a result is waited for
 RETRIES = 3  # of a range whose worker or node was lost
 AHEAD = 2  # ranges begun for each that is made at a time, so that none waits for the writer
 RANGE = 5.0  # CPU-s of a range: a task costs Ray some milliseconds
+EVENT = 160  # characters of a message of Ray
 SHARES = 4  # ranges for each that is made at a time, at least, where there is little to do
 CPUS_BESIDE_GPU = 0.5  # of a task: two share a core, and one prepares while the last garments of another are draped
 
@@ -57,6 +58,7 @@ def ray_cluster(config: MakeConfig, workers: int | None = None) -> Iterator["Ray
     ray = _imported()
     with ExitStack() as opened:
         if not ray.is_initialized():
+            _hear_events(ray)
             _connect(ray, os.environ.get("RAY_ADDRESS"))
             opened.callback(ray.shutdown)
         _require_same(ray)
@@ -263,6 +265,15 @@ def _imported() -> ModuleType:
     return ray
 
 
+def _hear_events(ray: ModuleType) -> None:
+    """Have nodes and workers that are lost logged in a line each: Ray prints them on stdout, whatever it is told."""
+
+    def log(data: Mapping[str, Any], *_: object, **__: object) -> None:
+        logger.warning("Ray: %s", shown(" ".join(" ".join(data["lines"]).split())[:EVENT]))
+
+    ray._private.worker.print_to_stdstream = log
+
+
 def _connect(ray: ModuleType, address: str | None) -> None:
     """Connect to the cluster at ``address``, or to one of this machine, or to a new one. Raises ``ConfigError``."""
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
@@ -318,7 +329,7 @@ def _require_answer(address: str) -> None:
 
 def _require_same(ray: ModuleType) -> None:
     """Raise ``ConfigError`` with the nodes whose versions differ from those here, or that do not answer."""
-    from ray.exceptions import RayError
+    from ray.exceptions import RayError, RayTaskError
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
     nodes = {node["NodeID"]: node["NodeManagerAddress"] for node in _working(ray)}
@@ -331,8 +342,10 @@ def _require_same(ray: ModuleType) -> None:
     for reference in answered:
         try:
             differs = mismatch(origin(), ray.get(reference))
-        except RayError as error:
-            differs = f"{type(error).__name__}: see ray status"
+        except RayTaskError as error:
+            differs = f"{type(error.cause).__name__}: {error.cause}"
+        except RayError:
+            continue  # lost meanwhile: Ray gives it nothing to do
         if differs:
             faults.append(f"node {asked[reference]}: {differs}")
     if faults:
