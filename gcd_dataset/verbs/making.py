@@ -112,7 +112,8 @@ def generate(
 
             cluster = opened.enter_context(ray_cluster(config, workers))
             config = cluster.config
-        devices = devices_of(config) if config.stage == "drape" else ()
+        here = cluster is None and config.stage == "drape"
+        devices = devices_of(config) if here else ()
         told = opened.enter_context(logged(log, told, options=options, recipe=recipe_of(config), devices=devices))
         if cluster is not None:
             task = _planned(out, count, seed, config, recipe)

@@ -24,15 +24,26 @@ from functools import cache
 from itertools import groupby, islice
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from gcd_dataset.errors import ConfigError, GcdError, OutputError, shown
 from gcd_dataset.generator.drapers import Draper
-from gcd_dataset.generator.maker import DRAPERS, produce
+from gcd_dataset.generator.drapers.place import DRAPERS
+from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, versions
 from gcd_dataset.records import Sample
 
-__all__ = ["RayCluster", "mismatch", "on_cluster", "ranges", "ray_cluster", "samples_of_range"]
+__all__ = [
+    "Actor",
+    "RayCluster",
+    "mismatch",
+    "near_first",
+    "on_cluster",
+    "origin",
+    "ranges",
+    "ray_cluster",
+    "samples_of_range",
+]
 
 CONNECTED = 30.0  # s within which a cluster answers at its address
 STARTED = 120.0  # s within which a worker starts on each node, and an actor on a GPU
@@ -59,17 +70,25 @@ def ray_cluster(config: MakeConfig, workers: int | None = None) -> Iterator["Ray
     with ExitStack() as opened:
         if not ray.is_initialized():
             _hear_events(ray)
-            _connect(ray, os.environ.get("RAY_ADDRESS"))
             opened.callback(ray.shutdown)
+            _connect(ray, os.environ.get("RAY_ADDRESS"))
         _require_same(ray)
         resources = ray.cluster_resources()
         gpus = int(resources.get("GPU", 0)) if config.stage == "drape" else 0
         config = on_cluster(config, gpus)
         actors = _actors(ray, gpus) if config.device == "cuda" else ()
-        opened.callback(_end, ray, actors)
+        opened.callback(_end, ray, [actor.handle for actor in actors])
         cpus = CPUS_BESIDE_GPU if actors else 1.0
         slots = workers or max(int(resources.get("CPU", 0) / cpus), 1)
         yield RayCluster(config, slots, cpus, tuple(actors))
+
+
+class Actor(NamedTuple):
+    """One that drapes."""
+
+    handle: Any
+    node: str
+    """Identifier of the node that it was started on."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +101,7 @@ class RayCluster:
     """Ranges made at a time."""
     cpus: float
     """Share of a core that a range takes."""
-    actors: tuple[Any, ...]
+    actors: tuple["Actor", ...]
     """Those that drape."""
 
     def produce(
@@ -96,13 +115,13 @@ class RayCluster:
         import ray
 
         size = samples_of_range(len(indices), seconds, self.slots)
-        waiting = ranges(indices, self.config.wearers, size)
+        waiting = enumerate(ranges(indices, self.config.wearers, size))
         task = ray.remote(num_cpus=self.cpus, max_retries=RETRIES, retry_exceptions=False)(_make)
         flight: deque[Any] = deque()
         try:
             while True:
-                for part in islice(waiting, AHEAD * self.slots - len(flight)):
-                    work = _Range(seed, part, self.config, finished, origin())
+                for number, part in islice(waiting, AHEAD * self.slots - len(flight)):
+                    work = _Range(number, seed, part, self.config, finished, origin())
                     flight.append(task.remote(work, self.actors))
                 if not flight:
                     return
@@ -143,6 +162,21 @@ def samples_of_range(count: int, seconds: float, slots: int) -> int:
     return max(min(int(RANGE / seconds), math.ceil(count / (SHARES * slots))), 1)
 
 
+def near_first(actors: Sequence[Actor], node: str, number: int) -> list[Any]:
+    """The handles in the order in which task ``number`` on a node tries them: those of its node, then the others.
+
+    Each is the first of some task, so that all have as much to do.
+
+    >>> near_first([Actor("a", "x"), Actor("b", "x"), Actor("c", "y")], "x", 1)
+    ['b', 'a', 'c']
+    """
+    found = []
+    for group in ([actor for actor in actors if actor.node == node], [actor for actor in actors if actor.node != node]):
+        turn = number % max(len(group), 1)
+        found += [actor.handle for actor in group[turn:] + group[:turn]]
+    return found
+
+
 def on_cluster(config: MakeConfig, gpus: int) -> MakeConfig:
     """The config with the kind of device that a cluster with so many GPUs drapes on, ``cpu`` or ``cuda``.
 
@@ -162,6 +196,7 @@ def on_cluster(config: MakeConfig, gpus: int) -> MakeConfig:
 class _Range:
     """What a task makes."""
 
+    number: int
     seed: int
     indices: tuple[int, ...]
     config: MakeConfig
@@ -180,16 +215,16 @@ class _Made:
     """Level and message of what was logged meanwhile."""
 
 
-def _make(work: _Range, actors: Sequence[Any]) -> _Made:
+def _make(work: _Range, actors: Sequence[Actor]) -> _Made:
     """The task."""
     results: list[Any] = []
-    error = None
+    error: Exception | None = None
     with _heard() as said:
         try:
             if differs := mismatch(work.origin, origin()):  # of a node that has joined since
                 raise ConfigError(f"node {_node()}: {differs}")
             with ExitStack() as opened:
-                draper = opened.enter_context(_draper(actors)) if work.config.stage == "drape" else None
+                draper = opened.enter_context(_draper(actors, work.number)) if work.config.stage == "drape" else None
                 for result in produce(work.seed, work.indices, work.config, draper=draper, finished=work.finished):
                     results.append(result)  # noqa: PERF402 - those before an error are kept
         except (OSError, MemoryError) as met:
@@ -202,15 +237,17 @@ def _make(work: _Range, actors: Sequence[Any]) -> _Made:
     return _Made(tuple(results), error, tuple(said))
 
 
-def _draper(actors: Sequence[Any]) -> Draper:
-    """The draper of a task: the actors, those of its own node first, or its CPU."""
+def _draper(actors: Sequence[Actor], number: int) -> Draper:
+    """The draper of a task: the actors, or its CPU where there are none."""
     if not actors:
         from gcd_dataset.generator.drapers.here import DraperHere
 
         return DraperHere("cpu", at_once=1)
+    import ray
+
     from gcd_dataset.generator.drapers.ray_actor import RayDraper
 
-    return RayDraper(actors)
+    return RayDraper(near_first(actors, ray.get_runtime_context().get_node_id(), number))
 
 
 @contextmanager
@@ -284,6 +321,8 @@ def _connect(ray: ModuleType, address: str | None) -> None:
     if address != "local":
         with contextlib.suppress(ConnectionError):
             ray.init(address="auto", **quiet)
+            there = ray.get_runtime_context().gcs_address
+            logger.info("Ray: the cluster at %s runs on this machine and is used; RAY_ADDRESS=local starts one", there)
             return
     if address == "auto":
         raise ConfigError("RAY_ADDRESS is auto, and no Ray cluster runs on this machine: start one, or unset it")
@@ -374,7 +413,7 @@ def _working(ray: ModuleType) -> list[dict[str, Any]]:
     return [node for node in ray.nodes() if node["Alive"] and {"CPU", "GPU"} & node["Resources"].keys()]
 
 
-def _actors(ray: ModuleType, gpus: int) -> Sequence[Any]:
+def _actors(ray: ModuleType, gpus: int) -> Sequence[Actor]:
     """Those of the GPUs' actors that stand within ``STARTED`` seconds; other jobs may have some of the GPUs."""
     from gcd_dataset.generator.drapers.ray_actor import start_actor
 
@@ -385,8 +424,7 @@ def _actors(ray: ModuleType, gpus: int) -> Sequence[Any]:
     actors = []
     for reference in answered:
         try:
-            ray.get(reference)
-            actors.append(standing[reference])
+            actors.append(Actor(standing[reference], ray.get(reference)))
         except ray.exceptions.RayError as error:
             fault = " ".join(str(getattr(error, "cause", None) or error).split())
     if not actors:
@@ -395,9 +433,9 @@ def _actors(ray: ModuleType, gpus: int) -> Sequence[Any]:
     return actors
 
 
-def _end(ray: ModuleType, actors: Iterable[Any]) -> None:
-    for actor in actors:
-        ray.kill(actor)
+def _end(ray: ModuleType, handles: Iterable[Any]) -> None:
+    for handle in handles:
+        ray.kill(handle)
 
 
 def _fetched(ray: ModuleType, reference: Any) -> _Made:

@@ -8,17 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
-import ray
-from ray.exceptions import RayError
-
 from gcd_dataset.errors import DrapeError, GcdError
 from gcd_dataset.generator.drape import resolve_device
 from gcd_dataset.generator.drapers.draper import Draped, Order, require_faces
 from gcd_dataset.generator.drapers.process import Inbox
+from gcd_dataset.generator.drapers.shared import AT_ONCE
 
 __all__ = ["DrapingActor", "RayDraper", "start_actor"]
 
-AT_ONCE = 24  # garments of each caller, as for a SharedDraper
 LOSSES = 4  # actors that may die with a garment before the garment is given up
 RESTARTED = 120.0  # s within which one of the actors answers again
 FAREWELL = 1.0  # s for the last answers of an actor to be sent
@@ -26,18 +23,23 @@ FAREWELL = 1.0  # s for the last answers of an actor to be sent
 
 def start_actor(device: str, *, gpus: float) -> Any:
     """A handle of a new actor that drapes on ``device`` and takes a share of a GPU; Ray restarts it where it dies."""
+    import ray
+
     # Orders are not repeated by Ray: it would wait for the GPU that has gone while another could drape them.
     options = {"num_gpus": gpus, "num_cpus": 0, "max_restarts": -1, "max_task_retries": 0}
     return ray.remote(**options)(DrapingActor).remote(device)
 
 
 class RayDraper:
-    """Orders garments of the first of several actors that stands; those lost with it are ordered of the next.
+    """Orders garments from the first of several actors; those that are lost with it, from the next that stands.
 
     Raises ``DrapeError`` for a garment with which ``LOSSES`` actors died, and where none answers for two minutes.
     """
 
     def __init__(self, actors: Sequence[Any], *, at_once: int = AT_ONCE) -> None:
+        import ray  # an extra
+
+        self._ray = ray
         self.at_once = at_once
         self._actors = deque(actors)
         self._asked: dict[Any, tuple[Order, int]] = {}
@@ -48,15 +50,15 @@ class RayDraper:
         self._send(order, 0)
 
     def answered(self) -> bool:
-        return bool(self._asked) and bool(ray.wait(list(self._asked), timeout=0)[0])
+        return bool(self._asked) and bool(self._ray.wait(list(self._asked), timeout=0)[0])
 
     def answer(self) -> Draped:
         while True:
-            [reference], _ = ray.wait(list(self._asked), num_returns=1)
+            [reference], _ = self._ray.wait(list(self._asked), num_returns=1)
             order, losses = self._asked.pop(reference)
             try:
-                answer = ray.get(reference)
-            except RayError as error:
+                answer = self._ray.get(reference)
+            except self._ray.exceptions.RayError as error:
                 answer = Broken(type(error).__name__)
             if isinstance(answer, Draped):
                 return answer
@@ -83,13 +85,13 @@ class RayDraper:
         """Put an actor that answers before the others. Raises ``DrapeError`` where none does."""
         calls = {actor.ready.options(max_task_retries=-1).remote(): actor for actor in self._actors}
         while calls:
-            answered, _ = ray.wait(list(calls), num_returns=1, timeout=RESTARTED)
+            answered, _ = self._ray.wait(list(calls), num_returns=1, timeout=RESTARTED)
             if not answered:
                 break
             actor = calls.pop(answered[0])
             try:
-                ray.get(answered[0])
-            except RayError:
+                self._ray.get(answered[0])
+            except self._ray.exceptions.RayError:
                 continue
             self._actors.remove(actor)
             self._actors.appendleft(actor)
@@ -122,7 +124,9 @@ class DrapingActor:
         threading.Thread(target=self._drape, daemon=True).start()
 
     async def ready(self) -> str:
-        """The identifier of the actor's node, once it can drape."""
+        """The identifier of its node, as soon as it can drape."""
+        import ray
+
         return str(ray.get_runtime_context().get_node_id())
 
     async def drape(self, order: Order) -> Draped | str | Broken:

@@ -10,12 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 ray = pytest.importorskip("ray", reason="ray is not installed: make test-extras")
 
 from gcd_dataset.cli import main  # noqa: E402
 from gcd_dataset.errors import GcdError  # noqa: E402
+from gcd_dataset.generator.drapers import ray_actor  # noqa: E402
 from gcd_dataset.generator.drapers.here import DraperHere  # noqa: E402
 from gcd_dataset.generator.drapers.ray_actor import RayDraper, start_actor  # noqa: E402
 from gcd_dataset.generator.maker import produce  # noqa: E402
@@ -146,7 +148,7 @@ def test_a_garment_that_kills_each_worker_is_told_and_what_came_before_is_kept(n
             os.kill(os.getpid(), signal.SIGKILL)
         return sample.provenance.index
 
-    came = []
+    came: list[int] = []
     with ray_engine.ray_cluster(replace(MESHED, stage="pattern", bodies="random")) as connected:
         made = connected.produce(5, range(3), finished=finished, seconds=100.0)
         with pytest.raises(GcdError, match=r"Ray lost a range of garments 4 times.*the same command"):
@@ -160,13 +162,35 @@ def test_an_actor_that_dies_is_started_again_and_its_garments_are_draped(node: C
     actor = start_actor("cpu", gpus=0.5)
     with DraperHere("cpu") as draper:
         here = list(produce(5, range(3), DRAPED, draper=draper))
-    made = []
+    made: list[Sample] = []
     with RayDraper([actor]) as draper:
         for sample in produce(5, range(3), DRAPED, draper=draper, ahead=2):
             if not made:
                 ray.kill(actor, no_restart=False)
             made.append(sample)
     assert made == here
+
+
+def test_a_node_whose_gpu_falls_out_in_the_middle_is_done_without(
+    cluster: Any, node: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = ray_actor.start_actor
+    monkeypatch.setattr(ray_actor, "start_actor", lambda device, gpus: started("cpu", gpus=gpus))  # Ray counts GPUs
+    nodes = [node(num_gpus=1), node(num_gpus=1)]
+    made: list[Sample] = []
+    with ray_engine.ray_cluster(replace(DRAPED, device="auto")) as connected:
+        assert (connected.config.device, len(connected.actors)) == ("cuda", 4)
+        for sample in connected.produce(5, range(6), finished=replace, seconds=2.5):
+            if not made:
+                cluster.remove_node(nodes[0], allow_graceful=False)
+            made.append(sample)
+    with DraperHere("cpu") as draper:
+        here = list(produce(5, range(6), DRAPED, draper=draper))
+    assert [sample.key for sample in made] == [sample.key for sample in here]
+    for ours, theirs in zip(here, made, strict=True):
+        assert ours.drape is not None
+        assert theirs.drape is not None
+        assert np.array_equal(ours.drape.vertices, theirs.drape.vertices)
 
 
 def test_actors_that_are_gone_for_good_are_told(node: Callable[..., Any]) -> None:
