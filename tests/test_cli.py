@@ -118,6 +118,17 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
     assert len(GarmentDataset(tmp_path)) == there + 2
 
 
+def test_ctrl_c_while_options_are_read_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def pressed(arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gcd_dataset.cli._parsed", pressed)
+    assert main(["generate", "data", "--count", "1"]) == 130
+    assert "stopped" in one_line(capsys.readouterr().err)
+
+
 def test_a_full_disk_is_said_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "gcd_dataset"
-HEAVY = ("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "httpx2")
+HEAVY = ("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "huggingface_hub", "httpx2", "ray")
 
 
 def loaded_by(module: str) -> set[str]:
@@ -66,6 +66,16 @@ def test_warp_is_imported_by_drape_and_render_alone() -> None:
     users = {str(p.relative_to(PACKAGE)) for p in sources() if any(m.split(".")[0] == "warp" for m in imports_of(p))}
     assert users
     assert all(user.startswith(("generator/drape/", "generator/render")) for user in users), users
+
+
+def test_ray_is_imported_by_its_engine_and_its_draper_alone() -> None:
+    users = {str(p.relative_to(PACKAGE)) for p in sources() if any(m.split(".")[0] == "ray" for m in imports_of(p))}
+    assert users == {"generator/drapers/ray_actor.py", "verbs/ray_engine.py"}
+    assert not loaded_by("gcd_dataset.verbs.ray_engine") & {
+        "ray",
+        "warp",
+        "torch",
+    }  # nodes without Ray's GPUs import it
 
 
 LAYERS = {

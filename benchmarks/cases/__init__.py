@@ -12,6 +12,7 @@ CASES: Mapping[str, str] = {
     "bodies": "benchmarks.cases.bodies",
     "design_space": "benchmarks.cases.design_space",
     "drape": "benchmarks.cases.drape",
+    "engines": "benchmarks.cases.engines",
     "fabrics": "benchmarks.cases.fabrics",
     "fleet": "benchmarks.cases.fleet",
     "generated": "benchmarks.cases.generated",

@@ -49,18 +49,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``gcd`` with ``arguments`` and return its exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     logging.getLogger("gcd_dataset").setLevel(logging.INFO)
-    options = _at_home(_parsed(arguments))
+    name = "gcd"
     try:
         with interrupts_after_imports():
+            options = _at_home(_parsed(arguments))
+            name = f"gcd {options.verb}"
             return int(options.run(options))
     except KeyboardInterrupt:
-        print(f"gcd {options.verb}: stopped: what it had written whole is kept", file=sys.stderr)
+        print(f"{name}: stopped: what it had written whole is kept", file=sys.stderr)
         return INTERRUPTED
     except ConfigError as error:
-        print(f"gcd {options.verb}: {error}", file=sys.stderr)
+        print(f"{name}: {error}", file=sys.stderr)
         return 2
     except GcdError as error:
-        print(f"gcd {options.verb}: {error}", file=sys.stderr)
+        print(f"{name}: {error}", file=sys.stderr)
         return 1
     except BrokenPipeError:  # the reader of our output has gone: nobody is left to be told
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -96,7 +98,7 @@ def _generate(options: argparse.Namespace) -> int:
             patience=options.patience,
         )
     with Bar("garment", options.quiet) as bar:
-        bar.run(partial(work, part=part, workers=options.workers, log=options.log))
+        bar.run(partial(work, part=part, workers=options.workers, engine=options.engine, log=options.log))
     done = bar.progress
     if bar.interrupted:
         return stopped("generate", f"{done.done} of {done.count}")
@@ -135,6 +137,8 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
         )
     if options.shard is not None:
         raise ConfigError(f"--shard is for garments: bodies of stage {BODY_STAGE} are made in one go: leave it out")
+    if options.engine != "local":
+        raise ConfigError(f"stage {BODY_STAGE} is made on this machine: leave --engine out")
     if given.get("bodies", "random") != "random":
         raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
     _require_no_store(options, "bodies")
@@ -298,6 +302,13 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         type=processes,
         metavar="K|auto",
         help="processes that make garments; on each GPU two more drape for them (default: auto, one for each core)",
+    )
+    generate.add_argument(
+        "--engine",
+        choices=("local", "ray"),
+        default="local",
+        help="who makes them: this machine, or the Ray cluster of RAY_ADDRESS or of this machine, or else a local one "
+        "that ends with gcd; needs pip install 'gcd-dataset[ray]' (default: local)",
     )
     generate.add_argument(
         "--config",

@@ -2,10 +2,10 @@
 
 import contextlib
 import math
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
@@ -21,7 +21,12 @@ from gcd_dataset.verbs.seal import seal
 from gcd_dataset.verbs.target import Target, require_folder, target_of
 from gcd_dataset.waits import WRITER, Waits, added, taken, waited_for
 
-__all__ = ["GarmentPlan", "Stored", "generate", "generate_recipe", "plan", "stored", "workers_for"]
+if TYPE_CHECKING:
+    from gcd_dataset.verbs.ray_engine import RayCluster
+
+__all__ = ["Engine", "GarmentPlan", "Stored", "generate", "generate_recipe", "plan", "stored", "workers_for"]
+
+Engine = Literal["local", "ray"]
 
 BEGUN = 4.0  # s that a worker takes to start
 MADE = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # CPU-s of a worker for a garment of a stage, without the drape
@@ -81,7 +86,14 @@ def plan(
 
         for device in devices_of(config):
             resolve_device(device)  # told before anything is written
-    target = target_of(out, count, seed=seed, config=config, recipe=recipe, part=part, spool=spool, patience=patience)
+    return _planned(
+        target_of(out, count, seed=seed, config=config, recipe=recipe, part=part, spool=spool, patience=patience),
+        seed,
+        config,
+    )
+
+
+def _planned(target: Target, seed: int, config: MakeConfig) -> GarmentPlan:
     done = target.done()
     missing = tuple(index for index in target.indices if index not in done)
     return GarmentPlan(len(target.indices), missing, target, seed, config)
@@ -96,6 +108,7 @@ def generate(
     recipe: Recipe | None = None,
     part: Part | None = None,
     workers: int | None = None,
+    engine: Engine = "local",
     spool: Path | str | None = None,
     patience: float | None = None,
     told: Told = unheard,
@@ -108,23 +121,34 @@ def generate(
 
     ``recipe`` divides the samples into splits (``generate_recipe`` takes the other options from it too). ``part``: one
     part of them, as ``Part(2, 8)``, in a place of its own in ``out``; any number of processes may make one each, and
-    ``merge`` joins them. ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it; ``log``: a
-    file to which ``gcd_dataset.verbs.log`` appends. Stopped at any moment and called again it goes on; the shards come
-    out as the same bytes. Raises as ``plan`` and ``stored`` do, and ``OutputError`` for a log that cannot be opened.
+    ``merge`` joins them. ``engine``: this machine, or a Ray cluster as ``ray_engine.ray_cluster`` finds it, for which
+    this process writes. ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it; ``log``: a
+    file to which ``gcd_dataset.verbs.log`` appends. Stopped at any moment and called again it goes on, by either
+    engine; the shards come out as the same bytes. Raises as ``plan``, ``stored`` and ``ray_cluster`` do, and
+    ``OutputError`` for a log that cannot be opened.
     """
-    config = config or MakeConfig()
-    options = {"out": str(out), "count": count, "seed": seed, "workers": workers} | _plain(config)
+    config, cluster = config or MakeConfig(), None
+    check_count(count)
+    options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "engine": engine} | _plain(config)
     options |= {"part": part and str(part), "name": recipe and recipe.name}
-    devices = devices_of(config) if config.stage == "drape" else ()
-    with logged(log, told, options=options, recipe=recipe_of(config), devices=devices) as told:
-        task = plan(out, count, seed=seed, config=config, recipe=recipe, part=part, spool=spool, patience=patience)
-        if config.stage == "drape":
-            from gcd_dataset.generator.drape import tell_wait
+    place = {"recipe": recipe, "part": part, "spool": spool, "patience": patience}
+    with contextlib.ExitStack() as opened:
+        if engine == "ray":
+            from gcd_dataset.verbs.ray_engine import ray_cluster
 
-            tell_wait(len(task.missing), config.device, config.resolution)
+            cluster = opened.enter_context(ray_cluster(config, workers))
+            config = cluster.config
+        here = cluster is None and config.stage == "drape"
+        devices = devices_of(config) if here else ()
+        told = opened.enter_context(logged(log, told, options=options, recipe=recipe_of(config), devices=devices))
+        if cluster is not None:
+            task = _planned(target_of(out, count, seed=seed, config=config, **place), seed, config)  # type: ignore[arg-type]
+        else:
+            task = plan(out, count, seed=seed, config=config, **place)  # type: ignore[arg-type]
+            _tell_wait(task)
         progress, pace = Progress(task.count, task.there), Pace()
         told(progress)
-        with contextlib.closing(stored(task, workers=workers)) as samples:
+        with contextlib.closing(stored(task, workers=workers, cluster=cluster)) as samples:
             for made in samples:
                 progress = progress.with_sample(rejects=made.rejects, outcome=made.outcome and made.outcome.name)
                 progress = pace.of(progress, added(made.waits, taken()))
@@ -132,25 +156,43 @@ def generate(
     return progress
 
 
+def _tell_wait(task: GarmentPlan) -> None:
+    if task.config.stage == "drape":
+        from gcd_dataset.generator.drape import tell_wait
+
+        tell_wait(len(task.missing), task.config.device, task.config.resolution)
+
+
 def _plain(config: MakeConfig) -> dict[str, Any]:
     """The options as JSON takes them."""
     return {entry.name: getattr(config, entry.name) for entry in fields(config)} | {"design": config.design.to_dict()}
 
 
-def stored(plan: GarmentPlan, *, workers: int | None = None) -> Generator[Stored, None, None]:
+def stored(
+    plan: GarmentPlan, *, workers: int | None = None, cluster: "RayCluster | None" = None
+) -> Generator[Stored, None, None]:
     """Make and store what is missing, telling of each sample once it is stored.
 
     Stopped at any moment and planned again it goes on; the shards come out as the same bytes. ``workers`` processes
     make samples side by side, by default as ``workers_for`` counts them; on each GPU of the config two more processes
-    drape for them. Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
+    drape for them. With a ``cluster`` its nodes make them instead. Raises ``OutputError`` where the shards cannot be
+    written, ``GcdError`` where a process is killed.
     """
-    workers = workers_for(plan) if workers is None else workers
     with plan.target.filling(is_missing=bool(plan.missing)) as writer:
-        indices = plan.missing
-        made = produce(plan.seed, indices, plan.config, workers=workers, finished=_encoded) if indices else iter(())
-        for stored, members in waited_for(made, WRITER):
+        for stored, members in waited_for(_made(plan, workers, cluster), WRITER):
             writer.add(stored.index, members, stored.outcome, stored.turned_down)
             yield stored
+
+
+def _made(
+    plan: GarmentPlan, workers: int | None, cluster: "RayCluster | None"
+) -> Iterator[tuple[Stored, Mapping[str, Bytes]]]:
+    if not plan.missing:
+        return iter(())
+    if cluster is not None:
+        return cluster.produce(plan.seed, plan.missing, finished=_encoded, seconds=_cpu_seconds(plan.config))
+    workers = workers_for(plan) if workers is None else workers
+    return produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encoded)
 
 
 def generate_recipe(
@@ -160,6 +202,7 @@ def generate_recipe(
     device: str = "auto",
     part: Part | None = None,
     workers: int | None = None,
+    engine: Engine = "local",
     told: Told = unheard,
     log: Path | str | None = None,
 ) -> Progress:
@@ -179,6 +222,7 @@ def generate_recipe(
         recipe=recipe,
         part=part,
         workers=workers,
+        engine=engine,
         told=told,
         log=log,
     )
@@ -189,13 +233,20 @@ def generate_recipe(
 
 def workers_for(plan: GarmentPlan) -> int:
     """The processes that make samples soonest: one for each core, or fewer where there is little to do."""
-    from gcd_dataset.generator.drape import seconds_per_garment
     from gcd_dataset.generator.drape.device import cores
 
-    each = MADE[plan.config.stage]
-    if plan.config.stage == "drape" and device_kind(plan.config) == "cpu":
-        each += seconds_per_garment("cpu", plan.config.resolution)
-    return min(cores(), int(each * len(plan.missing) / BEGUN), math.ceil(len(plan.missing) / plan.config.wearers))
+    begun = int(_cpu_seconds(plan.config) * len(plan.missing) / BEGUN)
+    return min(cores(), begun, math.ceil(len(plan.missing) / plan.config.wearers))
+
+
+def _cpu_seconds(config: MakeConfig) -> float:
+    """Of a worker, for a garment."""
+    from gcd_dataset.generator.drape import seconds_per_garment
+
+    each = MADE[config.stage]
+    if config.stage == "drape" and device_kind(config) == "cpu":
+        each += seconds_per_garment("cpu", config.resolution)
+    return each
 
 
 def _encoded(sample: Sample) -> tuple[Stored, Mapping[str, Bytes]]:

@@ -20,6 +20,7 @@ from functools import partial
 from multiprocessing.connection import Connection, Listener
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Protocol
 
 from gcd_dataset.errors import GcdError
 from gcd_dataset.generator.drape import DrapeJob, places_on, resolve_device
@@ -32,7 +33,7 @@ from gcd_dataset.generator.drapers.place import DRAPERS, READY, owner_file, sock
 from gcd_dataset.generator.drapers.studio import Studio
 from gcd_dataset.waits import WaitClock
 
-__all__ = ["main"]
+__all__ = ["Inbox", "main"]
 
 CONFIG = DrapeConfig()
 
@@ -62,6 +63,16 @@ def main(folder: Path, device: str) -> None:
             reason if isinstance(error, GcdError) else f"{reason}; start again, on other devices if it comes back"
         )
         raise
+
+
+class Caller(Protocol):
+    """Where an order comes from."""
+
+    there: bool
+    """Whether anybody waits for the answer."""
+
+    def tell(self, answer: Draped) -> None:
+        """Take the answer."""
 
 
 class Asker:
@@ -108,13 +119,13 @@ class Inbox:
     """Garments that wait to be draped, and those in work."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[Asker, Order, DrapeJob | Readied]] = deque()
+        self._waiting: deque[tuple[Caller, Order, DrapeJob | Readied]] = deque()
         self._some = threading.Condition()
         self._askers: set[Asker] = set()
-        self._at_work: dict[int, tuple[Asker, Order]] = {}
+        self._at_work: dict[int, tuple[Caller, Order]] = {}
         self._clock = WaitClock()
 
-    def put(self, asker: Asker, order: Order) -> None:
+    def put(self, asker: Caller, order: Order) -> None:
         """Add a garment."""
         ready = _readied(order.job)
         with self._some:
@@ -153,7 +164,7 @@ class Inbox:
                     studio.take(order, drape, partial(self._answer, asker, device))
             studio.finish()
 
-    def _answer(self, asker: Asker, device: str, answer: Draped) -> None:
+    def _answer(self, asker: Caller, device: str, answer: Draped) -> None:
         """Send an answer, and how long this process has waited since the one before."""
         asker.tell(replace(answer, waits={device: self._clock.taken()}))
 
@@ -170,7 +181,7 @@ class Inbox:
                 number += 1
                 yield ready
 
-    def _taken(self) -> tuple[Asker, Order, DrapeJob | Readied] | None:
+    def _taken(self) -> tuple[Caller, Order, DrapeJob | Readied] | None:
         """The next whose asker is still there."""
         with self._some:
             while self._waiting:

@@ -1,0 +1,89 @@
+"""What a local Ray cluster costs beside plain processes: CPU and wall seconds a garment, and of the start.
+
+    python -m benchmarks.run engines --stage mesh --count 128 --workers 2
+
+Each engine makes a few garments, which is its start, then ``--count`` of them, encoded as for a shard; what the start
+of the local engine's processes costs is taken off its second run. CPU seconds are those of this process and all below
+it, Ray's own included, read from /proc when the last garment arrives.
+"""
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from benchmarks.cases.figures import Figure, Measured
+from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.shards.codec import encode_sample
+from gcd_dataset.verbs.ray_engine import ray_cluster
+
+__all__ = ["add_arguments", "run"]
+
+TICKS = os.sysconf("SC_CLK_TCK")
+SECONDS = {"pattern": 0.03, "mesh": 0.1}  # CPU-s of a garment, which sets the size of a range
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the case."""
+    parser.add_argument("--count", type=int, default=512, help="garments")
+    parser.add_argument("--stage", choices=SECONDS, default="pattern")
+    parser.add_argument("--workers", type=int, default=2, help="processes that make garments")
+
+
+def run(options: argparse.Namespace) -> Measured:
+    """A few garments, then the count, by each engine."""
+    config = MakeConfig(stage=options.stage, picture=0)
+    few = 2 * options.workers
+    figures, each = [], {}
+    for engine in ("local", "ray"):
+        begun = _cpu_seconds(), time.perf_counter()
+        with _engine(engine, config, options.workers) as make:
+            start = _spent(make(few), few, begun)
+            whole = _spent(make(options.count), options.count, (_cpu_seconds(), time.perf_counter()))
+        if engine == "local":  # starts its processes for each run
+            whole = whole[0] - start[0], whole[1] - start[1]
+        each[engine] = [seconds / options.count for seconds in whole]
+        for name, unit, first, seconds in zip(("cpu", "wall"), ("CPU-s", "s"), start, each[engine], strict=True):
+            figures.append(Figure(f"{engine}_{name}", seconds, f"{unit} a garment"))
+            figures.append(Figure(f"{engine}_{name}_start", first, unit))
+    for number, name in enumerate(("cpu", "wall")):
+        figures.append(Figure(f"{name}_ratio", each["ray"][number] / each["local"][number], "of local"))
+    return Measured(figures)
+
+
+def _spent(made: Iterator[Any], count: int, begun: tuple[float, float]) -> tuple[float, float]:
+    """CPU and wall seconds from ``begun`` until the last of ``count`` garments is there."""
+    for _ in range(count):
+        next(made)
+    return _cpu_seconds() - begun[0], time.perf_counter() - begun[1]
+
+
+@contextmanager
+def _engine(engine: str, config: MakeConfig, workers: int) -> Iterator[Callable[[int], Iterator[Any]]]:
+    """Makes so many garments."""
+    if engine == "local":
+        yield lambda count: produce(0, range(count), config, workers=workers, finished=encode_sample)
+        return
+    os.environ["RAY_ADDRESS"] = "local"
+    with ray_cluster(config, workers) as cluster:
+        seconds = SECONDS[config.stage]
+        yield lambda count: cluster.produce(0, range(count), finished=encode_sample, seconds=seconds)
+
+
+def _cpu_seconds() -> float:
+    """Of this process and all that descend from it, as long as they are listed."""
+    spent, parents = {}, {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:  # ended meanwhile
+            continue
+        parents[path.parent.name], spent[path.parent.name] = fields[1], (int(fields[11]) + int(fields[12])) / TICKS
+    ours = {str(os.getpid())}
+    while more := {child for child, parent in parents.items() if parent in ours} - ours:
+        ours |= more
+    return sum(spent[process] for process in ours)
