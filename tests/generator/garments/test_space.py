@@ -97,8 +97,8 @@ def test_a_file_speaks_of_paths() -> None:
         design_from_dict({"flare-skirt": {"cut": {"depth": 3}}})
     with pytest.raises(ConfigError, match=r"collar is 'VNeckHalf', not a table of parameters"):
         design_from_dict({"collar": "VNeckHalf"})
-    with pytest.raises(ConfigError, match=r"meta\.upper is 'Cape', not one of FittedShirt, Shirt, None"):
-        design_from_dict({"meta": {"upper": "Cape"}})
+    with pytest.raises(ConfigError, match=r"meta\.upper is 'Toga', not one of FittedShirt, Shirt, Cape, Poncho, None"):
+        design_from_dict({"meta": {"upper": "Toga"}})
 
 
 def test_a_file_holds_plain_values_under_the_reference_names() -> None:
