@@ -113,7 +113,7 @@ class Objects:
     def put_new(self, path: str, content: bytes) -> bool:
         """Store an object unless one is there; whether there was none.
 
-        On S3, Google Cloud Storage and Azure one of several writers succeeds; elsewhere two at the same instant may.
+        On S3 one of several writers succeeds; of a store without conditional writes two at the same instant may.
         """
 
         def created(store: "AbstractFileSystem", name: str) -> bool:

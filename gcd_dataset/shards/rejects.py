@@ -37,7 +37,7 @@ from gcd_dataset.shards.index import ShardTable
 from gcd_dataset.shards.manifest import read_manifest
 from gcd_dataset.shards.meta import json_bytes, read_json, read_meta
 
-__all__ = ["REJECTS", "RejectLog", "has_rejects", "joined_rejects"]
+__all__ = ["REJECTS", "RejectLog", "has_rejects", "joined_rejects", "merged_rejects"]
 
 REJECTS = "rejects.jsonl"
 JOURNAL = ".rejects.jsonl.part"
@@ -173,6 +173,16 @@ def has_rejects(folder: Path) -> bool:
 def joined_rejects(folders: Iterable[Path]) -> bytes:
     """The content of ``rejects.jsonl`` of a data set that was made in parts, in their order. Raises ``ShardError``."""
     return b"".join(line for folder in folders for line in _lines_in(folder / REJECTS))
+
+
+def merged_rejects(contents: Iterable[bytes]) -> bytes:
+    """Several files' lines as one file, each once; of two lines of one attempt the later."""
+    lines: Lines = {}
+    for content in contents:
+        for line in content.splitlines(keepends=True):
+            if (entry := _parsed(line)) is not None:
+                lines.setdefault(entry["design"], {})[entry["attempt"]] = line
+    return b"".join(line for _, attempts in sorted(lines.items()) for _, line in sorted(attempts.items()))
 
 
 def _lines_in(path: Path) -> Iterator[bytes]:

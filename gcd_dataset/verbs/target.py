@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -13,9 +14,9 @@ from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.generator.recipes import Recipe
 from gcd_dataset.hub.place import Folder, Url, place_to_write
 from gcd_dataset.hub.site import Remote
-from gcd_dataset.hub.uploading import Finished, ObjectWriter, StoreTarget
+from gcd_dataset.hub.uploading import StoreTarget
 from gcd_dataset.records import Outcome, Rejected
-from gcd_dataset.shards.layout import FAILED, TRAIN, Bytes
+from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.manifest import SplitRecord
 from gcd_dataset.shards.parts import require_merged
 from gcd_dataset.shards.rejects import RejectLog, has_rejects
@@ -85,6 +86,12 @@ class FolderTarget:
         if self.place is not None:
             self.place.finish()
 
+    def opened(self) -> "_OpenWriter":
+        """The writer of the folder, to be closed."""
+        with contextlib.ExitStack() as opened:
+            writer = opened.enter_context(self._writer())
+            return _OpenWriter(writer, opened.enter_context(self._reject_log(writer)), opened.pop_all())
+
     def _writer(self) -> GarmentWriter:
         return GarmentWriter(self.folder, self.seed, self.config, self.division)
 
@@ -107,6 +114,22 @@ class _FolderWriter:
 
 
 @dataclass(frozen=True)
+class _OpenWriter(_FolderWriter):
+    """The same, until it is closed."""
+
+    held: contextlib.ExitStack
+
+    @property
+    def done(self) -> frozenset[int]:
+        """The samples that are whole on disk."""
+        return self.writer.done
+
+    def close(self) -> None:
+        """Make whole what was added."""
+        self.held.close()
+
+
+@dataclass(frozen=True)
 class _Full:
     """The writer of a data set in which nothing is missing."""
 
@@ -120,7 +143,7 @@ class _Full:
 
 @dataclass(frozen=True)
 class _UrlTarget:
-    """A data set of one split at a URL, without ``rejects.jsonl``."""
+    """A data set at a URL."""
 
     store: StoreTarget
     indices: range
@@ -128,20 +151,8 @@ class _UrlTarget:
     def done(self) -> frozenset[int]:
         return self.store.done(len(self.indices))
 
-    @contextlib.contextmanager
-    def filling(self, *, is_missing: bool) -> Iterator[Writer]:
-        with self.store.filling(len(self.indices)) as writer:
-            yield _UrlWriter(writer)
-
-
-@dataclass(frozen=True)
-class _UrlWriter:
-    writer: ObjectWriter | Finished
-
-    def add(
-        self, index: int, members: Mapping[str, Bytes], outcome: Outcome | None, turned_down: Sequence[Rejected]
-    ) -> None:
-        self.writer.add(index, members)
+    def filling(self, *, is_missing: bool) -> AbstractContextManager[Writer]:
+        return self.store.filling(len(self.indices))
 
 
 def target_of(
@@ -169,18 +180,18 @@ def target_of(
         folder = user_path(place.path)
         claim(folder, recipe)
         return _folder_target(folder, count, seed, config, division, part)
-    refused = {
-        "data sets of recipes": recipe is not None,
-        "parts": part is not None,
-        f"data sets with a split {FAILED}": FAILED in division.shard_sizes,
-    }
-    for what, is_asked in refused.items():
+    for what, is_asked in (("data sets of recipes", recipe is not None), ("parts", part is not None)):
         if is_asked:
             raise _only_here(place, what)
     remote = Remote(patience=patience)
-    asked = SplitRecord(seed, recipe_of(config), division.shard_sizes[TRAIN])
     spools = remote.folder / "spool" if spool is None else user_path(spool)
-    return _UrlTarget(StoreTarget(place, asked, spools, patience=remote.patience), range(count))
+    asked = {split: SplitRecord(seed, recipe_of(config), size) for split, size in division.shard_sizes.items()}
+    opened = partial(_opened, seed, config, division)
+    return _UrlTarget(StoreTarget(place, asked, spools, opened, patience=remote.patience), range(count))
+
+
+def _opened(seed: int, config: MakeConfig, division: Division, folder: Path) -> _OpenWriter:
+    return FolderTarget(folder, range(0), seed, config, division).opened()
 
 
 def _folder_target(

@@ -58,13 +58,11 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr("gcd_dataset.verbs.storing.SHARD_SIZE", SHARD)
         folder = tmp_path_factory.mktemp("here")
         make(folder)
-    (folder / "rejects.jsonl").unlink()  # folders alone have it
     return folder
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
-    """All but the rejects, which folders alone have."""
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "rejects.jsonl"}
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 @pytest.fixture
@@ -235,7 +233,8 @@ def test_verbs_take_the_url(
     assert f"{COUNT} samples in 2 shards" in capsys.readouterr().out
     assert main(["show", published, "--index", "5", "--svg", "five.svg"]) == 0
     assert main(["download", published, "--out", "all", "--quiet"]) == 0
-    assert {name: (tmp_path / "all" / name).read_bytes() for name in files_of(here)} == files_of(here)
+    expected = {name: content for name, content in files_of(here).items() if name != "rejects.jsonl"}
+    assert {name: (tmp_path / "all" / name).read_bytes() for name in expected} == expected
     assert main(["verify", "all", "--full"]) == 0
     assert main(["verify", published]) == 2
     assert "run gcd download" in capsys.readouterr().err
@@ -250,7 +249,7 @@ def test_objects_are_the_files_of_a_folder(s3: Store, here: Path, tmp_path: Path
     assert hashes(s3.objects(url)) == hashes(files_of(here))
     assert not list(tmp_path.iterdir())
     puts = [request.rpartition("/")[2] for request in s3.asked("^PUT .*/made/[^.]")]
-    assert puts == ["train-00000.tar", "train-00001.tar", "index-train.npz", "manifest.json"]
+    assert puts == ["train-00000.tar", "train-00001.tar", "index-train.npz", "rejects.jsonl", "manifest.json"]
     s3.log.clear()
     assert make(url, spool=tmp_path) == 0
     assert not s3.asked("^(PUT|DELETE|POST)")
@@ -262,9 +261,10 @@ def test_what_is_up_and_what_waits_is_gone_on_with(s3: Store, here: Path, tmp_pa
         make(url, spool=tmp_path, told=stopping(5))
     assert set(s3.objects(url)) == {
         "train-00000.tar",
-        ".unfinished-train/manifest.json",
-        ".unfinished-train/00000/manifest.json",
-        ".unfinished-train/00000/index-train.npz",
+        ".unfinished/manifest.json",
+        ".unfinished/00000/manifest.json",
+        ".unfinished/00000/index-train.npz",
+        ".unfinished/00000/rejects.jsonl",
     }
     with pytest.raises(MissingError, match="a set that is being made shows when all of it is there"):
         GarmentDataset(url, cache_dir=tmp_path / "cache")
@@ -315,7 +315,7 @@ def test_a_killed_run_is_gone_on_with(s3: Store, here: Path, tmp_path: Path) -> 
     url = "s3://bucket/killed"
     code = KILLED.format(shard=SHARD, url=url, count=COUNT, spool=str(tmp_path / "spool"))
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
-    with pytest.raises(OutputError, match=r"another run \(process \d+ on .*remove .*/\.writing-train\.json and start"):
+    with pytest.raises(OutputError, match=r"another run \(process \d+ on .*remove .*/\.writing\.json and start"):
         make(url, spool=tmp_path / "other")
     assert make(url, spool=tmp_path / "spool") <= COUNT - 4
     assert hashes(s3.objects(url)) == hashes(files_of(here))
@@ -327,7 +327,7 @@ def test_one_writer_at_a_time(s3: Store, here: Path, tmp_path: Path) -> None:
     def second(progress: Progress) -> None:
         if progress.made == 1:
             for spool, told in (
-                ("other", "another run .* writes split train: wait for it"),
+                ("other", "another run .* writes there: wait for it"),
                 ("one", "another process"),
             ):
                 with pytest.raises(OutputError, match=told):
@@ -338,11 +338,11 @@ def test_one_writer_at_a_time(s3: Store, here: Path, tmp_path: Path) -> None:
 
 
 def test_of_two_that_begin_at_once_one_writes(s3: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    url = s3.put("s3://bucket/at-once", {".writing-train.json": b'{"run": "1", "host": "node7", "process": 12}'})
+    url = s3.put("s3://bucket/at-once", {".writing.json": b'{"run": "1", "host": "node7", "process": 12}'})
     monkeypatch.setattr("gcd_dataset.hub.uploading.require_free", lambda *_: None)  # it has come since
     with pytest.raises(OutputError, match=r"process 12 on node7"):
         make(url, spool=tmp_path)
-    assert set(s3.objects(url)) == {".writing-train.json"}
+    assert set(s3.objects(url)) == {".writing.json"}
 
 
 def test_another_recipe_is_refused(s3: Store, here: Path, tmp_path: Path) -> None:
@@ -393,7 +393,7 @@ def test_a_store_that_removes_nothing_is_filled_all_the_same(
     assert "only this machine goes on" in caplog.text
     assert make(url, COUNT + 1, spool=tmp_path) == 1
     assert len(GarmentDataset(url, cache_dir=tmp_path / "cache")) == COUNT + 1
-    with pytest.raises(OutputError, match=r"remove s3://bucket/for-ever/\.writing-train\.json"):
+    with pytest.raises(OutputError, match=r"remove s3://bucket/for-ever/\.writing\.json"):
         make(url, COUNT + 2, spool=tmp_path / "other")
 
 
@@ -432,6 +432,8 @@ def test_what_is_made_in_folders_alone_is_told(
     assert "bodies are made in a folder" in capsys.readouterr().err
     assert main(["generate", "s3://bucket/named", "--recipe=smoke-64-draft"]) == 2
     assert "data sets of recipes are made in a folder" in capsys.readouterr().err
+    assert main(["generate", "s3://bucket/parts", "--count=8", "--stage=pattern", "--shard=0/2"]) == 2
+    assert "parts are made in a folder" in capsys.readouterr().err
     with pytest.raises(OutputError, match="the URL as text"):
         make(Path("s3://bucket/set"))
     assert not list(tmp_path.iterdir())

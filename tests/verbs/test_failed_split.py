@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import fsspec
 import h5py
 import pytest
 
@@ -22,7 +23,7 @@ from gcd_dataset.loaders import ElasticSampler, GarmentDataset
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
 from gcd_dataset.shards.unfinished import unfinished
-from gcd_dataset.verbs import Part, export, generate, making, merge, storing
+from gcd_dataset.verbs import Part, Progress, export, generate, making, merge, storing
 from tests.verbs.real import contents, killed
 
 COUNT = 8
@@ -135,6 +136,25 @@ def test_counts_are_told_by_split(
     command = ["generate", str(tmp_path / "kept"), "--count", str(COUNT), "--seed", "5", "--config", str(config)]
     assert main([*command, *options, "--on-fail", "keep", "--quiet"]) == 0
     assert f"train {COUNT - len(failed)}, failed {len(failed)}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("after", [1, 4, COUNT - 1])
+def test_a_store_holds_what_a_folder_holds(out: Path, tmp_path: Path, after: int) -> None:
+    """Of shards of 3 samples on 2 bodies each, a design and its rejects lie in two shards."""
+    url, spool = f"memory://bucket/{tmp_path.name}", tmp_path / "spool"
+
+    def stop(progress: Progress) -> None:
+        if progress.made == after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        generate(url, COUNT - 1, seed=5, config=KEPT, spool=spool, told=stop)
+    generate(url, COUNT - 1, seed=5, config=KEPT, spool=spool)
+    generate(url, COUNT, seed=5, config=KEPT, spool=spool)  # the last shards grow
+    store = fsspec.filesystem("memory")
+    there = {Path(name).name: store.cat_file(name) for name in store.find(f"/bucket/{tmp_path.name}")}
+    assert there == {path.name: path.read_bytes() for path in out.iterdir()}
+    assert len(GarmentDataset(url, "failed", cache_dir=tmp_path / "cache")) == len(GarmentDataset(out, "failed"))
 
 
 @pytest.mark.parametrize("after", [1, 4, COUNT])
