@@ -41,7 +41,7 @@ WRONG_USAGE = [
     ("generate out --count 0", "count is 0: give 1 to 10000000"),
     ("generate out --count -1", "-1 is no whole number"),
     ("generate out --count 1 --resolution 99", "give a length from 0.2 to 10.0"),
-    ("generate out --count 1 --device gpu", "device gpu"),
+    ("generate out --count 1 --device gpu", "device='gpu': give auto, cpu"),
     ("generate out --count 1 --fabric denin", "fabric is 'denin': known are"),
     ("generate shards --count 1 --seed 9 --stage pattern", "made with seed=0, asked for seed=9"),
     ("drape spec.json --out out --body neutrl", "no body named neutrl: .*did you mean neutral?"),
