@@ -25,7 +25,7 @@ BATTERY: dict[str, Mapping[str, Any]] = {
             "meta": DRESS | {"upper": upper.value},
             "collar": {"component": {"style": collar.value, "lapel_standing": standing}},
         }
-        for upper in Upper
+        for upper in (Upper.FITTED, Upper.SHIRT)  # a cape has no collar
         for collar in Collar
         for standing in (False, True)
     },
