@@ -143,9 +143,8 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
         raise ConfigError(f"bodies is {given['bodies']!r}: stage {BODY_STAGE} makes random ones: leave it out")
     _require_no_store(options, "bodies")
     with Bar("body", options.quiet) as bar:
-        workers = options.workers or 0
-        work = partial(generate_people, options.out, options.count, seed=options.seed, workers=workers, log=options.log)
-        bar.run(work)
+        work = partial(generate_people, options.out, options.count, seed=options.seed, workers=options.workers)
+        bar.run(partial(work, log=options.log))
     done = bar.progress
     if bar.interrupted:
         return stopped("generate", f"{done.done} of {done.count}")

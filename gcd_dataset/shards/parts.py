@@ -138,8 +138,10 @@ class FinishedPart:
             plan.versions, {name: split.shards for name, split in splits.items()},
         )  # fmt: skip
 
-    def require_of(self, plan: PartsPlan, place: Path, remedy: str) -> None:
-        """Raise ``ConfigError`` where this is no part of ``plan``; ``place``: its file."""
+    def require_of(self, plan: PartsPlan, part: int, place: Path, remedy: str) -> None:
+        """Raise ``ConfigError`` where this is not that part of ``plan``; ``place``: its file."""
+        if self.part != part:
+            raise ConfigError(f"{place}: of part {self.part}, where part {part} is read: {remedy}")
         mine = {"parts": self.of, "count": self.count, "seed": self.seed, "recipe_sha256": self.recipe_sha256}
         theirs = {"parts": plan.of, "count": plan.count, "seed": plan.seed, "recipe_sha256": plan.recipe_sha256}
         mine |= {"schema": self.schema, **self.versions}

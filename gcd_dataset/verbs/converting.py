@@ -5,12 +5,14 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gcd_dataset.errors import PatternError, ShardError
+from gcd_dataset.errors import ConfigError, PatternError, ShardError
+from gcd_dataset.files import user_path
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
 from gcd_dataset.release.batches import PublishedBatches
 from gcd_dataset.release.garments import PublishedGarments
 from gcd_dataset.release.layout import SPLIT_NAMES
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
+from gcd_dataset.shards.parts import require_merged
 from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.verbs.plan import Plan
 from gcd_dataset.verbs.progress import Progress, Told, unheard
@@ -58,6 +60,7 @@ def plan_convert(
     added to the same shards. Raises ``ShardError`` for a folder that is not of the published layout or holds nothing of
     any split, ``ConfigError`` where ``out`` holds another data set, ``OutputError`` where it cannot be written.
     """
+    require_merged(user_path(out), ConfigError)
     cache = None if cache_dir is None else Path(cache_dir)
     sources = [Source(Path(root), split, bodies, cache) for split in SPLIT_NAMES]
     _batches.cache_clear()  # more may have been downloaded since

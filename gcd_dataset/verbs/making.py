@@ -5,8 +5,9 @@ import math
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, device_kind, devices_of, recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe
@@ -129,6 +130,8 @@ def generate(
     """
     config, cluster = config or MakeConfig(), None
     check_count(count)
+    if engine not in (known := get_args(Engine)):
+        raise ConfigError(f"engine={engine!r:.99}: give {' or '.join(map(repr, known))}")
     options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "engine": engine} | _plain(config)
     options |= {"part": part and str(part), "name": recipe and recipe.name}
     place = {"recipe": recipe, "part": part, "spool": spool, "patience": patience}

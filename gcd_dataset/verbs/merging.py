@@ -146,7 +146,7 @@ def _finished_parts(out: Path, plan: PartsPlan) -> list[FinishedPart]:
     parts = [finished for finished in found if finished is not None]
     for part, (finished, folder) in enumerate(zip(parts, folders, strict=True)):
         remedy = f"delete {folder} and run {command_of(out, plan, part)}"
-        finished.require_of(plan, finished_path(folder), remedy)
+        finished.require_of(plan, part, finished_path(folder), remedy)
         if others := sorted(finished.splits.keys() - plan.shard_sizes.keys()):
             raise ConfigError(f"{finished_path(folder)}: tells of split {others[0]}, as no other part: {remedy}")
     return parts

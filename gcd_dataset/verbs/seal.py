@@ -15,7 +15,7 @@ from gcd_dataset.shards.manifest import MANIFEST, RecipeRecord, keep_recipe, rea
 from gcd_dataset.shards.patterns import stored_patterns
 from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["claim", "hash_of", "is_sealed", "seal"]
+__all__ = ["claim", "hash_of", "is_sealed", "require_claimable", "seal"]
 
 DIGITS = 12  # of a hash, in messages
 
@@ -23,10 +23,19 @@ log = logging.getLogger(__name__)
 
 
 def claim(folder: Path, recipe: Recipe | None) -> None:
-    """Name the recipe in the manifest of a folder that is to be filled.
+    """Name the recipe in the manifest of a folder that is to be filled, after all other checks.
+
+    Raises as ``require_claimable`` does, and ``OutputError`` for a folder that cannot be written.
+    """
+    if require_claimable(folder, recipe) is None and recipe is not None:
+        keep_recipe(make_folder(user_path(folder)), RecipeRecord(recipe.name, recipe.sha256))
+
+
+def require_claimable(folder: Path, recipe: Recipe | None) -> RecipeRecord | None:
+    """The recipe that the manifest of a folder names, if any.
 
     Raises ``ConfigError`` for a folder that holds the data set of another recipe, or of none, and for ``None`` one of a
-    recipe; ``OutputError`` for one that cannot be written.
+    recipe.
     """
     folder = user_path(folder)
     with reading(folder):
@@ -37,19 +46,16 @@ def claim(folder: Path, recipe: Recipe | None) -> None:
             raise ConfigError(
                 f"{folder / MANIFEST}: the data set {there.name}: go on with --recipe, or choose another folder"
             )
-        return
+        return None
     asked = RecipeRecord(recipe.name, recipe.sha256)
-    if there is None:
-        if manifest is not None and manifest.splits:
-            raise ConfigError(
-                f"{folder / MANIFEST}: made without a recipe, asked for {recipe.name}: choose another folder"
-            )
-        keep_recipe(make_folder(folder), asked)
-    elif (there.name, there.sha256) != (asked.name, asked.sha256):
+    if there is None and manifest is not None and manifest.splits:
+        raise ConfigError(f"{folder / MANIFEST}: made without a recipe, asked for {recipe.name}: choose another folder")
+    if there is not None and (there.name, there.sha256) != (asked.name, asked.sha256):
         raise ConfigError(
             f"{folder / MANIFEST}: made by recipe {_told(there)}, asked for {_told(asked)}: use the same or another "
             "folder"
         )
+    return there
 
 
 class Named(Protocol):

@@ -21,7 +21,7 @@ from gcd_dataset.shards.manifest import SplitRecord
 from gcd_dataset.shards.parts import require_merged
 from gcd_dataset.shards.rejects import RejectLog, has_rejects
 from gcd_dataset.verbs.parts import Part, PartPlace, begin_part
-from gcd_dataset.verbs.seal import claim
+from gcd_dataset.verbs.seal import claim, require_claimable
 from gcd_dataset.verbs.storing import Division, GarmentWriter, division_of, filling_all
 
 __all__ = ["FolderTarget", "Target", "Writer", "require_folder", "target_of"]
@@ -178,8 +178,10 @@ def target_of(
             if value is not None:
                 raise ConfigError(f"{name}={value} is for URLs, and {place} is a folder: leave it out")
         folder = user_path(place.path)
+        require_claimable(folder, recipe)  # before the plan of parts is written
+        target = _folder_target(folder, count, seed, config, division, part)
         claim(folder, recipe)
-        return _folder_target(folder, count, seed, config, division, part)
+        return target
     for what, is_asked in (("data sets of recipes", recipe is not None), ("parts", part is not None)):
         if is_asked:
             raise _only_here(place, what)

@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import re
+import shutil
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,7 +23,8 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.layout import lock_name
 from gcd_dataset.shards.parts import part_folder
-from gcd_dataset.verbs import Part, generate, generate_recipe, making, merge, merging, storing
+from gcd_dataset.verbs import Part, generate, generate_people, generate_recipe, making, merge, merging, storing
+from gcd_dataset.verbs.seal import claim
 from gcd_dataset.verbs.storing import GarmentWriter, division_of
 from tests.verbs.real import COUNT, CUFFED, contents, killed, made_once
 
@@ -161,6 +163,27 @@ def test_parts_of_another_recipe_are_refused(tmp_path: Path) -> None:
         part_of(tmp_path, 1, 2, count=12)
     with pytest.raises(ShardError, match=r"part 1/2 is missing: run gcd generate \S+ --recipe FILE\.toml --shard 1/2"):
         merge(tmp_path)
+
+
+def test_a_recipe_that_is_refused_leaves_no_name_among_parts_of_none(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    out = tmp_path / "out"
+    part_of(out, 0, 2)
+    recipe = Recipe("flat", "flat", 6, 0, CUFFED, {"train": 1.0})
+    with pytest.raises(ConfigError, match="parts begun with count=23"):
+        generate_recipe(out, recipe, part=Part(0, 2))
+    with pytest.raises(ConfigError, match="1 of 2 parts are finished"):
+        generate_recipe(out, recipe)
+    part_of(out, 1, 2)
+    merge(out)
+    assert contents(out) == whole
+
+
+def test_parts_that_a_named_set_refuses_leave_no_plan(tmp_path: Path) -> None:
+    recipe = Recipe("flat", "flat", 6, 0, CUFFED, {"train": 1.0})
+    claim(tmp_path, recipe)
+    with pytest.raises(ConfigError, match="go on with --recipe"):
+        part_of(tmp_path, 0, 2)
+    assert not (tmp_path / ".parts").exists()
 
 
 def test_a_recipe_whose_merge_was_killed_gets_its_hash_by_the_next(
@@ -335,6 +358,18 @@ def test_a_part_copied_from_elsewhere_is_refused(name: str, value: object, tmp_p
     part_of(tmp_path, 0, 2)  # which is not locked out by the merge that failed
 
 
+def test_a_folder_that_holds_a_copy_of_another_part_is_refused(tmp_path: Path) -> None:
+    parts_in(tmp_path, 2)
+    before = contents(part_folder(tmp_path, 0, 2))
+    shutil.rmtree(part_folder(tmp_path, 1, 2))
+    shutil.copytree(part_folder(tmp_path, 0, 2), part_folder(tmp_path, 1, 2))
+    with pytest.raises(
+        ConfigError, match=r"00001-of-00002/part\.json: of part 0, where part 1 is read: delete .* and run"
+    ):
+        merge(tmp_path)
+    assert contents(part_folder(tmp_path, 0, 2)) == before  # no shard was moved
+
+
 def test_a_part_of_another_number_is_refused(tmp_path: Path) -> None:
     parts_in(tmp_path, 2)
     part_folder(tmp_path, 1, 2).rename(part_folder(tmp_path, 1, 3))
@@ -448,3 +483,16 @@ def test_an_array_job_takes_its_part_from_slurm(tmp_path: Path, monkeypatch: pyt
 def test_bodies_are_made_in_one_go(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["generate", str(tmp_path), "--count", "4", "--stage", "body", "--shard", "0/2"]) == 2
     assert "--shard is for garments" in capsys.readouterr().err
+
+
+def test_bodies_are_not_put_beside_parts(tmp_path: Path) -> None:
+    part_of(tmp_path, 0, 2)
+    with pytest.raises(ConfigError, match="made in parts: 1 of 2 parts are finished"):
+        generate_people(tmp_path, 2)
+    assert [path.name for path in tmp_path.glob("*.tar")] == []
+
+
+def test_an_engine_that_there_is_not_is_told(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="engine='Ray'"):
+        generate(tmp_path / "out", 2, config=CUFFED, engine="Ray")  # type: ignore[arg-type]
+    assert not (tmp_path / "out").exists()
