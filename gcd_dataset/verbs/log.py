@@ -163,14 +163,16 @@ class _Lines:
         os.close(self._file)
 
     def _drop_torn_line(self) -> None:
-        """Cut off the last line if a power cut left half of it."""
+        """Cut off the last line if a power cut left half of it. Raises ``OutputError`` for a file that is no log."""
         about = os.fstat(self._file)
         if not stat.S_ISREG(about.st_mode):
             return
         with self._path.open("rb") as file:
             file.seek(max(about.st_size - TAIL, 0))
-            torn = file.read().rpartition(b"\n")[2]
-        if torn and not (torn.startswith(BEGIN) or BEGIN.startswith(torn)):
+            before, _, torn = file.read().rpartition(b"\n")
+        whole = before.rpartition(b"\n")[2]
+        is_none = whole and not whole.startswith(BEGIN)
+        if is_none or (torn and not (torn.startswith(BEGIN) or BEGIN.startswith(torn))):
             raise OutputError(f"{self._path}: its last line is none of a log: choose another file")
         os.ftruncate(self._file, about.st_size - len(torn))
 

@@ -16,6 +16,7 @@ from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.shards.layout import recipe_hash
 from gcd_dataset.verbs import generate, generate_people, log
 from gcd_dataset.verbs.progress import Progress, unheard
+from tests.verbs.real import contents
 
 FLAT = MakeConfig(stage="pattern")
 FIGURES = {"count", "there", "made", "rate", "left_s", "outcomes", "rejects", "waits", "rss_mb"}
@@ -148,3 +149,13 @@ def test_a_torn_line_of_another_program_is_kept(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="choose another file"), log.logged(path, unheard, options={}, recipe={}):
         pass
     assert path.read_text() == "bread"
+
+
+def test_a_file_that_is_no_log_is_not_added_to(tmp_path: Path) -> None:
+    generate(tmp_path / "there", 1, config=FLAT)
+    before = contents(tmp_path / "there")
+    for name in before:
+        if before[name]:
+            with pytest.raises(OutputError, match="its last line is none of a log: choose another file"):
+                generate(tmp_path / "out", 1, config=FLAT, log=tmp_path / "there" / name)
+    assert contents(tmp_path / "there") == before

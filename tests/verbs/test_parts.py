@@ -23,7 +23,7 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.layout import lock_name
 from gcd_dataset.shards.parts import part_folder
-from gcd_dataset.verbs import Part, generate, generate_people, generate_recipe, making, merge, merging, storing
+from gcd_dataset.verbs import Part, convert, generate, generate_people, generate_recipe, making, merge, merging, storing
 from gcd_dataset.verbs.seal import claim
 from gcd_dataset.verbs.storing import GarmentWriter, division_of
 from tests.verbs.real import COUNT, CUFFED, contents, killed, made_once
@@ -485,10 +485,12 @@ def test_bodies_are_made_in_one_go(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "--shard is for garments" in capsys.readouterr().err
 
 
-def test_bodies_are_not_put_beside_parts(tmp_path: Path) -> None:
+def test_bodies_and_published_garments_are_not_put_beside_parts(tmp_path: Path) -> None:
     part_of(tmp_path, 0, 2)
     with pytest.raises(ConfigError, match="made in parts: 1 of 2 parts are finished"):
         generate_people(tmp_path, 2)
+    with pytest.raises(ConfigError, match="made in parts: 1 of 2 parts are finished"):
+        convert(tmp_path / "published", tmp_path)
     assert [path.name for path in tmp_path.glob("*.tar")] == []
 
 
