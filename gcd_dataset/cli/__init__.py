@@ -103,7 +103,9 @@ def _generate(options: argparse.Namespace) -> int:
     if bar.interrupted:
         return stopped("generate", f"{done.done} of {done.count}")
     rejected = done.rejects.total()
-    which = "" if part is None else f"part {part}: " if done.made else f"part {part} is there already: "
+    which = "" if part is None else f"part {part}: "
+    if part is not None and not done.made:
+        which = f"part {part} {'is there already' if done.count else 'has no samples'}: "
     print(
         f"{options.out}: {which}{done.count} garments, {done.made} of them made now, {rejected} designs or drapes "
         "turned down"

@@ -10,7 +10,7 @@ from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.generator.recipes import Recipe, recipe_names
 from gcd_dataset.options import options_of
-from gcd_dataset.shards.access import writing
+from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.contents import read_index
 from gcd_dataset.shards.layout import SCHEMA
 from gcd_dataset.shards.manifest import SplitRecord, read_manifest
@@ -102,7 +102,7 @@ class PartPlace:
 
         Raises ``ConfigError`` where the parts are being merged.
         """
-        _require_not_merging(self.out)
+        _require_not_merging(self.out, self.folder)
         with writing(finished_path(self.folder)):
             finished_path(self.folder).unlink(missing_ok=True)
 
@@ -126,7 +126,7 @@ def begin_part(out: Path, part: Part, count: int, seed: int, config: MakeConfig,
         if not (out / PARTS).exists() and any(is_begun(out, split) for split in division.shard_sizes):
             _require_there(out, part, indices, seed, config, division)
             return PartPlace(out, part, indices, is_merged=True)
-        _require_not_merging(out)
+        _require_not_merging(out, part_folder(out, part.number, part.of))
         options, named = recipe_of(config), _named(division.recipe)
         agree_on(out, PartsPlan(part.of, count, seed, options, division.shard_sizes, SCHEMA, versions(), named))
     return PartPlace(out, part, indices)
@@ -167,9 +167,20 @@ def _options_of(plan: PartsPlan) -> Iterator[str]:
             yield from (option.flag, str(value))
 
 
-def _require_not_merging(out: Path) -> None:
-    if is_merging(out):
+def _require_not_merging(out: Path, folder: Path) -> None:
+    """Raise ``ConfigError`` where parts are being merged, unless a stopped merge waits for the part in ``folder``."""
+    if is_merging(out) and not _is_wanted(out, folder):
         raise ConfigError(f"{out}: {parts_waiting(out)}")
+
+
+def _is_wanted(out: Path, folder: Path) -> bool:
+    """Whether a part lacks a shard that a merge has not moved: it was found damaged, and deleted."""
+    finished = read_finished(folder)
+    if finished is None:
+        return True
+    names = [record.name for records in finished.splits.values() for record in records]
+    with reading(folder):
+        return not all((folder / name).exists() or (out / name).exists() for name in names)
 
 
 def _require_there(out: Path, part: Part, indices: range, seed: int, config: MakeConfig, division: Division) -> None:

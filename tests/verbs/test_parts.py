@@ -498,3 +498,27 @@ def test_an_engine_that_there_is_not_is_told(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="engine='Ray'"):
         generate(tmp_path / "out", 2, config=CUFFED, engine="Ray")  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_part_is_made_again_though_a_stopped_merge_has_moved_others(
+    tmp_path: Path, whole: dict[str, bytes]
+) -> None:
+    out = parts_in(tmp_path / "parts", 3)
+
+    def stop(progress: Progress) -> None:
+        if progress.made:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        merge(out, told=stop)
+    assert (out / "train-00000.tar").exists()
+    shard = part_folder(out, 1, 3) / "train-00003.tar"
+    os.truncate(shard, 5000)
+    with pytest.raises(ShardError, match=r"delete it and run .*--shard 1/3"):
+        merge(out)
+    with pytest.raises(ConfigError, match="run gcd merge"):  # another part, in which nothing is damaged
+        part_of(out, 0, 3)
+    shard.unlink()
+    part_of(out, 1, 3)
+    merge(out)
+    assert contents(out) == whole
