@@ -75,7 +75,7 @@ BAD_INPUT = [
     ("validate text.txt", "text.txt: "),
     ("show missing --png a.png", "missing: no such folder"),
     ("show missing.json --png a.png", "missing.json: no such file"),
-    ("show shards --png a.png --index 2", "sample 2 of 2"),
+    ("show shards --png a.png --index 2", "sample 2 of 2: give one from 0 to 1"),
     ("show shards --png a.png --split trian", "no samples of split trian: there is train: did you mean train?"),
     ("info missing", "missing: no such folder"),
     ("info text.txt", "text.txt: a file, not a folder of shards"),

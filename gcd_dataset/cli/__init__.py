@@ -431,7 +431,9 @@ def _sample(options: argparse.Namespace) -> "Sample":
 
     reader = ShardReader(open_anywhere(options.what, options.endpoint), options.split)
     if options.index >= len(reader):
-        raise ShardError(f"{options.what}: sample {options.index} of {len(reader)}: give one from 0 on")
+        raise ShardError(
+            f"{options.what}: sample {options.index} of {len(reader)}: give one from 0 to {len(reader) - 1}"
+        )
     return reader.sample(options.index)
 
 

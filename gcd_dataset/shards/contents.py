@@ -13,6 +13,7 @@ from gcd_dataset.shards.layout import (
     FOREIGN,
     GARMENTS,
     SCHEMA,
+    WAITING,
     Layout,
     foreign_layout,
     index_name,
@@ -81,6 +82,8 @@ def way_out(folder: Path) -> str:
             "this is GarmentCodeData as published: read it with PublishedGarmentCodeData, or make shards of it with "
             "gcd convert"
         )
+    if waiting := len(list((folder / WAITING).glob("*/*.tar"))):
+        return f"{waiting} samples wait for the rest of their shard: GeneratedGarments.pack() writes what is there"
     return "give a folder that gcd generate has made"
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Int
 from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.files import make_folder
 from gcd_dataset.shards.access import locked, reading
-from gcd_dataset.shards.layout import MEMBERS, Bytes, index_name, key_of, shard_name, shards_in
+from gcd_dataset.shards.layout import MEMBERS, WAITING, Bytes, index_name, key_of, shard_name, shards_in
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.single import read_single, write_single
 from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
@@ -28,7 +28,6 @@ __all__ = ["KeptSamples"]
 logger = logging.getLogger("gcd_dataset")
 
 SPLIT = "train"
-WAITING = ".waiting"
 SINGLE = re.compile(r"gcd_(\d{9,})\.tar")
 
 

@@ -34,6 +34,7 @@ __all__ = [
     "SCHEMA",
     "SCHEMAS",
     "TRAIN",
+    "WAITING",
     "Bytes",
     "Layout",
     "content_of",
@@ -75,6 +76,7 @@ FIRST_NAMES: Mapping[str, str] = {"spec.txt": "spec.json", "design.txt": "design
 """Member to its name in schema 1, where that differed."""
 
 TRAIN, FAILED = "train", "failed"
+WAITING = ".waiting"  # folder of samples whose shard is not full yet
 """The split of what is made, and that of drapes that failed and are kept."""
 
 CAPTION = "caption.txt"

@@ -153,7 +153,8 @@ def generate(
         told(progress)
         with contextlib.closing(stored(task, workers=workers, cluster=cluster)) as samples:
             for made in samples:
-                progress = progress.with_sample(rejects=made.rejects, outcome=made.outcome and made.outcome.name)
+                rejects = made.rejects if made.index % config.wearers == 0 else ()  # once for each design
+                progress = progress.with_sample(rejects=rejects, outcome=made.outcome and made.outcome.name)
                 progress = pace.of(progress, added(made.waits, taken()))
                 told(progress)
     return progress

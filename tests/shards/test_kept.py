@@ -48,6 +48,8 @@ def test_a_shard_is_written_with_the_last_of_its_samples(tmp_path: Path) -> None
     for index in (9, 2, 0, 3):
         samples.keep(index, members(index))
     assert names(tmp_path) == []
+    with pytest.raises(ShardError, match="4 samples wait for the rest of their shard"):
+        GarmentDataset(tmp_path)
     samples.keep(1, members(1))
     assert names(tmp_path) == ["train-00000.tar"]
     samples.keep(8, members(8))  # the last shard has two samples

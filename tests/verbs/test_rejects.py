@@ -52,6 +52,11 @@ def test_lines_and_manifest_tell_of_the_same_attempts(tmp_path: Path, whole: dic
     assert manifest.splits["train"].rejects == {"tight_cuff": wearers}
 
 
+def test_progress_counts_an_attempt_once_for_all_wearers(tmp_path: Path) -> None:
+    done = generate(tmp_path, COUNT, config=CUFFED)
+    assert done.rejects == {"tight_cuff": len(lines((tmp_path / "rejects.jsonl").read_bytes()))}
+
+
 def test_workers_leave_no_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes]) -> None:
     monkeypatch.setattr(making, "produce", produce)
     generate(tmp_path / "two", 12, config=CUFFED, workers=2)
