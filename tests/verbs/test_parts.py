@@ -23,7 +23,18 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.layout import lock_name
 from gcd_dataset.shards.parts import part_folder
-from gcd_dataset.verbs import Part, convert, generate, generate_people, generate_recipe, making, merge, merging, storing
+from gcd_dataset.verbs import (
+    Part,
+    Progress,
+    convert,
+    generate,
+    generate_people,
+    generate_recipe,
+    making,
+    merge,
+    merging,
+    storing,
+)
 from gcd_dataset.verbs.seal import claim
 from gcd_dataset.verbs.storing import GarmentWriter, division_of
 from tests.verbs.real import COUNT, CUFFED, contents, killed, made_once
