@@ -2,8 +2,7 @@
 
     python -m gcd_dataset.generator.recipes.patterns standard-1k-draft
 
-prints the hash of all patterns, which goes into the recipe as ``patterns``. A core makes 15 patterns a second, and twice
-as many where the recipe stops at them.
+prints the hash of all patterns, which goes into the recipe as ``patterns``. A core makes 15 patterns a second.
 """
 
 import argparse
