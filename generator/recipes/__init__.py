@@ -213,4 +213,6 @@ def _drawn(seed: int, designs: int, shares: tuple[float, ...]) -> Int[np.ndarray
     """The place of the split of each design among the splits; that of a design does not depend on how many follow."""
     chances = rng(seed, 0, Stage.SPLIT).random(designs)
     ends = np.cumsum(shares)
-    return np.minimum(np.searchsorted(ends, chances, side="right"), len(ends) - 1)
+    places = np.minimum(np.searchsorted(ends, chances, side="right"), len(ends) - 1)
+    places.flags.writeable = False  # all recipes of these shares have this one
+    return places

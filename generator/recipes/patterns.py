@@ -2,7 +2,7 @@
 
     python -m gcd_dataset.generator.recipes.patterns standard-1k-draft
 
-prints the hash of all patterns, which goes into the recipe as ``patterns``. A core makes about 40 patterns a second.
+prints the hash of all patterns, which goes into the recipe as ``patterns``. A core makes 15 patterns a second.
 """
 
 import argparse
