@@ -12,7 +12,7 @@ from itertools import cycle, islice
 import numpy as np
 
 from gcd_dataset.generator.drape import DrapeJob
-from gcd_dataset.generator.drapers import Order, SharedDraper, place_for
+from gcd_dataset.generator.drapers import DrapeRequest, SharedDraper, address_for
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig, devices_of
 
@@ -32,8 +32,8 @@ def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pi
     worn = [worn for number in range(prepared) for worn in prepare(1, number, config).dressed]
     jobs = [DrapeJob(one.box_mesh, one.body, one.size, coarse=one.coarse) for one in worn if one.box_mesh]
     picture = config.picture if pictured else 0
-    with SharedDraper(place_for(devices_of(config)[0])) as draper:
-        orders = (Order(number, _on_another(job, number), picture) for number, job in enumerate(cycle(jobs)))
+    with SharedDraper(address_for(devices_of(config)[0])) as draper:
+        orders = (DrapeRequest(number, _on_another(job, number), picture) for number, job in enumerate(cycle(jobs)))
         for order in islice(orders, ORDERED):
             draper.ask(order)
         for order in islice(orders, warm):

@@ -14,7 +14,7 @@ import numpy as np
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.writer import SHARD_SIZE
 
-__all__ = ["Bill", "Fleet", "Machine", "Run", "Store", "bill", "expected_seconds", "limits", "simulate"]
+__all__ = ["Bill", "Fleet", "Machine", "ObjectStore", "Run", "bill", "expected_seconds", "limits", "simulate"]
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Machine:
 
 
 @dataclass(frozen=True)
-class Store:
+class ObjectStore:
     """An object store; the defaults are those that S3 documents, for one prefix, and its list prices in us-east-1."""
 
     puts: float = 3_500.0
@@ -57,7 +57,7 @@ class Store:
         return math.ceil(shard / self.piece) + self.beside
 
 
-def limits(machine: Machine, store: Store, *, gpus: int, size: float) -> dict[str, float]:
+def limits(machine: Machine, store: ObjectStore, *, gpus: int, size: float) -> dict[str, float]:
     """Garments a second that each part of the way lets through, for so many GPUs and garments of ``size`` bytes."""
     hosts, together = math.ceil(gpus / machine.gpus), min(gpus, machine.gpus)
     writer = 1 / (size * (machine.write + machine.receive))
@@ -97,7 +97,7 @@ INDEX_BYTES = 333.3  # a garment, measured
 MANIFEST_BYTES = 240.0  # a shard, with two rules in ``rejects``, measured
 
 
-def bill(machine: Machine, store: Store, *, garments: int, gpus: int, size: float, gpu_usd: float) -> Bill:
+def bill(machine: Machine, store: ObjectStore, *, garments: int, gpus: int, size: float, gpu_usd: float) -> Bill:
     """What a data set takes. ``gpu_usd``: of a GPU with its cores for an hour."""
     rates = limits(machine, store, gpus=gpus, size=size)
     if (alone := rates.pop("writers, a part for each GPU", None)) is not None:

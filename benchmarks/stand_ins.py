@@ -11,9 +11,9 @@ import trimesh
 from scipy.sparse import csr_matrix
 
 from gcd_dataset.generator.body import build_body
-from gcd_dataset.generator.body.holes import Skin
+from gcd_dataset.generator.body.holes import VisibleSkin
 from gcd_dataset.generator.body.pose import T_POSE
-from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import BodyPart, BodyShape
 
 __all__ = ["SMPLX_VERTICES", "SMPL_VERTICES", "coarser", "like_smpl", "like_smplx"]
@@ -30,7 +30,7 @@ _Mesh = tuple[np.ndarray, np.ndarray]  # vertices, faces
 def like_smpl(shape: BodyShape, *, arm: float = T_POSE) -> _Mesh:
     """A body [m] as SMPL gives it: one closed skin, y up, facing +z, the origin at the pelvis."""
     body = build_body(replace(shape, arm_angle=arm))
-    skin = Skin.of(body.faces, body.parts)
+    skin = VisibleSkin.of(body.faces, body.parts)
     return _from_pelvis(coarser(skin.points(body.vertices), skin.faces, SMPL_VERTICES))
 
 
@@ -39,7 +39,7 @@ def like_smplx(shape: BodyShape, *, arm: float = T_POSE) -> _Mesh:
     body = build_body(replace(shape, arm_angle=arm))
     sockets = (body.parts == BodyPart.INTERNAL.value) & (body.vertices[:, 1] > 0.92 * body.vertices[:, 1].max())
     parts = np.where(sockets, BodyPart.INTERNAL.value, BodyPart.HEAD.value).astype(np.uint8)
-    seen = Skin.of(body.faces, parts)
+    seen = VisibleSkin.of(body.faces, parts)
     skin = coarser(seen.points(body.vertices), seen.faces, SMPLX_VERTICES - 2 * EYE)
     eyes = [_eye(body.vertices[sockets & (side * body.vertices[:, 0] > 0)]) for side in (1, -1)]
     both = trimesh.util.concatenate([trimesh.Trimesh(*skin, process=False), *eyes])
@@ -63,7 +63,7 @@ def coarser(vertices: np.ndarray, faces: np.ndarray, count: int) -> _Mesh:
     An edge goes where its ends share two neighbours and no more, so a closed skin stays one (Dey et al., 1999); in each
     round those that are the shortest far and wide.
     """
-    surface = Surface.of(vertices, faces)
+    surface = SkinSurface.of(vertices, faces)
     while len(vertices) > count:
         going = _shortest_around(vertices, faces)[: len(vertices) - count]
         points, target = vertices.copy(), np.arange(len(vertices))

@@ -21,8 +21,8 @@ __all__ = [
     "file_content",
     "measurements_text",
     "parsed_measurements",
+    "read_body_parts",
     "read_measurements",
-    "read_parts",
     "write_measurements",
 ]
 
@@ -85,7 +85,7 @@ def measurements_tree(measurements: Measurements) -> dict[str, float]:
     return measurements.to_file_values() | _derived(measurements)
 
 
-def read_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray, " v"]:
+def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray, " v"]:
     """``BodyPart`` of each vertex. Raises ``BodyError``."""
     lists = read_json(path, "segmentation JSON", error=BodyError)
     if not isinstance(lists, dict):

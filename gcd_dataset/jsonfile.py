@@ -10,7 +10,7 @@ from typing import Any
 from gcd_dataset.errors import GcdError, SpecError, shown
 from gcd_dataset.files import read_whole
 
-__all__ = ["LARGEST_JSON", "Place", "found", "loads", "parse_json", "read_json"]
+__all__ = ["LARGEST_JSON", "JsonPath", "found", "loads", "parse_json", "read_json"]
 
 LARGEST_JSON = 32 << 20  # bytes; a published pattern has 60 kB, and a parsed file takes up to twenty times its size
 LARGEST_NUMBER = 1e12  # no length, angle or count comes near; its square is a number still
@@ -72,13 +72,13 @@ def read_json(path: Path, kind: str, *, error: type[GcdError] = SpecError) -> An
 
 
 @dataclass(frozen=True)
-class Place:
+class JsonPath:
     """Where the reading stands, for errors; and the checks that need it."""
 
     source: str
     path: str = ""
 
-    def within(self, part: str) -> "Place":
+    def within(self, part: str) -> "JsonPath":
         return replace(self, path=f"{self.path}, {part}" if self.path else part)
 
     def error(self, what: str) -> SpecError:

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import LINE, Arc, Cubic, Curve, Point, Quadratic, mirrored, to_frame
 from gcd_dataset.errors import PatternError, shown
 from gcd_dataset.files import write_whole
-from gcd_dataset.jsonfile import Place, found, read_json
+from gcd_dataset.jsonfile import JsonPath, found, read_json
 from gcd_dataset.records import Edge, EdgeRef, EdgeRole, Panel, PanelRole, Pattern, Placement, Seam, role_of
 
 __all__ = [
@@ -75,7 +75,7 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
     Panels without a translation or rotation stand at the origin, and a file without stitches sews nothing: a drape
     tells what it makes of that. Raises ``SpecError`` with the panel and edge where the content is not of the format.
     """
-    at = Place(source or name)
+    at = JsonPath(source or name)
     at.require_flat(spec)
     body = at.mapping(at.mapping(spec, "").get("pattern"), "pattern")
     form = _Form.of(at.mapping(spec.get("properties", {}), "properties"), at)
@@ -154,7 +154,7 @@ class _Form:
     loops_normalised: bool
 
     @staticmethod
-    def of(properties: Mapping[str, Any], at: Place) -> "_Form":
+    def of(properties: Mapping[str, Any], at: JsonPath) -> "_Form":
         units = at.number(properties.get("units_in_meter", UNITS_IN_METER), "properties.units_in_meter")
         if not 1 / LARGEST_UNIT <= units <= LARGEST_UNIT:
             raise at.error(f"properties.units_in_meter is {units}: give the number of length units in a metre")
@@ -169,7 +169,7 @@ class _Form:
         )
 
 
-def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: Place) -> Panel:
+def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: JsonPath) -> Panel:
     translation = form.scale * np.array(at.numbers(entry.get("translation", UNPLACED), 3, "translation"))
     rotation = np.radians(at.numbers(entry.get("rotation", UNPLACED), 3, "rotation"))
     points = [at.numbers(point, 2, f"vertex {i}") for i, point in enumerate(at.list_of(entry, "vertices"))]
@@ -186,7 +186,7 @@ def _panel(name: str, entry: Mapping[str, Any], form: _Form, at: Place) -> Panel
     return Panel(name, vertices, edges, Placement(translation, rotation), label)
 
 
-def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _Form, at: Place) -> Edge:
+def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _Form, at: JsonPath) -> Edge:
     ends = entry.get("endpoints")
     if not (isinstance(ends, list) and len(ends) == 2):
         raise at.error(f"endpoints must be two vertex numbers, found {found(ends)}")
@@ -202,7 +202,7 @@ def _edge(entry: Mapping[str, Any], vertices: Float[np.ndarray, "v 2"], form: _F
     return Edge(start, end, curve, label)
 
 
-def _curve(entry: Any, scale: float, at: Place) -> Curve:
+def _curve(entry: Any, scale: float, at: JsonPath) -> Curve:
     if isinstance(entry, list):  # the first version of the format: one control point
         return Quadratic(_pair(entry, at))
     kind, params = at.text(at.mapping(entry, "curvature").get("type"), "curvature type"), at.list_of(entry, "params")
@@ -218,12 +218,12 @@ def _curve(entry: Any, scale: float, at: Place) -> Curve:
     return Quadratic(*controls) if kind == "quadratic" else Cubic(*controls)
 
 
-def _pair(value: Any, at: Place) -> Point:
+def _pair(value: Any, at: JsonPath) -> Point:
     a, b = at.numbers(value, 2, "control point")
     return (a, b)
 
 
-def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at: Place) -> Curve:
+def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at: JsonPath) -> Curve:
     """A curve whose control points stood in the panel's plane, in the file's unit."""
 
     def framed(control: Point) -> Point:
@@ -241,11 +241,11 @@ def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at
         raise at.error(str(error)) from error
 
 
-def _stitches(body: Mapping[str, Any], at: Place) -> Sequence[Any]:
+def _stitches(body: Mapping[str, Any], at: JsonPath) -> Sequence[Any]:
     return at.list_of(body, "stitches") if "stitches" in body else []
 
 
-def _seam(entry: Any, at: Place) -> Seam:
+def _seam(entry: Any, at: JsonPath) -> Seam:
     if not isinstance(entry, list) or len(entry) not in (2, 3):
         raise at.error(f"a stitch is two edges, and at most the word right_wrong; found {found(entry)}")
     if len(entry) == 3 and entry[2] != "right_wrong":
@@ -257,7 +257,7 @@ def _seam(entry: Any, at: Place) -> Seam:
     return Seam(left, right, right_wrong=len(entry) == 3)
 
 
-def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: Place) -> tuple[str, ...]:
+def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: JsonPath) -> tuple[str, ...]:
     order = tuple(at.text(name, "a name in panel_order") for name in at.list_of(body, "panel_order"))
     odd = sorted(set(order) ^ set(panels))
     if odd or len(order) != len(panels):
@@ -276,7 +276,7 @@ def _extra(spec: Mapping[str, Any], form: _Form) -> dict[str, Any]:
 
 
 def _normalise_loops(
-    panels: Mapping[str, Panel], seams: Iterable[Seam], at: Place
+    panels: Mapping[str, Panel], seams: Iterable[Seam], at: JsonPath
 ) -> tuple[dict[str, Panel], tuple[Seam, ...]]:
     """Loops that start at the lower left and run counter-clockwise in their plane; every panel stays where it hangs."""
     shifts, changed = {}, {}

@@ -15,7 +15,7 @@ from gcd_dataset import __version__
 from gcd_dataset.errors import ConfigError, MeshError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
-from gcd_dataset.generator.drapers import Draped
+from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drapers.here import DraperHere
 from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
@@ -28,7 +28,7 @@ from gcd_dataset.records import Body, BoxMesh, Drape, Measurements, Pattern
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.validate import require_valid
 
-__all__ = ["Fitting", "fit", "read_patterns", "write_fitting", "write_report"]
+__all__ = ["Fitting", "drape_patterns", "read_patterns", "write_fitting", "write_report"]
 
 log = logging.getLogger(__name__)
 
@@ -82,7 +82,7 @@ def read_patterns(paths: Iterable[Path | str]) -> tuple[Pattern, ...]:
     return patterns
 
 
-def fit(
+def drape_patterns(
     patterns: Iterable[Pattern],
     wearer: Callable[[bool], tuple[Body, Measurements]],
     *,
@@ -111,7 +111,7 @@ def _work(
     mesh = _box_mesh(dressing.pattern, resolution)
     seconds = time.perf_counter() - start
 
-    def finish(draped: Sequence[Draped]) -> Fitting:
+    def finish(draped: Sequence[DrapeReply]) -> Fitting:
         [garment] = draped
         return Fitting(dressing.pattern, on[0], dressing.assumed, mesh, garment.drape, seconds, garment.seconds)
 

@@ -14,7 +14,7 @@ from itertools import groupby
 from typing import Any, Generic, TypeVar, overload
 
 from gcd_dataset.by_thread import by_thread
-from gcd_dataset.generator.drapers import Draped, Draper, Place, SharedDraper, places_for
+from gcd_dataset.generator.drapers import Draper, DraperAddress, DrapeReply, SharedDraper, addresses_for
 from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drapers.shared import AT_ONCE
 from gcd_dataset.generator.pipeline import DressedDesign, drape_jobs, finish, prepare, turned_down
@@ -178,7 +178,7 @@ class _Asked(Generic[Made]):
         picture = self.config.picture if self.pictured else 0
         return Work(drape_jobs(design, self.config), partial(self._end, index, design), picture)
 
-    def _end(self, index: int, design: DressedDesign, draped: Sequence[Draped]) -> int | Work[int]:
+    def _end(self, index: int, design: DressedDesign, draped: Sequence[DrapeReply]) -> int | Work[int]:
         """Finish the samples of a design that are asked for, or try the next design."""
         failed = turned_down(design, [garment.drape for garment in draped], self.config)
         if failed is not None:
@@ -193,7 +193,7 @@ class _Asked(Generic[Made]):
         return index
 
 
-def _sample_of(design: DressedDesign, draped: Sequence[Draped], config: MakeConfig, index: int) -> Sample:
+def _sample_of(design: DressedDesign, draped: Sequence[DrapeReply], config: MakeConfig, index: int) -> Sample:
     return finish(design, index, config, draped[index % config.wearers] if draped else None)
 
 
@@ -217,7 +217,7 @@ class _Share:
     seed: int
     indices: tuple[int, ...]
     config: MakeConfig
-    place: Place | None
+    place: DraperAddress | None
     """Where its garments are draped; ``None``: in the worker."""
     finished: Callable[[Sample], Any]
     pictured: bool
@@ -248,7 +248,7 @@ def _by_workers(
 ) -> Iterator[Any]:
     """The results of workers that have the designs by turns."""
     devices = devices_of(config) if config.stage == "drape" else ("cpu",)
-    places = places_for(devices)
+    places = addresses_for(devices)
     # By name: workers that looked for the devices themselves would each start CUDA.
     config = replace(config, device=devices_name(devices))
     shares = [

@@ -34,7 +34,7 @@ from gcd_dataset.seeding import Stage, rng
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
-    from gcd_dataset.generator.drapers import Draped
+    from gcd_dataset.generator.drapers import DrapeReply
 
 __all__ = [
     "Dressed",
@@ -220,7 +220,7 @@ def _drape_figures(drape: Drape) -> dict[str, float]:
     return {name: value for name in names if math.isfinite(value := getattr(drape, name))}
 
 
-def finish(design: DressedDesign, index: int, config: MakeConfig, draped: "Draped | None") -> Sample:
+def finish(design: DressedDesign, index: int, config: MakeConfig, draped: "DrapeReply | None") -> Sample:
     """The sample of one wearer: points are taken, pictures encoded. ``draped``: ``None`` at an earlier stage."""
     dressed = design.dressed[index % config.wearers]
     mesh, points = dressed.box_mesh, None

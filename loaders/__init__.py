@@ -2,7 +2,7 @@
 
 from gcd_dataset.loaders.base import Garments
 from gcd_dataset.loaders.batches import PackedBatch, PaddedBatch
-from gcd_dataset.loaders.bodies import Bodies, BodyDataset, PublishedBodies
+from gcd_dataset.loaders.body_datasets import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.loaders.collate import collate_list, collate_packed, collate_padded
 from gcd_dataset.loaders.fake import FakeGarments
 from gcd_dataset.loaders.fresh import FreshGarments

@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import Dataset
 
 from gcd_dataset.errors import ConfigError, ShardError, TransformError
-from gcd_dataset.loaders.held import fields_held
+from gcd_dataset.loaders.available import fields_held
 from gcd_dataset.loaders.indexing import (
     UnknownKeyError,
     index_of,

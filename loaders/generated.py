@@ -15,20 +15,20 @@ from gcd_dataset import __version__
 from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import user_path
-from gcd_dataset.generator.drapers import Place, SharedDraper, places_for
+from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses_for
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.maker import AHEAD, READY, LastDesign, produce
 from gcd_dataset.generator.recipe import LastStage as Stage
 from gcd_dataset.generator.recipe import MakeConfig, MakeOptions, devices_name, named_devices, recipe_of, versions
+from gcd_dataset.loaders.available import lacking_at
 from gcd_dataset.loaders.base import Garments, Transform, natural
-from gcd_dataset.loaders.held import lacking_at
 from gcd_dataset.loaders.ranks import own_gpu, own_gpus
 from gcd_dataset.loaders.waiting import tell_wait
 from gcd_dataset.options import require_options
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.shards.kept import KeptSamples
 from gcd_dataset.shards.layout import SCHEMA, Bytes, key_of, members_of, recipe_hash
+from gcd_dataset.shards.sample_cache import KeptSamples
 
 __all__ = ["GeneratedGarments", "Stage"]
 
@@ -91,7 +91,7 @@ class GeneratedGarments(Garments):
         self.together = self.config.wearers
         self._recipe = recipe_of(self.config)
         # Named here, so that all workers meet in these places, which end with this process, not with one of them.
-        self._places = places_for(named_devices(self.config.device) if self.config.stage == "drape" else ["cpu"])
+        self._places = addresses_for(named_devices(self.config.device) if self.config.stage == "drape" else ["cpu"])
         self.cache = None if cache_dir is None else user_path(cache_dir) / self._cache_name
         """The folder of this seed, recipe and version in ``cache_dir``."""
         self._kept = (
@@ -180,7 +180,7 @@ class GeneratedGarments(Garments):
             yield from produce(self._seed, positions, self.config, draper=draper, **options)
 
     @property
-    def _place(self) -> Place | None:
+    def _place(self) -> DraperAddress | None:
         """Where garments that another process drapes are draped: workers have the places by turns."""
         worker = get_worker_info()
         return self._places[(0 if worker is None else worker.id) % len(self._places)]

@@ -9,8 +9,8 @@ import torch
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
+from gcd_dataset.loaders.available import lacking_where
 from gcd_dataset.loaders.base import Garments, Transform, made_with
-from gcd_dataset.loaders.held import lacking_where
 from gcd_dataset.loaders.indexing import number_in
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta

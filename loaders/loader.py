@@ -11,9 +11,9 @@ from torch.utils.data import Dataset, IterableDataset
 from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, natural
+from gcd_dataset.loaders.batch_plan import AHEAD, BatchPlan, ByNumber, Collate, Cursor, Streamed
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
-from gcd_dataset.loaders.plan import AHEAD, ByNumber, Collate, Place, Plan, Streamed
 from gcd_dataset.loaders.worker import received
 
 __all__ = ["GarmentLoader"]
@@ -72,7 +72,7 @@ class GarmentLoader:
         num_workers = natural("num_workers", num_workers)
         if not callable(collate_fn):
             raise ConfigError(f"collate_fn={collate_fn!r:.99}: give a function that takes a list of items")
-        self._plan: Plan
+        self._plan: BatchPlan
         if isinstance(dataset, IterableDataset) and not isinstance(dataset, Garments):
             _require_stream_options(shuffle, num_workers, pad)
             seed = natural("seed", seed)
@@ -88,7 +88,7 @@ class GarmentLoader:
             # Of its own: a ``DataLoader`` without one draws from the caller's random numbers.
             generator=torch.Generator().manual_seed(seed % (1 << 63)),
         )
-        self._place: Place = self._plan.first
+        self._place: Cursor = self._plan.first
         self._begun, self._loaded = 0, False
 
     def __len__(self) -> int:

@@ -19,7 +19,7 @@ from gcd_dataset.loaders.base import Garments, natural
 from gcd_dataset.loaders.ranks import present_rank, require_rank, shared_out_by
 from gcd_dataset.loaders.states import named, position_of
 
-__all__ = ["Division", "ElasticSampler", "Order", "Pad", "Permutation", "permutation"]
+__all__ = ["ElasticSampler", "Pad", "Permutation", "RankShare", "SampleOrder", "permutation"]
 
 Pad = Literal["none", "repeat"]
 
@@ -82,7 +82,7 @@ def _scrambled(number: Any) -> Any:
     return number ^ number >> 31
 
 
-class Order:
+class SampleOrder:
     """Which garment comes at which position: all of an epoch, then those of the next in another order.
 
     ``shuffle``: by chance, named by ``seed``; otherwise as they are numbered. A data set with an order of its own, as
@@ -135,10 +135,10 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Division:
+class RankShare:
     """An order shared out among ranks, and the part of one of them."""
 
-    order: Order
+    order: SampleOrder
     rank: int
     world_size: int
     pad: Pad
@@ -205,7 +205,7 @@ class ElasticSampler(DistributedSampler[int]):
         # Not that of ``DistributedSampler``, which asks for the rank at once.
         if pad not in get_args(Pad):
             raise ConfigError(f"pad={pad!r}: there is {', '.join(get_args(Pad))}")
-        self.order = Order(dataset, shuffle=shuffle, seed=seed)
+        self.order = SampleOrder(dataset, shuffle=shuffle, seed=seed)
         self.pad, self._given = pad, require_rank(rank, world_size)
         self._division = self.division() if self._given else None
         self.position = self._begun = self._first_epoch = 0
@@ -228,15 +228,15 @@ class ElasticSampler(DistributedSampler[int]):
         """The epoch of the next garment, from 0."""
         return self.order.epoch(self.position)
 
-    def division(self) -> Division:
+    def division(self) -> RankShare:
         """How garments are shared out among ranks as things stand now. Raises ``ConfigError`` for too few of them."""
         library = shared_out_by()
         if library is None:
-            division = Division(self.order, *(self._given or present_rank()), self.pad)
+            division = RankShare(self.order, *(self._given or present_rank()), self.pad)
         elif self._given not in (None, (0, 1)):
             raise ConfigError(f"world_size={self._given[1]}: {library} shares out garments too: leave it out, and rank")
         else:
-            division = Division(self.order, 0, 1, self.pad, among=present_rank()[1])
+            division = RankShare(self.order, 0, 1, self.pad, among=present_rank()[1])
         if not division.share(0):
             raise ConfigError(
                 f"{self.order.length} garments for {division.world_size} ranks: give pad='repeat', or fewer ranks"
@@ -276,7 +276,7 @@ class ElasticSampler(DistributedSampler[int]):
         self.position = self._begun = self.order.position_of(state)
         self._loaded, self._division = True, None
 
-    def _handed_out(self, division: Division, begun: int) -> Iterator[int]:
+    def _handed_out(self, division: RankShare, begun: int) -> Iterator[int]:
         for count, number in enumerate(division.garments(begun), 1):
             self.position, self._loaded = division.after(begun, -(-count // division.among)), False
             yield number

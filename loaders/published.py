@@ -16,13 +16,13 @@ from PIL import Image
 from gcd_dataset import __version__
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.points import sample_surface
+from gcd_dataset.loaders.available import lacking_at
 from gcd_dataset.loaders.base import Garments, Transform
-from gcd_dataset.loaders.held import lacking_at
 from gcd_dataset.loaders.indexing import number_in
 from gcd_dataset.records import Drape, Measurements, Outcome, Pattern, Provenance, Sample
-from gcd_dataset.release.batches import PublishedBatches
-from gcd_dataset.release.garment import PublishedGarment
-from gcd_dataset.release.garments import PublishedGarments
+from gcd_dataset.release.batch_index import PublishedBatches
+from gcd_dataset.release.garment_list import PublishedGarments
+from gcd_dataset.release.read_garment import PublishedGarment
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.shards.codec import encode_part, encode_sample
 from gcd_dataset.shards.layout import MEMBERS, Bytes, key_of

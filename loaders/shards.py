@@ -17,11 +17,11 @@ from webdataset.tariterators import group_by_keys, tar_file_expander
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
+from gcd_dataset.loaders.available import lacking_where
 from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, made_with, naming, tensor_of
-from gcd_dataset.loaders.held import lacking_where
 from gcd_dataset.loaders.indexing import UnknownKeyError, number_in
-from gcd_dataset.loaders.named import RECIPE, recipe_folder
 from gcd_dataset.loaders.ranks import is_in_group, present_rank, runs_beside_accelerate, shared_out_by
+from gcd_dataset.loaders.recipe_source import RECIPE, recipe_folder
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
 from gcd_dataset.shards.folder import FolderStore

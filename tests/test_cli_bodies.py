@@ -6,7 +6,7 @@ import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.loaders import BodyDataset
-from gcd_dataset.verbs.people import PeoplePlan, workers_for
+from gcd_dataset.verbs.body_set import PeoplePlan, workers_for
 from tests.shards.folders import contents
 
 BODIES = ["--stage", "body", "--quiet"]

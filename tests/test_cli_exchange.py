@@ -21,7 +21,7 @@ from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.loaders import GarmentDataset, Hdf5Garments, PublishedGarmentCodeData
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import Drape, Outcome, Sample
-from gcd_dataset.release.layout import ENDINGS
+from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.layout import GARMENTS

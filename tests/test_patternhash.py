@@ -109,7 +109,7 @@ def test_no_hash_agrees_with_what_is_none() -> None:
 
 PROGRAM = """
 from gcd_dataset.generator.recipes import find_recipe
-from gcd_dataset.generator.recipes.patterns import made_patterns
+from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
 patterns = list(made_patterns(find_recipe("smoke-64-draft"), range(3)))
 print(PatternHash.of(patterns).text, sum(float(pattern.edges.sum()) for _, pattern in patterns))

@@ -7,7 +7,7 @@ import pytest
 
 from gcd_dataset import waits
 from gcd_dataset.by_thread import by_thread
-from gcd_dataset.generator.drapers import SharedDraper, place_for
+from gcd_dataset.generator.drapers import SharedDraper, address_for
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import _Share, produce
 from gcd_dataset.generator.recipe import MakeConfig
@@ -67,7 +67,7 @@ def test_a_maker_whose_samples_are_not_taken_waits() -> None:
 
 def test_the_waits_of_a_draping_process_come_with_its_drapes_and_change_no_byte() -> None:
     alone = [encode_sample(sample) for sample in produce(5, [0], DRAPED)]
-    place = place_for("cpu")
+    place = address_for("cpu")
     with SharedDraper(place):  # started: what it waits from here on is counted
         share = _Share(5, (0,), DRAPED, place, finished=_encoded, pictured=True)
         made = list(share.made())

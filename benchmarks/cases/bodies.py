@@ -37,7 +37,7 @@ FOLLOW_HEIGHT = {"weight": "weight", "navel_girth": "waist", "hips": "hips"}
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnBody:
     """One body in both poses."""
 
     sex: str | None
@@ -71,7 +71,7 @@ def run(options: argparse.Namespace) -> Measured:
     return Measured(figures, [row for sex in SEXES for row in _rows(sex, values[sex])])
 
 
-def draw(seed: int, number: int) -> Drawn:
+def draw(seed: int, number: int) -> DrawnBody:
     """Body ``number``: pooled, female and male by turns."""
     sex = KINDS[number % len(KINDS)]
     shape = draw_shape(rng(seed, number, Stage.BODY), sex=sex)
@@ -81,7 +81,7 @@ def draw(seed: int, number: int) -> Drawn:
     size = measure(body)
     measured = time.process_time()
     apart = build_body(replace(shape, legs_apart=True))
-    return Drawn(
+    return DrawnBody(
         sex=sex,
         mesh_seconds=built - begun,
         measure_seconds=measured - built,
@@ -111,14 +111,14 @@ def _least_clearance(*poses: Body) -> float:
 # ------------------------------------------------------------------------------------------------------------- figures
 
 
-def _costs(people: Sequence[Drawn]) -> list[Figure]:
+def _costs(people: Sequence[DrawnBody]) -> list[Figure]:
     return [
         Figure("mesh_cpu_ms", 1e3 * float(np.mean([p.mesh_seconds for p in people])), "ms, shape to posed mesh"),
         Figure("measure_cpu_ms", 1e3 * float(np.mean([p.measure_seconds for p in people])), "ms, all 26 measures"),
     ]
 
 
-def _soundness(people: Sequence[Drawn]) -> list[Figure]:
+def _soundness(people: Sequence[DrawnBody]) -> list[Figure]:
     clearance = np.array([p.clearance for p in people])
     return [
         Figure("bodies", len(people), "in two poses each"),
@@ -149,7 +149,7 @@ def _population(values: Mapping[str, Float[np.ndarray, "n m"]]) -> list[Figure]:
     return figures
 
 
-def _values(people: Sequence[Drawn], sex: str) -> Float[np.ndarray, "n m"]:
+def _values(people: Sequence[DrawnBody], sex: str) -> Float[np.ndarray, "n m"]:
     """The survey's measures of everybody of a sex."""
     return np.array([[p.taken[name] for name in survey_of(sex).measures] for p in people if p.sex == sex])
 

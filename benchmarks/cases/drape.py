@@ -28,10 +28,10 @@ import numpy as np
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.draping.ablation import measure_ablation
 from benchmarks.draping.failures import write_failures
-from benchmarks.draping.garments import Worn, sampled
 from benchmarks.draping.memory import gpu_peak_mb, measure_memory
 from benchmarks.draping.quality import quality
-from benchmarks.peers.compare import compare
+from benchmarks.draping.workload import Worn, sampled
+from benchmarks.peers.compare import compare_solvers
 from benchmarks.peers.newton import require_newton
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
@@ -39,7 +39,7 @@ from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch, resolve_device
 from gcd_dataset.generator.drawing import contact_sheet, jpeg_bytes
 from gcd_dataset.generator.dressing import has_legs
-from gcd_dataset.generator.fitting import Fitting, fit, read_patterns, write_fitting
+from gcd_dataset.generator.fitting import Fitting, drape_patterns, read_patterns, write_fitting
 from gcd_dataset.generator.mesh import build_box_mesh, coarse_start
 from gcd_dataset.generator.render import render_garment
 from gcd_dataset.records import Body, Drape, Measurements, Outcome, Pattern
@@ -90,9 +90,9 @@ def run(options: argparse.Namespace) -> Measured:
     if options.peer:
         meshes = [build_box_mesh(pattern, spacing=options.resolution) for pattern in once]
         jobs = [DrapeJob(mesh, *bodies[has_legs(pattern)]) for pattern, mesh in zip(once, meshes, strict=True)]
-        return compare(jobs, options.batches, device=resolve_device(options.device))
+        return compare_solvers(jobs, options.batches, device=resolve_device(options.device))
     patterns = [pattern for pattern in once for _ in range(options.repeat)]
-    fitted = fit(patterns, bodies.__getitem__, resolution=options.resolution, device=options.device)
+    fitted = drape_patterns(patterns, bodies.__getitem__, resolution=options.resolution, device=options.device)
     fittings = []
     for fitting in fitted:
         fittings.append(fitting)
@@ -130,7 +130,7 @@ def _run_sampled(options: argparse.Namespace) -> Measured:
     if options.memory:
         return measure_memory(worn, options.memory, device=device, batch=options.batch)
     if options.peer:
-        return compare([one.job for one in worn], options.batches, device=device)
+        return compare_solvers([one.job for one in worn], options.batches, device=device)
     start = time.perf_counter()
     drapes = drape_batch([one.job for one in worn], device=device, at_once=options.batch)
     seconds = time.perf_counter() - start

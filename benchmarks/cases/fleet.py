@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.fleet import Fleet, Machine, Store, as_row, bill, expected_seconds, limits, simulate
+from benchmarks.fleet import Fleet, Machine, ObjectStore, as_row, bill, expected_seconds, limits, simulate
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.writer import SHARD_SIZE
 
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> Measured:
     """Reckon, then simulate each size of parts, with shards and with parts that are safe at once."""
     if min(options.garments, options.machines, *options.parts) < 1 or min(options.rate, options.bytes) <= 0:
         raise ConfigError("give 1 or more machines, garments and garments a part, rate and bytes above 0")
-    machine, store = Machine(rate=options.rate), Store()
+    machine, store = Machine(rate=options.rate), ObjectStore()
     rates = limits(machine, store, gpus=options.machines, size=options.bytes)
     cost = bill(
         machine, store, garments=options.garments, gpus=options.machines, size=options.bytes, gpu_usd=options.gpu_usd

@@ -18,9 +18,9 @@ from typing import Any
 import torch
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.loading.garments import CONFIGS, write_shards
 from benchmarks.loading.timing import Cost, cost_of
 from benchmarks.loading.ways import WAYS
+from benchmarks.loading.workload import CONFIGS, write_shards
 from gcd_dataset.errors import ConfigError
 
 __all__ = ["add_arguments", "run"]

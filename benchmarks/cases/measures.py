@@ -22,7 +22,7 @@ from benchmarks.cases.figures import Figure, Measured
 from gcd_dataset.bodyfiles import read_measurements
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.body import build_body, draw_shape, measure
-from gcd_dataset.generator.body.files import measure_file
+from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.body.tailor import own_sites, take_measures
 from gcd_dataset.records import ANGLES, MEASURES, Measurements
 from gcd_dataset.seeding import Stage, rng

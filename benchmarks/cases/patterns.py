@@ -33,7 +33,7 @@ ON_SHEET = 64
 
 
 @dataclass(frozen=True)
-class Drawn:
+class AcceptedDesign:
     """One accepted design."""
 
     kind: Kind
@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> Measured:
     return Measured([*_costs(drawn, body_seconds), *_shares(drawn)], _reasons(drawn))
 
 
-def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> tuple[Drawn, tuple[Pattern, ...]]:
+def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> tuple[AcceptedDesign, tuple[Pattern, ...]]:
     """Design ``number`` and its patterns: the first that all can wear."""
     begun = time.process_time()
     rejects: list[Reject] = []
@@ -95,7 +95,7 @@ def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> tuple[Dr
         patterns = _worn_by_all(sizes, design)
         if not isinstance(patterns, Reject):
             seconds = time.process_time() - begun
-            return Drawn(kind, tuple(map(Counts.of, patterns)), tuple(rejects), seconds), patterns
+            return AcceptedDesign(kind, tuple(map(Counts.of, patterns)), tuple(rejects), seconds), patterns
         rejects.append(patterns)
     raise ConfigError(f"design {number} of seed {seed}: {MOST_ATTEMPTS} attempts, the last: {rejects[-1]}")
 
@@ -110,7 +110,7 @@ def _worn_by_all(sizes: Sequence[Measurements], design: OutfitDesign) -> tuple[P
     return tuple(patterns)
 
 
-def _costs(drawn: Sequence[Drawn], body_seconds: Sequence[float]) -> list[Figure]:
+def _costs(drawn: Sequence[AcceptedDesign], body_seconds: Sequence[float]) -> list[Figure]:
     cost = 1e3 * np.array([design.seconds for design in drawn])
     attempts = sum(1 + len(design.rejects) for design in drawn)
     return [
@@ -122,7 +122,7 @@ def _costs(drawn: Sequence[Drawn], body_seconds: Sequence[float]) -> list[Figure
     ]
 
 
-def _shares(drawn: Sequence[Drawn]) -> list[Figure]:
+def _shares(drawn: Sequence[AcceptedDesign]) -> list[Figure]:
     counts = [counts for design in drawn for counts in design.counts]
     kinds = Counter(design.kind for design in drawn)
     figures = [Figure(f"share_{kind.value}", kinds[kind] / len(drawn), "of designs") for kind in Kind]
@@ -136,7 +136,7 @@ def _shares(drawn: Sequence[Drawn]) -> list[Figure]:
     ]
 
 
-def _reasons(drawn: Sequence[Drawn]) -> list[dict[str, object]]:
+def _reasons(drawn: Sequence[AcceptedDesign]) -> list[dict[str, object]]:
     """Why designs were turned down, the most frequent reason first, with an example."""
     rejects = [reject for design in drawn for reject in design.rejects]
     examples = {reject.rule: reject.figures for reject in reversed(rejects)}

@@ -21,7 +21,7 @@ from typing import Any
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.draper import gpu_idle, own_rate
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.drapers import Draped
+from gcd_dataset.generator.drapers import DrapeReply
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.pipeline import drape_jobs, finish, prepare
@@ -103,7 +103,7 @@ def _steps(config: MakeConfig, options: argparse.Namespace) -> list[Figure]:
         design = timed("prepare", prepare, options.seed, number, config)
         for job, worn in zip(drape_jobs(design, config), design.dressed, strict=True):
             drape = Drape(job.box_mesh.vertices, Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
-            sample = timed("finish", finish, design, worn.index, config, Draped(worn.index, drape, None))
+            sample = timed("finish", finish, design, worn.index, config, DrapeReply(worn.index, drape, None))
             timed("encode", encode_sample, sample)
             garments += 1
     figures = [Figure(f"cpu_{name}", seconds / garments, "CPU-s a garment") for name, seconds in spent.items()]

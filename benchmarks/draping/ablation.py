@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.draping.garments import Worn
 from benchmarks.draping.quality import quality
+from benchmarks.draping.workload import Worn
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.records import Drape
 

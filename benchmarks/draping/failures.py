@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from benchmarks.draping.garments import Worn
+from benchmarks.draping.workload import Worn
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.colours import INK, PAPER

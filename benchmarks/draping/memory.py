@@ -8,7 +8,7 @@ from pathlib import Path
 import warp as wp
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.draping.garments import Worn
+from benchmarks.draping.workload import Worn
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import drape_batch, resolve_device
 

@@ -20,10 +20,10 @@ from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import coarse_start
 from gcd_dataset.records import Drape, Outcome
 
-__all__ = ["compare"]
+__all__ = ["compare_solvers"]
 
 
-def compare(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device: str) -> Measured:
+def compare_solvers(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device: str) -> Measured:
     """The garments in batches of each size, taken in turn until a batch is full: a row for every way.
 
     ``ours`` bring their coarse meshes, made in ``setup_s``; ``ours_direct`` do without a coarse start. Of ``newton``

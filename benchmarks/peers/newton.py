@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from benchmarks.peers import newton_kernels
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.generator.body.holes import Skin
+from gcd_dataset.generator.body.holes import VisibleSkin
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, Fabric
 from gcd_dataset.generator.drape.fabric import shear_stiffness
 from gcd_dataset.generator.drape.holds import holds
@@ -245,7 +245,7 @@ def _skins(
     jobs: Sequence[DrapeJob], shifts: Float[np.ndarray, "w 3"]
 ) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """The skins that ours are draped on, each where its garment stands [m]."""
-    skins = {id(job.body): Skin.of(job.body.faces, job.body.parts) for job in jobs}
+    skins = {id(job.body): VisibleSkin.of(job.body.faces, job.body.parts) for job in jobs}
     vertices, faces, count = [], [], 0
     for job, shift in zip(jobs, shifts, strict=True):
         skin = skins[id(job.body)]

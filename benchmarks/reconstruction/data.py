@@ -23,7 +23,17 @@ from gcd_dataset.records import Edge, Panel, Pattern, Placement
 from gcd_dataset.spec import euler_angles
 from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor, decode_pattern
 
-__all__ = ["FIELDS", "MAX_EDGES", "UNIT", "Arrays", "Garments", "ToTargets", "collate", "pattern_of", "patterns_from"]
+__all__ = [
+    "FIELDS",
+    "MAX_EDGES",
+    "UNIT",
+    "Arrays",
+    "GarmentBatch",
+    "ToTargets",
+    "collate",
+    "pattern_of",
+    "patterns_from",
+]
 
 FIELDS = ("points", "panels", "edges", "stitches")
 """Fields of a loaded sample that the task reads."""
@@ -38,7 +48,7 @@ STRAIGHT = 0.2  # cm: an edge is straight if its points lie as near to its chord
 
 
 @dataclass(frozen=True)
-class Garments:
+class GarmentBatch:
     """Garments side by side; rows of panels beyond a garment's own are zeros."""
 
     points: Float[Tensor, "b n 6"]
@@ -57,20 +67,22 @@ class Garments:
     def __len__(self) -> int:
         return len(self.points)
 
-    def to(self, device: torch.device) -> "Garments":
-        return Garments(*(getattr(self, field.name).to(device) for field in fields(self)))
+    def to(self, device: torch.device) -> "GarmentBatch":
+        return GarmentBatch(*(getattr(self, field.name).to(device) for field in fields(self)))
 
-    def __getitem__(self, rows: Tensor | slice) -> "Garments":
-        return Garments(*(getattr(self, field.name)[rows] for field in fields(self)))
+    def __getitem__(self, rows: Tensor | slice) -> "GarmentBatch":
+        return GarmentBatch(*(getattr(self, field.name)[rows] for field in fields(self)))
 
-    def with_points(self, count: int, generator: torch.Generator) -> "Garments":
+    def with_points(self, count: int, generator: torch.Generator) -> "GarmentBatch":
         """The same with ``count`` of the points, drawn anew and in a random order."""
         chosen = torch.randperm(self.points.shape[1], generator=generator, device=generator.device)[:count]
         return replace(self, points=self.points[:, chosen.to(self.points.device)])
 
     @staticmethod
-    def join(parts: Sequence["Garments"]) -> "Garments":
-        return Garments(*(torch.cat([getattr(part, field.name) for part in parts]) for field in fields(Garments)))
+    def join(parts: Sequence["GarmentBatch"]) -> "GarmentBatch":
+        return GarmentBatch(
+            *(torch.cat([getattr(part, field.name) for part in parts]) for field in fields(GarmentBatch))
+        )
 
 
 @dataclass(frozen=True)
@@ -81,14 +93,14 @@ class ToTargets:
     contour_points: int
     points: int
 
-    def __call__(self, item: dict[str, Any]) -> tuple[Garments, Arrays]:
+    def __call__(self, item: dict[str, Any]) -> tuple[GarmentBatch, Arrays]:
         """Raises ``ConfigError`` for more panels or edges than the network can say."""
         arrays = (item["panels"].numpy(), item["edges"].numpy(), item["stitches"].numpy())
         points = item["points"][: self.points].float()
         points = torch.cat([(points[:, :3] - torch.tensor(MIDDLE)) / UNIT, points[:, 3:]], dim=1)
         return replace(self.of(pattern_of(arrays)), points=points[None].half()), arrays
 
-    def of(self, pattern: Pattern) -> Garments:
+    def of(self, pattern: Pattern) -> GarmentBatch:
         """The pattern as targets, without points."""
         shapes = [PanelShape.of(panel) for panel in pattern.panels]
         if any(len(panel.edges) > MAX_EDGES for panel in pattern.panels):
@@ -98,7 +110,7 @@ class ToTargets:
                 f"a garment has {len(shapes)} panels, the network {self.queries} queries: raise --queries"
             )
         outlines = [self._outline(shape) for shape in shapes]
-        return Garments(
+        return GarmentBatch(
             points=torch.zeros(1, 0, 6),
             exists=self._padded([np.array(True) for _ in shapes], ()).bool(),
             contours=self._padded([contour / UNIT for contour, _ in outlines], (self.contour_points, 2)),
@@ -137,10 +149,10 @@ def shares(lengths: Float[np.ndarray, " e"], count: int) -> list[int]:
     return [int(n) + 1 for n in whole]
 
 
-def collate(items: Sequence[tuple[Garments, Arrays]]) -> tuple[Garments, list[Arrays]]:
+def collate(items: Sequence[tuple[GarmentBatch, Arrays]]) -> tuple[GarmentBatch, list[Arrays]]:
     """Several samples as one batch, for a ``DataLoader``."""
     targets, arrays = zip(*items, strict=True)
-    return Garments.join(targets), list(arrays)
+    return GarmentBatch.join(targets), list(arrays)
 
 
 def pattern_of(arrays: Arrays) -> Pattern:
@@ -152,7 +164,7 @@ def pattern_of(arrays: Arrays) -> Pattern:
     return decode_pattern(PatternTensor(panels, edges, stitches, names))
 
 
-def patterns_from(garments: Garments) -> list[Pattern]:
+def patterns_from(garments: GarmentBatch) -> list[Pattern]:
     """The patterns that targets, or predictions in their form, stand for; without seams."""
     names = ("exists", "contours", "corners", "centres", "turns", "edge_counts")
     arrays = [getattr(garments, name).detach().cpu().numpy() for name in names]

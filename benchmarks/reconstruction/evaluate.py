@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from benchmarks.cases.figures import Figure
-from benchmarks.reconstruction.data import Garments, patterns_from
+from benchmarks.reconstruction.data import GarmentBatch, patterns_from
 from benchmarks.reconstruction.models import PatternNet
 from gcd_dataset.metrics import PatternScore, bootstrap_interval, mean_scores, score_pattern
 from gcd_dataset.records import Pattern
@@ -19,7 +19,7 @@ UNITS = {"panel_l2": "cm", "panel_l2_pen": "cm", "transl_cm": "cm", "rot_deg": "
 SEAMS = ("stitch_p", "stitch_r", "stitch_f1")
 
 
-def predict(net: PatternNet, garments: Garments, *, batch: int, device: torch.device) -> list[Pattern]:
+def predict(net: PatternNet, garments: GarmentBatch, *, batch: int, device: torch.device) -> list[Pattern]:
     """The patterns that the network sees in the garments' points."""
     net.eval()
     with torch.no_grad():

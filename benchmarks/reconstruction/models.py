@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmarks.reconstruction.data import MAX_EDGES, Garments
+from benchmarks.reconstruction.data import MAX_EDGES, GarmentBatch
 
 __all__ = ["NetConfig", "PatternNet", "Predicted", "match_panels", "set_loss"]
 
@@ -52,9 +52,9 @@ class Predicted:
     edges: Float[Tensor, "b q e"]
     """Logits of the number of edges."""
 
-    def garments(self) -> Garments:
+    def garments(self) -> GarmentBatch:
         """The panels that are likelier there than not, in the form of the targets."""
-        return Garments(
+        return GarmentBatch(
             points=self.centres.new_zeros(len(self.exists), 0, 6),
             exists=self.exists > 0,
             contours=self.contours,
@@ -136,7 +136,7 @@ def rotation_of(columns: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 3 3"]:
 # ------------------------------------------------------------------------------------------------------------- the loss
 
 
-def set_loss(layers: list[Predicted], true: Garments) -> dict[str, Tensor]:
+def set_loss(layers: list[Predicted], true: GarmentBatch) -> dict[str, Tensor]:
     """Parts of the loss by name, weighted; panels are matched to the last layer's queries, for all layers.
 
     The order of the true panels, and where their contours start, do not matter.
@@ -147,7 +147,7 @@ def set_loss(layers: list[Predicted], true: Garments) -> dict[str, Tensor]:
 
 
 def match_panels(
-    predicted: Predicted, true: Garments
+    predicted: Predicted, true: GarmentBatch
 ) -> tuple[Int[Tensor, " m"], Int[Tensor, " m"], Int[Tensor, " m"]]:
     """Rows of garments, queries and true panels that belong together at least cost (Hungarian method)."""
     with torch.no_grad():
@@ -167,7 +167,7 @@ def match_panels(
 
 
 def _loss_of_layer(
-    predicted: Predicted, true: Garments, garments: Tensor, queries: Tensor, panels: Tensor
+    predicted: Predicted, true: GarmentBatch, garments: Tensor, queries: Tensor, panels: Tensor
 ) -> dict[str, Tensor]:
     exists = torch.zeros_like(predicted.exists)
     exists[garments, queries] = 1.0

@@ -24,7 +24,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.reconstruction.data import FIELDS, Arrays, Garments, ToTargets, collate, pattern_of, patterns_from
+from benchmarks.reconstruction.data import FIELDS, Arrays, GarmentBatch, ToTargets, collate, pattern_of, patterns_from
 from benchmarks.reconstruction.evaluate import figures_of, predict, row_of, scores_of
 from benchmarks.reconstruction.models import NetConfig, PatternNet, set_loss
 from benchmarks.reconstruction.nearest import most_typical, nearest_garments
@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> Measured:
 # --------------------------------------------------------------------------------------------------------- the garments
 
 
-def load(args: argparse.Namespace) -> tuple[Garments, list[Arrays]]:
+def load(args: argparse.Namespace) -> tuple[GarmentBatch, list[Arrays]]:
     """Garments to train on, and behind them those to test on; with their patterns as arrays."""
     dataset = GeneratedGarments(
         args.train + args.test,
@@ -128,13 +128,13 @@ def load(args: argparse.Namespace) -> tuple[Garments, list[Arrays]]:
         arrays += several
         if len(parts) % TOLD_EVERY == 0 or len(arrays) == len(dataset):
             _tell(f"{len(arrays)} of {len(dataset)} garments")
-    return Garments.join(parts), arrays
+    return GarmentBatch.join(parts), arrays
 
 
 # --------------------------------------------------------------------------------------------------------- the training
 
 
-def train(known: Garments, args: argparse.Namespace, device: torch.device, losses: list[float]) -> PatternNet:
+def train(known: GarmentBatch, args: argparse.Namespace, device: torch.device, losses: list[float]) -> PatternNet:
     """A network trained on the garments; the loss of every step is added to ``losses``."""
     torch.manual_seed(args.seed)
     net = PatternNet(net_config(args)).to(device)
@@ -189,8 +189,8 @@ def _half_precision(device: torch.device) -> AbstractContextManager[Any]:
 
 def evaluate(
     net: PatternNet,
-    known: Garments,
-    unseen: Garments,
+    known: GarmentBatch,
+    unseen: GarmentBatch,
     arrays: list[Arrays],
     args: argparse.Namespace,
     device: torch.device,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gcd_dataset import __version__
-from gcd_dataset.cli import datasets, exchange, parts
+from gcd_dataset.cli import datasets, exchange, merge
 from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.verb import (
     ANYWHERE,
@@ -27,7 +27,7 @@ from gcd_dataset.cli.verb import (
     add_verb,
     body_name,
     interrupts_after_imports,
-    natural,
+    natural_number,
     open_anywhere,
     processes,
     stopped,
@@ -76,7 +76,7 @@ def _generate(options: argparse.Namespace) -> int:
     from gcd_dataset.generator.recipe import MakeConfig
     from gcd_dataset.verbs import generate
 
-    part = None if options.shard is None else parts.part_of(options.shard)
+    part = None if options.shard is None else merge.part_of(options.shard)
     if options.recipe is not None:
         work = _of_recipe(options, given_options(options, MakeConfig))
     else:
@@ -112,7 +112,7 @@ def _generate(options: argparse.Namespace) -> int:
     )
     if failed := done.unsettled:
         print(f"  {failed} did not settle: each holds its outcome in meta.json")
-    for line in parts.there(options.out, part):
+    for line in merge.there(options.out, part):
         print(f"  {line}")
     return 0
 
@@ -166,7 +166,7 @@ def _drape(options: argparse.Namespace) -> int:
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.body import named_body
     from gcd_dataset.generator.drape import fabric_named, resolve_device, tell_wait
-    from gcd_dataset.generator.fitting import Fitting, fit, read_patterns, write_fitting, write_report
+    from gcd_dataset.generator.fitting import Fitting, drape_patterns, read_patterns, write_fitting, write_report
     from gcd_dataset.generator.recipe import check_resolution
     from gcd_dataset.records import Body, Measurements, Outcome
 
@@ -185,7 +185,7 @@ def _drape(options: argparse.Namespace) -> int:
     fittings: list[Fitting] = []
     tell_wait(len(patterns), device, resolution)
     try:
-        done = fit(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
+        done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
         for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):
             write_fitting(fitting, folder, device=device)
             fittings.append(fitting)
@@ -291,8 +291,8 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     generate.add_argument(
         "out", metavar="OUT", help="folder for the shards, made if it is not there; or a URL such as s3://BUCKET/PREFIX"
     )
-    generate.add_argument("--count", type=natural, help="number of garments, or of bodies")
-    generate.add_argument("--seed", type=natural, help="names the data set (default: 0)")
+    generate.add_argument("--count", type=natural_number, help="number of garments, or of bodies")
+    generate.add_argument("--seed", type=natural_number, help="names the data set (default: 0)")
     generate.add_argument(
         "--recipe",
         metavar="NAME|FILE.toml",
@@ -317,7 +317,7 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         metavar="FILE.toml",
         help="a file of these options, and of tables such as [design.pants] that narrow what designs may be",
     )
-    parts.add_shard(generate)
+    merge.add_shard(generate)
     generate.add_argument(
         "--log", type=Path, metavar="FILE", help="a file to which lines of JSON are added while it runs: rate, waits, …"
     )
@@ -336,7 +336,7 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     generate.more = partial(_add_make_options, generate)
     add_quiet(generate)
 
-    parts.add_verbs(verbs)
+    merge.add_verbs(verbs)
 
     drape = add_verb(
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
@@ -383,7 +383,7 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
 
     show = add_verb(verbs, "show", _show, "a picture of a sample or a pattern")
     show.add_argument("what", metavar="DATASET|SPEC", help=f"{ANYWHERE}; or specification JSON")
-    show.add_argument("--index", type=natural, default=0, help="which sample of the split (default: 0)")
+    show.add_argument("--index", type=natural_number, default=0, help="which sample of the split (default: 0)")
     show.add_argument("--split", default="train", help="of the data set (default: train)")
     show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
     show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready to be cut")

@@ -116,12 +116,12 @@ def _download(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from gcd_dataset.hub.download import download, remote_splits
-    from gcd_dataset.hub.place import Folder, Repo, find_place
     from gcd_dataset.hub.site import Remote
+    from gcd_dataset.hub.source import Folder, Repo, parse_source
     from gcd_dataset.names import safe_name
     from gcd_dataset.shards.layout import known_fields
 
-    place = find_place(options.repo, options.revision)
+    place = parse_source(options.repo, options.revision)
     if isinstance(place, Folder):
         raise ConfigError(f"{options.repo}: a folder of this machine: there is nothing to download")
     remote = Remote(endpoint=options.endpoint, patience=options.patience)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.cli.bar import Bar
-from gcd_dataset.cli.verb import INTERRUPTED, add_quiet, add_verb, natural, require_folder, stopped
+from gcd_dataset.cli.verb import INTERRUPTED, add_quiet, add_verb, natural_number, require_folder, stopped
 from gcd_dataset.errors import ConfigError
 
 __all__ = ["add_verbs"]
@@ -21,7 +21,7 @@ def add_verbs(verbs: Any) -> None:
     convert.add_argument(
         "--bodies", choices=("both", "default", "random"), default="both", help="who wears them (default: both)"
     )
-    convert.add_argument("--workers", type=natural, default=0, help="processes (default: this one)")
+    convert.add_argument("--workers", type=natural_number, default=0, help="processes (default: this one)")
     convert.add_argument(
         "--cache-dir", type=Path, metavar="DIR", help="where indices of archives are kept (default: beside them)"
     )

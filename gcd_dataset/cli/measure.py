@@ -5,9 +5,9 @@ from pathlib import Path
 from gcd_dataset.bodyfiles import measurements_text
 from gcd_dataset.errors import shown
 from gcd_dataset.generator.body import build_body
-from gcd_dataset.generator.body.files import measure_file
+from gcd_dataset.generator.body.by_name import shape_by_name
 from gcd_dataset.generator.body.measuring import measure_closely
-from gcd_dataset.generator.body.named import shape_by_name
+from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.body.tailor import Taken
 
 __all__ = ["measured_text"]

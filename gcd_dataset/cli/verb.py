@@ -27,7 +27,7 @@ __all__ = [
     "add_verb",
     "body_name",
     "interrupts_after_imports",
-    "natural",
+    "natural_number",
     "open_anywhere",
     "processes",
     "require_folder",
@@ -111,10 +111,10 @@ def add_server(parser: argparse.ArgumentParser) -> None:
 
 def processes(text: str) -> int | None:
     """An option that is a number of processes, or ``auto``, which is ``None``."""
-    return None if text == "auto" else natural(text)
+    return None if text == "auto" else natural_number(text)
 
 
-def natural(text: str) -> int:
+def natural_number(text: str) -> int:
     """An option that is a number of things."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text} is no whole number of 0 or more")
@@ -171,11 +171,11 @@ def stopped(verb: str, there: str) -> int:
 
 def require_folder(source: str) -> Path:
     """The folder of a data set. Raises ``ShardError`` where there is none, ``ConfigError`` for one elsewhere."""
-    from gcd_dataset.hub.place import Folder, find_place
+    from gcd_dataset.hub.source import Folder, parse_source
     from gcd_dataset.shards.access import reading
 
     if "://" in source:
-        place = find_place(source)
+        place = parse_source(source)
         if isinstance(place, Folder):
             return place.path
         raise ConfigError(
@@ -193,11 +193,11 @@ def require_folder(source: str) -> Path:
 def open_anywhere(source: str, endpoint: str | None) -> "Store":
     """The data set in a folder, at a URL, or in a repository at ``endpoint``. Raises ``ShardError``."""
     from gcd_dataset.hub.opening import open_store
-    from gcd_dataset.hub.place import Repo, find_place
     from gcd_dataset.hub.site import Remote
+    from gcd_dataset.hub.source import Repo, parse_source
 
     try:
-        place = find_place(source)
+        place = parse_source(source)
     except ConfigError as error:  # a path that leads nowhere is bad input, to every verb
         raise ShardError(str(error)) from error
     return open_store(source, Remote(endpoint=endpoint if isinstance(place, Repo) else None))

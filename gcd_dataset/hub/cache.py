@@ -24,10 +24,10 @@ import numpy as np
 from gcd_dataset.errors import ConfigError, OutputError
 from gcd_dataset.files import make_folder
 from gcd_dataset.shards.access import locked
-from gcd_dataset.shards.folder import read_parts
-from gcd_dataset.shards.store import Part
+from gcd_dataset.shards.folder import read_members
+from gcd_dataset.shards.store import MemberLocation
 
-__all__ = ["Cache", "Piece", "size_in_bytes"]
+__all__ = ["Cache", "CachedMember", "size_in_bytes"]
 
 COUNTER = 8  # bytes at the head of a .have file
 OPEN_SHARDS = 256  # of the 1024 files that most systems give a process
@@ -41,7 +41,7 @@ UNITS = {"": 1, "B": 1} | {
 log = logging.getLogger(__name__)
 
 
-class Piece(NamedTuple):
+class CachedMember(NamedTuple):
     """A member that has come, and has been checked."""
 
     flag: int
@@ -81,7 +81,7 @@ class Cache:
         """Bytes that are kept, of all shards."""
         return sum(_held(path) for path in self._haves())
 
-    def read(self, key: str, count: int, wanted: Sequence[tuple[int, Part]]) -> dict[int, memoryview]:
+    def read(self, key: str, count: int, wanted: Sequence[tuple[int, MemberLocation]]) -> dict[int, memoryview]:
         """Flag to content of those members that are here. ``count``: members of the shard."""
         shard = self._shard(key, count)
         here = [(flag, part) for flag, part in wanted if shard is not None and shard.have[COUNTER + flag]]
@@ -89,12 +89,12 @@ class Cache:
             return {}
         try:
             # By flag, since members of several samples may be asked for at once.
-            content, end = read_parts(shard.fd, [part._replace(column=flag) for flag, part in here])
+            content, end = read_members(shard.fd, [part._replace(column=flag) for flag, part in here])
         except OSError:
             return {}
         return content if end is None else {}  # cut off: it has made way for others meanwhile
 
-    def keep(self, key: str, count: int, pieces: Sequence[Piece]) -> None:
+    def keep(self, key: str, count: int, pieces: Sequence[CachedMember]) -> None:
         """Add members to a shard, unless there is no room for them."""
         try:
             with self._locked():
@@ -113,7 +113,7 @@ class Cache:
                 _set(self._have(key), COUNTER + flag, b"\0")
                 self._count(key, -size)
 
-    def _keep(self, key: str, count: int, pieces: Sequence[Piece]) -> None:
+    def _keep(self, key: str, count: int, pieces: Sequence[CachedMember]) -> None:
         have = self._made(key, count).have
         fresh = [piece for piece in pieces if not have[COUNTER + piece.flag]]
         size = sum(len(piece.data) for piece in fresh)
@@ -281,7 +281,7 @@ def _set(path: Path, place: int, content: bytes) -> None:
         os.close(fd)
 
 
-def _write(path: Path, pieces: Sequence[Piece]) -> None:
+def _write(path: Path, pieces: Sequence[CachedMember]) -> None:
     fd = os.open(path, os.O_WRONLY | os.O_NOFOLLOW)
     try:
         for _, place, data in pieces:

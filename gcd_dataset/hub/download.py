@@ -12,13 +12,13 @@ from pathlib import Path
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.files import make_folder
 from gcd_dataset.hub.checked import CheckedShards
-from gcd_dataset.hub.held import begin, end, what_is_there
-from gcd_dataset.hub.place import Repo, Url
+from gcd_dataset.hub.download_record import begin, end, what_is_there
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
+from gcd_dataset.hub.source import Repo, Url
 from gcd_dataset.shards.access import locked, writing
 from gcd_dataset.shards.copying import copy_shard
-from gcd_dataset.shards.fetched import Fetched
+from gcd_dataset.shards.download_file import Fetched
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import (
     FOREIGN,

@@ -15,7 +15,7 @@ from gcd_dataset.files import write_whole
 from gcd_dataset.hub.objects import Objects
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.limits import LARGEST_JSON
-from gcd_dataset.shards.meta import read_json
+from gcd_dataset.shards.meta import decode_json
 
 __all__ = ["leased", "require_free"]
 
@@ -62,7 +62,7 @@ def require_free(files: Objects, own: Path) -> None:
 def _told(content: bytes) -> str:
     """Who holds a lease, if that can be read."""
     with contextlib.suppress(ShardError, ValueError, KeyError, TypeError):
-        lease: Any = read_json(content)
+        lease: Any = decode_json(content)
         return f" (process {lease['process']} on {lease['host']})"[:200]
     return ""
 

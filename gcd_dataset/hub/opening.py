@@ -7,10 +7,10 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import user_path
 from gcd_dataset.hub.cache import Cache, size_in_bytes
 from gcd_dataset.hub.download import download
-from gcd_dataset.hub.held import require_from
-from gcd_dataset.hub.place import Folder, find_place
+from gcd_dataset.hub.download_record import require_from
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
+from gcd_dataset.hub.source import Folder, parse_source
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.store import Store
 
@@ -30,7 +30,7 @@ def open_store(
     Raises ``ConfigError`` for a source that is none of these, or options that it has no use for; else as ``Store``.
     """
     remote = remote or Remote()
-    place = find_place(source, remote.revision)
+    place = parse_source(source, remote.revision)
     if isinstance(place, Folder):
         _require_unused(place, remote, root)
         return FolderStore(place.path)

@@ -15,15 +15,15 @@ from gcd_dataset.errors import ConfigError, RemoteError, shown
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.hub.card import Release, card, croissant
 from gcd_dataset.hub.partition import BODY, DESIGN, SHARES, leaks, partition
-from gcd_dataset.hub.place import Repo, find_place
 from gcd_dataset.hub.site import hub_endpoint
+from gcd_dataset.hub.source import Repo, parse_source
 from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.index import ShardIndex
+from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.layout import FAILED, FOREIGN, fields_of, index_name, lock_name, shard_name, shards_in
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
-from gcd_dataset.shards.parts import require_merged
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.unfinished import unfinished
 
@@ -81,7 +81,7 @@ def stage(
     stopped, unless it is to be published in part (``partial``), one whose parts are not merged, or a folder that holds
     another data set.
     """
-    if not isinstance(find_place(repo), Repo):
+    if not isinstance(parse_source(repo), Repo):
         raise ConfigError(f"{repo}: no repository: write ORG/NAME, and see to it that no folder here is called so")
     require_merged(dataset, ConfigError)
     for split in splits_in(dataset):
@@ -244,7 +244,7 @@ def _size_and_hash(path: Path) -> tuple[int, str]:
 
 
 def _repo_name(repo: str) -> str:
-    place = find_place(repo)
+    place = parse_source(repo)
     assert isinstance(place, Repo)
     return place.name
 

@@ -10,13 +10,13 @@ from functools import partial
 from typing import BinaryIO, TypeVar
 
 from gcd_dataset.errors import MissingError, RemoteError, ShardError, did_you_mean, shown
-from gcd_dataset.hub.cache import Cache, Piece
+from gcd_dataset.hub.cache import Cache, CachedMember
 from gcd_dataset.hub.listing import foreign_site_index
 from gcd_dataset.hub.site import Site
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import GARMENTS, Layout, index_name
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, parse_manifest
-from gcd_dataset.shards.store import Part, Store, runs
+from gcd_dataset.shards.store import MemberLocation, Store, runs
 
 __all__ = ["RemoteStore"]
 
@@ -72,12 +72,12 @@ class RemoteStore(Store):
             first += len(table)
         return index
 
-    def read(self, shard: str, number: int, parts: Sequence[Part]) -> dict[int, memoryview]:
+    def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
         return self.read_many([(shard, number, parts)])[0]
 
-    def read_many(self, wanted: Sequence[tuple[str, int, Sequence[Part]]]) -> list[dict[int, memoryview]]:
+    def read_many(self, wanted: Sequence[tuple[str, int, Sequence[MemberLocation]]]) -> list[dict[int, memoryview]]:
         content: dict[tuple[str, int], memoryview] = {}
-        asked: dict[str, dict[int, Part]] = {}
+        asked: dict[str, dict[int, MemberLocation]] = {}
         for shard, number, parts in wanted:
             flags = asked.setdefault(shard, {})
             flags |= {self._shards[shard].flag(number, part.column): part for part in parts}
@@ -101,7 +101,7 @@ class RemoteStore(Store):
             given.update(places.values())
         return samples
 
-    def mend(self, shard: str, number: int, part: Part) -> memoryview | None:
+    def mend(self, shard: str, number: int, part: MemberLocation) -> memoryview | None:
         there = self._shards[shard]
         flag = there.flag(number, part.column)
         if self._cache is not None:
@@ -112,14 +112,14 @@ class RemoteStore(Store):
         self.site.require_allowed(f"a stream of {shard}")
         return io.BufferedReader(_Pieces(self.site.web.pieces(shard)), 1 << 20)
 
-    def _kept(self, shard: str, flags: dict[int, Part]) -> dict[int, memoryview]:
+    def _kept(self, shard: str, flags: dict[int, MemberLocation]) -> dict[int, memoryview]:
         if self._cache is None:
             return {}
         there = self._shards[shard]
         wanted = sorted(flags.items(), key=lambda entry: entry[1].offset)
         return self._cache.read(there.key, there.count, wanted)
 
-    def _fetch(self, shard: str, run: Sequence[Part]) -> dict[tuple[str, int], memoryview]:
+    def _fetch(self, shard: str, run: Sequence[MemberLocation]) -> dict[tuple[str, int], memoryview]:
         """Members that lie close together, by one request; ``column`` of a part is its flag here. Keeps what comes.
 
         Raises ``RemoteError`` with sample and member for bytes that are wrong twice.
@@ -147,7 +147,7 @@ class RemoteStore(Store):
                 f"it is kept; {self.remedy}"
             )
         if self._cache is not None:
-            pieces = [Piece(part.column, part.offset, content) for part, content in data.items()]
+            pieces = [CachedMember(part.column, part.offset, content) for part, content in data.items()]
             self._cache.keep(there.key, there.count, pieces)
         return {(shard, part.column): content for part, content in data.items()}
 

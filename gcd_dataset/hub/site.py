@@ -15,7 +15,7 @@ from urllib.parse import quote
 from gcd_dataset.errors import ConfigError, MissingError, OutputError, RefusedError, RemoteError
 from gcd_dataset.files import make_folder, user_path, write_whole
 from gcd_dataset.hub.objects import Objects
-from gcd_dataset.hub.place import COMMIT, Repo, Url, slug
+from gcd_dataset.hub.source import COMMIT, Repo, Url, slug
 from gcd_dataset.hub.web import Web
 from gcd_dataset.names import require_name, safe_name
 from gcd_dataset.shards import limits

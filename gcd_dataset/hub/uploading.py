@@ -17,7 +17,7 @@ from gcd_dataset.errors import ConfigError, GcdError, RemoteError
 from gcd_dataset.files import make_folder, open_whole, write_whole
 from gcd_dataset.hub.lease import leased, require_free
 from gcd_dataset.hub.objects import Objects
-from gcd_dataset.hub.place import Url
+from gcd_dataset.hub.source import Url
 from gcd_dataset.hub.uploaded import Uploaded, UploadedRange
 from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.layout import GARMENTS, Layout, key_of, part_path

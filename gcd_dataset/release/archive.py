@@ -22,8 +22,8 @@ from jaxtyping import Int
 from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.records import Record
 from gcd_dataset.release.gzips import WINDOW, SeekPoint, Unpacking, read_from
-from gcd_dataset.release.kept import keep, kept_path, stamp_of
-from gcd_dataset.release.layout import ENDINGS, REMEDY
+from gcd_dataset.release.memo import keep, kept_path, stamp_of
+from gcd_dataset.release.published_names import ENDINGS, REMEDY
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.tar import BLOCK, padded
 

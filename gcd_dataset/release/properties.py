@@ -13,8 +13,8 @@ from typing import Any
 import yaml
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.release.kept import keep, kept_path, stamp_of
-from gcd_dataset.release.layout import REMEDY
+from gcd_dataset.release.memo import keep, kept_path, stamp_of
+from gcd_dataset.release.published_names import REMEDY
 from gcd_dataset.shards.access import reading
 from gcd_dataset.yamlfile import require_shallow
 

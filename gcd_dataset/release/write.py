@@ -19,11 +19,11 @@ from PIL import Image
 from gcd_dataset.bodyfiles import measurements_tree
 from gcd_dataset.errors import ShardError
 from gcd_dataset.records import ANGLES, BoxMesh, Drape, Measurements, Outcome, Record, Sample
-from gcd_dataset.release.layout import ENDINGS
 from gcd_dataset.release.ply import Ply, first_mentions, write_ply
+from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import spec_from_pattern
 
-__all__ = ["FAIL_CLASSES", "Drawn", "garment_files", "yaml_bytes"]
+__all__ = ["FAIL_CLASSES", "PatternDrawing", "garment_files", "yaml_bytes"]
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 PICTURE = 800  # pixels, of a render
@@ -44,7 +44,7 @@ FAIL_CLASSES: Mapping[Outcome, str] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn(Record):
+class PatternDrawing(Record):
     """What is drawn of a pattern, and where its panels lie in the drawing."""
 
     svg: bytes
@@ -59,7 +59,7 @@ class Drawn(Record):
 
 
 def garment_files(
-    sample: Sample, name: str, design: Mapping[str, Any], drawn: Drawn, *, body_sample: str | None
+    sample: Sample, name: str, design: Mapping[str, Any], drawn: PatternDrawing, *, body_sample: str | None
 ) -> dict[str, bytes]:
     """File name to content, of the 13 files that a draped garment has there.
 
@@ -100,7 +100,7 @@ def _measures(measurements: Measurements, body_sample: str | None) -> dict[str, 
     return dict(sorted((tree if body_sample is None else tree | {"body_sample": body_sample}).items()))
 
 
-def _meshes(key: str, mesh: BoxMesh, drape: Drape, drawn: Drawn) -> dict[str, bytes]:
+def _meshes(key: str, mesh: BoxMesh, drape: Drape, drawn: PatternDrawing) -> dict[str, bytes]:
     """Both ply files: a vertex for each row of ``uv``, those of one vertex side by side."""
     panel_of_row = np.zeros(len(mesh.uv), np.int64)
     panel_of_row[mesh.corners] = mesh.panel_id[:, None]

@@ -3,12 +3,12 @@
 The same tars are read by ``webdataset`` and by ``datasets.load_dataset("webdataset", …)``.
 """
 
+from gcd_dataset.shards.body_set import BodyWriter
 from gcd_dataset.shards.codec import decode_fields, decode_sample, encode_sample
 from gcd_dataset.shards.contents import read_index, rebuild_index
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import BODIES, FIELDS, GARMENTS, MEMBERS, SCHEMA, Layout
 from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, read_manifest
-from gcd_dataset.shards.people import BodyWriter
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.shards.writer import ShardWriter
 

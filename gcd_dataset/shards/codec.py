@@ -77,7 +77,7 @@ from gcd_dataset.shards.layout import (
     known_fields,
     recipe_hash,
 )
-from gcd_dataset.shards.meta import NO_FRAME, Frame, frame_of, json_bytes, read_json, read_meta, write_meta
+from gcd_dataset.shards.meta import NO_FRAME, Frame, decode_json, frame_of, json_bytes, read_meta, write_meta
 from gcd_dataset.shards.npy import read_npy, write_npy
 from gcd_dataset.shards.picture import opened_picture
 from gcd_dataset.shards.room import room_for
@@ -88,11 +88,11 @@ __all__ = [
     "NO_PICTURE",
     "decode_field",
     "decode_fields",
+    "decode_json",
     "decode_sample",
     "encode_part",
     "encode_sample",
     "measures_json",
-    "read_json",
     "read_measures",
     "read_meta",
 ]
@@ -447,7 +447,7 @@ def _picture(data: Bytes) -> np.ndarray:
 
 
 def _object(data: Bytes) -> dict[str, Any]:
-    value = read_json(data)
+    value = decode_json(data)
     if not isinstance(value, dict):
         raise ShardError(f"{found(value)}, where an object is read")
     return value

@@ -8,6 +8,7 @@ from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.foreign import SPLITS, foreign_index, foreign_shards, scan_foreign
 from gcd_dataset.shards.index import ShardIndex, first_sample, known_index, sizes_in, tables_of
+from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.layout import (
     BODIES,
     FOREIGN,
@@ -21,9 +22,8 @@ from gcd_dataset.shards.layout import (
     shards_in,
 )
 from gcd_dataset.shards.manifest import MANIFEST, read_manifest
-from gcd_dataset.shards.parts import require_merged
 
-__all__ = ["layout_in", "read_index", "rebuild_index", "require_splits", "splits_in", "way_out"]
+__all__ = ["layout_in", "read_index", "rebuild_index", "remedy", "require_splits", "splits_in"]
 
 log = logging.getLogger(__name__)
 
@@ -69,13 +69,13 @@ def require_splits(folder: Path | str) -> tuple[str, ...]:
     require_merged(Path(folder))
     splits = splits_in(folder)
     if not splits:
-        raise ShardError(f"{folder}: no shards: {way_out(Path(folder))}")
+        raise ShardError(f"{folder}: no shards: {remedy(Path(folder))}")
     return splits
 
 
-def way_out(folder: Path) -> str:
+def remedy(folder: Path) -> str:
     """What to do about a folder without shards."""
-    from gcd_dataset.release.batches import is_published  # which stands on this package, and is seldom needed
+    from gcd_dataset.release.batch_index import is_published  # which stands on this package, and is seldom needed
 
     if is_published(folder):
         return (

@@ -9,17 +9,17 @@ from typing import Any, BinaryIO, NamedTuple
 from gcd_dataset.errors import ShardError, did_you_mean
 from gcd_dataset.files import user_path
 from gcd_dataset.shards.access import REMEDY, reading
-from gcd_dataset.shards.contents import read_index, splits_in, way_out
-from gcd_dataset.shards.fetched import read_fetched
+from gcd_dataset.shards.contents import read_index, remedy, splits_in
+from gcd_dataset.shards.download_file import read_fetched
 from gcd_dataset.shards.index import ShardIndex
+from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.layout import FOREIGN, Layout, member_name, shard_number
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, read_manifest
-from gcd_dataset.shards.parts import require_merged
 from gcd_dataset.shards.room import room_for
-from gcd_dataset.shards.store import Part, Store, runs
+from gcd_dataset.shards.store import MemberLocation, Store, runs
 from gcd_dataset.shards.tar import BLOCK
 
-__all__ = ["FolderStore", "OpenFiles", "read_parts"]
+__all__ = ["FolderStore", "OpenFiles", "read_members"]
 
 GAP = 1 << 16  # bytes: reading over a gap this long costs less than a second call
 OPEN_FILES = 256  # of the 1024 that most systems give a process
@@ -51,12 +51,12 @@ class FolderStore(Store):
         self._last |= _last_samples(index)
         return index
 
-    def read(self, shard: str, number: int, parts: Sequence[Part]) -> dict[int, memoryview]:
+    def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
         path = self._path(shard)
         with reading(path):
             # Held, so that no other thread closes it meanwhile.
             file = self._files.get(path) or self._opened(shard, path)
-            content, end = read_parts(file.fd, parts)
+            content, end = read_members(file.fd, parts)
         if end is not None:
             raise ShardError(f"{path}: ends at byte {end}, in a sample: {self.remedy}")
         return content
@@ -104,7 +104,7 @@ class FolderStore(Store):
         if any(shard_number(name.removesuffix(".part"), split) is not None for name in names):
             return "a run has not finished its first shard: run gcd generate again to finish it"
         whole = splits_in(self.folder)
-        return f"there is {', '.join(whole)}{did_you_mean(split, whole)}" if whole else way_out(self.folder)
+        return f"there is {', '.join(whole)}{did_you_mean(split, whole)}" if whole else remedy(self.folder)
 
 
 class _LastSample(NamedTuple):
@@ -139,7 +139,7 @@ def _last_samples(index: ShardIndex) -> dict[str, _LastSample]:
     }
 
 
-def read_parts(fd: int, parts: Sequence[Part]) -> tuple[dict[int, memoryview], int | None]:
+def read_members(fd: int, parts: Sequence[MemberLocation]) -> tuple[dict[int, memoryview], int | None]:
     """Column to content, by one call a run; and where the file ends, if that is before the last part."""
     content: dict[int, memoryview] = {}
     for run in runs(parts, GAP):

@@ -40,7 +40,7 @@ from gcd_dataset.shards.layout import (
 )
 from gcd_dataset.shards.limits import LARGEST_FILE, LARGEST_JSON, LARGEST_SAMPLE
 from gcd_dataset.shards.meta import read_meta
-from gcd_dataset.shards.tar import BLOCK, Entry, tar_entries
+from gcd_dataset.shards.tar import BLOCK, TarMember, tar_entries
 
 __all__ = [
     "ShardIndex",
@@ -386,13 +386,13 @@ def _opened(path: Path) -> Iterator[int]:
         yield file.fileno()
 
 
-def _by_sample(entries: Iterator[Entry], layout: Layout) -> Iterator[list[Entry]]:
+def _by_sample(entries: Iterator[TarMember], layout: Layout) -> Iterator[list[TarMember]]:
     # By number, not by key: to see that a key has changed, one would read into the next sample, which may be torn.
     while sample := list(islice(entries, len(layout.members))):
         yield sample
 
 
-def _row(file: int, entries: list[Entry], layout: Layout) -> ShardTable:
+def _row(file: int, entries: list[TarMember], layout: Layout) -> ShardTable:
     """The table of one sample."""
     key = entries[0].name.partition(".")[0]
     if sum(entry.size for entry in entries) > LARGEST_SAMPLE:
@@ -410,7 +410,7 @@ def _row(file: int, entries: list[Entry], layout: Layout) -> ShardTable:
     )
 
 
-def _read_meta(file: int, entry: Entry, key: str, layout: Layout) -> dict[str, Any]:
+def _read_meta(file: int, entry: TarMember, key: str, layout: Layout) -> dict[str, Any]:
     if entry.size > LARGEST_JSON:
         raise ShardError(f"sample {key} begins with {entry.size} bytes, where {META} has {LARGEST_JSON} at most")
     try:
@@ -433,9 +433,9 @@ def _is_crc(crc: Any, member: str) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 32
 
 
-def _content(file: int, entry: Entry) -> bytes:
+def _content(file: int, entry: TarMember) -> bytes:
     return os.pread(file, entry.size, entry.offset)
 
 
-def _crc(file: int, entry: Entry) -> int:
+def _crc(file: int, entry: TarMember) -> int:
     return zlib.crc32(_content(file, entry))

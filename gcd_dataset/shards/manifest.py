@@ -15,7 +15,7 @@ from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import locked, read_small, reading
 from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, shard_number
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
-from gcd_dataset.shards.meta import read_json
+from gcd_dataset.shards.meta import decode_json
 
 __all__ = [
     "MANIFEST",
@@ -136,7 +136,7 @@ def read_manifest(folder: Path) -> Manifest | None:
 def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
     """The manifest in a file's content; ``path`` and ``remedy`` stand in errors. Raises as ``read_manifest`` does."""
     try:
-        entry = read_json(content, most=LARGEST_MANIFEST)
+        entry = decode_json(content, most=LARGEST_MANIFEST)
         if not isinstance(entry, Mapping) or not _is_count(schema := entry.get("schema")):
             raise ShardError("no schema")
         if schema not in SCHEMAS:

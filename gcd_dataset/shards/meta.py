@@ -64,10 +64,10 @@ from gcd_dataset.shards.limits import LARGEST_JSON
 __all__ = [
     "NO_FRAME",
     "Frame",
+    "decode_json",
     "frame_of",
     "index_told",
     "json_bytes",
-    "read_json",
     "read_meta",
     "sealed",
     "write_meta",
@@ -163,7 +163,7 @@ STORED: Mapping[str, Callable[[Any], Any]] = {
 # ------------------------------------------------------------------------------------------------------------- reading
 
 
-def read_json(data: Bytes, *, constants: bool = False, most: int = LARGEST_JSON) -> Any:
+def decode_json(data: Bytes, *, constants: bool = False, most: int = LARGEST_JSON) -> Any:
     """Parsed JSON of up to ``most`` bytes; ``constants``: NaN and infinities too. Raises ``ShardError``."""
     if len(data) > most:
         raise ShardError(f"{len(data)} bytes of JSON, where {most} are read")
@@ -178,7 +178,7 @@ def read_meta(data: Bytes) -> dict[str, Any]:
 
     Raises ``ShardError`` for one of another schema, whose bytes are not those that were written, or which lacks a key.
     """
-    meta = _mapping(read_json(data), "the file")
+    meta = _mapping(decode_json(data), "the file")
     schema = meta.get("schema")
     if schema not in SCHEMAS or isinstance(schema, bool):
         known = " and ".join(map(str, SCHEMAS))
@@ -281,7 +281,7 @@ def _parsed(holder: Mapping[str, Any], name: str) -> Any:
     text = holder.get(name)
     if not isinstance(text, str):
         raise ShardError(f"{name} is {found(text)}, where a text of JSON is read")
-    return read_json(text.encode(errors="replace"))
+    return decode_json(text.encode(errors="replace"))
 
 
 def _mapping(value: Any, name: str) -> Mapping[str, Any]:

@@ -7,7 +7,7 @@ from PIL import ImageFile
 
 from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.shards.layout import Bytes
-from gcd_dataset.shards.meta import read_json
+from gcd_dataset.shards.meta import decode_json
 from gcd_dataset.shards.npy import read_any_npy
 from gcd_dataset.shards.picture import opened_picture
 
@@ -38,7 +38,7 @@ def decode_member(member: str, data: Bytes) -> Any:
         if ending == "npy":
             return read_any_npy(data, NUMBERS)
         if ending == "json":
-            return read_json(data, constants=True)
+            return decode_json(data, constants=True)
         if ending == "txt":
             return bytes(data).decode()
         if ending in ("cls", "index"):

@@ -14,14 +14,14 @@ from gcd_dataset.shards.codec import decode_sample
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import FIRST_NAMES, FOREIGN, GARMENTS, MEMBERS, Layout
 from gcd_dataset.shards.meta import index_told
-from gcd_dataset.shards.store import Part, Store
+from gcd_dataset.shards.store import MemberLocation, Store
 
 __all__ = ["ShardReader", "Verify", "naming_place"]
 
 META = 0  # every layout of ours begins with meta.json
 Verify = Literal["lazy", "full", "off"]
 Rows: TypeAlias = Int[np.ndarray, " n"]
-Wanted: TypeAlias = tuple[str, int, list[Part]]
+Wanted: TypeAlias = tuple[str, int, list[MemberLocation]]
 """Shard, number in it, and members of a sample."""
 
 
@@ -145,7 +145,7 @@ class ShardReader:
         table, shards = self.index.table, self.index.shard[rows].tolist()
         # All at once: an array takes as long to give up one row as a hundred.
         offset, size, crc = (array[rows].take(columns, 1).tolist() for array in (table.offset, table.size, table.crc))
-        parts = [list(map(Part, columns, *entry)) for entry in zip(offset, size, crc, strict=True)]
+        parts = [list(map(MemberLocation, columns, *entry)) for entry in zip(offset, size, crc, strict=True)]
         if self.layout.kind == FOREIGN:  # a sample may lack what others have, and be in another order
             parts = [sorted((part for part in row if part.offset >= 0), key=lambda part: part.offset) for row in parts]
         return [

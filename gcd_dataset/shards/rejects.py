@@ -35,7 +35,7 @@ from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.contents import read_index
 from gcd_dataset.shards.index import ShardTable
 from gcd_dataset.shards.manifest import read_manifest
-from gcd_dataset.shards.meta import json_bytes, read_json, read_meta
+from gcd_dataset.shards.meta import decode_json, json_bytes, read_meta
 
 __all__ = ["REJECTS", "RejectLog", "has_rejects", "joined_rejects", "merged_rejects"]
 
@@ -194,7 +194,7 @@ def _lines_in(path: Path) -> Iterator[bytes]:
 def _parsed(line: bytes) -> dict[str, Any] | None:
     """A line, if it is one that was written whole."""
     with contextlib.suppress(ShardError):
-        entry = read_json(line) if line.endswith(b"\n") else None
+        entry = decode_json(line) if line.endswith(b"\n") else None
         if isinstance(entry, Mapping) and all(_is_count(entry.get(name)) for name in ("seed", "design", "attempt")):
             return dict(entry) if all(isinstance(entry.get(name), str) for name in ("rule", "reason")) else None
     return None

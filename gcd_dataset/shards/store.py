@@ -10,10 +10,10 @@ from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import Layout
 from gcd_dataset.shards.manifest import Manifest
 
-__all__ = ["Part", "Store", "runs"]
+__all__ = ["MemberLocation", "Store", "runs"]
 
 
-class Part(NamedTuple):
+class MemberLocation(NamedTuple):
     """Where one member of a sample lies in its shard."""
 
     column: int
@@ -52,18 +52,18 @@ class Store(ABC):
         """
 
     @abstractmethod
-    def read(self, shard: str, number: int, parts: Sequence[Part]) -> dict[int, memoryview]:
+    def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
         """Column to content of some members of sample ``number`` of a shard, in the order of the file.
 
         Writable, and the caller's own. Raises ``ShardError``.
         """
 
-    def read_many(self, wanted: Sequence[tuple[str, int, Sequence[Part]]]) -> Iterable[dict[int, memoryview]]:
+    def read_many(self, wanted: Sequence[tuple[str, int, Sequence[MemberLocation]]]) -> Iterable[dict[int, memoryview]]:
         """As ``read``, for several samples: shard, number and members of each. Raises ``ShardError``."""
         # One by one, so that what is read is looked at while it is in the processor's cache.
         return (self.read(*sample) for sample in wanted)
 
-    def mend(self, shard: str, number: int, part: Part) -> memoryview | None:
+    def mend(self, shard: str, number: int, part: MemberLocation) -> memoryview | None:
         """A member that was found damaged, got anew; ``None`` where there is nowhere to get it."""
         return None
 
@@ -72,9 +72,9 @@ class Store(ABC):
         """A shard from its first byte on. Raises ``ShardError``, when it is read too."""
 
 
-def runs(parts: Sequence[Part], gap: int) -> list[list[Part]]:
+def runs(parts: Sequence[MemberLocation], gap: int) -> list[list[MemberLocation]]:
     """Members in runs with no more than ``gap`` bytes between neighbours."""
-    found: list[list[Part]] = []
+    found: list[list[MemberLocation]] = []
     end = -math.inf
     for part in parts:
         _, offset, size, _ = part

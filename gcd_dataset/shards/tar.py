@@ -8,7 +8,7 @@ from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.limits import LARGEST_SAMPLE
 
-__all__ = ["BLOCK", "END", "Entry", "padded", "require_header", "stream_samples", "tar_entries", "tar_entry"]
+__all__ = ["BLOCK", "END", "TarMember", "padded", "require_header", "stream_samples", "tar_entries", "tar_entry"]
 
 BLOCK = 512
 END = 2 * BLOCK  # zeros that end an archive
@@ -19,7 +19,7 @@ CHECKSUM = slice(148, 156)
 KIND, PLAIN = 156, ord("0")
 
 
-class Entry(NamedTuple):
+class TarMember(NamedTuple):
     """Where a member's content lies in an archive."""
 
     name: str
@@ -54,7 +54,7 @@ def tar_entry(name: str, data: Bytes) -> bytes:
     return b"".join((_signed(header), data, bytes(padded(len(data)) - len(data))))
 
 
-def tar_entries(file: int) -> Iterator[Entry]:
+def tar_entries(file: int) -> Iterator[TarMember]:
     """The members of the archive open as descriptor ``file``, up to the zeros or the end of the file.
 
     Raises ``ShardError`` where a header is damaged, a member is cut off, or anything but zeros follows the zeros.
@@ -68,7 +68,7 @@ def tar_entries(file: int) -> Iterator[Entry]:
         name, size = _parse(header, position)
         if position + BLOCK + padded(size) > end:
             raise ShardError(f"member {name} is cut off at byte {end}")
-        yield Entry(name, position + BLOCK, size)
+        yield TarMember(name, position + BLOCK, size)
         position += BLOCK + padded(size)
 
 

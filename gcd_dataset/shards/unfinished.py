@@ -12,7 +12,7 @@ from pathlib import Path
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.names import require_name
 from gcd_dataset.shards.access import reading, writing
-from gcd_dataset.shards.fetched import read_fetched
+from gcd_dataset.shards.download_file import read_fetched
 from gcd_dataset.shards.layout import TRAIN, shard_number
 from gcd_dataset.shards.manifest import Manifest, read_manifest
 

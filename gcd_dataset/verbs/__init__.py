@@ -11,17 +11,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gcd_dataset.verbs.array_jobs import JobPart
+    from gcd_dataset.verbs.body_set import generate_people
     from gcd_dataset.verbs.converting import convert
     from gcd_dataset.verbs.exporting import export
     from gcd_dataset.verbs.making import generate, generate_recipe
     from gcd_dataset.verbs.merging import merge
-    from gcd_dataset.verbs.parts import Part
-    from gcd_dataset.verbs.people import generate_people
     from gcd_dataset.verbs.progress import Progress, Told
     from gcd_dataset.verbs.publishing import Published, publish
 
 __all__ = [
-    "Part",
+    "JobPart",
     "Progress",
     "Published",
     "Told",
@@ -38,10 +38,10 @@ _HOME = {
     "convert": "converting",
     "export": "exporting",
     "generate": "making",
-    "generate_people": "people",
+    "generate_people": "body_set",
     "generate_recipe": "making",
     "merge": "merging",
-    "Part": "parts",
+    "JobPart": "array_jobs",
     "Progress": "progress",
     "Told": "progress",
     "Published": "publishing",

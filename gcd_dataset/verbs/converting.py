@@ -8,13 +8,13 @@ from pathlib import Path
 from gcd_dataset.errors import ConfigError, PatternError, ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.loaders.published import PublishedGarmentCodeData
-from gcd_dataset.release.batches import PublishedBatches
-from gcd_dataset.release.garments import PublishedGarments
-from gcd_dataset.release.layout import SPLIT_NAMES
+from gcd_dataset.release.batch_index import PublishedBatches
+from gcd_dataset.release.garment_list import PublishedGarments
+from gcd_dataset.release.published_names import SPLIT_NAMES
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
-from gcd_dataset.shards.parts import require_merged
+from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.unfinished import filling
-from gcd_dataset.verbs.plan import Plan
+from gcd_dataset.verbs.making_plan import MakingPlan
 from gcd_dataset.verbs.progress import Progress, Told, unheard
 from gcd_dataset.workers import side_by_side_in_parts
 
@@ -35,7 +35,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class ConvertPlan(Plan):
+class ConvertPlan(MakingPlan):
     """Garments to be converted; those missing by their positions among the published ones."""
 
     out: Path

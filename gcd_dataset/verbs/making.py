@@ -14,9 +14,9 @@ from gcd_dataset.generator.recipes import Recipe, find_recipe
 from gcd_dataset.records import Outcome, Rejected, Sample
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.layout import Bytes
+from gcd_dataset.verbs.array_jobs import JobPart
 from gcd_dataset.verbs.log import logged
-from gcd_dataset.verbs.parts import Part
-from gcd_dataset.verbs.plan import Plan, check_count
+from gcd_dataset.verbs.making_plan import MakingPlan, check_count
 from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
 from gcd_dataset.verbs.seal import seal
 from gcd_dataset.verbs.target import Target, require_folder, target_of
@@ -53,7 +53,7 @@ class Stored:
 
 
 @dataclass(frozen=True)
-class GarmentPlan(Plan):
+class GarmentPlan(MakingPlan):
     """Garments to be made."""
 
     target: Target
@@ -68,7 +68,7 @@ def plan(
     seed: int = 0,
     config: MakeConfig | None = None,
     recipe: Recipe | None = None,
-    part: Part | None = None,
+    part: JobPart | None = None,
     spool: Path | str | None = None,
     patience: float | None = None,
 ) -> GarmentPlan:
@@ -107,7 +107,7 @@ def generate(
     seed: int = 0,
     config: MakeConfig | None = None,
     recipe: Recipe | None = None,
-    part: Part | None = None,
+    part: JobPart | None = None,
     workers: int | None = None,
     engine: Engine = "local",
     spool: Path | str | None = None,
@@ -121,7 +121,7 @@ def generate(
     go up one by one, whole; readers see the data set when all of it is there.
 
     ``recipe`` divides the samples into splits (``generate_recipe`` takes the other options from it too). ``part``: one
-    part of them, as ``Part(2, 8)``, in a place of its own in ``out``; any number of processes may make one each, and
+    part of them, as ``JobPart(2, 8)``, in a place of its own in ``out``; any number of processes may make one each, and
     ``merge`` joins them. ``engine``: this machine, or a Ray cluster as ``ray_engine.ray_cluster`` finds it, for which
     this process writes. ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it; ``log``: a
     file to which ``gcd_dataset.verbs.log`` appends. Stopped at any moment and called again it goes on, by either
@@ -204,7 +204,7 @@ def generate_recipe(
     recipe: Recipe | str,
     *,
     device: str = "auto",
-    part: Part | None = None,
+    part: JobPart | None = None,
     workers: int | None = None,
     engine: Engine = "local",
     told: Told = unheard,

@@ -11,9 +11,7 @@ from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.growing import GrowingShard, shard_record, sync_folder
 from gcd_dataset.shards.index import ShardIndex, ShardTable, empty_table, known_index, scan_shard, whole_samples
-from gcd_dataset.shards.layout import GARMENTS, TRAIN, Layout, index_name, lock_name
-from gcd_dataset.shards.manifest import Manifest, RecipeRecord, ShardRecord, SplitRecord, read_manifest
-from gcd_dataset.shards.parts import (
+from gcd_dataset.shards.job_parts import (
     MERGED,
     PARTS,
     FinishedPart,
@@ -28,8 +26,10 @@ from gcd_dataset.shards.parts import (
     read_plan,
     require_version,
 )
+from gcd_dataset.shards.layout import GARMENTS, TRAIN, Layout, index_name, lock_name
+from gcd_dataset.shards.manifest import Manifest, RecipeRecord, ShardRecord, SplitRecord, read_manifest
 from gcd_dataset.shards.rejects import REJECTS, joined_rejects
-from gcd_dataset.verbs.parts import command_of
+from gcd_dataset.verbs.array_jobs import command_of
 from gcd_dataset.verbs.progress import Progress, Told, unheard
 from gcd_dataset.verbs.seal import seal
 

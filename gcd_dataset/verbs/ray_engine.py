@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 from gcd_dataset.errors import ConfigError, GcdError, OutputError, shown
 from gcd_dataset.generator.drapers import Draper
-from gcd_dataset.generator.drapers.place import DRAPERS
+from gcd_dataset.generator.drapers.address import DRAPERS
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, versions
 from gcd_dataset.records import Sample

@@ -12,14 +12,14 @@ from gcd_dataset.errors import ConfigError, GcdError, OutputError
 from gcd_dataset.files import make_folder
 from gcd_dataset.generator.recipe import recipe_of
 from gcd_dataset.generator.recipes import Recipe, find_recipe, recipe_names
-from gcd_dataset.generator.recipes.patterns import made_patterns
+from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import recipe_hash
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, RecipeRecord, read_manifest
-from gcd_dataset.shards.patterns import stored_patterns
+from gcd_dataset.shards.pattern_arrays import stored_patterns
 from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.verbs.making import MADE, generate_recipe
 from gcd_dataset.verbs.progress import Progress

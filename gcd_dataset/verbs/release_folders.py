@@ -25,8 +25,8 @@ from gcd_dataset.generator.svg import pattern_svg
 from gcd_dataset.names import safe_name
 from gcd_dataset.records import Outcome, Sample
 from gcd_dataset.release.draft import ReleaseDraft, release_draft
-from gcd_dataset.release.layout import BODY_FOLDERS, DEFAULT_BODY, SPLIT_NAMES, properties_name
-from gcd_dataset.release.write import FAIL_CLASSES, Drawn, garment_files, yaml_bytes
+from gcd_dataset.release.published_names import BODY_FOLDERS, DEFAULT_BODY, SPLIT_NAMES, properties_name
+from gcd_dataset.release.write import FAIL_CLASSES, PatternDrawing, garment_files, yaml_bytes
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.verbs.statistics import batch_properties, garment_type
@@ -45,7 +45,7 @@ CLOTH_OPACITY, OUTLINE = 166, 0.5  # of 255; cm
 
 
 @dataclass(frozen=True)
-class Place:
+class PublishedName:
     """What a garment is called there."""
 
     batch: str
@@ -127,7 +127,7 @@ def _written(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> Iterato
     write_whole(draft.folder / SPLIT_FILE, json.dumps(lists, indent=4).encode())
 
 
-def _write(sample: Sample, place: Place, draft: ReleaseDraft, noted: _Batch) -> None:
+def _write(sample: Sample, place: PublishedName, draft: ReleaseDraft, noted: _Batch) -> None:
     tree, folder = _tree(sample), Path(place.batch, place.body_folder, "data", place.name)
     if not draft.holds(folder):
         files = garment_files(sample, place.name, tree, _drawn(sample), body_sample=place.body_sample)
@@ -154,25 +154,25 @@ def _note(sample: Sample, name: str, tree: Mapping[str, Any], noted: _Batch) -> 
 # --------------------------------------------------------------------------------------------------------------- names
 
 
-def _place(sample: Sample, split: str, first_batch: int) -> Place:
+def _place(sample: Sample, split: str, first_batch: int) -> PublishedName:
     made = sample.provenance
     if made.source:
         return _place_in_release(sample.key, made.source, made.body_name)
     number = _design_number(sample)
     batch, name = f"garments_{BATCH}_{first_batch + number // BATCH}", _name(f"{split}:{made.seed}:{number}")
     if made.body_name == "neutral":
-        return Place(batch, BODY_FOLDERS["default"], name, None)
+        return PublishedName(batch, BODY_FOLDERS["default"], name, None)
     pose = "apart" if sample.shape is not None and sample.shape.legs_apart else "straight"
-    return Place(batch, BODY_FOLDERS["random"], name, f"{first_batch * BATCH + number:05d}_{pose}")
+    return PublishedName(batch, BODY_FOLDERS["random"], name, f"{first_batch * BATCH + number:05d}_{pose}")
 
 
-def _place_in_release(key: str, source: str, body_name: str) -> Place:
+def _place_in_release(key: str, source: str, body_name: str) -> PublishedName:
     """The place that a garment had in its release, under names that lead nowhere else."""
     parts = source.rsplit("/", 3)
     if len(parts) != 4:
         raise ShardError(f"sample {key}: its meta.json has source {shown(source)}: give RELEASE/BATCH/BODIES/NAME")
     batch, body_folder, name = map(safe_name, parts[1:])
-    return Place(batch, body_folder, name, None if body_name == DEFAULT_BODY else body_name)
+    return PublishedName(batch, body_folder, name, None if body_name == DEFAULT_BODY else body_name)
 
 
 def _design_number(sample: Sample) -> int:
@@ -200,10 +200,10 @@ def _tree(sample: Sample) -> Mapping[str, Any]:
     return sample.design if sample.provenance.source else design_tree(design_from_dict(sample.design))
 
 
-def _drawn(sample: Sample) -> Drawn:
+def _drawn(sample: Sample) -> PatternDrawing:
     """The pattern drawn, and its panels laid out for the texture."""
     plan = lay_out(sample.pattern)
-    return Drawn(
+    return PatternDrawing(
         svg=pattern_svg(sample.pattern),
         drawing=png_bytes(draw_pattern(sample.pattern)),
         texture=_texture(plan),

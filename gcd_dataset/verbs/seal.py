@@ -12,7 +12,7 @@ from gcd_dataset.patternhash import PatternHash
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.manifest import MANIFEST, RecipeRecord, keep_recipe, read_manifest
-from gcd_dataset.shards.patterns import stored_patterns
+from gcd_dataset.shards.pattern_arrays import stored_patterns
 from gcd_dataset.shards.reader import ShardReader
 
 __all__ = ["claim", "hash_of", "is_sealed", "require_claimable", "seal"]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gcd_dataset.generator.garments.wardrobe import Bottom, Upper
-from gcd_dataset.release.layout import DEFAULT_BODY
+from gcd_dataset.release.published_names import DEFAULT_BODY
 
 __all__ = ["batch_properties", "garment_type"]
 

@@ -21,13 +21,13 @@ from gcd_dataset.shards.layout import FAILED, TRAIN, Bytes, shard_number
 from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.shards.writer import SHARD_SIZE
 
-__all__ = ["Division", "GarmentWriter", "division_of", "filling_all", "is_begun"]
+__all__ = ["GarmentWriter", "SplitRule", "division_of", "filling_all", "is_begun"]
 
 SMALLEST_SHARE = 0.01  # shards of a smaller split hold fewer samples than those of the others
 
 
 @dataclass(frozen=True)
-class Division:
+class SplitRule:
     """How the garments of a data set are divided into splits."""
 
     shard_sizes: Mapping[str, int]
@@ -45,16 +45,16 @@ class Division:
         return tuple(split for split in self.shard_sizes if split != FAILED)
 
 
-def division_of(config: MakeConfig, recipe: Recipe | None = None) -> Division:
+def division_of(config: MakeConfig, recipe: Recipe | None = None) -> SplitRule:
     """The splits of the garments made with ``config``, or of a recipe."""
     if recipe is not None:
         # Shards of all splits hold about as many samples each.
         sizes = {split: round(SHARD_SIZE / max(share, SMALLEST_SHARE)) for split, share in recipe.splits.items()}
-        return Division(sizes, recipe.sizes(), lambda index, outcome: recipe.split_of(index), recipe)
+        return SplitRule(sizes, recipe.sizes(), lambda index, outcome: recipe.split_of(index), recipe)
     if config.stage != "drape" or config.on_fail != "keep":
-        return Division({TRAIN: SHARD_SIZE}, None, lambda index, outcome: TRAIN)
+        return SplitRule({TRAIN: SHARD_SIZE}, None, lambda index, outcome: TRAIN)
     sizes = dict.fromkeys((TRAIN, FAILED), SHARD_SIZE)
-    return Division(sizes, None, lambda index, outcome: TRAIN if outcome is Outcome.SETTLED else FAILED)
+    return SplitRule(sizes, None, lambda index, outcome: TRAIN if outcome is Outcome.SETTLED else FAILED)
 
 
 class GarmentWriter:
@@ -64,7 +64,7 @@ class GarmentWriter:
     a folder whose ``train`` holds failed drapes where they are kept apart.
     """
 
-    def __init__(self, folder: Path, seed: int, config: MakeConfig, division: Division) -> None:
+    def __init__(self, folder: Path, seed: int, config: MakeConfig, division: SplitRule) -> None:
         self._folder, self._seed, self._recipe = folder, seed, recipe_of(config)
         self._division = division
         self._splits: dict[str, ShardWriter] = {}
@@ -103,7 +103,7 @@ class GarmentWriter:
 
 
 @contextlib.contextmanager
-def filling_all(folder: Path, count: int, division: Division) -> Iterator[None]:
+def filling_all(folder: Path, count: int, division: SplitRule) -> Iterator[None]:
     """Note how many samples the splits are to have, until the block ends well. Raises ``OutputError``."""
     with contextlib.ExitStack() as notes:
         if division.counts is None:

@@ -12,17 +12,17 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import user_path
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.generator.recipes import Recipe
-from gcd_dataset.hub.place import Folder, Url, place_to_write
 from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.source import Folder, Url, parse_target
 from gcd_dataset.hub.uploading import StoreTarget
 from gcd_dataset.records import Outcome, Rejected
+from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.manifest import SplitRecord
-from gcd_dataset.shards.parts import require_merged
 from gcd_dataset.shards.rejects import RejectLog, has_rejects
-from gcd_dataset.verbs.parts import Part, PartPlace, begin_part
+from gcd_dataset.verbs.array_jobs import JobPart, PartPlace, begin_part
 from gcd_dataset.verbs.seal import claim, require_claimable
-from gcd_dataset.verbs.storing import Division, GarmentWriter, division_of, filling_all
+from gcd_dataset.verbs.storing import GarmentWriter, SplitRule, division_of, filling_all
 
 __all__ = ["FolderTarget", "Target", "Writer", "require_folder", "target_of"]
 
@@ -59,7 +59,7 @@ class FolderTarget:
     indices: range
     seed: int
     config: MakeConfig
-    division: Division
+    division: SplitRule
     """Into splits."""
     place: PartPlace | None = None
     """Of a part."""
@@ -162,7 +162,7 @@ def target_of(
     seed: int,
     config: MakeConfig,
     recipe: Recipe | None = None,
-    part: Part | None = None,
+    part: JobPart | None = None,
     spool: Path | str | None = None,
     patience: float | None = None,
 ) -> Target:
@@ -172,7 +172,7 @@ def target_of(
     ``GarmentDataset`` takes it. Raises ``ConfigError`` for options that do not fit the place, for a folder that holds
     the data set of another recipe, and parts of another plan or not merged.
     """
-    place, division = place_to_write(out), division_of(config, recipe)
+    place, division = parse_target(out), division_of(config, recipe)
     if isinstance(place, Folder):
         for name, value in (("spool", spool), ("patience", patience)):
             if value is not None:
@@ -192,12 +192,12 @@ def target_of(
     return _UrlTarget(StoreTarget(place, asked, spools, opened, patience=remote.patience), range(count))
 
 
-def _opened(seed: int, config: MakeConfig, division: Division, folder: Path) -> _OpenWriter:
+def _opened(seed: int, config: MakeConfig, division: SplitRule, folder: Path) -> _OpenWriter:
     return FolderTarget(folder, range(0), seed, config, division).opened()
 
 
 def _folder_target(
-    folder: Path, count: int, seed: int, config: MakeConfig, division: Division, part: Part | None
+    folder: Path, count: int, seed: int, config: MakeConfig, division: SplitRule, part: JobPart | None
 ) -> FolderTarget:
     if part is None:
         require_merged(folder, ConfigError)
@@ -208,7 +208,7 @@ def _folder_target(
 
 def require_folder(out: Path | str, what: str) -> Path:
     """The folder, if ``out`` is one. Raises ``ConfigError`` for the URL of a store."""
-    place = place_to_write(out)
+    place = parse_target(out)
     if not isinstance(place, Folder):
         raise _only_here(place, what)
     return place.path

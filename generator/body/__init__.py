@@ -1,10 +1,10 @@
 """Bodies: drawn from a shape space or read from files, and their tailor's measures."""
 
 from gcd_dataset.bodyfiles import read_measurements, write_measurements
-from gcd_dataset.generator.body.files import read_body
+from gcd_dataset.generator.body.by_name import named_body
 from gcd_dataset.generator.body.fit_shape import FittedShape, fit_shape
 from gcd_dataset.generator.body.measuring import measure
-from gcd_dataset.generator.body.named import named_body
+from gcd_dataset.generator.body.mesh_bodies import read_body
 from gcd_dataset.generator.body.shape import (
     build_body,
     draw_shape,

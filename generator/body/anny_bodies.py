@@ -7,7 +7,7 @@ from jaxtyping import Float, Int, UInt8
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from gcd_dataset.generator.body.asset import MIRROR, mirrored, own_half, refinement
+from gcd_dataset.generator.body.asset import MIRROR, mirrored_mesh, own_half, refinement
 from gcd_dataset.generator.body.pose import stand
 from gcd_dataset.records import BodyPart
 
@@ -62,7 +62,7 @@ class AnnyBodies:
 
     def whole(self, half: Float[np.ndarray, "h 3"]) -> Float[np.ndarray, "w 3"]:
         """A body as it is measured and dressed: mirrored and refined."""
-        return stand(self._finer @ mirrored(half, self.mirror))
+        return stand(self._finer @ mirrored_mesh(half, self.mirror))
 
     def skin(self) -> Float[np.ndarray, "v 3"]:
         """How much of each left joint's turn a vertex follows."""

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.register import ARMS, PIVOT, Guess, Registration, joints_of, laid_over
-from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import Record
 
 __all__ = ["HELD_OTHERWISE", "Arms", "held_otherwise", "own_arms_laid"]
@@ -31,7 +31,7 @@ class Arms(Record):
     """The same one in the A-pose."""
 
     @classmethod
-    def of(cls, surface: Surface, held: Registration) -> Self:
+    def of(cls, surface: SkinSurface, held: Registration) -> Self:
         """The arms of a model as it lies on a surface."""
         return cls(held, laid_over(surface, held.guess.with_arms_hanging()))
 
@@ -103,7 +103,7 @@ def own_arms_laid(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"
 def _shares(points: np.ndarray, model: Registration) -> Float[np.ndarray, "n 2"]:
     """How much of each arm's turn the points follow: as the model's skin beside them does."""
     faces = body_model().faces
-    near = Surface.of(model.vertices, faces).nearest(points)
+    near = SkinSurface.of(model.vertices, faces).nearest(points)
     triangles = faces[near.faces]
     weights = trimesh.triangles.points_to_barycentric(model.vertices[triangles], near.points)
     return np.einsum("nc,nca->na", np.clip(weights, 0.0, 1.0), body_model().skin[triangles][:, :, list(ARMS)])

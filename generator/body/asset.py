@@ -29,7 +29,7 @@ __all__ = [
     "body_model",
     "checked_data",
     "landmarks",
-    "mirrored",
+    "mirrored_mesh",
     "own_half",
     "refinement",
 ]
@@ -83,11 +83,11 @@ def _model_from(half: Mapping[str, Any]) -> BodyModel:
     mirror = half["mirror"].astype(int)
     finer, faces, parts = refinement(half["faces"].astype(int), half["parts"])
     steps = half["component_steps"][:, None, None].astype(float)
-    components = mirrored(half["components"] * steps, mirror)
+    components = mirrored_mesh(half["components"] * steps, mirror)
     joints = np.concatenate([half["joints"], half["joints"] * MIRROR], axis=1).astype(float)
     skin = np.concatenate([half["skin"], half["skin"][mirror]], axis=1).astype(float)
     return BodyModel(
-        mean=finer @ mirrored(half["mean"].astype(float), mirror),
+        mean=finer @ mirrored_mesh(half["mean"].astype(float), mirror),
         components=np.stack([finer @ component for component in components]),
         joints=joints[0],
         joint_components=joints[1:],
@@ -132,7 +132,7 @@ def own_half(mirror: Int[np.ndarray, " v"]) -> Int[np.ndarray, " h"]:
     return np.flatnonzero(np.arange(len(mirror)) <= mirror)
 
 
-def mirrored(half: Float[np.ndarray, "*k h 3"], mirror: Int[np.ndarray, " v"]) -> Float[np.ndarray, "*k v 3"]:
+def mirrored_mesh(half: Float[np.ndarray, "*k h 3"], mirror: Int[np.ndarray, " v"]) -> Float[np.ndarray, "*k v 3"]:
     """Both halves from the one that is stored; what is its own mirror image lies in the plane x = 0."""
     own = own_half(mirror)
     whole = np.empty((*half.shape[:-2], len(mirror), 3))

@@ -10,7 +10,7 @@ from gcd_dataset.generator.body.marks import Marks
 from gcd_dataset.generator.body.register import Registration
 from gcd_dataset.generator.body.scan import Scan
 from gcd_dataset.generator.body.section import loops, rough_girths, section, section_points
-from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.generator.body.tailor import GIRTHS, Sites, Taken, room
 from gcd_dataset.records import BodyPart
 
@@ -39,7 +39,7 @@ POINT_PLACES = ("nape_of_neck", "neck_right", "shoulder_left", "shoulder_right",
 X, Y, Z = 0, 1, 2
 
 
-def require_body_alone(scan: Scan, surface: Surface, registration: Registration, name: str) -> None:
+def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registration, name: str) -> None:
     """Raise ``BodyError`` where a part of the body is missing, or something else is in the mesh.
 
     ``surface`` is the scan's, as tall as the model.

@@ -6,13 +6,13 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model, landmarks
-from gcd_dataset.generator.body.holes import Skin
+from gcd_dataset.generator.body.holes import VisibleSkin
 from gcd_dataset.generator.body.marks import Marks, levels_of, own_marks
 from gcd_dataset.generator.body.register import Registration, model_height
 from gcd_dataset.generator.body.scan import Scan
 from gcd_dataset.generator.body.section import girth, outline, section, section_points
 from gcd_dataset.generator.body.subdivide import unique_edges
-from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import BodyPart
 
 __all__ = ["found_marks", "found_parts"]
@@ -26,7 +26,7 @@ HALF_SURE = 1.5  # cm of misfit at which it is as likely wrong as right
 
 
 def found_marks(
-    scan: Scan, surface: Surface, registration: Registration, scale: float, shift: Float[np.ndarray, "3"]
+    scan: Scan, surface: SkinSurface, registration: Registration, scale: float, shift: Float[np.ndarray, "3"]
 ) -> Marks:
     """The model's landmarks on the nearest skin; ``surface`` is the scan's, times ``scale`` and shifted."""
     model = own_marks(registration.vertices)
@@ -88,8 +88,8 @@ def found_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) 
     skin = np.flatnonzero(~internal)
     parts = model.parts[skin[cKDTree(registration.vertices[skin]).query(vertices)[1]]]
     beside = np.flatnonzero(internal[cKDTree(registration.vertices).query(vertices)[1]])
-    closed = Skin.of(model.faces, model.parts)
-    near = Surface.of(closed.points(registration.vertices), closed.faces).nearest(vertices[beside])
+    closed = VisibleSkin.of(model.faces, model.parts)
+    near = SkinSurface.of(closed.points(registration.vertices), closed.faces).nearest(vertices[beside])
     behind = np.einsum("vi,vi->v", vertices[beside] - near.points, near.normals) < -BEHIND
     parts[beside[behind]] = BodyPart.INTERNAL.value
     return parts

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.subdivide import unique_edges
-from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import Record
 
 __all__ = ["WayNet", "net_between"]
@@ -162,7 +162,7 @@ def _with_points(
     """The mesh with points of its surface as new last vertices, each joined to the corners of its triangle."""
     for point in points:
         vertices = np.concatenate([vertices, point[None]])
-        split = int(Surface.of(vertices, faces).nearest(point[None]).faces[0])
+        split = int(SkinSurface.of(vertices, faces).nearest(point[None]).faces[0])
         a, b, c = faces[split]
         new = len(vertices) - 1
         faces = np.concatenate([np.delete(faces, split, axis=0), [(a, b, new), (b, c, new), (c, a, new)]])

@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist
 
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = ["Holes", "Skin", "sides_of"]
+__all__ = ["Holes", "VisibleSkin", "sides_of"]
 
 MANY = 2000  # points of a rim, of which no more are compared pair by pair
 
@@ -49,7 +49,7 @@ class Holes(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Skin(Record):
+class VisibleSkin(Record):
     """What is to be seen of bodies with the same faces: nothing internal, and what opens there is closed."""
 
     faces: Int[np.ndarray, "g 3"]
@@ -60,7 +60,7 @@ class Skin(Record):
     """The vertices round each opening."""
 
     @classmethod
-    def of(cls, faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]) -> "Skin":
+    def of(cls, faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]) -> "VisibleSkin":
         """The skin of a body whose vertices are of these parts."""
         skin = faces[~(parts == BodyPart.INTERNAL.value)[faces].any(axis=1)]
         openings = Holes.of(np.zeros((len(parts), 3)), skin)

@@ -17,12 +17,12 @@ from gcd_dataset.generator.body.marks import GivenMarks, Marks, own_marks
 from gcd_dataset.generator.body.measures import sinking
 from gcd_dataset.generator.body.register import Registration, laid_over, register
 from gcd_dataset.generator.body.scan import Scan
-from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.generator.body.tailor import Taken, own_sites, sites_of, take
 from gcd_dataset.generator.body.upright import Placed, Placing, placed
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
-__all__ = ["Fitted", "fit_tape", "measure", "measure_closely", "take_own"]
+__all__ = ["FoundBody", "fit_tape", "measure", "measure_closely", "take_own"]
 
 
 def measure(body: Body) -> Measurements:
@@ -57,7 +57,7 @@ def _with_arms_at(angle: float, taken: Taken) -> Taken:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted(Record):
+class FoundBody(Record):
     """What was found out about a mesh of which nothing was known."""
 
     taken: Taken
@@ -88,7 +88,7 @@ def fit_tape(
     *,
     given: GivenMarks | None = None,
     parts: UInt8[np.ndarray, " v"] | None = None,
-) -> Fitted:
+) -> FoundBody:
     """A mesh [cm] measured by what is found on it; ``given`` landmarks and ``parts`` take the place of those found.
 
     The mesh may have holes that no tape crosses, and its faces may look either way. Arms that are held otherwise than
@@ -117,7 +117,7 @@ def fit_tape(
     require_skin(lowered.scan, marks, sites, taken, name)
     require_free_limbs(scan, labels, taken, name)
     own = np.where(scan.loose, BodyPart.INTERNAL.value, labels[scan.source]).astype(np.uint8)
-    return Fitted(
+    return FoundBody(
         taken=lowered.as_held(taken, marks),
         marks=lowered.marks_as_held(marks),
         parts=own if parts is None else parts,
@@ -139,7 +139,7 @@ class _Lowered(Record):
     arms: Arms | None
     """What moved them."""
     scan: Scan
-    surface: Surface
+    surface: SkinSurface
     registration: Registration
 
     @classmethod
@@ -149,7 +149,7 @@ class _Lowered(Record):
             return cls(standing, None, scan, standing.surface, registration)
         arms = Arms.of(standing.surface, registration)
         scaled = arms.laid(scan.vertices * standing.scale + standing.shift)
-        surface = Surface.of(scaled, scan.faces, scan.patched)
+        surface = SkinSurface.of(scaled, scan.faces, scan.patched)
         scan = replace(scan, vertices=(scaled - standing.shift) / standing.scale)
         return cls(standing, arms, scan, surface, laid_over(surface, arms.hanging.guess))
 

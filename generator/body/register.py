@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import BodyPart, Record
 
 __all__ = [
@@ -105,22 +105,22 @@ def model_height() -> float:
     return float(np.ptp(body_model().mean[:, 1]))
 
 
-def coarse_guess(surface: Surface) -> Guess:
+def coarse_guess(surface: SkinSurface) -> Guess:
     """The better of the guesses from raised and from lowered arms, for a surface as tall as the model."""
     return min((_fitted(surface, _start(raised), COARSE) for raised in ARM_STARTS), key=lambda guess: guess.misfit)
 
 
-def quick_guess(surface: Surface) -> Guess:
+def quick_guess(surface: SkinSurface) -> Guess:
     """A guess that is good enough to tell one way of standing from another."""
     return _fitted(surface, _start(ARM_STARTS[-1] / 2), QUICK)
 
 
-def register(surface: Surface, guess: Guess) -> Registration:
+def register(surface: SkinSurface, guess: Guess) -> Registration:
     """The model laid closely on a surface as tall as itself, from a coarse guess."""
     return laid_over(surface, _fitted(surface, guess, CLOSER))
 
 
-def laid_over(surface: Surface, guess: Guess) -> Registration:
+def laid_over(surface: SkinSurface, guess: Guess) -> Registration:
     """The model where a guess puts it, with its distances from the surface."""
     vertices = _posed(guess, np.arange(len(body_model().mean)))[0]
     return Registration(vertices, surface.nearest(vertices).distances, guess)
@@ -132,7 +132,7 @@ def _start(raised: float) -> Guess:
     return Guess(np.zeros(len(body_model().components)), place, np.inf)
 
 
-def _fitted(surface: Surface, guess: Guess, stages: Sequence[_Stage]) -> Guess:
+def _fitted(surface: SkinSurface, guess: Guess, stages: Sequence[_Stage]) -> Guess:
     for stage in stages:
         ids = _spread_points(stage.points)
         for _ in range(stage.steps):
@@ -142,7 +142,7 @@ def _fitted(surface: Surface, guess: Guess, stages: Sequence[_Stage]) -> Guess:
     return guess
 
 
-def _step(surface: Surface, guess: Guess, ids: np.ndarray, stage: _Stage) -> tuple[Guess, float]:
+def _step(surface: SkinSurface, guess: Guess, ids: np.ndarray, stage: _Stage) -> tuple[Guess, float]:
     """One Gauss-Newton step, and how far it moved a point on average [cm]."""
     points, frames = _posed(guess, ids)
     near = surface.nearest(points)

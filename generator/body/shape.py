@@ -11,7 +11,7 @@ from gcd_dataset.generator.body.asset import COARSE_PARTS, body_model
 from gcd_dataset.generator.body.clearance import arm_clearance
 from gcd_dataset.generator.body.population import adults_of, draw_weights
 from gcd_dataset.generator.body.pose import LEGS_APART, set_pose, stand
-from gcd_dataset.generator.body.untangle import Skin
+from gcd_dataset.generator.body.untangle import SkinMesh
 from gcd_dataset.records import Body, BodyShape
 
 __all__ = ["build_body", "draw_shape", "female_shape", "male_shape", "named_shape", "neutral_shape"]
@@ -87,11 +87,11 @@ def _built(shape: BodyShape, name: str, *, parted: bool) -> Body:
 
 
 @functools.cache
-def _skin() -> Skin:
+def _skin() -> SkinMesh:
     """What cloth meets; head, hands and feet are folded by nature."""
     model = body_model()
     folded = np.isin(model.parts, [part.value for part in COARSE_PARTS])
-    return Skin.of(model.mean, model.faces[~folded[model.faces].any(axis=1)])
+    return SkinMesh.of(model.mean, model.faces[~folded[model.faces].any(axis=1)])
 
 
 def _on_own_side(x: Float[np.ndarray, " v"], usual: Float[np.ndarray, " v"]) -> Float[np.ndarray, " v"]:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.records import Record
 
-__all__ = ["Nearest", "Surface", "divided", "nearest_on_triangles"]
+__all__ = ["Nearest", "SkinSurface", "divided", "nearest_on_triangles"]
 
 LONGEST = 6.0  # cm: longer edges are halved first, so that a near triangle has a near middle
 MOST = 300_000  # triangles that a mesh may be divided into for that; slivers of a metre would be millions
@@ -34,7 +34,7 @@ class Nearest(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Surface(Record):
+class SkinSurface(Record):
     """Triangles with a tree over their middles."""
 
     corners: Float[np.ndarray, "t 3 3"]

@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix, diags_array
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.records import Record
 
-__all__ = ["Skin"]
+__all__ = ["SkinMesh"]
 
 ROUNDS = 20  # of smoothing, at most: a patch is flat after one to five
 PASSES = 4  # of smoothing in a round
@@ -28,7 +28,7 @@ TURNED = 0.7  # cosine between usual normal and found one on one side of such an
 
 
 @dataclass(frozen=True, eq=False)
-class Skin(Record):
+class SkinMesh(Record):
     """The part of a mesh that is to stay free of folds."""
 
     faces: Int[np.ndarray, "f 3"]

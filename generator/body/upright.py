@@ -11,7 +11,7 @@ from jaxtyping import Float
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.register import Guess, coarse_guess, model_height, quick_guess
 from gcd_dataset.generator.body.scan import Scan
-from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import Record
 
 __all__ = ["Placed", "Placing", "placed", "unit_of"]
@@ -64,7 +64,7 @@ class Placed(Record):
     """As it stands [cm]."""
     placing: Placing
     """What turned it."""
-    surface: Surface
+    surface: SkinSurface
     """Of the scan times ``scale``, its middle over the origin."""
     scale: float
     shift: Float[np.ndarray, "3"]
@@ -102,13 +102,13 @@ def placed(scan: Scan, name: str) -> Placed:
     return found
 
 
-def _try(scan: Scan, turn: Float[np.ndarray, "3 3"], guess: Callable[[Surface], Guess] = coarse_guess) -> Placed:
+def _try(scan: Scan, turn: Float[np.ndarray, "3 3"], guess: Callable[[SkinSurface], Guess] = coarse_guess) -> Placed:
     """The scan in one turn, with the model laid over it."""
     placing = Placing.standing(scan.vertices, 1.0, turn)
     standing = placing.apply(scan.vertices)
     scale = model_height() / float(np.ptp(standing[:, 1]))
     middle = (standing.max(axis=0) + standing.min(axis=0)) / 2
     shift = np.array([-middle[0], 0.0, -middle[2]]) * scale
-    surface = Surface.of(standing * scale + shift, scan.faces, scan.patched)
+    surface = SkinSurface.of(standing * scale + shift, scan.faces, scan.patched)
     turned = replace(scan, vertices=standing)
     return Placed(turned, placing, surface, scale, shift, guess(surface))

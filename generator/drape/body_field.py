@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Float, Int, UInt8
 
-from gcd_dataset.generator.body.holes import Skin, sides_of
+from gcd_dataset.generator.body.holes import VisibleSkin, sides_of
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Voxels, fill_fields, measure_blocks
 from gcd_dataset.records import Body, BodyPart
 
@@ -143,7 +143,7 @@ def _digests(body: Body) -> tuple[bytes, bytes]:
 class _KnownSkin:
     """A skin with what is the same for all bodies that have it."""
 
-    skin: Skin
+    skin: VisibleSkin
     triangles: Int[np.ndarray, " 3g"]
     """Its faces as the device has them."""
     edges: Int[np.ndarray, "e 2"]
@@ -157,7 +157,7 @@ class _KnownSkin:
     """A corner of every eighth face of the parts of each of ``AXES``; of all parts where it has none."""
 
     @classmethod
-    def of(cls, skin: Skin) -> "_KnownSkin":
+    def of(cls, skin: VisibleSkin) -> "_KnownSkin":
         corner, parts = skin.faces[::FEW_FACES, 0], skin.parts[::FEW_FACES]
         along = (corner[np.isin(parts, [part.value for part in own])] for own in AXES.values())
         left, right, hands = (
@@ -178,14 +178,14 @@ def _skin(digest: bytes, body: Body) -> _KnownSkin:
     """The skin of bodies with these faces and parts; the last few are kept, since most bodies have the same."""
     with _skins_lock:
         if digest not in _skins:
-            _skins[digest] = _KnownSkin.of(Skin.of(body.faces, body.parts))
+            _skins[digest] = _KnownSkin.of(VisibleSkin.of(body.faces, body.parts))
             if len(_skins) > KEPT:
                 _skins.popitem(last=False)
         _skins.move_to_end(digest)
         return _skins[digest]
 
 
-def _edges_of_body(skin: Skin) -> Int[np.ndarray, "e 2"]:
+def _edges_of_body(skin: VisibleSkin) -> Int[np.ndarray, "e 2"]:
     """Edges between vertices of the body: lids have one more vertex each, the last in the skin's numbering."""
     sides, _ = sides_of(skin.faces)
     low, high = np.sort(sides, axis=1).astype(np.int64).T

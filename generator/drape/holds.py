@@ -19,7 +19,7 @@ from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.records import BodyPart, BoxMesh, EdgeRole, Measurements, PanelRole
 from gcd_dataset.spec import is_trouser_leg
 
-__all__ = ["Wear", "fell", "floor", "held_from_below", "holds", "off_body", "own_parts", "unseen_parts"]
+__all__ = ["Wear", "fell", "floor_height", "held_from_below", "holds", "off_body", "own_parts", "unseen_parts"]
 
 NECKLINE = frozenset({EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR})
 SLIDING_DROP = 18.0  # cm below its level at which a held edge counts as slid off: about armpits to waist
@@ -40,11 +40,13 @@ class Wear:
     own_part: Int[np.ndarray, " v"]
     keepers: Int[np.ndarray, " n"]
     lowest: float
-    floor: float
+    floor_height: float
 
     @classmethod
     def of(cls, job: DrapeJob) -> Self:
-        return cls(*holds(job), unseen_parts(job.box_mesh), own_parts(job.box_mesh), *held_from_below(job), floor(job))
+        return cls(
+            *holds(job), unseen_parts(job.box_mesh), own_parts(job.box_mesh), *held_from_below(job), floor_height(job)
+        )
 
 
 def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " v"]]:
@@ -106,14 +108,14 @@ def off_body(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
     return bool(start.max() > HIPS * waist and vertices[top, 1].mean() < KNEES * waist)
 
 
-def floor(job: DrapeJob) -> float:
+def floor_height(job: DrapeJob) -> float:
     """The height that the body stands on [cm]."""
     return min(0.0, float(job.body.vertices[:, 1].min()))
 
 
 def fell(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
     """Whether the garment, or a piece that nothing is sewn to, lies below the floor with all of its vertices."""
-    low = vertices[:, 1] <= np.float32(floor(job))
+    low = vertices[:, 1] <= np.float32(floor_height(job))
     if not low.any():
         return False
     sides = job.box_mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)

@@ -87,7 +87,7 @@ def build_model(
     ):
         _add_garment(world, config, float(step), length, int(start), int(end - start))
     for world, body, offset, wear in zip(worlds, bodies, offsets, worn, strict=True):
-        world.keepers, world.lowest, world.floor = len(wear.keepers), wear.lowest, wear.floor
+        world.keepers, world.lowest, world.floor = len(wear.keepers), wear.lowest, wear.floor_height
         world.field_offset = offset
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)

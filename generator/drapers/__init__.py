@@ -1,7 +1,7 @@
 """Drapers: in this process, or in one process for each device that garments from any number of workers share."""
 
-from gcd_dataset.generator.drapers.draper import Draped, Draper, Order
-from gcd_dataset.generator.drapers.place import Place, place_for, places_for
+from gcd_dataset.generator.drapers.address import DraperAddress, address_for, addresses_for
+from gcd_dataset.generator.drapers.draper import Draper, DrapeReply, DrapeRequest
 from gcd_dataset.generator.drapers.shared import SharedDraper
 
-__all__ = ["Draped", "Draper", "Order", "Place", "SharedDraper", "place_for", "places_for"]
+__all__ = ["DrapeReply", "DrapeRequest", "Draper", "DraperAddress", "SharedDraper", "address_for", "addresses_for"]

@@ -13,11 +13,11 @@ from gcd_dataset.waits import Waits
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
 
-__all__ = ["Draped", "Draper", "Order", "draped", "require_faces"]
+__all__ = ["DrapeReply", "DrapeRequest", "Draper", "draped", "require_faces"]
 
 
 @dataclass(frozen=True)
-class Order:
+class DrapeRequest:
     """A garment to be draped."""
 
     number: int
@@ -30,7 +30,7 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Draped:
+class DrapeReply:
     """A garment at rest."""
 
     number: int
@@ -53,13 +53,13 @@ class Draper(Protocol):
     at_once: int
     """Garments worth having ordered at a time: more of them only wait."""
 
-    def ask(self, order: Order) -> None:
+    def ask(self, order: DrapeRequest) -> None:
         """Order a garment. Raises ``DrapeError`` for a mesh without faces."""
 
     def answered(self) -> bool:
         """Whether ``answer`` returns at once."""
 
-    def answer(self) -> Draped:
+    def answer(self) -> DrapeReply:
         """The next garment at rest."""
 
     def __enter__(self) -> Self: ...
@@ -67,18 +67,18 @@ class Draper(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-def draped(order: Order, drape: Drape, device: str, *, seconds: float = 0.0) -> Draped:
+def draped(order: DrapeRequest, drape: Drape, device: str, *, seconds: float = 0.0) -> DrapeReply:
     """The answer to an order, with its pictures taken on ``device``."""
     if not order.picture:
-        return Draped(order.number, drape, None, seconds)
+        return DrapeReply(order.number, drape, None, seconds)
     from gcd_dataset.generator.render import render_garment
 
     mesh, body = order.job.box_mesh, order.job.body
     pictures = render_garment(drape.vertices, mesh, body, size=order.picture, device=device)
-    return Draped(order.number, drape, pictures, seconds)
+    return DrapeReply(order.number, drape, pictures, seconds)
 
 
-def require_faces(order: Order) -> None:
+def require_faces(order: DrapeRequest) -> None:
     """Raise ``DrapeError`` for a mesh without faces."""
     if not len(order.job.box_mesh.faces):
         raise DrapeError("a garment has no faces: build its box mesh from a pattern with panels")

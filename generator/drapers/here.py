@@ -8,7 +8,7 @@ from typing import Self
 from gcd_dataset.generator.drape import DrapeJob, drape_batch, places_on, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.queue import drape_in_turn
-from gcd_dataset.generator.drapers.draper import Draped, Order, draped, require_faces
+from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, draped, require_faces
 from gcd_dataset.records import Drape
 
 __all__ = ["DraperHere"]
@@ -24,11 +24,11 @@ class DraperHere:
     def __init__(self, device: str = "auto", *, at_once: int | None = None) -> None:
         self.device = resolve_device(device)
         self.at_once = at_once or places_on(self.device)
-        self._waiting: deque[Order] = deque()
-        self._done: deque[Draped] = deque()
-        self._turns: Iterator[Draped] | None = None
+        self._waiting: deque[DrapeRequest] = deque()
+        self._done: deque[DrapeReply] = deque()
+        self._turns: Iterator[DrapeReply] | None = None
 
-    def ask(self, order: Order) -> None:
+    def ask(self, order: DrapeRequest) -> None:
         require_faces(order)
         if order.again:
             self._waiting.appendleft(order)
@@ -38,7 +38,7 @@ class DraperHere:
     def answered(self) -> bool:
         return bool(self._done)
 
-    def answer(self) -> Draped:
+    def answer(self) -> DrapeReply:
         while not self._done:
             if self.device == "cpu":
                 self._drape_some()
@@ -69,8 +69,8 @@ class DraperHere:
         else:
             self._done.append(answer)
 
-    def _in_turn(self) -> Iterator[Draped]:
-        at_work: list[Order] = []
+    def _in_turn(self) -> Iterator[DrapeReply]:
+        at_work: list[DrapeRequest] = []
         begun = time.perf_counter()
 
         def jobs() -> Iterator[DrapeJob | None]:
@@ -85,5 +85,5 @@ class DraperHere:
         for count, (number, drape) in enumerate(turns, 1):
             yield self._finished(at_work[number], drape, (time.perf_counter() - begun) / count)
 
-    def _finished(self, order: Order, drape: Drape, seconds: float) -> Draped:
+    def _finished(self, order: DrapeRequest, drape: Drape, seconds: float) -> DrapeReply:
         return draped(order, drape, self.device, seconds=seconds)

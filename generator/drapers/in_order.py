@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar, Union
 
-from gcd_dataset.generator.drapers.draper import Draped, Draper, Order
+from gcd_dataset.generator.drapers.draper import Draper, DrapeReply, DrapeRequest
 from gcd_dataset.waits import noted
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ class Work(Generic[Made]):
     """Garments to be draped, and what becomes of them."""
 
     jobs: Sequence["DrapeJob"]
-    finish: Callable[[Sequence[Draped]], Union[Made, "Work[Made]"]]
+    finish: Callable[[Sequence[DrapeReply]], Union[Made, "Work[Made]"]]
     """From the drapes of ``jobs`` to the result, or to the next attempt."""
     picture: int = 0
     """Side of the pictures to be taken [pixels]; 0 for none."""
@@ -66,7 +66,7 @@ class _Place(Generic[Made]):
     """One piece of work in the line, and the drapes of its present attempt."""
 
     work: Work[Made]
-    drapes: dict[int, Draped] = field(default_factory=dict)
+    drapes: dict[int, DrapeReply] = field(default_factory=dict)
     results: list[Made] = field(default_factory=list)
     """None, or one."""
     error: Exception | None = None
@@ -113,7 +113,7 @@ class _Desk:
         for part, job in enumerate(place.work.jobs):
             assert self._draper is not None
             self._part_of[self._numbers] = place, part
-            self._draper.ask(Order(self._numbers, job, place.work.picture, again))
+            self._draper.ask(DrapeRequest(self._numbers, job, place.work.picture, again))
             self._numbers += 1
         self._finish(place)
 

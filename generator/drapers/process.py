@@ -27,9 +27,9 @@ from gcd_dataset.generator.drape import DrapeJob, places_on, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig
 from gcd_dataset.generator.drape.device import memory_kept
 from gcd_dataset.generator.drape.queue import Readied, drape_in_turn
-from gcd_dataset.generator.drapers.draper import Draped, Order
+from gcd_dataset.generator.drapers.address import DRAPERS, READY, owner_file, socket_file
+from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
 from gcd_dataset.generator.drapers.parcel import receive_parcel
-from gcd_dataset.generator.drapers.place import DRAPERS, READY, owner_file, socket_file
 from gcd_dataset.generator.drapers.studio import Studio
 from gcd_dataset.waits import WaitClock
 
@@ -71,7 +71,7 @@ class Caller(Protocol):
     there: bool
     """Whether anybody waits for the answer."""
 
-    def tell(self, answer: Draped) -> None:
+    def tell(self, answer: DrapeReply) -> None:
         """Take the answer."""
 
 
@@ -80,13 +80,13 @@ class Asker:
 
     def __init__(self, connection: Connection, inbox: "Inbox") -> None:
         self._connection, self._inbox = connection, inbox
-        self._answers: SimpleQueue[Draped | str | None] = SimpleQueue()
+        self._answers: SimpleQueue[DrapeReply | str | None] = SimpleQueue()
         self.there = True
         self._writer = threading.Thread(target=self._write, daemon=True)
         self._writer.start()
         threading.Thread(target=self._read, daemon=True).start()
 
-    def tell(self, answer: Draped | str) -> None:
+    def tell(self, answer: DrapeReply | str) -> None:
         """Send an answer, if somebody is there to take it."""
         self._answers.put(answer)
 
@@ -119,13 +119,13 @@ class Inbox:
     """Garments that wait to be draped, and those in work."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[Caller, Order, DrapeJob | Readied]] = deque()
+        self._waiting: deque[tuple[Caller, DrapeRequest, DrapeJob | Readied]] = deque()
         self._some = threading.Condition()
         self._askers: set[Asker] = set()
-        self._at_work: dict[int, tuple[Caller, Order]] = {}
+        self._at_work: dict[int, tuple[Caller, DrapeRequest]] = {}
         self._clock = WaitClock()
 
-    def put(self, asker: Caller, order: Order) -> None:
+    def put(self, asker: Caller, order: DrapeRequest) -> None:
         """Add a garment."""
         ready = _readied(order.job)
         with self._some:
@@ -164,7 +164,7 @@ class Inbox:
                     studio.take(order, drape, partial(self._answer, asker, device))
             studio.finish()
 
-    def _answer(self, asker: Caller, device: str, answer: Draped) -> None:
+    def _answer(self, asker: Caller, device: str, answer: DrapeReply) -> None:
         """Send an answer, and how long this process has waited since the one before."""
         asker.tell(replace(answer, waits={device: self._clock.taken()}))
 
@@ -181,7 +181,7 @@ class Inbox:
                 number += 1
                 yield ready
 
-    def _taken(self) -> tuple[Caller, Order, DrapeJob | Readied] | None:
+    def _taken(self) -> tuple[Caller, DrapeRequest, DrapeJob | Readied] | None:
         """The next whose asker is still there."""
         with self._some:
             while self._waiting:

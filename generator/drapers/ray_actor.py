@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from gcd_dataset.errors import DrapeError, GcdError
 from gcd_dataset.generator.drape import resolve_device
-from gcd_dataset.generator.drapers.draper import Draped, Order, require_faces
+from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, require_faces
 from gcd_dataset.generator.drapers.process import Inbox
 from gcd_dataset.generator.drapers.shared import AT_ONCE
 
@@ -42,17 +42,17 @@ class RayDraper:
         self._ray = ray
         self.at_once = at_once
         self._actors = deque(actors)
-        self._asked: dict[Any, tuple[Order, int]] = {}
+        self._asked: dict[Any, tuple[DrapeRequest, int]] = {}
         """The order and how often it was lost, by the reference of its answer."""
 
-    def ask(self, order: Order) -> None:
+    def ask(self, order: DrapeRequest) -> None:
         require_faces(order)
         self._send(order, 0)
 
     def answered(self) -> bool:
         return bool(self._asked) and bool(self._ray.wait(list(self._asked), timeout=0)[0])
 
-    def answer(self) -> Draped:
+    def answer(self) -> DrapeReply:
         while True:
             [reference], _ = self._ray.wait(list(self._asked), num_returns=1)
             order, losses = self._asked.pop(reference)
@@ -60,7 +60,7 @@ class RayDraper:
                 answer = self._ray.get(reference)
             except self._ray.exceptions.RayError as error:
                 answer = Broken(type(error).__name__)
-            if isinstance(answer, Draped):
+            if isinstance(answer, DrapeReply):
                 return answer
             if isinstance(answer, str):
                 raise DrapeError(f"while draping on a GPU of the Ray cluster: {answer}")
@@ -78,7 +78,7 @@ class RayDraper:
     def __exit__(self, *_: object) -> None:
         self._asked.clear()
 
-    def _send(self, order: Order, losses: int) -> None:
+    def _send(self, order: DrapeRequest, losses: int) -> None:
         self._asked[self._actors[0].drape.remote(order)] = order, losses
 
     def _find_standing(self) -> None:
@@ -129,7 +129,7 @@ class DrapingActor:
 
         return str(ray.get_runtime_context().get_node_id())
 
-    async def drape(self, order: Order) -> Draped | str | Broken:
+    async def drape(self, order: DrapeRequest) -> DrapeReply | str | Broken:
         """The garment at rest, or the error that ended the draping."""
         caller = _Caller()
         self._callers.add(caller)
@@ -163,12 +163,12 @@ class _Caller:
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self.answer: asyncio.Future[Draped | str | Broken] = self._loop.create_future()
+        self.answer: asyncio.Future[DrapeReply | str | Broken] = self._loop.create_future()
         self.there = True
 
-    def tell(self, answer: Draped | str | Broken) -> None:
+    def tell(self, answer: DrapeReply | str | Broken) -> None:
         self._loop.call_soon_threadsafe(self._set, answer)
 
-    def _set(self, answer: Draped | str | Broken) -> None:
+    def _set(self, answer: DrapeReply | str | Broken) -> None:
         if not self.answer.done():
             self.answer.set_result(answer)

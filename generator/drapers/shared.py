@@ -5,9 +5,9 @@ from multiprocessing.connection import Connection
 from typing import Self
 
 from gcd_dataset.errors import DrapeError
-from gcd_dataset.generator.drapers.draper import Draped, Order, require_faces
+from gcd_dataset.generator.drapers.address import DraperAddress
+from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, require_faces
 from gcd_dataset.generator.drapers.parcel import send_parcel
-from gcd_dataset.generator.drapers.place import Place
 
 __all__ = ["AT_ONCE", "SharedDraper"]
 
@@ -20,12 +20,12 @@ class SharedDraper:
     Raises ``DrapeError`` where that process cannot be started; its methods where it cannot drape, or has ended.
     """
 
-    def __init__(self, place: Place, *, at_once: int = AT_ONCE) -> None:
+    def __init__(self, place: DraperAddress, *, at_once: int = AT_ONCE) -> None:
         self._place = place
         self.at_once = at_once
         self._connection: Connection = place.connect()
 
-    def ask(self, order: Order) -> None:
+    def ask(self, order: DrapeRequest) -> None:
         require_faces(order)
         try:
             send_parcel(self._connection, order)
@@ -38,7 +38,7 @@ class SharedDraper:
         except OSError as error:
             raise self._gone() from error
 
-    def answer(self) -> Draped:
+    def answer(self) -> DrapeReply:
         try:
             answer = self._connection.recv()
         except (EOFError, OSError) as error:

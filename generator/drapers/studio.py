@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from gcd_dataset.generator.drapers.draper import Draped, Order
+from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
 from gcd_dataset.generator.render import painted_garment
 from gcd_dataset.generator.render_batch import Exposure, View, expose
 from gcd_dataset.records import Drape
@@ -20,9 +20,9 @@ UNDER_WAY = 2  # exposures: one is taken while the next is prepared
 class _Sitter:
     """A garment that waits for its pictures."""
 
-    order: Order
+    order: DrapeRequest
     drape: Drape
-    tell: Callable[[Draped], None]
+    tell: Callable[[DrapeReply], None]
 
 
 class Studio:
@@ -33,10 +33,10 @@ class Studio:
         self._waiting: list[_Sitter] = []
         self._exposed: deque[tuple[Exposure, list[_Sitter]]] = deque()
 
-    def take(self, order: Order, drape: Drape, tell: Callable[[Draped], None]) -> None:
+    def take(self, order: DrapeRequest, drape: Drape, tell: Callable[[DrapeReply], None]) -> None:
         """Have pictures taken as ordered, and the answer told, by this call or a later one of any method."""
         if not order.picture:
-            tell(Draped(order.number, drape, None))
+            tell(DrapeReply(order.number, drape, None))
             return
         if self._waiting and self._waiting[0].order.picture != order.picture:
             self._expose()
@@ -73,4 +73,4 @@ class Studio:
     def _hand_out(self) -> None:
         exposure, sitters = self._exposed.popleft()
         for sitter, (front, back) in zip(sitters, exposure.pictures(), strict=True):
-            sitter.tell(Draped(sitter.order.number, sitter.drape, (front, back)))
+            sitter.tell(DrapeReply(sitter.order.number, sitter.drape, (front, back)))

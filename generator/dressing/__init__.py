@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from gcd_dataset.generator.dressing.held import has_legs, label_edges
-from gcd_dataset.generator.dressing.parts import label_panels
+from gcd_dataset.generator.dressing.body_parts import label_panels
+from gcd_dataset.generator.dressing.hold_edges import has_legs, label_edges
 from gcd_dataset.generator.dressing.placing import place_panels
 from gcd_dataset.generator.dressing.wearer import wearer_of
 from gcd_dataset.records import Body, Measurements, Pattern

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["Opening", "edge_line", "openings_of", "outline"]
+__all__ = ["Opening", "edge_line", "openings_of", "panel_outline"]
 
 POINTS = 9  # on an edge
 
@@ -40,7 +40,7 @@ def edge_line(panel: Panel, index: int, points: int = POINTS) -> Float[np.ndarra
     return panel.placement.apply(sample_curve(*panel.edge_ends(index), panel.edges[index].curve, points))
 
 
-def outline(panel: Panel) -> Float[np.ndarray, "n 2"]:
+def panel_outline(panel: Panel) -> Float[np.ndarray, "n 2"]:
     """Points along all edges of a panel, in its plane [cm]."""
     edges = range(len(panel.edges))
     return np.concatenate([sample_curve(*panel.edge_ends(i), panel.edges[i].curve, POINTS)[:-1] for i in edges])

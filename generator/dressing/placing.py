@@ -7,8 +7,8 @@ import shapely
 from jaxtyping import Float
 
 from gcd_dataset.generator.drape.inside import InsideTest
-from gcd_dataset.generator.dressing.layout import height_for, lay_on_body
-from gcd_dataset.generator.dressing.openings import openings_of, outline
+from gcd_dataset.generator.dressing.hanging import height_for, lay_on_body
+from gcd_dataset.generator.dressing.openings import openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, Pattern, Placement
 
@@ -75,7 +75,7 @@ def _outside(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]
 
 def _outward(panel: Panel, wearer: Wearer) -> Float[np.ndarray, "3"]:
     """The level way out of the body: to the panel's right side, or off the trunk for one that lies level."""
-    flat = outline(panel)
+    flat = panel_outline(panel)
     turn = 1.0 if shapely.LinearRing(flat).is_ccw else -1.0
     way = turn * panel.placement.matrix[:, 2] * [1.0, 0.0, 1.0]
     if np.linalg.norm(way) < 0.5:
@@ -85,12 +85,12 @@ def _outward(panel: Panel, wearer: Wearer) -> Float[np.ndarray, "3"]:
 
 
 def _hung(panel: Panel) -> Float[np.ndarray, "n 3"]:
-    return panel.placement.apply(outline(panel))
+    return panel.placement.apply(panel_outline(panel))
 
 
 def _points(panel: Panel) -> Float[np.ndarray, "n 3"]:
     """Points all over a panel, where it hangs."""
-    flat = outline(panel)
+    flat = panel_outline(panel)
     low, high = flat.min(axis=0), flat.max(axis=0)
     x, y = (np.arange(a, b, LATTICE) for a, b in zip(low, high, strict=True))
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

@@ -16,11 +16,11 @@ rules that turn designs down in ``rules.py``.
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.kind import Kind
 from gcd_dataset.generator.garments.outfit import outfit
-from gcd_dataset.generator.garments.rules import Fitted, Reject, check_outfit, try_on
+from gcd_dataset.generator.garments.rules import DrawnOutfit, Reject, check_outfit, try_on
 from gcd_dataset.generator.garments.sampling import design_from_dict, design_to_dict, sample_design, sample_kind
 
 __all__ = [
-    "Fitted",
+    "DrawnOutfit",
     "Kind",
     "OutfitDesign",
     "Reject",

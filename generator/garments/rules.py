@@ -1,6 +1,6 @@
 """What makes a pattern unfit to be worn, as predicates that give their reason with figures.
 
-Each rule is a function of a ``Fitted`` outfit that returns a ``Reject`` or ``None``; ``check_outfit`` asks them all.
+Each rule takes a ``DrawnOutfit`` and returns a ``Reject`` or ``None``; ``check_outfit`` asks them all.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,7 +27,7 @@ from gcd_dataset.validate import Fault, Rule, Severity, check_pattern
 
 __all__ = [
     "RULES",
-    "Fitted",
+    "DrawnOutfit",
     "Reject",
     "check_outfit",
     "cuff_and_leg",
@@ -63,7 +63,7 @@ class Reject:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class DrawnOutfit:
     """An outfit drawn for a wearer."""
 
     size: Measurements
@@ -85,19 +85,19 @@ def try_on(size: Measurements, design: OutfitDesign, *, name: str = "outfit") ->
     if design.meta.upper is None and design.meta.bottom is None:
         return Reject("empty", "an outfit without upper and bottom, at most a belt: choose meta.upper or meta.bottom")
     try:
-        outfit = Fitted.of(size, design, name=name)
+        outfit = DrawnOutfit.of(size, design, name=name)
     except PatternError as error:
         return Reject("cannot_be_drawn", str(error))
     return next(iter(check_outfit(outfit)), outfit.pattern)
 
 
-def check_outfit(outfit: Fitted) -> tuple[Reject, ...]:
+def check_outfit(outfit: DrawnOutfit) -> tuple[Reject, ...]:
     """All reasons to turn the pattern down; empty for one that can be worn."""
     found = (rule(outfit) for rule in RULES)
     return tuple(reject for reject in found if reject is not None)
 
 
-def reaches_floor(outfit: Fitted) -> Reject | None:
+def reaches_floor(outfit: DrawnOutfit) -> Reject | None:
     """The parts, hung one under the other, reach from the nape (a bottom alone: from the waist) past the floor."""
     length, room = garment_length(outfit.size, outfit.design), room_to_floor(outfit.size, outfit.design)
     if length <= room:
@@ -106,7 +106,7 @@ def reaches_floor(outfit: Fitted) -> Reject | None:
     return Reject("reaches_floor", figures, {"length_cm": length, "room_cm": room})
 
 
-def slides_off(outfit: Fitted) -> Reject | None:
+def slides_off(outfit: DrawnOutfit) -> Reject | None:
     """A bottom alone is wider at its top than the trunk is anywhere."""
     if not _alone(outfit.design):
         return None
@@ -118,7 +118,7 @@ def slides_off(outfit: Fitted) -> Reject | None:
     return Reject("slides_off", figures, {"girth_cm": girth, "trunk_cm": trunk})
 
 
-def loose_gathers(outfit: Fitted) -> Reject | None:
+def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
     """A gathered skirt alone hangs from no band, or from one wider than the body."""
     design = outfit.design
     if not _alone(design) or not is_gathered(design) or has_snug_band(design):
@@ -129,7 +129,7 @@ def loose_gathers(outfit: Fitted) -> Reject | None:
     return Reject("loose_gathers", f"gathers of {gathers:.2f} hang from no snug waistband", {"gathers": gathers})
 
 
-def too_heavy(outfit: Fitted) -> Reject | None:
+def too_heavy(outfit: DrawnOutfit) -> Reject | None:
     """A flared skirt alone is long or wide, and no firm band holds it."""
     design = outfit.design
     if not _alone(design) or not is_flared(design) or has_firm_band(design):
@@ -141,7 +141,7 @@ def too_heavy(outfit: Fitted) -> Reject | None:
     return Reject("too_heavy", figures, {"length": length, "suns": suns})
 
 
-def tight_cuff(outfit: Fitted) -> Reject | None:
+def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
     """A band at the end of trousers or sleeves is narrower than the limb in it, by more than cloth gives."""
     size, design = outfit.size, outfit.design
     if has_tight_cuffs(size, design):
@@ -156,7 +156,7 @@ def tight_cuff(outfit: Fitted) -> Reject | None:
     return None
 
 
-def mismatched_seam(outfit: Fitted) -> Reject | None:
+def mismatched_seam(outfit: DrawnOutfit) -> Reject | None:
     """Two sides of a seam differ in length where nothing is gathered, or by more than gathers can take."""
     for sewn in outfit.joins:
         if is_mismatched(sewn):
@@ -166,7 +166,7 @@ def mismatched_seam(outfit: Fitted) -> Reject | None:
     return None
 
 
-def sharp_corner(outfit: Fitted) -> Reject | None:
+def sharp_corner(outfit: DrawnOutfit) -> Reject | None:
     """A panel ends in a spike."""
     panels = outfit.pattern.panels
     angles = corner_angles([edge_hulls(panel) for panel in panels])
@@ -178,22 +178,22 @@ def sharp_corner(outfit: Fitted) -> Reject | None:
     return Reject("sharp_corner", figures, {"angle_deg": float(angles.min())})
 
 
-def short_edge(outfit: Fitted) -> Reject | None:
+def short_edge(outfit: DrawnOutfit) -> Reject | None:
     """An edge is too short to be meshed and sewn."""
     return _fault(outfit, "short_edge", lambda rule: rule is Rule.SHORT_EDGE)
 
 
-def self_crossing(outfit: Fitted) -> Reject | None:
+def self_crossing(outfit: DrawnOutfit) -> Reject | None:
     """The outline of a panel crosses itself."""
     return _fault(outfit, "self_crossing", lambda rule: rule is Rule.SELF_CROSSING)
 
 
-def unsewable(outfit: Fitted) -> Reject | None:
+def unsewable(outfit: DrawnOutfit) -> Reject | None:
     """Anything else that forbids sewing."""
     return _fault(outfit, "unsewable", lambda rule: rule is not Rule.SELF_CROSSING and rule.severity is Severity.ERROR)
 
 
-RULES: tuple[Callable[[Fitted], Reject | None], ...] = (
+RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
     reaches_floor,
     slides_off,
     loose_gathers,
@@ -291,7 +291,7 @@ def has_tight_cuffs(size: Measurements, design: OutfitDesign) -> bool:
     return cuff * CLOTH_GIVES < leg
 
 
-def _fault(outfit: Fitted, name: str, concerns: Callable[[Rule], bool]) -> Reject | None:
+def _fault(outfit: DrawnOutfit, name: str, concerns: Callable[[Rule], bool]) -> Reject | None:
     for fault in outfit.faults:
         if concerns(fault.rule):
             return Reject(name, str(fault))

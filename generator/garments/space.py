@@ -122,7 +122,7 @@ def _parameter(space: Space, key: str | None) -> Any:
 # --------------------------------------------------------------------------------------------------------- whole spaces
 
 
-class Entry(NamedTuple):
+class FieldEntry(NamedTuple):
     """One field of a design."""
 
     name: str
@@ -146,12 +146,12 @@ class DesignSpace(Generic[D]):
     """All that a kind of design may be: the space of each of its parameters, as declared or narrower."""
 
     kind: type[D]
-    entries: tuple[Entry, ...]
+    entries: tuple[FieldEntry, ...]
 
     @classmethod
     def declared(cls, kind: type[D]) -> "DesignSpace[D]":
         """The space that the fields of a kind of design declare."""
-        return cls(kind, tuple(Entry(e.name, _key(e), _declared(e), "added" in e.metadata) for e in fields(kind)))
+        return cls(kind, tuple(FieldEntry(e.name, _key(e), _declared(e), "added" in e.metadata) for e in fields(kind)))
 
     def of(self, kind: type[P]) -> "DesignSpace[P]":
         """The part that holds this kind of design. Raises ``ConfigError`` where there is none, or more than one."""

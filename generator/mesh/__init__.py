@@ -2,6 +2,6 @@
 
 from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
 from gcd_dataset.generator.mesh.coarse import Coarse, coarse_start, coarsen
-from gcd_dataset.generator.mesh.sides import turned_panels
+from gcd_dataset.generator.mesh.turned_panels import turned_panels
 
 __all__ = ["Coarse", "build_box_mesh", "coarse_start", "coarsen", "turned_panels"]

@@ -11,9 +11,9 @@ from jaxtyping import Float, Int
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.lattice import lattice_size
 from gcd_dataset.generator.mesh.sample import MOST_POINTS, Border, edge_counts, sample_border
-from gcd_dataset.generator.mesh.sides import flat_areas, turned_over
-from gcd_dataset.generator.mesh.stitch import merge_points, middles, seam_name, sew
+from gcd_dataset.generator.mesh.stitch import merge_points, middles, seam_name, stitch_points
 from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline
+from gcd_dataset.generator.mesh.turned_panels import flat_areas, turned_over
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern
 
 __all__ = ["build_box_mesh"]
@@ -42,7 +42,7 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
         raise MeshError(f"pattern {pattern.name} has no panels: there is nothing to mesh")
     cut = _cut(pattern, spacing)
     edges = cut.edges(pattern)
-    sewn = sew(pattern.seams, [(edges[seam.left], edges[seam.right]) for seam in pattern.seams])
+    sewn = stitch_points(pattern.seams, [(edges[seam.left], edges[seam.right]) for seam in pattern.seams])
     vertex = merge_points(sewn, cut.panel_of_point, pattern.seams)
     corners = _wound_alike(cut, pattern)
     faces = vertex[corners]

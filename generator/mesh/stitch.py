@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from gcd_dataset.errors import MeshError
 from gcd_dataset.records import Seam
 
-__all__ = ["SewnPoints", "merge_points", "middles", "seam_name", "sew"]
+__all__ = ["SewnPoints", "merge_points", "middles", "seam_name", "stitch_points"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,9 @@ def seam_name(number: int, seam: Seam) -> str:
     return f"seam {number} ({left.panel} edge {left.edge} to {right.panel} edge {right.edge})"
 
 
-def sew(seams: tuple[Seam, ...], sides: list[tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]]) -> SewnPoints:
+def stitch_points(
+    seams: tuple[Seam, ...], sides: list[tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]]
+) -> SewnPoints:
     """The pairs of points along all seams, each in the order of its left edge.
 
     ``sides`` holds the points of the left and right edge of each seam, both from start to end.

@@ -9,9 +9,9 @@ import pytest
 
 from benchmarks.draping.ablation import variants
 from benchmarks.draping.failures import write_failures
-from benchmarks.draping.garments import Worn
 from benchmarks.draping.memory import measure_memory
 from benchmarks.draping.quality import pass_paper, quality
+from benchmarks.draping.workload import Worn
 from benchmarks.peers.newton import require_newton, unmirrored
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from benchmarks import run
-from benchmarks.fleet import Fleet, Machine, Store, bill, expected_seconds, limits, simulate
+from benchmarks.fleet import Fleet, Machine, ObjectStore, bill, expected_seconds, limits, simulate
 from gcd_dataset.errors import ConfigError
 
 pytest.importorskip("simpy")
@@ -65,7 +65,7 @@ def test_slow_machines_get_fewer_parts() -> None:
 
 
 def test_the_bottleneck_is_what_lets_the_least_through() -> None:
-    machine, store = Machine(), Store()
+    machine, store = Machine(), ObjectStore()
     assert bill(machine, store, garments=10**6, gpus=1, size=963e3, gpu_usd=1.0).bottleneck == "GPU"
     eight = limits(machine, store, gpus=8, size=963e3)
     assert eight["writer"] < eight["GPU"]  # one writing process for eight GPUs
@@ -75,7 +75,7 @@ def test_the_bottleneck_is_what_lets_the_least_through() -> None:
 
 
 def test_a_bill_adds_up() -> None:
-    cost = bill(Machine(), Store(), garments=10_000_000, gpus=8, size=1e6, gpu_usd=2.0)
+    cost = bill(Machine(), ObjectStore(), garments=10_000_000, gpus=8, size=1e6, gpu_usd=2.0)
     assert cost.shards == 39_063
     assert cost.size == 1e13
     assert cost.gpu_hours == pytest.approx(10_000_000 / 34.7 / 3600)

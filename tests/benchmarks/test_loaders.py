@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from benchmarks.cases.loaders import _figures, _rows
-from benchmarks.loading.garments import CONFIGS, large_sample, write_shards
 from benchmarks.loading.timing import Cost, cost_of
 from benchmarks.loading.ways import WAYS
+from benchmarks.loading.workload import CONFIGS, large_sample, write_shards
 
 COUNT = 32
 

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.reconstruction.data import Arrays, Garments, ToTargets, fitted_curve, pattern_of, patterns_from, shares
+from benchmarks.reconstruction.data import (
+    Arrays,
+    GarmentBatch,
+    ToTargets,
+    fitted_curve,
+    pattern_of,
+    patterns_from,
+    shares,
+)
 from benchmarks.reconstruction.evaluate import predict, scores_of
 from benchmarks.reconstruction.models import NetConfig, PatternNet, Predicted, match_panels, rotation_of, set_loss
 from benchmarks.reconstruction.nearest import chamfer_distances, most_typical, nearest_garments
@@ -42,7 +50,7 @@ def options(**changes: object) -> argparse.Namespace:
 
 
 @pytest.fixture(scope="module")
-def four(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Garments, list[Arrays]]]:
+def four(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[GarmentBatch, list[Arrays]]]:
     """Four plain garments of the generator; tiny networks are quickest on one thread."""
     plain = tmp_path_factory.mktemp("designs") / "plain.toml"
     plain.write_text(PLAIN)
@@ -52,35 +60,35 @@ def four(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Garments, l
     torch.set_num_threads(threads)
 
 
-def predicted_for(garments: Garments) -> list[Predicted]:
+def predicted_for(garments: GarmentBatch) -> list[Predicted]:
     torch.manual_seed(0)
     with torch.no_grad():
         return PatternNet(TINY)(garments.points[:, :128].float())
 
 
-def loss_of(predicted: list[Predicted], true: Garments) -> float:
+def loss_of(predicted: list[Predicted], true: GarmentBatch) -> float:
     return float(sum(part.item() for part in set_loss(predicted, true).values()))
 
 
-def shuffled(garments: Garments) -> Garments:
+def shuffled(garments: GarmentBatch) -> GarmentBatch:
     order = torch.randperm(garments.exists.shape[1], generator=torch.Generator().manual_seed(1))
     panels = {name: value[:, order] for name, value in vars(garments).items() if name != "points"}
     return replace(garments, **panels)
 
 
-def started_elsewhere(garments: Garments) -> Garments:
+def started_elsewhere(garments: GarmentBatch) -> GarmentBatch:
     return replace(garments, contours=garments.contours.roll(11, dims=2), corners=garments.corners.roll(11, dims=2))
 
 
 @pytest.mark.parametrize("change", [shuffled, started_elsewhere])
 def test_the_order_of_panels_and_starts_does_not_matter(
-    change: Callable[[Garments], Garments], four: tuple[Garments, list[Arrays]]
+    change: Callable[[GarmentBatch], GarmentBatch], four: tuple[GarmentBatch, list[Arrays]]
 ) -> None:
     predicted = predicted_for(four[0])
     assert loss_of(predicted, change(four[0])) == pytest.approx(loss_of(predicted, four[0]), rel=1e-5)
 
 
-def as_predicted(garments: Garments) -> Predicted:
+def as_predicted(garments: GarmentBatch) -> Predicted:
     """The truth as a network would say it."""
     edges = torch.nn.functional.one_hot(garments.edge_counts, 41).float()
     return Predicted(
@@ -93,7 +101,7 @@ def as_predicted(garments: Garments) -> Predicted:
     )
 
 
-def test_the_truth_costs_nothing(four: tuple[Garments, list[Arrays]]) -> None:
+def test_the_truth_costs_nothing(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     said = as_predicted(shuffled(four[0]))
     assert loss_of([said], four[0]) == pytest.approx(0.0, abs=1e-5)
     rows, queries, panels = match_panels(as_predicted(four[0]), four[0])
@@ -101,7 +109,7 @@ def test_the_truth_costs_nothing(four: tuple[Garments, list[Arrays]]) -> None:
     assert len(rows) == int(four[0].exists.sum())
 
 
-def test_the_form_of_the_answer_loses_next_to_nothing(four: tuple[Garments, list[Arrays]]) -> None:
+def test_the_form_of_the_answer_loses_next_to_nothing(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     truth = [pattern_of(arrays) for arrays in four[1]]
     score = mean_scores(scores_of(patterns_from(four[0]), truth))
     assert (score.valid, score.panel_count_acc, score.edge_count_acc) == (1, 1, 1)
@@ -110,7 +118,7 @@ def test_the_form_of_the_answer_loses_next_to_nothing(four: tuple[Garments, list
     assert score.rot_deg < 0.01
 
 
-def test_training_learns_four_garments_by_heart(four: tuple[Garments, list[Arrays]]) -> None:
+def test_training_learns_four_garments_by_heart(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     losses: list[float] = []
     args = options(steps=180)
     net = train(four[0], args, torch.device("cpu"), losses)
@@ -122,14 +130,14 @@ def test_training_learns_four_garments_by_heart(four: tuple[Garments, list[Array
     assert score.iou > 0.7
 
 
-def test_the_same_seed_trains_the_same_network(four: tuple[Garments, list[Arrays]]) -> None:
+def test_the_same_seed_trains_the_same_network(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     losses: tuple[list[float], list[float]] = ([], [])
     for told in losses:
         train(four[0], options(steps=3), torch.device("cpu"), told)
     assert losses[0] == losses[1]
 
 
-def test_the_nearest_of_a_known_garment_is_itself(four: tuple[Garments, list[Arrays]]) -> None:
+def test_the_nearest_of_a_known_garment_is_itself(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     points = four[0].points[..., :3].float()
     assert nearest_garments(points[:, :256], points[:, 256:]).tolist() == [0, 1, 2, 3]
 
@@ -164,7 +172,7 @@ def test_a_curve_is_found_in_its_points(curve: Curve) -> None:
     assert np.allclose(curve_points(*ends, fitted, middle), curve_points(*ends, curve, middle), atol=1e-6)
 
 
-def test_a_garment_of_too_many_panels_is_named(four: tuple[Garments, list[Arrays]]) -> None:
+def test_a_garment_of_too_many_panels_is_named(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     with pytest.raises(ConfigError, match="raise --queries"):
         ToTargets(1, 64, 128).of(pattern_of(four[1][0]))
 

@@ -11,7 +11,7 @@ import pytest
 
 from gcd_dataset.errors import ConfigError, PatternError
 from gcd_dataset.generator import pipeline
-from gcd_dataset.generator.drapers import Draped, Order, SharedDraper, place_for
+from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest, SharedDraper, address_for
 from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import produce
@@ -37,7 +37,7 @@ def test_workers_hand_over_what_is_asked_for() -> None:
 
 def test_another_process_drapes_the_same() -> None:
     here = list(produce(5, range(2), DRAPED))
-    with SharedDraper(place_for("cpu")) as draper:
+    with SharedDraper(address_for("cpu")) as draper:
         assert list(produce(5, range(2), DRAPED, draper=draper)) == here
 
 
@@ -113,19 +113,19 @@ def test_a_device_that_cannot_be_is_refused() -> None:
 
 def test_a_failure_waits_for_the_results_before_it() -> None:
     """The third piece of work fails first; the first two are still under way then."""
-    begun: list[Order] = []
+    begun: list[DrapeRequest] = []
 
     class Backwards:
         at_once = 4
 
-        def ask(self, order: Order) -> None:
+        def ask(self, order: DrapeRequest) -> None:
             begun.append(order)
 
         def answered(self) -> bool:
             return False
 
-        def answer(self) -> Draped:
-            return Draped(begun.pop().number, None, None)  # type: ignore[arg-type]
+        def answer(self) -> DrapeReply:
+            return DrapeReply(begun.pop().number, None, None)  # type: ignore[arg-type]
 
         def __enter__(self) -> Self:
             return self
@@ -134,7 +134,7 @@ def test_a_failure_waits_for_the_results_before_it() -> None:
             pass
 
     def piece(number: int) -> Work[int]:
-        def finish(_: Sequence[Draped]) -> int:
+        def finish(_: Sequence[DrapeReply]) -> int:
             if number == 2:
                 raise PatternError("piece 2")
             return number

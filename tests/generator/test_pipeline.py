@@ -14,7 +14,7 @@ from PIL import Image
 from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.drapers import Draped, Order
+from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
 from gcd_dataset.generator.garments import Reject, design_from_dict
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
@@ -128,20 +128,20 @@ class Failing:
     def __init__(self, times: int, *, but_neutral: bool = False) -> None:
         self.times, self.but_neutral = times, but_neutral
         self.tried = Counter[Measurements]()
-        self.answers = deque[Draped]()
+        self.answers = deque[DrapeReply]()
 
-    def ask(self, order: Order) -> None:
+    def ask(self, order: DrapeRequest) -> None:
         size = order.job.measurements
         self.tried[size] += 1
         fails = self.tried[size] <= self.times and not (self.but_neutral and size == NEUTRAL)
         outcome = Outcome.NOT_SETTLED if fails else Outcome.SETTLED
         drape = Drape(order.job.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0)
-        self.answers.append(Draped(order.number, drape, None))
+        self.answers.append(DrapeReply(order.number, drape, None))
 
     def answered(self) -> bool:
         return bool(self.answers)
 
-    def answer(self) -> Draped:
+    def answer(self) -> DrapeReply:
         return self.answers.popleft()
 
     def __enter__(self) -> Self:

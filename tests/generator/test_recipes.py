@@ -8,7 +8,7 @@ import pytest
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.recipes import find_recipe, read_recipe, recipe_names
-from gcd_dataset.generator.recipes.patterns import made_patterns
+from gcd_dataset.generator.recipes.hashing import made_patterns
 from gcd_dataset.patternhash import PatternHash
 
 TINY = """
@@ -69,7 +69,7 @@ PUT_ASIDE = {"test": [11, 51, 54, 55], "validation": [1, 28, 32, 62]}
 
 
 def test_the_smoke_set_is_the_one_that_is_cited() -> None:
-    """Where the sampler has changed, ``python -m gcd_dataset.generator.recipes.patterns NAME`` gives the new hashes."""
+    """Where the sampler has changed, ``python -m gcd_dataset.generator.recipes.hashing NAME`` gives the new hashes."""
     recipe = find_recipe("smoke-64-draft")
     assert PatternHash.of(made_patterns(recipe, range(recipe.designs))).agrees(recipe.patterns)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.generator.drape import DrapeJob
-from gcd_dataset.generator.drapers import Draped, Order
+from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
 from gcd_dataset.generator.drapers.studio import Studio
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
@@ -25,7 +25,7 @@ def at_rest(job: DrapeJob) -> Drape:
     return Drape(job.box_mesh.vertices.astype(np.float32), Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
 
 
-def assert_answers(answers: list[Draped], orders: list[Order]) -> None:
+def assert_answers(answers: list[DrapeReply], orders: list[DrapeRequest]) -> None:
     """Each with its own garment, from both sides."""
     by_number = {answer.number: answer for answer in answers}
     assert len(by_number) == len(answers) == len(orders)
@@ -47,8 +47,8 @@ def test_every_garment_gets_its_own_pictures(
     """However many are taken together, and though sizes change and some want none."""
     monkeypatch.setattr(Studio, "_together", lambda *_: together)
     sizes = [24, 24, 32, 0, 24, 24, 24, 0]
-    orders = [Order(number, jobs[number % len(jobs)], picture=size) for number, size in enumerate(sizes)]
-    answers: list[Draped] = []
+    orders = [DrapeRequest(number, jobs[number % len(jobs)], picture=size) for number, size in enumerate(sizes)]
+    answers: list[DrapeReply] = []
     studio = Studio("cpu")
     for order in orders:
         studio.take(order, at_rest(order.job), answers.append)
@@ -60,8 +60,8 @@ def test_every_garment_gets_its_own_pictures(
 
 def test_a_garment_need_not_wait_for_the_next(jobs: list[DrapeJob]) -> None:
     """While others are draped, the pictures of those at rest are taken and handed out."""
-    answers: list[Draped] = []
-    studio, order = Studio("cpu"), Order(7, jobs[0], picture=24)
+    answers: list[DrapeReply] = []
+    studio, order = Studio("cpu"), DrapeRequest(7, jobs[0], picture=24)
     studio.take(order, at_rest(order.job), answers.append)
     for _ in range(2):
         studio.go_on()

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from gcd_dataset.hub import cache as cache_module
-from gcd_dataset.hub.cache import COUNTER, Cache, Piece
+from gcd_dataset.hub.cache import COUNTER, Cache, CachedMember
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.shards import read_index
-from gcd_dataset.shards.store import Part
+from gcd_dataset.shards.store import MemberLocation
 from tests.hub.server import Hub
 from tests.loaders.test_shards import assert_all_same
 from tests.shards.folders import forbidden, public_folder
@@ -27,13 +27,13 @@ SIZE = 1000  # bytes of a member
 MEMBERS = 8  # of a shard
 
 
-def piece(flag: int, shard: int = 0) -> Piece:
+def piece(flag: int, shard: int = 0) -> CachedMember:
     data = np.random.default_rng((shard, flag)).integers(256, size=SIZE, dtype=np.uint8)
-    return Piece(flag, flag * SIZE, data.data)
+    return CachedMember(flag, flag * SIZE, data.data)
 
 
-def parts(flags: Any) -> list[tuple[int, Part]]:
-    return [(flag, Part(0, flag * SIZE, SIZE, 0)) for flag in flags]
+def parts(flags: Any) -> list[tuple[int, MemberLocation]]:
+    return [(flag, MemberLocation(0, flag * SIZE, SIZE, 0)) for flag in flags]
 
 
 def disk_use(folder: Path) -> int:

@@ -16,12 +16,12 @@ from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, OutputError, RemoteError, ShardError
 from gcd_dataset.hub.checked import CheckedShards
 from gcd_dataset.hub.download import download, remote_splits
-from gcd_dataset.hub.place import Repo, Url
 from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.source import Repo, Url
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, read_index, rebuild_index
-from gcd_dataset.shards.fetched import Fetched, read_fetched
+from gcd_dataset.shards.download_file import Fetched, read_fetched
 from gcd_dataset.shards.index import scan_shard
 from gcd_dataset.shards.layout import GARMENTS, MEMBERS
 from gcd_dataset.shards.manifest import RecipeRecord, keep_recipe, read_manifest

@@ -16,7 +16,7 @@ from gcd_dataset.errors import ConfigError, MissingError, OutputError, RefusedEr
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.hub import objects, site
 from gcd_dataset.hub.download import download
-from gcd_dataset.hub.place import Url, find_place
+from gcd_dataset.hub.source import Url, parse_source
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.shards import ShardReader
 from gcd_dataset.verbs import Progress, generate
@@ -215,7 +215,7 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("url", ["nope://bucket/set", "s3://", "s3:///set", "simplecache::s3://bucket/set", "s3://a\n"])
 def test_other_urls_are_refused(url: str) -> None:
     with pytest.raises(ConfigError, match="neither a URL nor a repository"):
-        find_place(url)
+        parse_source(url)
 
 
 @pytest.mark.parametrize("options", [{"endpoint": "http://localhost"}, {"token": "secret"}, {"revision": "main"}])

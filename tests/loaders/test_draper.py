@@ -24,8 +24,8 @@ from torch.utils.data import DataLoader
 
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape import DrapeJob
-from gcd_dataset.generator.drapers import Draped, Order, Place, SharedDraper, place_for
-from gcd_dataset.generator.drapers.place import _made, socket_file
+from gcd_dataset.generator.drapers import DraperAddress, DrapeReply, DrapeRequest, SharedDraper, address_for
+from gcd_dataset.generator.drapers.address import _made, socket_file
 from gcd_dataset.generator.drapers.process import Asker, Inbox
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import produce
@@ -45,7 +45,7 @@ OPTIONS: dict[str, Any] = {
 class Apart(GeneratedGarments):
     """Garments of which no process drapes its own, as on a GPU."""
 
-    def __init__(self, n: int, place: Place, **options: Any) -> None:
+    def __init__(self, n: int, place: DraperAddress, **options: Any) -> None:
         super().__init__(n, **OPTIONS, **options)
         self._places = (place,)
 
@@ -60,7 +60,7 @@ def items() -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def place() -> Iterator[Place]:
+def place() -> Iterator[DraperAddress]:
     """A place of which nobody else knows; its draper ends with the test."""
     place = _made("cpu")
     yield place
@@ -68,7 +68,7 @@ def place() -> Iterator[Place]:
     kill_drapers(place)
 
 
-def drapers(place: Place) -> list[int]:
+def drapers(place: DraperAddress) -> list[int]:
     """Processes that drape there."""
     there = []
     for folder in Path("/proc").iterdir():
@@ -82,19 +82,21 @@ def drapers(place: Place) -> list[int]:
     return there
 
 
-def kill_drapers(place: Place, how: int = signal.SIGKILL) -> None:
+def kill_drapers(place: DraperAddress, how: int = signal.SIGKILL) -> None:
     for pid in drapers(place):
         os.kill(pid, how)
 
 
 @pytest.mark.parametrize(("workers", "context"), [(1, "spawn"), (2, "fork")])
 def test_whoever_drapes_them_they_are_the_same(items: list[dict[str, Any]], workers: int, context: str) -> None:
-    ds = Apart(COUNT, place_for("cpu"))
+    ds = Apart(COUNT, address_for("cpu"))
     loader = DataLoader(ds, batch_size=2, num_workers=workers, multiprocessing_context=context, collate_fn=collate_list)
     assert_all_same(loader, [items[:2], items[2:]])
 
 
-def test_all_workers_have_one_draper_in_common(items: list[dict[str, Any]], place: Place, tmp_path: Path) -> None:
+def test_all_workers_have_one_draper_in_common(
+    items: list[dict[str, Any]], place: DraperAddress, tmp_path: Path
+) -> None:
     ds = Apart(COUNT, place, cache_dir=tmp_path)
     loader = GarmentLoader(ds, 1, shuffle=False, num_workers=2, collate_fn=collate_list)
     assert drapers(place) == []
@@ -105,29 +107,29 @@ def test_all_workers_have_one_draper_in_common(items: list[dict[str, Any]], plac
 
 
 def test_a_stream_gives_them_in_order(items: list[dict[str, Any]]) -> None:
-    ds = Apart(COUNT, place_for("cpu"))
+    ds = Apart(COUNT, address_for("cpu"))
     assert_all_same(ds.stream([2, 0, 2, 1]), [items[2], items[0], items[2], items[1]])
 
 
 def made_ahead(
     indices: Iterable[int], config: MakeConfig, *, ahead: int, at_once: int | None = None
 ) -> Iterator[Sample]:
-    with SharedDraper(place_for("cpu"), at_once=at_once or ahead) as draper:
+    with SharedDraper(address_for("cpu"), at_once=at_once or ahead) as draper:
         yield from produce(5, indices, config, draper=draper, ahead=ahead)
 
 
 def test_a_design_is_draped_once_for_its_bodies_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     sent, ask = [], SharedDraper.ask
 
-    def noted(draper: SharedDraper, order: Order) -> None:
+    def noted(draper: SharedDraper, order: DrapeRequest) -> None:
         sent.append(order.number)
         ask(draper, order)
 
     monkeypatch.setattr(SharedDraper, "ask", noted)
-    ds = Apart(4, place_for("cpu"), bodies="both", fields=["verts", "front", "meta"])
+    ds = Apart(4, address_for("cpu"), bodies="both", fields=["verts", "front", "meta"])
     one_by_one = [ds[0], ds[1]]
     assert sent == [0, 1]
-    assert_all_same(one_by_one, Apart(4, place_for("cpu"), bodies="both", fields=ds.fields).__getitems__([0, 1]))
+    assert_all_same(one_by_one, Apart(4, address_for("cpu"), bodies="both", fields=ds.fields).__getitems__([0, 1]))
     sent.clear()
     made = made_ahead([2, 3, 3, 2], ds.config, ahead=1)
     assert [sample.key for sample in made] == [sample_key(index) for index in (2, 3, 3, 2)]
@@ -137,7 +139,7 @@ def test_a_design_is_draped_once_for_its_bodies_one_after_the_other(monkeypatch:
 def test_a_drape_that_fails_raises_the_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
     answered, told = SharedDraper.answer, []
 
-    def failing_once(draper: SharedDraper) -> Draped:
+    def failing_once(draper: SharedDraper) -> DrapeReply:
         answer = answered(draper)
         told.append(answer.number)
         fails = answer.number == 1
@@ -157,14 +159,14 @@ def test_while_one_is_draped_for_long_those_after_it_go_on(monkeypatch: pytest.M
     """As many at once, and as far ahead, as was asked for; the first is answered when nothing else is under way."""
     asked, answered, most = set[int](), set[int](), []
     ask, answer = SharedDraper.ask, SharedDraper.answer
-    slow: list[Draped] = []
+    slow: list[DrapeReply] = []
 
-    def noted(draper: SharedDraper, order: Order) -> None:
+    def noted(draper: SharedDraper, order: DrapeRequest) -> None:
         asked.add(order.number)
         most.append(len(asked - answered))
         ask(draper, order)
 
-    def first_last(draper: SharedDraper) -> Draped:
+    def first_last(draper: SharedDraper) -> DrapeReply:
         if slow and asked - answered == {0}:
             given = slow.pop()
         else:
@@ -190,11 +192,11 @@ def test_the_draper_has_something_to_do_while_one_is_handed_out(monkeypatch: pyt
     """Though all that was asked for has been answered before."""
     under_way, ask, answer = set[int](), SharedDraper.ask, SharedDraper.answer
 
-    def noted(draper: SharedDraper, order: Order) -> None:
+    def noted(draper: SharedDraper, order: DrapeRequest) -> None:
         under_way.add(order.number)
         ask(draper, order)
 
-    def taken(draper: SharedDraper) -> Draped:
+    def taken(draper: SharedDraper) -> DrapeReply:
         given = answer(draper)
         under_way.discard(given.number)
         return given
@@ -219,14 +221,14 @@ def test_what_fails_is_draped_again_before_others() -> None:
     theirs.close()
 
 
-def order(number: int, resolution: float = 10.0) -> Order:
+def order(number: int, resolution: float = 10.0) -> DrapeRequest:
     config = MakeConfig(resolution=resolution, device="cpu", design=SKIRTS)
     [worn] = prepare(5, 0, config).dressed
     assert worn.box_mesh is not None
-    return Order(number, DrapeJob(worn.box_mesh, worn.body, worn.size), 0)
+    return DrapeRequest(number, DrapeJob(worn.box_mesh, worn.body, worn.size), 0)
 
 
-def test_a_killed_draper_is_told_and_the_next_is_begun(place: Place) -> None:
+def test_a_killed_draper_is_told_and_the_next_is_begun(place: DraperAddress) -> None:
     with SharedDraper(place) as draper:
         kill_drapers(place, signal.SIGSTOP)  # it would be done, perhaps, before it is killed
         draper.ask(order(0))
@@ -240,7 +242,7 @@ def test_a_killed_draper_is_told_and_the_next_is_begun(place: Place) -> None:
         assert draper.answer().number == 7
 
 
-def test_a_draper_that_is_about_to_end_is_not_taken_for_one(place: Place) -> None:
+def test_a_draper_that_is_about_to_end_is_not_taken_for_one(place: DraperAddress) -> None:
     """Its socket takes calls a moment longer than it answers them."""
     with Listener(str(socket_file(place.folder)), "AF_UNIX") as dying:
         thread = threading.Thread(target=lambda: dying.accept().close())
@@ -251,7 +253,9 @@ def test_a_draper_that_is_about_to_end_is_not_taken_for_one(place: Place) -> Non
         thread.join()
 
 
-def test_a_draper_whose_starter_is_killed_is_met_by_the_next(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_draper_whose_starter_is_killed_is_met_by_the_next(
+    place: DraperAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """While it loads; the next waits for it, and begins no other beside it."""
     child = os.fork()
     if child == 0:
@@ -275,7 +279,7 @@ def test_a_draper_whose_starter_is_killed_is_met_by_the_next(place: Place, monke
     assert drapers(place) == begun
 
 
-def test_a_draper_that_fails_says_why_and_takes_no_more_calls(place: Place) -> None:
+def test_a_draper_that_fails_says_why_and_takes_no_more_calls(place: DraperAddress) -> None:
     """Whatever it is, and though it waits for somebody who does not read before it ends."""
     with SharedDraper(place) as deaf, SharedDraper(place) as draper:
         deaf.ask(replace(order(0), picture=400))
@@ -299,14 +303,14 @@ class Unreadable:
         return int, ("no number",)
 
 
-def test_an_order_that_cannot_be_read_is_one_error(place: Place) -> None:
+def test_an_order_that_cannot_be_read_is_one_error(place: DraperAddress) -> None:
     with SharedDraper(place) as draper:
         draper.ask(replace(order(0), number=Unreadable()))  # type: ignore[arg-type]
         with pytest.raises(DrapeError, match="drapes on cpu has ended"):
             draper.answer()
 
 
-def test_more_garments_may_wait_than_a_process_may_have_files(place: Place) -> None:
+def test_more_garments_may_wait_than_a_process_may_have_files(place: DraperAddress) -> None:
     few, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (100, most))
     try:
@@ -334,14 +338,14 @@ def test_a_connection_is_not_closed_while_it_is_read() -> None:
 
 
 def test_a_process_that_outlives_the_owner_has_a_place_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.generator.drapers.place._places", {})
-    place = place_for("cpu")
-    assert place_for("cpu") == place
+    monkeypatch.setattr("gcd_dataset.generator.drapers.address._places", {})
+    place = address_for("cpu")
+    assert address_for("cpu") == place
     shutil.rmtree(place.folder)
-    assert place_for("cpu").folder.is_dir()
+    assert address_for("cpu").folder.is_dir()
 
 
-def test_a_draper_killed_under_a_loader_is_one_error(place: Place) -> None:
+def test_a_draper_killed_under_a_loader_is_one_error(place: DraperAddress) -> None:
     loader = iter(DataLoader(Apart(50, place), batch_size=1, num_workers=1, collate_fn=collate_list, timeout=120))
     next(loader)
     kill_drapers(place)
@@ -350,7 +354,7 @@ def test_a_draper_killed_under_a_loader_is_one_error(place: Place) -> None:
             pass
 
 
-def test_fresh_garments_go_on_after_their_draper_was_killed(place: Place) -> None:
+def test_fresh_garments_go_on_after_their_draper_was_killed(place: DraperAddress) -> None:
     """By another, which the same program starts, with the garment that did not come."""
     whole = [item["meta"]["index"] for item in FreshGarments(FakeGarments(40, fields=["meta"]), replay=2, room=4)]
     fresh = FreshGarments(Apart(40, place, fields=["meta"]), replay=2, room=4, workers=1)
@@ -364,8 +368,8 @@ def test_fresh_garments_go_on_after_their_draper_was_killed(place: Place) -> Non
     assert given == whole[: len(given)]
 
 
-def test_a_draper_killed_under_workers_is_one_error(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gcd_dataset.generator.maker.places_for", lambda devices: (place,))
+def test_a_draper_killed_under_workers_is_one_error(place: DraperAddress, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gcd_dataset.generator.maker.addresses_for", lambda devices: (place,))
     config = MakeConfig(resolution=10.0, device="cpu", picture=0, points=16, design=SKIRTS, on_fail="keep")
     made = produce(5, range(100), config, workers=2)
     given = [next(made)]
@@ -375,7 +379,7 @@ def test_a_draper_killed_under_workers_is_one_error(place: Place, monkeypatch: p
     assert [sample.key for sample in given] == [sample_key(index) for index in range(len(given))]
 
 
-def test_workers_have_the_draping_processes_by_turns(items: list[dict[str, Any]], place: Place) -> None:
+def test_workers_have_the_draping_processes_by_turns(items: list[dict[str, Any]], place: DraperAddress) -> None:
     ds = Apart(COUNT, place)
     places = (place, _made("cpu"))
     ds._places = places
@@ -393,7 +397,7 @@ def test_a_device_that_is_not_there_is_told_on_one_line() -> None:
     assert "Traceback" not in str(raised.value)
 
 
-def test_a_worker_that_is_killed_holds_up_no_other(place: Place) -> None:
+def test_a_worker_that_is_killed_holds_up_no_other(place: DraperAddress) -> None:
     with SharedDraper(place) as draper:
         draper.ask(order(0))
         draper.answer()
@@ -410,7 +414,7 @@ def test_a_worker_that_is_killed_holds_up_no_other(place: Place) -> None:
         assert draper.answer().number == 1
 
 
-def test_a_worker_that_does_not_read_holds_up_no_other(place: Place) -> None:
+def test_a_worker_that_does_not_read_holds_up_no_other(place: DraperAddress) -> None:
     with SharedDraper(place) as deaf, SharedDraper(place) as draper:
         large = order(0, 3.0)
         for _ in range(3):
@@ -427,8 +431,8 @@ def test_a_device_that_is_not_there_is_told() -> None:
 def test_the_draper_ends_with_the_process_that_owns_it() -> None:
     code = (
         "import os, signal\n"
-        "from gcd_dataset.generator.drapers import place_for\n"
-        "place = place_for('cpu')\n"
+        "from gcd_dataset.generator.drapers import address_for\n"
+        "place = address_for('cpu')\n"
         "child = os.fork()\n"
         "if child == 0:\n"
         "    place.connect(); os._exit(0)\n"
@@ -438,7 +442,7 @@ def test_the_draper_ends_with_the_process_that_owns_it() -> None:
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout.strip()
-    place = Place(Path(out), "cpu")
+    place = DraperAddress(Path(out), "cpu")
     deadline = time.monotonic() + 60
     while drapers(place) and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -452,6 +456,6 @@ def warp_has_begun(item: dict[str, Any]) -> bool:
 
 
 def test_no_worker_starts_warp() -> None:
-    ds = Apart(1, place_for("cpu"), transform=warp_has_begun)
+    ds = Apart(1, address_for("cpu"), transform=warp_has_begun)
     [[begun]] = DataLoader(ds, num_workers=1, multiprocessing_context="spawn", collate_fn=collate_list)
     assert not begun

@@ -7,8 +7,8 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
-from gcd_dataset.hub.place import Folder, find_place
 from gcd_dataset.hub.site import Remote
+from gcd_dataset.hub.source import Folder, parse_source
 from gcd_dataset.loaders import (
     BodyDataset,
     GarmentDataset,
@@ -43,7 +43,7 @@ def test_a_plain_name_that_begins_so_stays() -> None:
 
 def test_folders_of_shards(home: Path) -> None:
     fill(Path("~/data"), range(COUNT))
-    assert find_place("~/data") == Folder(home / "data")
+    assert parse_source("~/data") == Folder(home / "data")
     assert len(GarmentDataset("~/data")) == len(GarmentDataset(Path("~/data"))) == COUNT
     assert len(ShardReader("~/data")) == COUNT
     assert splits_in("~/data") == ("train",)

@@ -28,7 +28,7 @@ from gcd_dataset.loaders import (
     collate_list,
     collate_packed,
 )
-from gcd_dataset.loaders.plan import Making, Turn
+from gcd_dataset.loaders.batch_plan import Making, Turn
 from tests.loaders.patterns import sewn
 
 N = 12

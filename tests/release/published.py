@@ -11,7 +11,7 @@ import yaml
 
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.records import MEASURES, Measurements, Sample
-from gcd_dataset.release.layout import ENDINGS, properties_name
+from gcd_dataset.release.published_names import ENDINGS, properties_name
 from gcd_dataset.shards import ShardWriter
 from gcd_dataset.verbs.release_folders import export_published, exported_splits
 

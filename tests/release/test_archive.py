@@ -12,7 +12,7 @@ import pytest
 
 from gcd_dataset.errors import OutputError, ShardError
 from gcd_dataset.release.archive import Archive
-from gcd_dataset.release.layout import ENDINGS
+from gcd_dataset.release.published_names import ENDINGS
 from tests.release.published import BATCH, BODIES, TEST, TRAIN, file_of, pack, publish
 from tests.shards.folders import forbidden, public_folder
 

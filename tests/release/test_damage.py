@@ -15,8 +15,8 @@ from PIL import Image
 
 from gcd_dataset.errors import ConfigError, GcdError, ShardError
 from gcd_dataset.loaders import PublishedGarmentCodeData
-from gcd_dataset.release.garment import _stretch
-from gcd_dataset.release.layout import ENDINGS, properties_name
+from gcd_dataset.release.published_names import ENDINGS, properties_name
+from gcd_dataset.release.read_garment import _stretch
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, publish
 
 EXAMPLES = Path(__file__).parents[2].parent / "shared" / "examples" / "published" / "GarmentCodeData_v2_unpacked"

@@ -9,7 +9,7 @@ import numpy as np
 from gcd_dataset.bodies import POSES, BodyMesh, Person
 from gcd_dataset.bodyfiles import write_measurements
 from gcd_dataset.records import MEASURES, BodyPart, BodyShape, Measurements
-from gcd_dataset.shards.people import BodyWriter
+from gcd_dataset.shards.body_set import BodyWriter
 
 SHARD_SIZE = 4
 RECIPE = {"fake": True}

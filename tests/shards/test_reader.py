@@ -17,7 +17,7 @@ from gcd_dataset.shards import MEMBERS, ShardReader, encode_sample, read_index
 from gcd_dataset.shards import folder as folders
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.reader import Verify
-from gcd_dataset.shards.store import Part
+from gcd_dataset.shards.store import MemberLocation
 from tests.shards.folders import fill, forbidden, public_folder
 
 
@@ -82,10 +82,12 @@ def test_of_a_sample_asked_for_twice_both_copies_are_looked_at(folder: Path) -> 
     """As a store gives them that reads all at once, and mends what is damaged there."""
 
     class Mended(FolderStore):
-        def read_many(self, wanted: Sequence[tuple[str, int, Sequence[Part]]]) -> Iterable[dict[int, memoryview]]:
+        def read_many(
+            self, wanted: Sequence[tuple[str, int, Sequence[MemberLocation]]]
+        ) -> Iterable[dict[int, memoryview]]:
             return list(super().read_many(wanted))
 
-        def mend(self, shard: str, number: int, part: Part) -> memoryview:
+        def mend(self, shard: str, number: int, part: MemberLocation) -> memoryview:
             return memoryview(encode_sample(fake_sample(0, 5))["verts.npy"])
 
     flip(folder, 5, "verts.npy")

@@ -17,7 +17,7 @@ from gcd_dataset.shards.layout import GARMENTS, shard_name, shard_number
 from gcd_dataset.shards.limits import LARGEST_FILE
 from gcd_dataset.shards.manifest import Manifest, ShardRecord, SplitRecord, keep_split, parse_manifest, read_manifest
 from gcd_dataset.shards.writer import SHARD_SIZE
-from gcd_dataset.verbs.plan import MOST
+from gcd_dataset.verbs.making_plan import MOST
 from tests.shards.folders import RECIPE, contents, fill, open_writer
 
 MEMBER = 40_000  # bytes

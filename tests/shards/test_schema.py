@@ -24,9 +24,9 @@ from gcd_dataset.shards import (
     read_manifest,
     rebuild_index,
 )
+from gcd_dataset.shards.body_set import BodyWriter
 from gcd_dataset.shards.hdf5 import write_hdf5
 from gcd_dataset.shards.meta import sealed
-from gcd_dataset.shards.people import BodyWriter
 from gcd_dataset.shards.single import write_single
 from gcd_dataset.spec import spec_from_pattern
 from tests.shards.folders import fill

@@ -83,7 +83,7 @@ def mark_body_crossings(
 
 
 @wp.func
-def way_out(mesh: wp.uint64, p: wp.vec3) -> wp.vec4:
+def nearest_exit(mesh: wp.uint64, p: wp.vec3) -> wp.vec4:
     """Direction out of the body at ``p``, and how far to go until it is clear of the skin [1, cm]."""
     near = wp.mesh_query_point_sign_normal(mesh, p, DEEPEST)
     if not near.result:
@@ -126,7 +126,7 @@ def leave_skin(
             here = wp.lerp(p, x_in[j], 0.25 * float(quarter))
             part = nearest_part(world, cloth.field_parts, here)
             if not is_unseen(cloth.unseen_parts[i] & cloth.unseen_parts[j], part):
-                out = way_out(cloth.body_mesh[w], here)
+                out = nearest_exit(cloth.body_mesh[w], here)
                 if out[3] > deepest[3]:
                     deepest = out
     moved = p + deepest[3] * wp.vec3(deepest[0], deepest[1], deepest[2]) - x_start[i]

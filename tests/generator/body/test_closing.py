@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gcd_dataset.bodyfiles import read_parts
+from gcd_dataset.bodyfiles import read_body_parts
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, female_shape, read_body
 from gcd_dataset.generator.body.closing import WIDEST_HOLE, ClosedSkin
@@ -89,7 +89,7 @@ def test_a_published_body_that_lacks_a_triangle_is_closed(examples: Path) -> Non
     """Its lips touch, and 28 sides there would be shared by three if they were joined."""
     folder = examples / "bodies"
     mesh = trimesh.load(folder / "mean_all.obj", process=False, maintain_order=True)
-    parts = read_parts(folder / "ggg_body_segmentation.json", len(mesh.vertices), folder / "mean_all.obj")
+    parts = read_body_parts(folder / "ggg_body_segmentation.json", len(mesh.vertices), folder / "mean_all.obj")
     vertices = 100.0 * np.asarray(mesh.vertices)
     for lost in (0, 17_000, 47_499):
         skin = ClosedSkin.of(vertices, np.delete(mesh.faces, lost, axis=0), parts, "mean")

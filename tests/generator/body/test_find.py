@@ -14,9 +14,9 @@ from benchmarks.cases.measures import tolerance
 from gcd_dataset.cli import main
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, female_shape, measure, read_body, read_measurements
-from gcd_dataset.generator.body.files import measure_file
 from gcd_dataset.generator.body.marks import read_marks
-from gcd_dataset.generator.body.measuring import Fitted, fit_tape
+from gcd_dataset.generator.body.measuring import FoundBody, fit_tape
+from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, Measurements
 from gcd_dataset.seeding import Stage, rng
 
@@ -34,7 +34,7 @@ def woman() -> Body:
 
 
 @cache
-def fitted_woman() -> Fitted:
+def fitted_woman() -> FoundBody:
     return fit_tape(woman().vertices, woman().faces)
 
 

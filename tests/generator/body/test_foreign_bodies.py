@@ -17,13 +17,13 @@ from gcd_dataset.generator.body import (
     build_body,
     draw_shape,
     female_shape,
-    files,
     measure,
+    mesh_bodies,
     read_body,
     read_measurements,
 )
-from gcd_dataset.generator.body.files import measure_file
-from gcd_dataset.generator.body.measuring import Fitted, fit_tape
+from gcd_dataset.generator.body.measuring import FoundBody, fit_tape
+from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.body.pose import T_POSE
 from gcd_dataset.generator.drape.body_field import body_field
 from gcd_dataset.records import MEASURES, Body, BodyPart, BodyShape, Measurements
@@ -57,7 +57,7 @@ def check_in_t_pose(found: Measurements, shape: BodyShape) -> None:
 
 
 @cache
-def lifted_woman() -> Fitted:
+def lifted_woman() -> FoundBody:
     body = build_body(replace(female_shape(), arm_angle=T_POSE))
     order = np.random.default_rng(0).permutation(len(body.vertices))
     return fit_tape(body.vertices[order], np.argsort(order)[body.faces])
@@ -117,15 +117,15 @@ def test_a_body_like_smpls(tmp_path: Path) -> None:
 @pytest.fixture
 def fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A mesh is fitted once, however often it is read."""
-    known: dict[tuple[bytes, bytes], Fitted] = {}
+    known: dict[tuple[bytes, bytes], FoundBody] = {}
 
-    def fit(vertices: np.ndarray, faces: np.ndarray, *place: Any, **options: Any) -> Fitted:
+    def fit(vertices: np.ndarray, faces: np.ndarray, *place: Any, **options: Any) -> FoundBody:
         mesh = vertices.tobytes(), faces.tobytes()
         if mesh not in known:
             known[mesh] = fit_tape(vertices, faces, *place, **options)
         return known[mesh]
 
-    monkeypatch.setattr(files, "fit_tape", fit)
+    monkeypatch.setattr(mesh_bodies, "fit_tape", fit)
 
 
 @pytest.mark.usefixtures("fitted_once")

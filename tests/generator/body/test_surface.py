@@ -10,7 +10,7 @@ from gcd_dataset.generator.body.find import narrowest_ring
 from gcd_dataset.generator.body.geodesic import net_between
 from gcd_dataset.generator.body.scan import Scan
 from gcd_dataset.generator.body.section import girth, loops, outline, section
-from gcd_dataset.generator.body.surface import Surface
+from gcd_dataset.generator.body.surface import SkinSurface
 
 
 def torus() -> trimesh.Trimesh:
@@ -21,7 +21,7 @@ def torus() -> trimesh.Trimesh:
 def test_nearest_points_of_a_box_whatever_its_triangles() -> None:
     box = trimesh.creation.box((40.0, 100.0, 20.0))
     points = np.array([(30.0, 11.0, 3.0), (1.0, 60.0, 2.0), (25.0, 55.0, 13.0), (19.0, 0.0, 0.0)])
-    near = Surface.of(box.vertices, box.faces).nearest(points)
+    near = SkinSurface.of(box.vertices, box.faces).nearest(points)
     assert near.points == pytest.approx(
         np.array([(20.0, 11.0, 3.0), (1.0, 50.0, 2.0), (20.0, 50.0, 10.0), (20.0, 0, 0)])
     )
@@ -31,7 +31,7 @@ def test_nearest_points_of_a_box_whatever_its_triangles() -> None:
 
 def test_a_column_of_slivers_is_not_divided_without_end() -> None:
     column = trimesh.creation.cylinder(20.0, 170.0, sections=1000)
-    surface = Surface.of(column.vertices, column.faces)
+    surface = SkinSurface.of(column.vertices, column.faces)
     assert len(surface.corners) < 400_000
     near = surface.nearest(np.array([(30.0, 0.0, 10.0), (0.0, 24.0, -50.0)]))
     assert near.distances == pytest.approx([10.0, 4.0], abs=0.1)
@@ -68,7 +68,7 @@ def test_distances_are_taken_in_batches() -> None:
 
 def test_a_way_between_any_two_points_of_a_ball() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=10.0)
-    surface = Surface.of(ball.vertices, ball.faces)
+    surface = SkinSurface.of(ball.vertices, ball.faces)
     start, end = surface.nearest(np.array([(1.0, 9.0, 3.0), (9.0, 1.0, -2.0)])).points
     net, vertices = net_between(ball.vertices, ball.faces, start, end)
     angle = np.arccos(start @ end / np.linalg.norm(start) / np.linalg.norm(end))

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from benchmarks.skin import skin_crossings
 from gcd_dataset.generator.body import build_body, draw_shape
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.untangle import Skin
+from gcd_dataset.generator.body.untangle import SkinMesh
 from gcd_dataset.records import BodyPart
 from gcd_dataset.seeding import Stage, rng
 
@@ -21,7 +21,7 @@ def ball() -> trimesh.Trimesh:
 
 
 def test_a_ball_has_no_fold_and_keeps_its_place(ball: trimesh.Trimesh) -> None:
-    skin = Skin.of(ball.vertices, ball.faces)
+    skin = SkinMesh.of(ball.vertices, ball.faces)
     assert not skin.folded(ball.vertices).any()
     stretched = ball.vertices * [1.0, 2.0, 0.7]
     assert skin.flattened(stretched) is stretched
@@ -29,7 +29,7 @@ def test_a_ball_has_no_fold_and_keeps_its_place(ball: trimesh.Trimesh) -> None:
 
 def test_a_patch_turned_inside_out_is_drawn_flat_and_the_rest_is_left(ball: trimesh.Trimesh) -> None:
     """A pole pulled back through the ball's skin beside it, as a nipple may be."""
-    skin = Skin.of(ball.vertices, ball.faces)
+    skin = SkinMesh.of(ball.vertices, ball.faces)
     dented = ball.vertices.copy()
     pole = int(dented[:, 1].argmax())
     dented[pole] += [4.0, 0.0, 0.0]
@@ -43,7 +43,7 @@ def test_a_patch_turned_inside_out_is_drawn_flat_and_the_rest_is_left(ball: trim
 
 def test_vertices_off_the_skin_stay(ball: trimesh.Trimesh) -> None:
     upper = ball.faces[(ball.vertices[ball.faces][:, :, 1] > 0).all(axis=1)]
-    skin = Skin.of(ball.vertices, upper)
+    skin = SkinMesh.of(ball.vertices, upper)
     dented = ball.vertices.copy()
     dented[int(dented[:, 1].argmax())] += [4.0, 0.0, 0.0]
     below = ball.vertices[:, 1] < -1.0
@@ -64,7 +64,7 @@ def groove_faces() -> Int[np.ndarray, "f 3"]:
 
 def test_walls_of_a_groove_that_have_passed_through_each_other_are_parted() -> None:
     """None of their faces looks the other way: they lean over the middle by a few degrees."""
-    skin = Skin.of(groove(lambda height: height), groove_faces())
+    skin = SkinMesh.of(groove(lambda height: height), groove_faces())
     closed = groove(lambda height: 0.2 * height * (height - 0.4))
     assert not skin.folded(closed).any()
     assert len(skin.crossed(closed))
@@ -76,7 +76,7 @@ def test_walls_of_a_groove_that_have_passed_through_each_other_are_parted() -> N
 
 
 def test_a_groove_however_narrow_is_left_as_it_is() -> None:
-    skin = Skin.of(groove(lambda height: height), groove_faces())
+    skin = SkinMesh.of(groove(lambda height: height), groove_faces())
     narrow = groove(lambda height: 0.01 * height)
     assert skin.flattened(narrow) is narrow
 
@@ -90,7 +90,7 @@ def test_thighs_and_crotch_of_odd_bodies_stay_outside_each_other(seed: int, numb
 def test_drawn_bodies_have_no_folds() -> None:
     """Faces of trunk, arms and legs look where they look on the mean body, give or take a right angle."""
     model = body_model()
-    skin = Skin.of(model.mean, model.faces[(model.parts < BodyPart.HEAD.value)[model.faces].all(axis=1)])
+    skin = SkinMesh.of(model.mean, model.faces[(model.parts < BodyPart.HEAD.value)[model.faces].all(axis=1)])
     for index in range(12):
         for sex in ("female", "male"):
             body = build_body(draw_shape(rng(31, index, Stage.BODY), sex=sex))

@@ -10,10 +10,10 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.dressing import dress, has_legs
-from gcd_dataset.generator.dressing.layout import lay_on_body
+from gcd_dataset.generator.dressing.hanging import lay_on_body
 from gcd_dataset.generator.dressing.openings import openings_of
 from gcd_dataset.generator.dressing.wearer import wearer_of
-from gcd_dataset.generator.fitting import fit
+from gcd_dataset.generator.fitting import drape_patterns
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, Edge, EdgeRef, Measurements, Outcome, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
@@ -176,7 +176,7 @@ def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> No
     wearers = {apart: named_body("neutral", legs_apart=apart)[:2] for apart in (False, True)}
     pattern = Pattern("piece", panels, seams)
     assert not has_legs(pattern)
-    [fitting] = fit([pattern], wearers.__getitem__, resolution=6.0, device="cpu")
+    [fitting] = drape_patterns([pattern], wearers.__getitem__, resolution=6.0, device="cpu")
     assert fitting.body is wearers[True][0]
 
 

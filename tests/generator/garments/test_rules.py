@@ -9,7 +9,7 @@ import pytest
 
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.curves import LINE
-from gcd_dataset.generator.garments import Fitted, Reject, check_outfit, design_from_dict, outfit, try_on
+from gcd_dataset.generator.garments import DrawnOutfit, Reject, check_outfit, design_from_dict, outfit, try_on
 from gcd_dataset.generator.garments.pants import cuff_and_leg
 from gcd_dataset.generator.garments.wholeness import corner_angles
 from gcd_dataset.records import Edge, Measurements, Panel, Placement
@@ -19,7 +19,7 @@ SHIRT = {"upper": "Shirt"}
 
 
 def reasons(size: Measurements, values: Mapping[str, Any]) -> list[str]:
-    return [reject.rule for reject in check_outfit(Fitted.of(size, design_from_dict(values)))]
+    return [reject.rule for reject in check_outfit(DrawnOutfit.of(size, design_from_dict(values)))]
 
 
 @pytest.mark.parametrize("wb", [None, "StraightWB"])
@@ -77,7 +77,7 @@ def test_an_edge_too_short_to_sew(woman: Measurements) -> None:
     # A skirt of 5.9 cm with a cut 0.3 cm wide and as deep: legs of √(0.15² + 0.3²) cm.
     cut = {"add": True, "depth": 0.05, "width": 0.05}
     design = design_from_dict({"meta": SKIRT, "flare-skirt": {"length": -0.2, "cut": cut}})
-    (reject,) = check_outfit(Fitted.of(woman, design))
+    (reject,) = check_outfit(DrawnOutfit.of(woman, design))
     assert str(reject).startswith("short_edge: panel skirt_back, edge 3: warning: edge under 0.5 cm: it is 0.3")
 
 
@@ -88,7 +88,7 @@ def test_sides_that_differ_without_gathers(woman: Measurements) -> None:
         "collar": {"fc_depth": 0.3, "f_collar": "VNeckHalf"},
         "left": {"enable_asym": True},
     }
-    found = Fitted.of(woman, design_from_dict(design))
+    found = DrawnOutfit.of(woman, design_from_dict(design))
     assert not any(reject.rule == "mismatched_seam" for reject in check_outfit(found))
     (centre,) = [sewn for sewn in found.joins if sewn.join.left[0].edge == "centre" and "ftorso" in str(sewn.join.left)]
     joins = tuple(replace(sewn, left=0.8 * sewn.left) if sewn is centre else sewn for sewn in found.joins)

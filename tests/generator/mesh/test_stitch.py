@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.stitch import SewnPoints, merge_points, middles, sew
+from gcd_dataset.generator.mesh.stitch import SewnPoints, merge_points, middles, stitch_points
 from gcd_dataset.records import Seam
 from tests.generator.mesh.shapes import seam
 
@@ -16,19 +16,19 @@ def points(*numbers: int) -> np.ndarray:
 
 
 def test_right_sides_meet_end_to_start() -> None:
-    sewn = sew((seam(A, B),), [(points(0, 1, 2), points(5, 6, 7))])
+    sewn = stitch_points((seam(A, B),), [(points(0, 1, 2), points(5, 6, 7))])
     assert list(zip(sewn.left.tolist(), sewn.right.tolist(), strict=True)) == [(0, 7), (1, 6), (2, 5)]
 
 
 def test_right_and_wrong_side_meet_start_to_start() -> None:
-    sewn = sew((seam(A, B, right_wrong=True),), [(points(0, 1, 2), points(5, 6, 7))])
+    sewn = stitch_points((seam(A, B, right_wrong=True),), [(points(0, 1, 2), points(5, 6, 7))])
     assert list(zip(sewn.left.tolist(), sewn.right.tolist(), strict=True)) == [(0, 5), (1, 6), (2, 7)]
 
 
 def test_seam_vertices_come_first_in_the_order_of_the_seams() -> None:
     """Panel a has points 0-4, b 5-9; first 3, 4 are sewn to 9, 8, then 0, 1 to 6, 5."""
     seams = (seam(A, B), seam(("a", 1), ("b", 1)))
-    sewn = sew(seams, [(points(3, 4), points(8, 9)), (points(0, 1), points(5, 6))])
+    sewn = stitch_points(seams, [(points(3, 4), points(8, 9)), (points(0, 1), points(5, 6))])
     vertex = merge_points(sewn, np.repeat([0, 1], 5), seams)
     assert vertex.tolist() == [2, 3, 4, 0, 1, 3, 2, 5, 1, 0]
     assert sewn.seam.tolist() == [0, 0, 1, 1]
@@ -37,7 +37,9 @@ def test_seam_vertices_come_first_in_the_order_of_the_seams() -> None:
 def test_a_chain_of_seams_is_one_vertex() -> None:
     """Four panels round one point: a-b, b-c and c-d are sewn, so d's corner is a's."""
     seams = tuple(seam((left, 0), (right, 1)) for left, right in ("ab", "bc", "cd"))
-    sewn = sew(seams, [(points(0, 1), points(4, 3)), (points(3, 5), points(7, 6)), (points(6, 8), points(10, 9))])
+    sewn = stitch_points(
+        seams, [(points(0, 1), points(4, 3)), (points(3, 5), points(7, 6)), (points(6, 8), points(10, 9))]
+    )
     vertex = merge_points(sewn, points(0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3), seams)
     assert len(set(vertex[[0, 3, 6, 9]].tolist())) == 1
     assert vertex.max() + 1 == 12 - 6
@@ -49,7 +51,7 @@ def test_a_vertex_stands_in_the_middle_of_its_points() -> None:
 
 
 def test_a_pattern_without_seams_stays_as_it_is() -> None:
-    assert merge_points(sew((), []), np.zeros(4, int), ()).tolist() == [0, 1, 2, 3]
+    assert merge_points(stitch_points((), []), np.zeros(4, int), ()).tolist() == [0, 1, 2, 3]
 
 
 def test_a_seam_that_closes_on_itself_is_an_error() -> None:
@@ -63,7 +65,7 @@ def test_a_seam_that_closes_on_itself_is_an_error() -> None:
 def two_points_of_a_joined_through_b() -> tuple[tuple[Seam, ...], SewnPoints]:
     """Points 0-1 and 2-3 of panel a are both sewn to 4 of panel b, which brings 1 and 2 together."""
     seams = (seam(A, B), seam(("a", 1), ("b", 1)))
-    return seams, sew(seams, [(points(0, 1), points(4, 5)), (points(2, 3), points(6, 4))])
+    return seams, stitch_points(seams, [(points(0, 1), points(4, 5)), (points(2, 3), points(6, 4))])
 
 
 def test_a_panel_joined_to_itself_without_a_dart_is_an_error() -> None:
@@ -75,7 +77,7 @@ def test_a_panel_joined_to_itself_without_a_dart_is_an_error() -> None:
 def test_a_dart_may_bring_points_of_a_panel_together() -> None:
     """The same, but 1 and 2 are also the mouth of a dart 1-7-2 within panel a."""
     seams, sewn = two_points_of_a_joined_through_b()
-    dart = sew((seam(("a", 2), ("a", 3)),), [(points(1, 7), points(7, 2))])
+    dart = stitch_points((seam(("a", 2), ("a", 3)),), [(points(1, 7), points(7, 2))])
     both = SewnPoints(
         np.concatenate([sewn.left, dart.left]),
         np.concatenate([sewn.right, dart.right]),

@@ -5,10 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.hub.place import MAIN, Repo, Url
+from gcd_dataset.hub.source import MAIN, Repo, Url
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.contents import splits_in
-from gcd_dataset.shards.fetched import Fetched, FetchedSplit, changing_fetched, read_fetched
+from gcd_dataset.shards.download_file import Fetched, FetchedSplit, changing_fetched, read_fetched
 from gcd_dataset.shards.layout import Layout, fields_of, shard_number, shards_in
 from gcd_dataset.shards.manifest import Manifest, SplitRecord, read_manifest
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from gcd_dataset.bodyfiles import read_measurements
 from gcd_dataset.errors import BodyError, shown
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.files import read_body
 from gcd_dataset.generator.body.measuring import measure
+from gcd_dataset.generator.body.mesh_bodies import read_body
 from gcd_dataset.generator.body.shape import build_body, draw_shape, named_shape
 from gcd_dataset.records import Body, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.generator.dressing.openings import Opening, edge_line, openings_of, outline
+from gcd_dataset.generator.dressing.openings import Opening, edge_line, openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
@@ -112,7 +112,7 @@ def _is_over_neck(panel: Panel, wearer: Wearer) -> bool:
 
 
 def _points(panel: Panel) -> Float[np.ndarray, "n 3"]:
-    return panel.placement.apply(outline(panel))
+    return panel.placement.apply(panel_outline(panel))
 
 
 def _labelled(pattern: Pattern, found: dict[EdgeRef, EdgeRole]) -> Pattern:

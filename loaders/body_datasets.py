@@ -17,9 +17,9 @@ from gcd_dataset.files import user_path
 from gcd_dataset.loaders.base import GarmentItem, Item, Transform, floating, function, kept_item, made_with, tensor_of
 from gcd_dataset.loaders.indexing import UnknownKeyError, index_of, several_of
 from gcd_dataset.records import MEASURES
-from gcd_dataset.release.bodies import PublishedPeople
+from gcd_dataset.release.body_folder import PublishedPeople
+from gcd_dataset.shards.body_set import MEMBER_OF, decode_body_fields, decode_person, read_set_mesh
 from gcd_dataset.shards.layout import BODIES, known_fields
-from gcd_dataset.shards.people import MEMBER_OF, decode_fields, decode_person, read_mesh
 from gcd_dataset.shards.reader import ShardReader, Verify
 
 __all__ = ["Bodies", "BodyDataset", "PublishedBodies"]
@@ -148,7 +148,7 @@ class BodyDataset(Bodies):
     ) -> None:
         super().__init__(fields, transform, dtype=dtype)
         self._reader = ShardReader(source, split, layout=BODIES, verify=verify)
-        self._mesh = read_mesh(user_path(source), split, self.recipe(0)["recipe"]["mesh"])
+        self._mesh = read_set_mesh(user_path(source), split, self.recipe(0)["recipe"]["mesh"])
 
     @property
     def mesh(self) -> BodyMesh:
@@ -175,12 +175,12 @@ class BodyDataset(Bodies):
 
     def _names(self) -> Sequence[str]:
         return [
-            decode_fields(self._reader.read(position, [MEMBER_OF["name"]]), ["name"])["name"]
+            decode_body_fields(self._reader.read(position, [MEMBER_OF["name"]]), ["name"])["name"]
             for position in range(len(self))
         ]
 
     def _values(self, position: int) -> Mapping[str, Any]:
-        return decode_fields(self._reader.read(position, {MEMBER_OF[field] for field in self.fields}), self.fields)
+        return decode_body_fields(self._reader.read(position, {MEMBER_OF[field] for field in self.fields}), self.fields)
 
 
 class PublishedBodies(Bodies):

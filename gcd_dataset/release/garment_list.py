@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean, shown
-from gcd_dataset.release.batches import PublishedBatches
-from gcd_dataset.release.garment import PublishedGarment
-from gcd_dataset.release.layout import BODY_FOLDERS, REMEDY, SPLIT_FILE, SPLIT_NAMES
+from gcd_dataset.release.batch_index import PublishedBatches
 from gcd_dataset.release.properties import Facts
+from gcd_dataset.release.published_names import BODY_FOLDERS, REMEDY, SPLIT_FILE, SPLIT_NAMES
+from gcd_dataset.release.read_garment import PublishedGarment
 from gcd_dataset.shards.access import reading
 
-__all__ = ["ALL", "Entry", "PublishedGarments"]
+__all__ = ["ALL", "GarmentEntry", "PublishedGarments"]
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -25,7 +25,7 @@ ALL = "all"
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class GarmentEntry:
     """One garment of a split."""
 
     index: int
@@ -93,14 +93,14 @@ class PublishedGarments:
         )
         yield from ((number, *design) for number, design in enumerate(designs))
 
-    def _present(self, listed: Iterator[tuple[int, str, str]]) -> Iterator[Entry]:
+    def _present(self, listed: Iterator[tuple[int, str, str]]) -> Iterator[GarmentEntry]:
         names = {place: frozenset(files.names) for place, files in self.batches.files.items()}
         absent = 0
-        missing: list[Entry] = []
+        missing: list[GarmentEntry] = []
         for number, batch, name in listed:
             for folder in self.batches.body_folders:
                 place = (batch, folder)
-                entry = Entry(2 * number + (folder == BODY_FOLDERS["random"]), batch, folder, name)
+                entry = GarmentEntry(2 * number + (folder == BODY_FOLDERS["random"]), batch, folder, name)
                 if place not in names:
                     absent += 1
                 elif name in self.batches.properties[place].fails:

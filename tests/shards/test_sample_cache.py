@@ -15,8 +15,8 @@ from gcd_dataset.files import make_folder
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardWriter, encode_sample
-from gcd_dataset.shards.kept import KeptSamples
 from gcd_dataset.shards.layout import MEMBERS
+from gcd_dataset.shards.sample_cache import KeptSamples
 from tests.shards.folders import RECIPE, SHARD_SIZE, fill
 
 CONTEXT = multiprocessing.get_context("fork")
@@ -137,7 +137,7 @@ def test_a_sample_that_two_processes_make_is_kept_by_both(tmp_path: Path, monkey
         keep(tmp_path, [3])
         return path
 
-    monkeypatch.setattr("gcd_dataset.shards.kept.make_folder", late)
+    monkeypatch.setattr("gcd_dataset.shards.sample_cache.make_folder", late)
     keep(tmp_path, [3])
     assert names(tmp_path) == ["train-00000.tar"]
     assert len(GarmentDataset(tmp_path, verify="full")) == 4

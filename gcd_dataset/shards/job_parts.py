@@ -23,7 +23,7 @@ from gcd_dataset.shards.access import locked, read_small, reading
 from gcd_dataset.shards.layout import FAILED, recipe_hash
 from gcd_dataset.shards.limits import LARGEST_JSON
 from gcd_dataset.shards.manifest import ShardRecord, SplitRecord
-from gcd_dataset.shards.meta import json_bytes, read_json
+from gcd_dataset.shards.meta import decode_json, json_bytes
 
 __all__ = [
     "MERGED",
@@ -320,7 +320,7 @@ FINISHED_TYPES = {
 def _read(path: Path, types: Mapping[str, Any], remedy: str) -> dict[str, Any]:
     """The entries of a file. Raises ``ShardError`` for one that is missing or broken."""
     try:
-        entry = read_json(read_small(path, LARGEST_JSON))
+        entry = decode_json(read_small(path, LARGEST_JSON))
         if not isinstance(entry, Mapping):
             raise ShardError(f"it holds {found(entry)}, where an object is read")
         for name, is_fit in types.items():

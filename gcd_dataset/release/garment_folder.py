@@ -7,7 +7,7 @@ from typing import Protocol
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.release.archive import Archive
-from gcd_dataset.release.layout import ENDINGS, REMEDY
+from gcd_dataset.release.published_names import ENDINGS, REMEDY
 from gcd_dataset.shards.access import reading
 
 __all__ = ["GarmentFiles", "open_batch"]

@@ -12,9 +12,9 @@ from webdataset.tariterators import group_by_keys, tar_file_expander
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.records import MEASURES
 from gcd_dataset.shards import ShardReader, ShardWriter, rebuild_index
+from gcd_dataset.shards.body_set import BodyWriter, decode_body_fields, decode_person, encode_person, read_set_mesh
 from gcd_dataset.shards.layout import BODIES, mesh_name
 from gcd_dataset.shards.manifest import read_manifest
-from gcd_dataset.shards.people import BodyWriter, decode_fields, decode_person, encode_person, read_mesh
 from tests.shards import folders
 from tests.shards.folders import contents
 from tests.shards.people import MESH, RECIPE, fake_person, fill, open_writer
@@ -42,7 +42,7 @@ def test_measures_nobody_took_stay_unknown() -> None:
     person = replace(person, measurements=replace(person.measurements, underbust=np.nan))
     members = encode_person(person, ORIGIN)
     assert np.isnan(decode_person(members).measurements.underbust)
-    row = decode_fields(members, ["measures"])["measures"]
+    row = decode_body_fields(members, ["measures"])["measures"]
     assert [MEASURES[i] for i in np.flatnonzero(np.isnan(row))] == ["underbust"]
 
 
@@ -118,7 +118,7 @@ def test_a_set_is_not_gone_on_with_on_another_mesh(whole: Path) -> None:
         open_writer(whole, mesh=turned)
     with pytest.raises(ConfigError, match="seed=0, asked for seed=1"):
         open_writer(whole, seed=1)
-    assert read_mesh(whole, "train", MESH.sha256) == replace(MESH, faces=MESH.faces.astype(np.int32))
+    assert read_set_mesh(whole, "train", MESH.sha256) == replace(MESH, faces=MESH.faces.astype(np.int32))
 
 
 def test_people_on_another_mesh_are_not_stored(tmp_path: Path) -> None:

@@ -12,10 +12,7 @@ from gcd_dataset.generator.recipes import Recipe, recipe_names
 from gcd_dataset.options import options_of
 from gcd_dataset.shards.access import reading, writing
 from gcd_dataset.shards.contents import read_index
-from gcd_dataset.shards.layout import SCHEMA
-from gcd_dataset.shards.manifest import SplitRecord, read_manifest
-from gcd_dataset.shards.origin import agreed
-from gcd_dataset.shards.parts import (
+from gcd_dataset.shards.job_parts import (
     PARTS,
     FinishedPart,
     NamedSet,
@@ -30,15 +27,18 @@ from gcd_dataset.shards.parts import (
     read_plan,
     write_finished,
 )
-from gcd_dataset.verbs.storing import Division, is_begun
+from gcd_dataset.shards.layout import SCHEMA
+from gcd_dataset.shards.manifest import SplitRecord, read_manifest
+from gcd_dataset.shards.origin import agreed
+from gcd_dataset.verbs.storing import SplitRule, is_begun
 
-__all__ = ["Part", "PartPlace", "begin_part", "command_of"]
+__all__ = ["JobPart", "PartPlace", "begin_part", "command_of"]
 
 MOST = 100_000  # parts: five digits in their names
 
 
 @dataclass(frozen=True)
-class Part:
+class JobPart:
     """One of several parts that together make a data set. Raises ``ConfigError`` for one that there is not.
 
     >>> Part.parse("2/8").indices(100, wearers=2)
@@ -82,7 +82,7 @@ class PartPlace:
 
     out: Path
     """The folder of the data set."""
-    part: Part
+    part: JobPart
     indices: range
     is_merged: bool = False
     """Whether the data set holds the samples of this part."""
@@ -115,7 +115,7 @@ class PartPlace:
         write_finished(self.folder, finished)
 
 
-def begin_part(out: Path, part: Part, count: int, seed: int, config: MakeConfig, division: Division) -> PartPlace:
+def begin_part(out: Path, part: JobPart, count: int, seed: int, config: MakeConfig, division: SplitRule) -> PartPlace:
     """The place of a part; the first writes down what all parts have in common.
 
     Raises ``ConfigError`` for parts of another plan, while they are merged, and where ``out`` holds a data set without
@@ -135,7 +135,7 @@ def begin_part(out: Path, part: Part, count: int, seed: int, config: MakeConfig,
 def command_of(out: Path, plan: PartsPlan, part: int) -> str:
     """The command that makes a part of a plan."""
     options = _options_of(plan) if plan.named is None else _options_of_named(plan, plan.named)
-    return shlex.join(["gcd", "generate", str(out), *options, "--shard", str(Part(part, plan.of))])
+    return shlex.join(["gcd", "generate", str(out), *options, "--shard", str(JobPart(part, plan.of))])
 
 
 def _named(recipe: Recipe | None) -> NamedSet | None:
@@ -183,7 +183,9 @@ def _is_wanted(out: Path, folder: Path) -> bool:
         return not all((folder / name).exists() or (out / name).exists() for name in names)
 
 
-def _require_there(out: Path, part: Part, indices: range, seed: int, config: MakeConfig, division: Division) -> None:
+def _require_there(
+    out: Path, part: JobPart, indices: range, seed: int, config: MakeConfig, division: SplitRule
+) -> None:
     """Raise ``ConfigError`` unless a data set that is merged, or was made in one go, holds these samples."""
     there: set[int] = set()
     for split, size in division.shard_sizes.items():

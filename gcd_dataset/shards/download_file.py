@@ -10,7 +10,7 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.shards.access import locked, read_small, reading
 from gcd_dataset.shards.limits import LARGEST_JSON
-from gcd_dataset.shards.meta import read_json
+from gcd_dataset.shards.meta import decode_json
 
 __all__ = ["FETCHED", "Fetched", "FetchedSplit", "changing_fetched", "read_fetched"]
 
@@ -65,7 +65,7 @@ def read_fetched(folder: Path) -> Fetched | None:
         return None
     content = read_small(path, LARGEST_JSON)
     try:
-        entry = read_json(content)
+        entry = decode_json(content)
         splits = {
             name: FetchedSplit(tuple(split["members"]), split["whole"]) for name, split in entry["splits"].items()
         }

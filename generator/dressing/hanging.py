@@ -16,8 +16,8 @@ from jaxtyping import Complex, Float
 
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.dressing.openings import Opening, edge_line, openings_of, outline
-from gcd_dataset.generator.dressing.parts import label_sentences, trunk_part
+from gcd_dataset.generator.dressing.body_parts import label_sentences, trunk_part
+from gcd_dataset.generator.dressing.openings import Opening, edge_line, openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import is_bodice, role_by_name
@@ -59,7 +59,7 @@ class _Laid:
 
     @functools.cached_property
     def polygon(self) -> shapely.Polygon:
-        points = self.points(outline(self.panel))
+        points = self.points(panel_outline(self.panel))
         return shapely.make_valid(shapely.Polygon(np.stack([points.real, points.imag], axis=1)))
 
 
@@ -89,7 +89,7 @@ def lay_on_body(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, .
 
 def _laid(panel: Panel) -> _Laid:
     """A panel as it lies: a back where its right side faces the table."""
-    facing = 1.0 if shapely.LinearRing(outline(panel)).is_ccw else -1.0
+    facing = 1.0 if shapely.LinearRing(panel_outline(panel)).is_ccw else -1.0
     turned = panel.placement.matrix[2, 2] < -0.5
     return _Laid(panel, back=facing * (-1.0 if turned else 1.0) < 0, mirrored=bool(turned))
 
@@ -192,7 +192,7 @@ def _labelled(panel: Panel, on_arm: bool, wearer: Wearer) -> Panel:
 def height_for(openings: Sequence[Opening], pattern: Pattern, wearer: Wearer) -> float:
     """How far up a garment must go: its neckline to the nape, or its top edge to the armpits or the waist [cm]."""
     if not openings:
-        heights = np.concatenate([panel.placement.apply(outline(panel))[:, 1] for panel in pattern.panels])
+        heights = np.concatenate([panel.placement.apply(panel_outline(panel))[:, 1] for panel in pattern.panels])
         return wearer.waist - float(heights.mean())
     middle = _middle(openings)
     if any(_goes_through_arm(o, openings, middle) for o in openings):
@@ -254,7 +254,9 @@ def _goes_through_arm(opening: Opening, openings: Sequence[Opening], middle: flo
 def _sleeves(flat: Pattern, middle: float, wearer: Wearer) -> tuple[dict[str, float], dict[float, np.ndarray]]:
     """The side (1 left, -1 right) of each panel on an arm, and the middle of the seam that holds a side's sleeve."""
     reach = 0.8 * wearer.limbs[BodyPart.TRUNK].wide
-    centres = {p.name: p.placement.apply(np.array(shapely.Polygon(outline(p)).centroid.coords[0])) for p in flat.panels}
+    centres = {
+        p.name: p.placement.apply(np.array(shapely.Polygon(panel_outline(p)).centroid.coords[0])) for p in flat.panels
+    }
     top = max(float(c[1]) for c in centres.values())
     aside = {
         name: float(np.sign(c[0] - middle))
@@ -282,7 +284,7 @@ def _along_arm(
     if arm is None:
         return laid
     far = np.concatenate(
-        [flat.panel(n).placement.apply(outline(flat.panel(n))) for n, s in sleeves.items() if s == side]
+        [flat.panel(n).placement.apply(panel_outline(flat.panel(n))) for n, s in sleeves.items() if s == side]
     )
     now = complex(*(far.mean(axis=0) - hole)[:2])
     turn = complex(arm.axis[0], arm.axis[1]) / now

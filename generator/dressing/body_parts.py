@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
-from gcd_dataset.generator.dressing.openings import outline
+from gcd_dataset.generator.dressing.openings import panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern
 from gcd_dataset.spec import role_by_name
@@ -56,14 +56,14 @@ def covered_part(panel: Panel, wearer: Wearer) -> PanelRole:
 
 def trunk_part(panel: Panel, wearer: Wearer) -> PanelRole:
     """Legs or body, for a panel that is on no arm."""
-    heights = panel.placement.apply(outline(panel))[:, 1]
+    heights = panel.placement.apply(panel_outline(panel))[:, 1]
     low, high = heights.min(), heights.max()
     is_band = low > wearer.crotch + (ABOVE_CROTCH if high - low > BAND else -UNDER_CROTCH)
     return PanelRole.BODY if high > wearer.waist + ABOVE_WAIST or is_band else PanelRole.LEG
 
 
 def _is_on_arm(panel: Panel, wearer: Wearer) -> bool:
-    flat = outline(panel)
+    flat = panel_outline(panel)
     points = panel.placement.apply(flat)
     middle = panel.placement.apply(np.array(shapely.Polygon(flat).centroid.coords[0]))
     side = np.sign(middle[0])

@@ -12,28 +12,28 @@ from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.loaders.base import Garments, items_of
 from gcd_dataset.loaders.chance import own_chance
-from gcd_dataset.loaders.order import Division, ElasticSampler
+from gcd_dataset.loaders.order import ElasticSampler, RankShare
 from gcd_dataset.loaders.parted import is_ours, parted
 from gcd_dataset.loaders.ranks import present_rank, require_rank
 from gcd_dataset.loaders.states import named, position_of, require_whole
 from gcd_dataset.loaders.worker import begin_worker, told
 
-__all__ = ["AHEAD", "ByNumber", "Collate", "Making", "Place", "Plan", "Streamed", "Turn"]
+__all__ = ["AHEAD", "BatchPlan", "ByNumber", "Collate", "Cursor", "Making", "Streamed", "Turn"]
 
 Collate: TypeAlias = Callable[[list[Any]], Any]
-Place: TypeAlias = Any
+Cursor: TypeAlias = Any
 """Where a loader has come to, as its plan counts it."""
 
 AHEAD = 2  # batches
 END = object()  # of a stream
 
 
-class Plan(Protocol):
+class BatchPlan(Protocol):
     """The batches of this rank from any place on."""
 
     in_thread: bool
     """Whether batches may be made by a thread beside the training: no code of users has a part in them."""
-    first: Place
+    first: Cursor
     """Where the first epoch begins."""
 
     def loader(self, **options: Any) -> DataLoader:
@@ -42,28 +42,28 @@ class Plan(Protocol):
     def __len__(self) -> int:
         """Batches of a whole epoch."""
 
-    def epoch(self, place: Place) -> int:
+    def epoch(self, place: Cursor) -> int:
         """The epoch of a place."""
 
-    def state(self, place: Place) -> dict[str, Any]:
+    def state(self, place: Cursor) -> dict[str, Any]:
         """A place, with what names the order that it is one of."""
 
-    def place_of(self, state: Mapping[str, Any]) -> Place:
+    def place_of(self, state: Mapping[str, Any]) -> Cursor:
         """The place in a state. Raises ``ConfigError`` for the state of another order."""
 
-    def anew(self, place: Place) -> Place:
+    def anew(self, place: Cursor) -> Cursor:
         """Where a pass starts that goes on with nothing: the next epoch, if this one has been begun."""
 
-    def begin(self, place: Place) -> Place:
+    def begin(self, place: Cursor) -> Cursor:
         """Where the next pass starts, for somebody who goes on from ``place``."""
 
-    def after(self, start: Place, number: int) -> Place:
+    def after(self, start: Cursor, number: int) -> Cursor:
         """The place after batch ``number``, from 1, of a pass."""
 
-    def finished(self, place: Place) -> Place:
+    def finished(self, place: Cursor) -> Cursor:
         """The place after the last batch."""
 
-    def marked(self, batch: Any, start: Place, number: int) -> Any:
+    def marked(self, batch: Any, start: Cursor, number: int) -> Any:
         """The batch, with what the plan has to say of it."""
 
 
@@ -152,7 +152,7 @@ class ByNumber:
             batch["repeated"] = torch.tensor([position >= end for position in positions])
         return batch
 
-    def _present(self) -> Division:
+    def _present(self) -> RankShare:
         """How garments are shared out as things stand now. Raises ``ConfigError`` if no rank has a batch."""
         division = self._sampler.division()
         if not self._cuts(0, division):
@@ -161,7 +161,7 @@ class ByNumber:
             )
         return division
 
-    def _cuts(self, start: int, division: Division) -> range:
+    def _cuts(self, start: int, division: RankShare) -> range:
         """Where in a rank's share each batch begins."""
         own = len(division.share(start))
         return range(0, own // self._batch_size * self._batch_size if self._drop_last else own, self._batch_size)

@@ -21,8 +21,8 @@ from gcd_dataset.generator.recipes import Recipe
 from gcd_dataset.hub.publish import stage
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.shards.access import locked
+from gcd_dataset.shards.job_parts import part_folder
 from gcd_dataset.shards.layout import lock_name
-from gcd_dataset.shards.parts import part_folder
 from gcd_dataset.verbs import (
     Part,
     Progress,

@@ -2,9 +2,9 @@
 
 A URL is that of a web server, or any that ``fsspec`` knows: ``s3://``, ``gs://``, ``az://`` and others.
 
->>> find_place("org/garments@v1.0")
+>>> parse_source("org/garments@v1.0")
 Repo(name='org/garments', revision='v1.0')
->>> find_place("https://example.org/garments/").url
+>>> parse_source("https://example.org/garments/").url
 'https://example.org/garments'
 """
 
@@ -20,7 +20,7 @@ from gcd_dataset.files import user_path
 from gcd_dataset.names import safe_name
 from gcd_dataset.shards.access import reading
 
-__all__ = ["Folder", "Place", "Repo", "Url", "find_place", "place_to_write", "slug"]
+__all__ = ["Folder", "Repo", "Source", "Url", "parse_source", "parse_target", "slug"]
 
 MAIN = "main"
 WEB = ("http://", "https://")
@@ -80,10 +80,10 @@ class Repo:
         return f"hf://datasets/{self.name}@{self.revision}"
 
 
-Place: TypeAlias = Folder | Url | Repo
+Source: TypeAlias = Folder | Url | Repo
 
 
-def find_place(source: str | Path, revision: str | None = None) -> Place:
+def parse_source(source: str | Path, revision: str | None = None) -> Source:
     """The place that ``source`` names. What is a folder here is taken as one, before a repository of that name.
 
     Raises ``ConfigError`` for anything else, and for a revision of what has none.
@@ -101,7 +101,7 @@ def find_place(source: str | Path, revision: str | None = None) -> Place:
             f"{shown(text)}: a file, not a folder of shards: give that; Hdf5Garments reads what gcd export --hdf5 makes"
         )
     if text.startswith(HERE):
-        return find_place(Path(unquote(urlsplit(text).path)), revision)
+        return parse_source(Path(unquote(urlsplit(text).path)), revision)
     if text.startswith(WEB) and text.isprintable():
         _require_address(text)
         return _without_revision(Url(text.rstrip("/")), revision)
@@ -121,7 +121,7 @@ def find_place(source: str | Path, revision: str | None = None) -> Place:
     return Repo(match["name"], asked)
 
 
-def place_to_write(out: str | Path) -> Folder | Url:
+def parse_target(out: str | Path) -> Folder | Url:
     """Where a data set is to be made: a folder, there or not, or the URL of a store. Raises ``ConfigError``."""
     text = str(out)
     if text.startswith(HERE):

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 from gcd_dataset.errors import ConfigError
 
-__all__ = ["Plan", "check_count"]
+__all__ = ["MakingPlan", "check_count"]
 
 MOST = 10_000_000  # samples of a data set, ten terabytes of garments; a plan of them has 400 MB
 
 
 @dataclass(frozen=True)
-class Plan:
+class MakingPlan:
     """A data set to be made, and what of it is still missing."""
 
     count: int

@@ -11,11 +11,11 @@ from gcd_dataset.files import user_path
 from gcd_dataset.generator.drape.device import cores
 from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, own_mesh
 from gcd_dataset.generator.recipe import versions
-from gcd_dataset.shards.parts import require_merged
-from gcd_dataset.shards.people import BodyWriter
+from gcd_dataset.shards.body_set import BodyWriter
+from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.verbs.log import logged
-from gcd_dataset.verbs.plan import Plan, check_count
+from gcd_dataset.verbs.making_plan import MakingPlan, check_count
 from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
 from gcd_dataset.verbs.target import require_folder
 from gcd_dataset.waits import WRITER, taken, waited_for
@@ -29,7 +29,7 @@ BEGUN = 4.0  # s that a worker takes to start
 
 
 @dataclass(frozen=True)
-class PeoplePlan(Plan):
+class PeoplePlan(MakingPlan):
     """A body set to be made."""
 
     out: Path

@@ -42,7 +42,7 @@ from gcd_dataset.shards.meta import read_meta, write_meta
 from gcd_dataset.shards.npy import read_npy, write_npy
 from gcd_dataset.shards.writer import SHARD_SIZE, ShardWriter
 
-__all__ = ["MEMBER_OF", "BodyWriter", "decode_fields", "decode_person", "encode_person", "read_mesh"]
+__all__ = ["MEMBER_OF", "BodyWriter", "decode_body_fields", "decode_person", "encode_person", "read_set_mesh"]
 
 MEMBER_OF: Mapping[str, str] = {
     "name": "meta.json",
@@ -159,7 +159,7 @@ def _keep_mesh(path: Path, mesh: BodyMesh) -> None:
 # -------------------------------------------------------------------------------------------------------------- reading
 
 
-def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str]) -> dict[str, Any]:
+def decode_body_fields(members: Mapping[str, Bytes], fields: Iterable[str]) -> dict[str, Any]:
     """Field name to value as stored: name, arm_angle [rad], measures in the order of ``MEASURES``, arrays.
 
     Raises ``ShardError`` with the member's name for content that is not what it should be.
@@ -175,7 +175,7 @@ def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str]) -> dict[s
 
 def decode_person(members: Mapping[str, Bytes]) -> Person:
     """The person that was encoded. Raises ``ShardError`` for content that is not what it should be."""
-    value = decode_fields(members, ("name", "arm_angle", "shape", *POSES))
+    value = decode_body_fields(members, ("name", "arm_angle", "shape", *POSES))
     return Person(
         name=value["name"],
         shape=BodyShape(value["shape"], value["arm_angle"]),
@@ -185,7 +185,7 @@ def decode_person(members: Mapping[str, Bytes]) -> Person:
     )
 
 
-def read_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
+def read_set_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
     """The mesh of a split. Raises ``ShardError`` for a missing or broken file, or a mesh of another hash."""
     path = folder / mesh_name(split)
     try:

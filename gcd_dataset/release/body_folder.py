@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from gcd_dataset.bodies import POSES, BodyMesh, Person
-from gcd_dataset.bodyfiles import file_content, read_measurements, read_parts
+from gcd_dataset.bodyfiles import file_content, read_body_parts, read_measurements
 from gcd_dataset.errors import BodyError, ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.records import BodyShape, Measurements, Record
@@ -106,7 +106,7 @@ class PublishedPeople:
         """The mesh of everybody, as the first file has it. Raises ``BodyError`` for a broken file."""
         first, parts = self._first, None
         if self._segmentation is not None:
-            parts = read_parts(user_path(self._segmentation), first.n_vertices, first.path)
+            parts = read_body_parts(user_path(self._segmentation), first.n_vertices, first.path)
         return BodyMesh(first.faces, parts)
 
     @functools.cached_property

@@ -1,6 +1,6 @@
 """The patterns of a recipe, made without draping them; and what to do when the sampler has changed:
 
-    python -m gcd_dataset.generator.recipes.patterns standard-1k-draft
+    python -m gcd_dataset.generator.recipes.hashing standard-1k-draft
 
 prints the hash of all patterns, which goes into the recipe as ``patterns``. A core makes 15 patterns a second.
 """

@@ -19,20 +19,20 @@ from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, DrapeError
 
-__all__ = ["DRAPERS", "READY", "Place", "owner_file", "place_for", "places_for", "socket_file"]
+__all__ = ["DRAPERS", "READY", "DraperAddress", "address_for", "addresses_for", "owner_file", "socket_file"]
 
 READY = "ready"
 DRAPERS = 2  # processes on each GPU: one prepares its next batch, or takes pictures, while another simulates
 LONGEST = 90  # characters of a socket's path: systems allow 104 to 108
 
-_places: dict[tuple[str, int], "Place"] = {}
+_places: dict[tuple[str, int], "DraperAddress"] = {}
 _held: list[int] = []
 """The owner's locks: open until the process ends."""
 _started: list[subprocess.Popen[str]] = []
 
 
 @dataclass(frozen=True)
-class Place:
+class DraperAddress:
     """Where the draper of a device is met; may be pickled, and used in any process of this machine."""
 
     folder: Path
@@ -102,7 +102,7 @@ class Place:
             raise DrapeError(line or f"the process that drapes on {self.device} could not be started: see above")
 
 
-def place_for(device: str, number: int = 0) -> Place:
+def address_for(device: str, number: int = 0) -> DraperAddress:
     """The place of a draper, the same for all in this process and those forked from it; starts nothing.
 
     ``number``: which of several on the device.
@@ -113,14 +113,14 @@ def place_for(device: str, number: int = 0) -> Place:
     return _places[key]
 
 
-def places_for(devices: Sequence[str]) -> tuple[Place | None, ...]:
+def addresses_for(devices: Sequence[str]) -> tuple[DraperAddress | None, ...]:
     """Where workers have their garments draped, by turns: two processes on each GPU; ``None``: in the worker itself.
 
-    >>> places_for(["cpu"])
+    >>> addresses_for(["cpu"])
     (None,)
     """
     gpus = [device for device in devices if device != "cpu"]
-    return tuple(place_for(device, number) for number in range(DRAPERS) for device in gpus) or (None,)
+    return tuple(address_for(device, number) for number in range(DRAPERS) for device in gpus) or (None,)
 
 
 def socket_file(folder: Path) -> Path:
@@ -133,7 +133,7 @@ def owner_file(folder: Path) -> Path:
     return folder / "owner"
 
 
-def _made(device: str) -> Place:
+def _made(device: str) -> DraperAddress:
     folder = Path(tempfile.mkdtemp(prefix="gcd-draper-"))
     if len(str(socket_file(folder))) > LONGEST:
         folder.rmdir()
@@ -142,7 +142,7 @@ def _made(device: str) -> Place:
     fcntl.lockf(file, fcntl.LOCK_EX)
     _held.append(file)
     atexit.register(_remove, folder, os.getpid())
-    return Place(folder, device)
+    return DraperAddress(folder, device)
 
 
 def _remove(folder: Path, owner: int) -> None:

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from gcd_dataset.bodyfiles import read_measurements, read_parts
+from gcd_dataset.bodyfiles import read_body_parts, read_measurements
 from gcd_dataset.generator.body.arms import held_otherwise
 from gcd_dataset.generator.body.asset import body_model, landmarks
 from gcd_dataset.generator.body.closing import ClosedSkin
 from gcd_dataset.generator.body.marks import read_marks
-from gcd_dataset.generator.body.measuring import Fitted, fit_tape, take_own
+from gcd_dataset.generator.body.measuring import FoundBody, fit_tape, take_own
 from gcd_dataset.generator.body.meshfile import read_mesh
 from gcd_dataset.generator.body.pose import stand
 from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, Taken
@@ -76,7 +76,7 @@ def read_body(
     with the file and a remedy.
     """
     raw = _read_mesh(Path(mesh))
-    parts = None if segmentation is None else read_parts(Path(segmentation), len(raw.vertices), raw.path)
+    parts = None if segmentation is None else read_body_parts(Path(segmentation), len(raw.vertices), raw.path)
     if measurements is not None and parts is not None:
         unit_of(float(np.ptp(raw.vertices[:, 1])), f"{raw.path}: along y")
         return _closed(raw, stand(raw.vertices * raw.unit), parts), read_measurements(measurements)
@@ -107,12 +107,12 @@ def measure_file(
             "our own mesh: landmarks known by vertex",
             *_arms(held_otherwise(taken.measurements.arm_pose_angle)),
         ]
-    parts = None if segmentation is None else read_parts(Path(segmentation), len(raw.vertices), raw.path)
+    parts = None if segmentation is None else read_body_parts(Path(segmentation), len(raw.vertices), raw.path)
     fitted = _fitted(raw, given, parts)
     return fitted.taken, _remarks(raw, fitted)
 
 
-def _fitted(raw: _Mesh, given: Path | str | None, parts: UInt8[np.ndarray, " v"] | None) -> Fitted:
+def _fitted(raw: _Mesh, given: Path | str | None, parts: UInt8[np.ndarray, " v"] | None) -> FoundBody:
     marks = None if given is None else read_marks(Path(given), raw.vertices, raw.unit)
     return fit_tape(raw.vertices * raw.unit, raw.faces, str(raw.path), given=marks, parts=parts)
 
@@ -133,7 +133,7 @@ def _closed(raw: _Mesh, vertices: Float[np.ndarray, "v 3"], parts: UInt8[np.ndar
     return Body(skin.vertices, skin.faces, skin.parts, raw.path.stem)
 
 
-def _remarks(raw: _Mesh, fitted: Fitted) -> list[str]:
+def _remarks(raw: _Mesh, fitted: FoundBody) -> list[str]:
     """What a user must know about how a body was found and measured, in lines."""
     height = fitted.taken.measurements.height
     unit = next(name for name, factor in UNITS.items() if factor == raw.unit)
@@ -171,7 +171,7 @@ def _remarks(raw: _Mesh, fitted: Fitted) -> list[str]:
     return remarks
 
 
-def _coarse(fitted: Fitted) -> list[str]:
+def _coarse(fitted: FoundBody) -> list[str]:
     """By how much the measures of a coarse mesh may be off: figures that decimated bodies stay within."""
     girth = GIRTH_OFF * fitted.sagitta
     if girth < COARSE * fitted.taken.measurements.height / USUAL_HEIGHT:

@@ -57,8 +57,8 @@ def part_of(text: str) -> "Part":
 
 def there(out: Path | str, part: "Part | None") -> Iterator[str]:
     """What a run leaves: samples by split where there are several, and what is to be done about parts."""
+    from gcd_dataset.shards.job_parts import part_folder, parts_waiting
     from gcd_dataset.shards.manifest import read_manifest
-    from gcd_dataset.shards.parts import part_folder, parts_waiting
 
     if "://" in str(out):
         return
