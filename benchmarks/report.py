@@ -1,4 +1,4 @@
-"""What a benchmark measured, with all that it takes to measure it again, as Markdown."""
+"""A benchmark's figures as a Markdown report, with command, commit, hardware and versions."""
 
 import platform
 import shlex
@@ -20,9 +20,9 @@ PACKAGES = ("gcd-dataset", "newton", "numpy", "scipy", "shapely", "torch", "warp
 
 
 def report_text(case: str, about: str, measured: Measured, arguments: Sequence[str]) -> str:
-    """A page with the figures and rows of a case; ``arguments`` are those of the command behind ``python -m``."""
+    """The report of a case; ``arguments`` follow ``python -m`` in the command."""
     figures = [{"figure": f"{case}.{f.metric}", "value": _short(f.value), "unit": f.unit} for f in measured.figures]
-    made = {
+    provenance = {
         "command": f"`python -m {shlex.join(arguments)}`",
         "commit": _commit(),
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -30,7 +30,7 @@ def report_text(case: str, about: str, measured: Measured, arguments: Sequence[s
         "versions": ", ".join([f"Python {platform.python_version()}", *_versions()]),
     }
     parts = [f"# {case}", about.strip(), _table(figures), _table(measured.rows)]
-    parts += ["\n".join(f"- {name}: {text}" for name, text in made.items())]
+    parts += ["\n".join(f"- {name}: {text}" for name, text in provenance.items())]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -47,7 +47,7 @@ def _short(value: Any) -> str:
 
 
 def _commit() -> str:
-    """The commit that was run; ``+`` where the tree had changes."""
+    """The commit; followed by ``+`` if the tree has changes."""
     try:
         return _git("rev-parse", "--short=12", "HEAD") + ("+" if _git("status", "--porcelain") else "")
     except (OSError, subprocess.CalledProcessError):
@@ -64,7 +64,7 @@ def _versions() -> list[str]:
         try:
             found.append(f"{package} {version(package)}")
         except PackageNotFoundError:
-            continue  # not installed: the tree is run as it is, or the case does without
+            continue  # not installed, and not needed by every case
     return found
 
 

@@ -1,4 +1,4 @@
-"""Run a benchmark: one line a figure, ``case.metric value unit``, and a report where one is asked for.
+"""Run a benchmark: prints one line per figure, ``case.metric value unit``, and writes a report on request.
 
 python -m benchmarks.run reconstruction --smoke
 python -m benchmarks.run patterns --count 1000 --keep
@@ -20,14 +20,14 @@ REPORTS = Path(__file__).resolve().parent / "reports"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit code: 0, or 1 where the case could not be run."""
+    """Run a case. Returns the exit code: 0, or 1 if the case failed."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     name, options = _parsed(given)
     case = load_case(name)
-    report = kept_report(name) if options.keep else options.report
+    report = report_in_tree(name) if options.keep else options.report
     if report is None:
-        kept = kept_report(name)
-        print(f"benchmarks.run {name}: no report is written: --keep writes {kept}, --report another", file=sys.stderr)
+        in_tree = report_in_tree(name)
+        print(f"benchmarks.run {name}: no report is written: --keep writes {in_tree}, --report another file", file=sys.stderr)
     try:
         measured = case.run(options)
         for figure in measured.figures:
@@ -41,22 +41,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def kept_report(name: str) -> Path:
-    """Where the report of a case stands that goes with the tree."""
+def report_in_tree(name: str) -> Path:
+    """Path of the case's report in the repository."""
     return REPORTS / f"{name}.md"
 
 
 def _parsed(given: Sequence[str]) -> tuple[str, argparse.Namespace]:
-    """The case and its options; only the case that is run is imported."""
-    choose = argparse.ArgumentParser(prog="benchmarks.run", description="Run a benchmark.")
-    choose.add_argument("case", choices=CASES)
-    name = str(choose.parse_args(given[:1]).case)
+    """Name and options of the case; imports that case only."""
+    cases = argparse.ArgumentParser(prog="benchmarks.run", description="Run a benchmark.")
+    cases.add_argument("case", choices=CASES)
+    name = str(cases.parse_args(given[:1]).case)
     case = load_case(name)
-    shape = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(prog=f"benchmarks.run {name}", description=case.__doc__, formatter_class=shape)
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog=f"benchmarks.run {name}", description=case.__doc__, formatter_class=formatter)
     report = parser.add_mutually_exclusive_group()
-    report.add_argument("--report", type=Path, metavar="FILE", help="file for the report (default: none is written)")
-    report.add_argument("--keep", action="store_true", help=f"write it to {kept_report(name)}, over the one there")
+    report.add_argument("--report", type=Path, metavar="FILE", help="file for the report (default: none)")
+    report.add_argument("--keep", action="store_true", help=f"overwrite {report_in_tree(name)}")
     case.add_arguments(parser)
     return name, parser.parse_args(given[1:])
 

@@ -1,8 +1,8 @@
-"""Which fields garments hold: those of the steps that were taken to make them.
+"""The fields that garments hold, by the stage that they were made up to.
 
->>> sorted(lacking_at("mesh"))
+>>> sorted(absent_at_stage("mesh"))
 ['back', 'front', 'verts']
->>> fields_held(["points"], ("meta", "points"), lacking_at("pattern"))
+>>> select_fields(["points"], ("meta", "points"), absent_at_stage("pattern"))
 Traceback (most recent call last):
 ...
 gcd_dataset.errors.ConfigError: no field points: these garments end with stage pattern, and points come with stage mesh: choose among meta
@@ -13,41 +13,41 @@ from collections.abc import Callable, Iterable, Mapping
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.layout import known_fields
 
-__all__ = ["fields_held", "lacking_at", "lacking_where"]
+__all__ = ["absent_at_stage", "absent_when_empty", "select_fields"]
 
 MESH = ("faces", "uv", "panel_id", "corners", "uv_vertex", "box", "labels", "seams")
-OFTEN_EMPTY = ("labels", "seams")  # of a garment without labelled edges, or without seams
+OFTEN_EMPTY = ("labels", "seams")  # empty for a garment without labelled edges or without seams
 ADDED: Mapping[str, tuple[str, ...]] = {"mesh": (*MESH, "points"), "drape": ("verts", "front", "back")}
-"""Stage to the fields that it adds to those of the stages before."""
+"""Stage to the fields that it adds to those of the earlier stages."""
 STAGES = ("pattern", *ADDED)
 OPTIONAL: Mapping[str, str] = {
     "points": "have no surface points",
     "front": "have no pictures",
     "back": "have no pictures",
-    "body": "do not tell the weights of their bodies' shapes",
+    "body": "have no shape weights of their bodies",
 }
-"""Fields that garments of a stage may do without, and why they do."""
+"""Optional fields, and the words for their absence in an error message."""
 
 
-def fields_held(fields: Iterable[str] | None, there: Iterable[str], lacking: Mapping[str, str]) -> tuple[str, ...]:
-    """The fields asked for, in the order of those that are ``there``; for ``None`` all but the ``lacking``.
+def select_fields(fields: Iterable[str] | None, available: Iterable[str], absent: Mapping[str, str]) -> tuple[str, ...]:
+    """The requested fields, in the order of ``available``; for ``None`` every field that is not ``absent``.
 
-    ``lacking``: field to the reason why no garment holds it. Raises ``ConfigError`` with the reason and the fields
-    there are.
+    ``absent``: field to the reason why no garment holds it. Raises ``ConfigError`` with that reason and the fields to
+    choose from.
     """
-    asked = known_fields(fields, there)
-    held = [field for field in known_fields(None, there) if field not in lacking]
+    requested = known_fields(fields, available)
+    present = [field for field in known_fields(None, available) if field not in absent]
     if fields is None:
-        return tuple(held)
-    if missing := [field for field in asked if field in lacking]:
+        return tuple(present)
+    if missing := [field for field in requested if field in absent]:
         raise ConfigError(
-            f"no field {', '.join(missing)}: these garments {lacking[missing[0]]}: choose among {', '.join(held)}"
+            f"no field {', '.join(missing)}: these garments {absent[missing[0]]}: choose among {', '.join(present)}"
         )
-    return asked
+    return requested
 
 
-def lacking_at(stage: str, empty: Iterable[str] = ()) -> dict[str, str]:
-    """Field to the reason why no garment of a stage holds it; ``empty``: fields that could be there and are not."""
+def absent_at_stage(stage: str, empty: Iterable[str] = ()) -> dict[str, str]:
+    """Absent field to the reason, for garments of a stage; ``empty``: optional fields empty in all garments."""
     later = STAGES[STAGES.index(stage) + 1 :]
     reasons = {
         field: f"end with stage {stage}, and {field} come{'' if field.endswith('s') else 's'} with stage {other}"
@@ -57,18 +57,18 @@ def lacking_at(stage: str, empty: Iterable[str] = ()) -> dict[str, str]:
     return {field: OPTIONAL[field] for field in empty if field in OPTIONAL} | reasons
 
 
-def lacking_where(is_empty: Callable[[str], bool], there: Iterable[str]) -> dict[str, str]:
-    """The same for garments of which it is known which fields are empty in all of them.
+def absent_when_empty(is_empty: Callable[[str], bool], available: Iterable[str]) -> dict[str, str]:
+    """Absent field to the reason, by which stored fields are empty in all garments.
 
-    ``there``: the fields that are stored; whether others are empty is not asked.
+    ``available``: the stored fields; ``is_empty`` is called for these alone.
     """
-    known = set(there)
-    mesh = [field for field in MESH if field in known and field not in OFTEN_EMPTY]
-    empty = [field for field in OPTIONAL if field in known and is_empty(field)]
+    stored = set(available)
+    mesh = [field for field in MESH if field in stored and field not in OFTEN_EMPTY]
+    empty = [field for field in OPTIONAL if field in stored and is_empty(field)]
     if mesh and all(map(is_empty, mesh)):
         stage = "pattern"
-    elif "verts" in known and is_empty("verts"):
+    elif "verts" in stored and is_empty("verts"):
         stage = "mesh"
     else:
         stage = "drape"
-    return lacking_at(stage, empty)
+    return absent_at_stage(stage, empty)

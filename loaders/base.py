@@ -1,4 +1,4 @@
-"""What every data set of garments has in common."""
+"""Base classes of the data sets of garments, and the checks of their arguments."""
 
 import operator
 import zlib
@@ -11,12 +11,12 @@ import torch
 from torch.utils.data import Dataset
 
 from gcd_dataset.errors import ConfigError, ShardError, TransformError
-from gcd_dataset.loaders.available import fields_held
+from gcd_dataset.loaders.available import select_fields
 from gcd_dataset.loaders.indexing import (
     UnknownKeyError,
-    index_of,
-    number_in,
-    several_of,
+    index_from_key,
+    index_list,
+    resolve_index,
     unknown_key,
 )
 from gcd_dataset.loaders.one_thread import as_type
@@ -29,13 +29,13 @@ __all__ = [
     "Item",
     "SelectedGarments",
     "Transform",
-    "as_item",
-    "changing",
-    "function",
-    "items_of",
-    "made_with",
-    "naming",
-    "natural",
+    "as_transform_error",
+    "decode_item",
+    "load_items",
+    "note_items",
+    "recipe_from_meta",
+    "require_callable",
+    "require_integer",
     "tensor_of",
 ]
 
@@ -46,9 +46,9 @@ NOTHING: Mapping[str, str] = {}
 
 
 class GarmentItem(dict[str, Any]):
-    """A loaded garment: a dict that names what it holds where something else is asked for.
+    """A loaded garment: a dict of fields, with a plain message for a missing field.
 
-    torch's own ``default_collate`` cannot stack garments of different sizes, and says what does.
+    A class of its own, so that torch's ``default_collate`` can refuse garments of different sizes with a remedy.
     """
 
     def __missing__(self, field: object) -> Any:
@@ -58,130 +58,130 @@ class GarmentItem(dict[str, Any]):
 
 
 class Garments(Dataset[Item], ABC):
-    """Garments by number or key; ``fields`` chooses what an item holds, ``transform`` changes it on the way out.
+    """Garments by index or key; ``fields`` selects the fields of an item, ``transform`` is called with each item.
 
     ======================================  ============================================================================
-    ``ds[7]``, ``ds[-1]``, ``ds[i]``        one item; ``i`` may be a whole number of NumPy or torch
-    ``ds["gcd_000000012"]``                 the garment of that key, as ``item["meta"]["key"]`` has it
-    ``ds[[1, 2, 5]]``, ``ds[indices]``      a list of items, for a list, array or tensor of numbers, or a list of keys
+    ``ds[7]``, ``ds[-1]``, ``ds[i]``        one item; ``i`` may be an integer of NumPy or torch
+    ``ds["gcd_000000012"]``                 the garment of that key; its item has it as ``item["meta"]["key"]``
+    ``ds[[1, 2, 5]]``, ``ds[indices]``      a list of items, for a list, array or tensor of integers, or a list of keys
     ``ds[2:5]``                             a data set of these garments
     ======================================  ============================================================================
 
-    Without ``fields`` an item holds all that the garments have: those made up to the box mesh have no ``verts``.
-    Floating fields come as ``dtype``, float32 by default; ``None`` keeps what is stored, such as the float64 of
-    ``panels`` and ``edges``, which a pattern is decoded from to the last digit. Raises ``ConfigError`` for a field that
-    no garment holds, for a ``transform`` that cannot be called, and a ``dtype`` that is not of floating numbers.
+    Without ``fields`` an item holds every field that the garments have; garments of stage ``mesh`` have no ``verts``.
+    Floating fields are cast to ``dtype``, float32 by default; ``None`` keeps the stored type, such as the float64 of
+    ``panels`` and ``edges``, from which a pattern is decoded without loss. Raises ``ConfigError`` for a field that no
+    garment holds, a ``transform`` that is not callable, and a ``dtype`` that is not floating.
     """
 
     reads_only = False
-    """Whether garments are only read, so that a thread beside the training can do it as well as a process."""
+    """Whether items are read, not made: a thread then loads them as fast as worker processes."""
     endless = False
-    """Whether numbers from ``len()`` on are garments too, those of the epochs that follow in an order of their own."""
-    together = 1
-    """Consecutive garments that share a design, from each multiple of this number: one process makes them fastest."""
+    """Whether indices beyond ``len()`` are valid: the following epochs, each in its own order."""
+    garments_per_design = 1
+    """Number of consecutive garments that share a design; one process makes them fastest."""
 
     def __init__(
         self,
         fields: Iterable[str] | None,
         transform: Transform | None,
         *,
-        there: Iterable[str] = FIELDS,
-        lacking: Mapping[str, str] = NOTHING,
+        available: Iterable[str] = FIELDS,
+        absent: Mapping[str, str] = NOTHING,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        self.fields = fields_held(fields, there, lacking)
-        """Names of what an item holds; see ``gcd_dataset.shards.codec`` for shapes, types and units."""
-        self.transform = None if transform is None else function("transform", transform)
-        self.dtype = floating(dtype)
-        """Of the floating fields; ``None`` for what is stored."""
+        self.fields = select_fields(fields, available, absent)
+        """Names of the fields of an item; see ``gcd_dataset.shards.codec`` for shapes, types and units."""
+        self.transform = None if transform is None else require_callable("transform", transform)
+        self.dtype = require_float_dtype(dtype)
+        """Type of the floating fields; ``None`` keeps the stored type."""
 
     @abstractmethod
     def __len__(self) -> int: ...
 
     @abstractmethod
     def recipe(self, index: int) -> dict[str, Any]:
-        """Seed, index, options and versions that garment ``index`` was made with: enough to make it again."""
+        """Seed, index, options and versions of garment ``index``: enough to make it again."""
 
     @abstractmethod
     def verify(self, index: int) -> None:
-        """Raise ``ShardError`` unless garment ``index`` is, byte for byte, what it should be."""
+        """Raise ``ShardError`` if the bytes of garment ``index`` differ from the expected ones."""
 
     def identity(self) -> dict[str, Any]:
-        """What tells this data set from another, wherever it lies: its length, and how its ends were made."""
-        ends = [self.recipe(index) for index in (0, -1)]
-        made = [{name: end[name] for name in ("seed", "index", "recipe")} for end in ends]
-        return {"length": len(self), "ends": made}
+        """Identity of the data set, independent of its path: length, and the recipes of its first and last garment."""
+        recipes = [self.recipe(index) for index in (0, -1)]
+        ends = [{name: recipe[name] for name in ("seed", "index", "recipe")} for recipe in recipes]
+        return {"length": len(self), "ends": ends}
 
     @abstractmethod
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        """The encoded content of at least the members asked for."""
+        """Encoded members of a garment, at least those named in ``members``."""
 
     def __getitem__(self, index: Any) -> Any:
-        """Garment ``index``, a number or a key; a list of garments for several, for a slice a data set of them.
+        """The item of an index or key; a list of items for several, a data set for a slice.
 
-        Raises ``IndexError``, ``KeyError`` for a key that no garment has, ``TypeError`` for what is no index.
+        Raises ``IndexError``, ``KeyError`` for an unknown key, ``TypeError`` for a value that is no index.
         """
         if isinstance(index, slice):
             return self.select(range(len(self))[index])
-        several = several_of(index)
-        return self._one(self._position(index)) if several is None else self.__getitems__(several)
+        several = index_list(index)
+        return self._load(self._position(index)) if several is None else self.__getitems__(several)
 
     def __iter__(self) -> Iterator[Any]:
         """All garments in order."""
         return (self[index] for index in range(len(self)))
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """Several garments, as a ``DataLoader`` asks for a batch of them."""
+        """The items of a batch; a ``DataLoader`` calls this."""
         return [self[index] for index in indices]
 
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
-        """Garments one after the other; numbers are taken as they are needed, and may be endless."""
+        """Stream items; ``indices`` may be infinite and is consumed lazily."""
         return (self[index] for index in indices)
 
     def select(self, indices: Iterable[int]) -> "Garments":
-        """These garments in this order, as a data set. Raises ``IndexError``."""
+        """A data set of these garments in this order. Raises ``IndexError``."""
         return SelectedGarments(self, [self._position(index) for index in indices])
 
     def __repr__(self) -> str:
-        told = ", ".join([*self._described(), f"{len(self)} garments"])
-        return f"{type(self).__name__}({told}: {', '.join(self.fields)})"
+        description = ", ".join([*self._description(), f"{len(self)} garments"])
+        return f"{type(self).__name__}({description}: {', '.join(self.fields)})"
 
     def tell_wait(self) -> None:
-        """Log, once, how long a garment takes to make here, if that is long enough to wonder."""
+        """Log once how long a garment takes to make, if that is seconds."""
 
-    def _one(self, position: int) -> Any:
-        """The garment at a position from 0 on."""
+    def _load(self, position: int) -> Any:
+        """The item at a position: an index normalised to 0 … ``len(self)`` - 1."""
         return self._item(self._members(position, members_of(self.fields)), position)
 
-    def _described(self) -> list[str]:
-        """What tells this data set from others, for people."""
+    def _description(self) -> list[str]:
+        """Words for ``repr`` and error messages, such as seed or folder."""
         return []
 
     def _item(self, members: Mapping[str, Bytes], position: int) -> Any:
-        """The item in some members; ``position`` for an error of the transform."""
-        return self._transformed(as_item(members, self.fields, self.dtype), position)
+        """Decode members to an item and transform it; ``position`` is for the error message."""
+        return self._transformed(decode_item(members, self.fields, self.dtype), position)
 
     def _transformed(self, item: GarmentItem, position: int) -> Any:
         if self.transform is None:
             return item
-        with changing(self, position):
-            return kept_item(self.transform(item))
+        with as_transform_error(self, position):
+            return wrap_item(self.transform(item))
 
     def _position(self, index: int | str) -> int:
-        """The position that a number or a key names. Raises ``IndexError``, ``KeyError``, ``TypeError``."""
-        return self._with_key(index) if isinstance(index, str) else index_of(index, len(self))
+        """The position of an index or key. Raises ``IndexError``, ``KeyError``, ``TypeError``."""
+        return self._require_key(index) if isinstance(index, str) else resolve_index(index, len(self))
 
-    def _with_key(self, key: str) -> int:
-        found = self._of_key(key)
-        if found is None:
+    def _require_key(self, key: str) -> int:
+        position = self._find_key(key)
+        if position is None:
             if not len(self):
                 raise UnknownKeyError(f"no garment {key!r:.99}: the data set is empty")
             raise unknown_key(key, map(self._key, range(len(self))), [self._key(0), self._key(len(self) - 1)])
-        return found
+        return position
 
-    def _of_key(self, key: str) -> int | None:
-        """The position of the garment with a key, if there is one."""
-        number = number_in(key)
+    def _find_key(self, key: str) -> int | None:
+        """The position of the garment with a key; ``None`` if there is none."""
+        number = index_from_key(key)
         return number if number is not None and number < len(self) else None
 
     def _key(self, position: int) -> str:
@@ -190,14 +190,14 @@ class Garments(Dataset[Item], ABC):
 
 
 class SelectedGarments(Garments):
-    """Some garments of a data set, in an order of their own; fields and transform are those of the whole."""
+    """Selected garments of a data set, in a given order; fields and transform are those of the data set."""
 
     def __init__(self, whole: Garments, positions: Sequence[int]) -> None:
-        super().__init__(whole.fields, whole.transform, there=whole.fields, dtype=whole.dtype)
+        super().__init__(whole.fields, whole.transform, available=whole.fields, dtype=whole.dtype)
         self.whole = whole
         self.reads_only = whole.reads_only
         self.positions = np.asarray(positions, np.int64)
-        """Where each garment stands in the whole."""
+        """Index in ``whole`` of each selected garment."""
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -208,29 +208,28 @@ class SelectedGarments(Garments):
     def verify(self, index: int) -> None:
         self.whole.verify(int(self.positions[self._position(index)]))
 
-    def _one(self, position: int) -> Any:
+    def _load(self, position: int) -> Any:
         return self.whole[int(self.positions[position])]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """Several garments, at once where the whole can do that."""
-        return items_of(self.whole, [int(self.positions[self._position(index)]) for index in indices])
+        """The items of a batch, fetched from ``whole`` in one call where it can."""
+        return load_items(self.whole, [int(self.positions[self._position(index)]) for index in indices])
 
     def stream(self, indices: Iterable[int]) -> Iterator[Any]:
-        """Garments one after the other, as the whole gives them."""
         return self.whole.stream(int(self.positions[self._position(index)]) for index in indices)
 
     def identity(self) -> dict[str, Any]:
-        """That of the whole, and which of it."""
+        """Identity of ``whole``, and a checksum of the selected indices."""
         return {"of": self.whole.identity(), "chosen": zlib.crc32(self.positions.tobytes())}
 
     def tell_wait(self) -> None:
         self.whole.tell_wait()
 
-    def _described(self) -> list[str]:
-        return [f"of {type(self.whole).__name__}", *self.whole._described()]
+    def _description(self) -> list[str]:
+        return [f"of {type(self.whole).__name__}", *self.whole._description()]
 
-    def _of_key(self, key: str) -> int | None:
-        position = self.whole._of_key(key)
+    def _find_key(self, key: str) -> int | None:
+        position = self.whole._find_key(key)
         return None if position is None else next(iter(np.flatnonzero(self.positions == position).tolist()), None)
 
     def _key(self, position: int) -> str:
@@ -240,21 +239,21 @@ class SelectedGarments(Garments):
         return self.whole._members(int(self.positions[position]), members)
 
 
-def items_of(dataset: Any, indices: Sequence[int]) -> list[Any]:
-    """Several items, at once where the data set can do that, as a ``DataLoader`` asks for them.
+def load_items(dataset: Any, indices: Sequence[int]) -> list[Any]:
+    """The items at some indices, in one call where the data set has ``__getitems__``.
 
-    An error gets a note that says which they were.
+    A note on an error names the indices.
     """
     if not hasattr(dataset, "__getitems__"):
-        return [_item_of(dataset, index) for index in indices]
-    with naming(dataset, *indices):
+        return [_load_item(dataset, index) for index in indices]
+    with note_items(dataset, *indices):
         return dataset.__getitems__(indices)
 
 
-class naming:  # noqa: N801 -- a context manager, named as functions are
-    """Note on an error which items it came up with."""
+class note_items:  # noqa: N801 -- a context manager, named as functions are
+    """Context manager: adds a note with the indices to an error."""
 
-    # A class: entered for every garment, where a generator would take several times as long.
+    # A class, not a generator function: entered for every garment, and several times as fast.
     __slots__ = ("_dataset", "_indices")
 
     def __init__(self, dataset: Any, *indices: int) -> None:
@@ -265,12 +264,12 @@ class naming:  # noqa: N801 -- a context manager, named as functions are
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, Exception) and self._indices:
-            which = f"{', '.join(map(str, self._indices))} of {type(self._dataset).__name__}"
-            error.add_note(f"while loading {'garment' if len(self._indices) == 1 else 'garments'} {which}")
+            items = f"{', '.join(map(str, self._indices))} of {type(self._dataset).__name__}"
+            error.add_note(f"while loading {'garment' if len(self._indices) == 1 else 'garments'} {items}")
 
 
-class changing:  # noqa: N801 -- a context manager, named as functions are
-    """Turn an error of a transform into a ``TransformError`` that names the garment."""
+class as_transform_error:  # noqa: N801 -- a context manager, named as functions are
+    """Context manager: turns an error of a transform into a ``TransformError`` that names the garment."""
 
     # A class: entered for every garment, as ``naming`` is.
     __slots__ = ("_dataset", "_position")
@@ -282,29 +281,29 @@ class changing:  # noqa: N801 -- a context manager, named as functions are
         pass
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        # One that is named already comes from a data set in this one.
+        # A TransformError comes from a nested data set and names its garment already.
         if isinstance(error, Exception) and not isinstance(error, TransformError):
-            dataset = f"{type(self._dataset).__name__}({', '.join(self._dataset._described())})"
+            dataset = f"{type(self._dataset).__name__}({', '.join(self._dataset._description())})"
             garment = f"{self._dataset._key(self._position)}, number {self._position} of {dataset}"
-            told = " ".join(f"{type(error).__name__}: {error}".split())
-            raise TransformError(f"the transform of {garment}: {told}") from error
+            message = " ".join(f"{type(error).__name__}: {error}".split())
+            raise TransformError(f"the transform of {garment}: {message}") from error
 
 
-def _item_of(dataset: Any, index: Any) -> Any:
-    with naming(dataset, index):
+def _load_item(dataset: Any, index: Any) -> Any:
+    with note_items(dataset, index):
         return dataset[index]
 
 
-def made_with(meta: Bytes) -> dict[str, Any]:
-    """Seed, index, options and versions in the ``meta.json`` of a sample. Raises ``ShardError`` for a damaged one."""
+def recipe_from_meta(meta: Bytes) -> dict[str, Any]:
+    """Seed, index, options and versions from a sample's ``meta.json``. Raises ``ShardError`` if it is damaged."""
     content = read_meta(meta)
     return {name: content[name] for name in ("seed", "index", "recipe", "versions")}
 
 
-def natural(name: str, value: int, least: int = 0) -> int:
-    """The value of an argument that counts something. Raises ``ConfigError`` unless it is whole and ``least`` or more.
+def require_integer(name: str, value: int, least: int = 0) -> int:
+    """An argument as an integer. Raises ``ConfigError`` unless it is an integer of at least ``least``.
 
-    >>> natural("batch_size", 8, least=1)
+    >>> require_integer("batch_size", 8, least=1)
     8
     """
     try:
@@ -316,24 +315,24 @@ def natural(name: str, value: int, least: int = 0) -> int:
     return number
 
 
-def function(name: str, value: Any) -> Any:
-    """The value of an argument that is called. Raises ``ConfigError`` for one that cannot be."""
+def require_callable(name: str, value: Any) -> Any:
+    """The argument. Raises ``ConfigError`` if it is not callable."""
     if not callable(value):
         raise ConfigError(f"{name}={value!r:.99}: give a function that takes an item, or leave it out")
     return value
 
 
-def floating(dtype: Any) -> torch.dtype | None:
-    """The type of floating numbers, or ``None``. Raises ``ConfigError`` for anything else."""
+def require_float_dtype(dtype: Any) -> torch.dtype | None:
+    """The floating type, or ``None``. Raises ``ConfigError`` for anything else."""
     if dtype is None or (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
         return dtype
     raise ConfigError(
-        f"dtype={dtype!r:.99}: give a type of floating numbers, such as torch.float32, or None to keep what is stored"
+        f"dtype={dtype!r:.99}: give a floating type, such as torch.float32, or None to keep the stored types"
     )
 
 
-def as_item(members: Mapping[str, Bytes], fields: Iterable[str], dtype: torch.dtype | None = None) -> GarmentItem:
-    """Encoded members as tensors, floating ones as ``dtype``, parsed JSON and pictures."""
+def decode_item(members: Mapping[str, Bytes], fields: Iterable[str], dtype: torch.dtype | None = None) -> GarmentItem:
+    """Decode members: arrays to tensors (floating ones as ``dtype``), JSON to values, pictures to uint8 tensors."""
     item = GarmentItem()
     for field in fields:
         value = decode_field(field, members)
@@ -344,19 +343,19 @@ def as_item(members: Mapping[str, Bytes], fields: Iterable[str], dtype: torch.dt
     return item
 
 
-def kept_item(item: Any) -> Any:
-    """What a transform has made of an item; a dict as an item again."""
+def wrap_item(item: Any) -> Any:
+    """The result of a transform; a plain dict becomes a ``GarmentItem`` again."""
     return GarmentItem(item) if type(item) is dict else item
 
 
 def tensor_of(array: np.ndarray, dtype: torch.dtype | None = None) -> torch.Tensor:
-    """The array as a tensor, floating numbers as ``dtype``; without a copy where it is of that and writable."""
-    if array.dtype == np.float64 and dtype is torch.float32:  # most arrays of a pattern: NumPy takes half the time
+    """The array as a tensor, floating numbers cast to ``dtype``; no copy if the type fits and the array is writable."""
+    if array.dtype == np.float64 and dtype is torch.float32:  # patterns; twice as fast as torch's cast
         try:
             with np.errstate(over="raise"):
                 return torch.from_numpy(array.astype(np.float32))
         except FloatingPointError as error:
-            raise ShardError("numbers beyond float32: dtype=None keeps them as they are stored") from error
-    # Views of ``bytes`` are read-only, which no tensor can be.
+            raise ShardError("numbers beyond the range of float32: dtype=None keeps the stored type") from error
+    # Arrays that view ``bytes`` are read-only; tensors cannot be.
     tensor = torch.from_numpy(array if array.flags.writeable else array.copy())
     return tensor if dtype is None or not tensor.is_floating_point() else as_type(tensor, dtype)

@@ -1,4 +1,4 @@
-"""What a ``GarmentLoader`` hands out, and where that leaves it: garments by number, or as a stream gives them."""
+"""The batches of one rank and the cursor after each: of an indexable data set, or of a stream."""
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sized
 from contextlib import closing, nullcontext
@@ -10,72 +10,72 @@ from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, GcdError
-from gcd_dataset.loaders.base import Garments, items_of
-from gcd_dataset.loaders.chance import own_chance
+from gcd_dataset.loaders.base import Garments, load_items
+from gcd_dataset.loaders.isolated_rng import isolated_rng
 from gcd_dataset.loaders.order import ElasticSampler, RankShare
-from gcd_dataset.loaders.parted import is_ours, parted
-from gcd_dataset.loaders.ranks import present_rank, require_rank
-from gcd_dataset.loaders.states import named, position_of, require_whole
-from gcd_dataset.loaders.worker import begin_worker, told
+from gcd_dataset.loaders.ranks import current_rank, require_rank
+from gcd_dataset.loaders.states import dataset_entries, position_in_state, require_whole
+from gcd_dataset.loaders.user_code import is_package_code, separate_user_code
+from gcd_dataset.loaders.worker import begin_worker, with_traceback
 
-__all__ = ["AHEAD", "BatchPlan", "ByNumber", "Collate", "Cursor", "Making", "Streamed", "Turn"]
+__all__ = ["PREFETCH", "BatchIndices", "BatchMaker", "BatchPlan", "Collate", "Cursor", "IndexedPlan", "StreamPlan"]
 
 Collate: TypeAlias = Callable[[list[Any]], Any]
 Cursor: TypeAlias = Any
-"""Where a loader has come to, as its plan counts it."""
+"""How far the training loop has come: a position for ``IndexedPlan``, a ``StreamCursor`` for ``StreamPlan``."""
 
-AHEAD = 2  # batches
+PREFETCH = 2  # batches
 END = object()  # of a stream
 
 
 class BatchPlan(Protocol):
-    """The batches of this rank from any place on."""
+    """The batches of this rank from any cursor on. A *pass* is the rest of an epoch: one ``iter()`` of the loader."""
 
-    in_thread: bool
-    """Whether batches may be made by a thread beside the training: no code of users has a part in them."""
+    runs_in_thread: bool
+    """Whether batches may be made in a thread beside the training: no users' code is involved."""
     first: Cursor
-    """Where the first epoch begins."""
+    """The cursor at the start of the first epoch."""
 
     def loader(self, **options: Any) -> DataLoader:
-        """What loads the batches of each pass that is begun."""
+        """The ``DataLoader`` of all passes."""
 
     def __len__(self) -> int:
         """Batches of a whole epoch."""
 
-    def epoch(self, place: Cursor) -> int:
-        """The epoch of a place."""
+    def epoch(self, cursor: Cursor) -> int:
+        """The epoch of a cursor."""
 
-    def state(self, place: Cursor) -> dict[str, Any]:
-        """A place, with what names the order that it is one of."""
+    def state(self, cursor: Cursor) -> dict[str, Any]:
+        """A cursor as entries of a state, with those that identify its order."""
 
-    def place_of(self, state: Mapping[str, Any]) -> Cursor:
-        """The place in a state. Raises ``ConfigError`` for the state of another order."""
+    def cursor_in(self, state: Mapping[str, Any]) -> Cursor:
+        """The cursor in a state. Raises ``ConfigError`` for the state of another order."""
 
-    def anew(self, place: Cursor) -> Cursor:
-        """Where a pass starts that goes on with nothing: the next epoch, if this one has been begun."""
+    def next_pass(self, cursor: Cursor) -> Cursor:
+        """The cursor itself at the start of an epoch, otherwise the start of the next epoch."""
 
-    def begin(self, place: Cursor) -> Cursor:
-        """Where the next pass starts, for somebody who goes on from ``place``."""
+    def begin(self, cursor: Cursor) -> Cursor:
+        """Begin a pass at ``cursor``, or at the next epoch if no batch is left; returns the start of the pass."""
 
     def after(self, start: Cursor, number: int) -> Cursor:
-        """The place after batch ``number``, from 1, of a pass."""
+        """The cursor after batch ``number``, from 1, of a pass from ``start``."""
 
-    def finished(self, place: Cursor) -> Cursor:
-        """The place after the last batch."""
+    def after_last(self, cursor: Cursor) -> Cursor:
+        """The cursor at the end of a pass; ``cursor`` is the one after its last batch."""
 
-    def marked(self, batch: Any, start: Cursor, number: int) -> Any:
-        """The batch, with what the plan has to say of it."""
+    def annotate(self, batch: Any, start: Cursor, number: int) -> Any:
+        """The batch, with entries that the plan adds."""
 
 
-class Turn(NamedTuple):
-    """What a batch is made of."""
+class BatchIndices(NamedTuple):
+    """The indices of one batch, and their epoch."""
 
     epoch: int
-    numbers: list[int]
+    indices: list[int]
 
 
-class ByNumber:
-    """Batches of a sampler's share, each as many numbers: a batch sampler. A place is a position of the order."""
+class IndexedPlan:
+    """Batches of an ``ElasticSampler``'s indices; also the ``batch_sampler`` of its loader. A cursor is a position."""
 
     first = 0
 
@@ -90,163 +90,164 @@ class ByNumber:
         num_workers: int,
     ) -> None:
         self._sampler, self._batch_size, self._drop_last, self._start = sampler, batch_size, drop_last, 0
-        self._making, self._workers = Making(dataset, collate_fn, sampler.order.seed), num_workers
+        self._maker, self._num_workers = BatchMaker(dataset, collate_fn, sampler.order.seed), num_workers
         self._reads_only = isinstance(dataset, Garments) and dataset.reads_only
-        self.in_thread = self._reads_only and num_workers == 0 and not self._making.has_code_of_users
-        self._division = self._present()
+        self.runs_in_thread = self._reads_only and num_workers == 0 and not self._maker.has_user_code
+        self._rank_share = self._present_share()
 
     def loader(self, **options: Any) -> DataLoader:
-        """What loads the batches of each pass that is begun; its workers stay."""
-        if self._workers:
+        """The ``DataLoader`` of all passes; its workers persist."""
+        if self._num_workers:
             return DataLoader(
-                self._making,
-                batch_sampler=self,  # type: ignore[arg-type]  # declared as one of lists
-                num_workers=self._workers,
+                self._maker,
+                batch_sampler=self,  # type: ignore[arg-type]  # declared as yielding lists
+                num_workers=self._num_workers,
                 persistent_workers=True,
                 worker_init_fn=begin_worker,
-                collate_fn=_as_it_is,
+                collate_fn=_unchanged,
                 **options,
             )
-        read_ahead = self._reads_only and not self.in_thread and not self._making.theirs
-        return DataLoader(_Pass(self, self._making, read_ahead), batch_size=None, collate_fn=_as_it_is, **options)
+        read_ahead = self._reads_only and not self.runs_in_thread and not self._maker.is_user_dataset
+        return DataLoader(_Pass(self, self._maker, read_ahead), batch_size=None, collate_fn=_unchanged, **options)
 
     def __len__(self) -> int:
-        return len(self._cuts(0, self._present()))
+        return len(self._batch_starts(0, self._present_share()))
 
-    def __iter__(self) -> Iterator[Turn]:
-        """The numbers of each batch of the pass that was begun."""
-        numbers, epoch = self._division.garments(self._start), self.epoch(self._start)
-        return (Turn(epoch, list(islice(numbers, self._batch_size))) for _ in self._cuts(self._start, self._division))
+    def __iter__(self) -> Iterator[BatchIndices]:
+        """The indices of each batch of the current pass."""
+        epoch, indices = self.epoch(self._start), self._rank_share.indices(self._start)
+        batches = self._batch_starts(self._start, self._rank_share)
+        return (BatchIndices(epoch, list(islice(indices, self._batch_size))) for _ in batches)
 
-    def epoch(self, place: int) -> int:
-        return self._sampler.order.epoch(place)
+    def epoch(self, cursor: int) -> int:
+        return self._sampler.order.epoch(cursor)
 
-    def state(self, place: int) -> dict[str, Any]:
-        return self._sampler.order.state(place)
+    def state(self, cursor: int) -> dict[str, Any]:
+        return self._sampler.order.state(cursor)
 
-    def place_of(self, state: Mapping[str, Any]) -> int:
-        return self._sampler.order.position_of(state)
+    def cursor_in(self, state: Mapping[str, Any]) -> int:
+        return self._sampler.order.position_in(state)
 
-    def anew(self, place: int) -> int:
-        return self._sampler.order.anew(place)
+    def next_pass(self, cursor: int) -> int:
+        return self._sampler.order.next_pass(cursor)
 
-    def begin(self, place: int) -> int:
-        """The next epoch's beginning if no batch is left in this one; with the ranks that there are by now."""
-        self._division = self._present()
-        self._start = place if self._cuts(place, self._division) else self._sampler.order.end(place)
+    def begin(self, cursor: int) -> int:
+        """Begin a pass with the present ranks, at the next epoch if no batch is left in this one."""
+        self._rank_share = self._present_share()
+        self._start = cursor if self._batch_starts(cursor, self._rank_share) else self._sampler.order.end(cursor)
         return self._start
 
     def after(self, start: int, number: int) -> int:
-        """The position after batch ``number``, from 1, of a pass; the epoch's end after the last."""
-        done = number >= len(self._cuts(start, self._division))
-        return self._sampler.order.end(start) if done else self._division.after(start, number * self._batch_size)
+        """The position after batch ``number``, from 1, of a pass; after the last batch the end of the epoch."""
+        is_last = number >= len(self._batch_starts(start, self._rank_share))
+        return self._sampler.order.end(start) if is_last else self._rank_share.after(start, number * self._batch_size)
 
-    def finished(self, place: int) -> int:
-        return place
+    def after_last(self, cursor: int) -> int:
+        return cursor
 
-    def marked(self, batch: Any, start: int, number: int) -> Any:
-        """The batch; if it is a dict, ``repeated`` tells which of its garments only fill up."""
+    def annotate(self, batch: Any, start: int, number: int) -> Any:
+        """With ``pad="repeat"`` a dict gets the entry ``repeated``, bool [B]: true for garments that fill up."""
         if self._sampler.pad == "repeat" and isinstance(batch, MutableMapping):
-            positions = self._division.share(start)[(number - 1) * self._batch_size : number * self._batch_size]
+            positions = self._rank_share.positions(start)[(number - 1) * self._batch_size : number * self._batch_size]
             end = self._sampler.order.end(start)
             batch["repeated"] = torch.tensor([position >= end for position in positions])
         return batch
 
-    def _present(self) -> RankShare:
-        """How garments are shared out as things stand now. Raises ``ConfigError`` if no rank has a batch."""
-        division = self._sampler.division()
-        if not self._cuts(0, division):
+    def _present_share(self) -> RankShare:
+        """The share of the present rank. Raises ``ConfigError`` if no rank has a whole batch."""
+        rank_share = self._sampler.rank_share()
+        if not self._batch_starts(0, rank_share):
             raise ConfigError(
                 f"no rank has {self._batch_size} of {self._sampler.order.length} garments: leave out drop_last"
             )
-        return division
+        return rank_share
 
-    def _cuts(self, start: int, division: RankShare) -> range:
-        """Where in a rank's share each batch begins."""
-        own = len(division.share(start))
-        return range(0, own // self._batch_size * self._batch_size if self._drop_last else own, self._batch_size)
+    def _batch_starts(self, start: int, rank_share: RankShare) -> range:
+        """Where each batch begins, counted in this rank's garments of a pass."""
+        count = len(rank_share.positions(start))
+        return range(0, count // self._batch_size * self._batch_size if self._drop_last else count, self._batch_size)
 
 
-class Making(Dataset):
-    """Batches of a data set, by turns; its errors say which garments they came up with.
+class BatchMaker(Dataset):
+    """Makes a batch from its indices, in the training process or a worker; a note on an error names the garments.
 
-    What is read or made by this package may be so anywhere. Code of users gets random numbers of its own, which depend
-    on seed, epoch and garment: they are the same with any number of workers, and the model's are left alone.
+    Items are loaded without users' code where possible (see ``user_code.py``). Users' code runs with the global random
+    streams seeded by seed, epoch and index: the same with any number of workers, and the model's streams are untouched.
     """
 
     def __init__(self, dataset: Dataset, collate_fn: Collate, seed: int) -> None:
-        self._plain, self._change = parted(dataset)
+        self._plain, self._user_code = separate_user_code(dataset)
         self._collate, self._seed = collate_fn, seed
-        self.theirs = not is_ours(type(self._plain))
-        """Whether all that makes an item is code of users."""
-        self.has_code_of_users = self.theirs or self._change is not None or not is_ours(collate_fn)
+        self.is_user_dataset = not is_package_code(type(self._plain))
+        """Whether the data set's class is not of this package: all of an item is made by users' code."""
+        self.has_user_code = self.is_user_dataset or self._user_code is not None or not is_package_code(collate_fn)
 
-    def __getitems__(self, turn: Turn) -> Any:
-        """The batch of a turn, as a ``DataLoader`` asks a worker for it; or the error that it meets."""
+    def __getitems__(self, batch: BatchIndices) -> Any:
+        """The batch, as a ``DataLoader`` requests it from a worker; on failure the error, as a value."""
         try:
-            return self.finish(turn, self.read(turn))
+            return self.finish(batch, self.read(batch))
         except GcdError as error:
-            return told(error)
+            return with_traceback(error)
 
-    def read(self, turn: Turn) -> list[Any]:
-        """The items of a turn, without what users make of them."""
-        if not self.theirs:
-            return items_of(self._plain, turn.numbers)
-        with own_chance() as chance:
+    def read(self, batch: BatchIndices) -> list[Any]:
+        """The items, before users' transforms."""
+        if not self.is_user_dataset:
+            return load_items(self._plain, batch.indices)
+        with isolated_rng() as random_state:
             if hasattr(self._plain, "__getitems__"):
-                chance.begin(self._seed, *turn.numbers[:1], turn.epoch)
-                return items_of(self._plain, turn.numbers)
+                random_state.seed(self._seed, *batch.indices[:1], batch.epoch)
+                return load_items(self._plain, batch.indices)
             items = []
-            for number in turn.numbers:
-                chance.begin(self._seed, number, turn.epoch)
-                items += items_of(self._plain, [number])
+            for index in batch.indices:
+                random_state.seed(self._seed, index, batch.epoch)
+                items += load_items(self._plain, [index])
             return items
 
-    def finish(self, turn: Turn, items: list[Any]) -> Any:
-        """The items as a batch."""
-        if not self.has_code_of_users:
+    def finish(self, batch: BatchIndices, items: list[Any]) -> Any:
+        """Apply users' transforms, then collate."""
+        if not self.has_user_code:
             return self._collate(items)
-        with own_chance() as chance:
-            if self._change is not None:
+        with isolated_rng() as random_state:
+            if self._user_code is not None:
                 items = list(items)
-                for place, number in enumerate(turn.numbers):
-                    chance.begin(self._seed, number, turn.epoch)
-                    items[place] = self._change(items[place], number)
-            chance.begin(self._seed, *turn.numbers[:1], turn.epoch, len(items))
+                for row, index in enumerate(batch.indices):
+                    random_state.seed(self._seed, index, batch.epoch)
+                    items[row] = self._user_code(items[row], index)
+            random_state.seed(self._seed, *batch.indices[:1], batch.epoch, len(items))
             return self._collate(items)
 
 
 class _Pass(IterableDataset):
-    """The batches of the pass that was begun; ``ahead``: their garments are read by a thread meanwhile."""
+    """The batches of the current pass, without workers; with ``read_ahead`` a thread reads the items."""
 
-    def __init__(self, turns: ByNumber, making: Making, ahead: bool) -> None:
-        self._turns, self._making, self._ahead = turns, making, ahead
+    def __init__(self, batches: IndexedPlan, maker: BatchMaker, read_ahead: bool) -> None:
+        self._batches, self._maker, self._read_ahead = batches, maker, read_ahead
 
     def __iter__(self) -> Iterator[Any]:
-        read = ((turn, self._making.read(turn)) for turn in self._turns)
-        with closing(by_thread(read, AHEAD, wait=True)) if self._ahead else nullcontext(read) as items:
-            for turn, there in items:
-                yield self._making.finish(turn, there)
+        read = ((batch, self._maker.read(batch)) for batch in self._batches)
+        with closing(by_thread(read, PREFETCH, wait=True)) if self._read_ahead else nullcontext(read) as loaded:
+            for batch, items in loaded:
+                yield self._maker.finish(batch, items)
 
 
-class At(NamedTuple):
-    """A place in a stream."""
+class StreamCursor(NamedTuple):
+    """How far the training loop has come in a stream."""
 
     epoch: int
-    """Passes before this one."""
+    """Finished passes."""
     position: int
     """Items of this pass that all ranks together have received."""
 
 
-class Streamed(IterableDataset):
+class StreamPlan(IterableDataset):
     """Every ``world_size``-th item of a stream, from any position on.
 
-    A stream with ``begin_at``, as ``FreshGarments``, begins at any item, counted from the first pass on. Others are
-    read from their beginning, and told the pass if they have ``set_epoch``.
+    A stream with ``begin_at``, such as ``FreshGarments``, can begin at any item, counted from the start of the first
+    pass. Any other stream is read from its beginning; if it has ``set_epoch``, that is called before each pass.
     """
 
-    in_thread = False  # it may be code of users
-    first = At(0, 0)
+    runs_in_thread = False  # the stream may be users' code
+    first = StreamCursor(0, 0)
 
     def __init__(
         self,
@@ -261,103 +262,102 @@ class Streamed(IterableDataset):
     ) -> None:
         self._stream, self._batch_size, self._drop_last = stream, batch_size, drop_last
         self._collate, self._seed = collate_fn, seed
-        self._given = require_rank(rank, world_size)
-        self._ranks = self._present()
-        self._named = named(stream)
-        self._reached = self.first
+        self._fixed_rank = require_rank(rank, world_size)
+        self._rank = self._present_rank()
+        self._dataset_entries = dataset_entries(stream)
+        self._cursor = self.first
 
     def loader(self, **options: Any) -> DataLoader:
-        """What loads the batches of each pass that is begun."""
-        return DataLoader(self, batch_size=None, collate_fn=_as_it_is, **options)
+        return DataLoader(self, batch_size=None, collate_fn=_unchanged, **options)
 
     def __len__(self) -> int:
-        own = self._length() // self._present()[1]
-        return own // self._batch_size if self._drop_last else -(-own // self._batch_size)
+        count = self._length() // self._present_rank()[1]
+        return count // self._batch_size if self._drop_last else -(-count // self._batch_size)
 
     def __iter__(self) -> Iterator[Any]:
-        """This rank's batches of the pass that was begun; of the next if none are left."""
-        begun = self._reached
-        for start in dict.fromkeys((begun, self.anew(begun))):
-            self._reached, items = start, self._items(start)
-            while (batch := self._next(items)) is not None:
+        """This rank's batches of the current pass, or of the next one if none is left."""
+        begun = self._cursor
+        for start in dict.fromkeys((begun, self.next_pass(begun))):
+            self._cursor, items = start, self._items(start)
+            while (batch := self._next_batch(items)) is not None:
                 yield batch
-            if self._reached != start:
+            if self._cursor != start:
                 return
 
-    def epoch(self, place: At) -> int:
-        return place.epoch
+    def epoch(self, cursor: StreamCursor) -> int:
+        return cursor.epoch
 
-    def state(self, place: At) -> dict[str, Any]:
-        return {**place._asdict(), **self._named}
+    def state(self, cursor: StreamCursor) -> dict[str, Any]:
+        return {**cursor._asdict(), **self._dataset_entries}
 
-    def place_of(self, state: Mapping[str, Any]) -> At:
-        position = position_of(state, {}, self._named)
-        return At(require_whole("epoch", state.get("epoch", 0)), position)
+    def cursor_in(self, state: Mapping[str, Any]) -> StreamCursor:
+        position = position_in_state(state, {}, self._dataset_entries)
+        return StreamCursor(require_whole("epoch", state.get("epoch", 0)), position)
 
-    def anew(self, place: At) -> At:
-        return At(place.epoch + 1, 0) if place.position else place
+    def next_pass(self, cursor: StreamCursor) -> StreamCursor:
+        return StreamCursor(cursor.epoch + 1, 0) if cursor.position else cursor
 
-    def begin(self, place: At) -> At:
-        """The next pass if there is nothing left of this one."""
-        if hasattr(self._stream, "begin_at") and place.position >= self._length():
-            place = self.anew(place)
-        self._ranks, self._reached = self._present(), place
-        return place
+    def begin(self, cursor: StreamCursor) -> StreamCursor:
+        """Begin a pass with the present ranks; at the next epoch if the stream is known to have no item left."""
+        if hasattr(self._stream, "begin_at") and cursor.position >= self._length():
+            cursor = self.next_pass(cursor)
+        self._rank, self._cursor = self._present_rank(), cursor
+        return cursor
 
-    def after(self, start: At, number: int) -> At:
-        """The place after the last batch that was made: none is made ahead."""
-        return self._reached
+    def after(self, start: StreamCursor, number: int) -> StreamCursor:
+        """The cursor after the last batch that was made; nothing is prefetched."""
+        return self._cursor
 
-    def finished(self, place: At) -> At:
-        """The beginning of the next pass."""
-        return At(place.epoch + 1, 0)
+    def after_last(self, cursor: StreamCursor) -> StreamCursor:
+        """The start of the next pass."""
+        return StreamCursor(cursor.epoch + 1, 0)
 
-    def marked(self, batch: Any, start: At, number: int) -> Any:
+    def annotate(self, batch: Any, start: StreamCursor, number: int) -> Any:
         return batch
 
-    def _present(self) -> tuple[int, int]:
-        return self._given or present_rank()
+    def _present_rank(self) -> tuple[int, int]:
+        return self._fixed_rank or current_rank()
 
     def _length(self) -> int:
-        """Items of a pass. Raises ``TypeError`` for a stream that does not tell."""
+        """Items of a pass. Raises ``TypeError`` for a stream without a length."""
         if not isinstance(self._stream, Sized):
             raise TypeError("a stream has no length")
         return len(self._stream)
 
-    def _items(self, start: At) -> Iterator[Any]:
-        """The stream's items of a pass from a position on."""
-        with own_chance() as chance:
-            chance.begin(self._seed, start.epoch)
+    def _items(self, start: StreamCursor) -> Iterator[Any]:
+        """The items of a pass from a cursor on."""
+        with isolated_rng() as random_state:
+            random_state.seed(self._seed, start.epoch)
             if callable(begin_at := getattr(self._stream, "begin_at", None)):
                 return iter(begin_at(start.epoch * self._length() + start.position))
             if callable(set_epoch := getattr(self._stream, "set_epoch", None)):
                 set_epoch(start.epoch)
             items = iter(self._stream)
             for position in range(start.position):
-                chance.begin(self._seed, start.epoch, position)
+                random_state.seed(self._seed, start.epoch, position)
                 if next(items, END) is END:
                     break
             return items
 
-    def _next(self, items: Iterator[Any]) -> Any:
+    def _next_batch(self, items: Iterator[Any]) -> Any:
         """The next batch of this rank; ``None`` at the end."""
-        rank, world_size = self._ranks
-        own: list[Any] = []
-        with own_chance() as chance:
-            while len(own) < self._batch_size:
-                turn: list[Any] = []
-                for position in range(self._reached.position, self._reached.position + world_size):
-                    chance.begin(self._seed, self._reached.epoch, position)
-                    turn += islice(items, 1)
-                if len(turn) < world_size:
+        rank, world_size = self._rank
+        batch: list[Any] = []
+        with isolated_rng() as random_state:
+            while len(batch) < self._batch_size:
+                of_ranks: list[Any] = []  # one item for each rank
+                for position in range(self._cursor.position, self._cursor.position + world_size):
+                    random_state.seed(self._seed, self._cursor.epoch, position)
+                    of_ranks += islice(items, 1)
+                if len(of_ranks) < world_size:
                     break
-                self._reached = self._reached._replace(position=self._reached.position + world_size)
-                own.append(turn[rank])
-            if not own or (self._drop_last and len(own) < self._batch_size):
+                self._cursor = self._cursor._replace(position=self._cursor.position + world_size)
+                batch.append(of_ranks[rank])
+            if not batch or (self._drop_last and len(batch) < self._batch_size):
                 return None
-            chance.begin(self._seed, *self._reached, len(own))
-            return self._collate(own)
+            random_state.seed(self._seed, *self._cursor, len(batch))
+            return self._collate(batch)
 
 
-def _as_it_is(batch: Any) -> Any:
+def _unchanged(batch: Any) -> Any:
     return batch

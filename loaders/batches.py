@@ -1,4 +1,4 @@
-"""Batches as dicts whose entries have names, shapes and types: garments one below the other, or padded to one size."""
+"""``PackedBatch`` and ``PaddedBatch``: dicts of tensors, with typed attributes for the entries."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Self
@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import GarmentItem, Item, floating
+from gcd_dataset.loaders.base import GarmentItem, Item, require_float_dtype
 from gcd_dataset.loaders.indexing import UnknownKeyError
-from gcd_dataset.loaders.one_thread import as_type, pinned
+from gcd_dataset.loaders.one_thread import as_type, pin_tensor
 from gcd_dataset.tensors import EdgeColumn, StitchColumn
 
 __all__ = ["POINTS_TO", "RAGGED", "WHOLE", "PackedBatch", "PaddedBatch", "Varlen", "starts_of"]
@@ -19,7 +19,7 @@ __all__ = ["POINTS_TO", "RAGGED", "WHOLE", "PackedBatch", "PaddedBatch", "Varlen
 RAGGED = (
     "panels", "edges", "stitches", "faces", "uv", "panel_id", "labels", "seams", "corners", "uv_vertex", "box", "verts",
 )  # fmt: skip
-"""Fields whose number of rows differs from garment to garment."""
+"""Fields with a different number of rows in each garment."""
 
 WHOLE = slice(None)
 POINTS_TO: Mapping[str, tuple[tuple[slice | int, str], ...]] = {
@@ -32,11 +32,11 @@ POINTS_TO: Mapping[str, tuple[tuple[slice | int, str], ...]] = {
     "edges": ((EdgeColumn.PANEL, "panels"),),
     "stitches": ((slice(StitchColumn.LEFT, StitchColumn.RIGHT + 1), "edges"),),
 }
-"""Field to those of its columns that hold row numbers, each with the field whose rows they are."""
+"""Field to its columns of row numbers, each with the field that the numbers index."""
 
 
 class _Entry:
-    """An entry of a batch as an attribute, so that its type is known."""
+    """Descriptor: an entry of the dict as a typed attribute."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -45,7 +45,7 @@ class _Entry:
         if batch is None:
             return self
         if self._name not in batch:
-            raise AttributeError(f"the batch has no {self._name}: load the fields that it is made of")
+            raise AttributeError(f"the batch has no {self._name}: load the fields that it needs")
         return batch[self._name]
 
 
@@ -54,20 +54,20 @@ def _entry() -> Any:
 
 
 class Varlen(NamedTuple):
-    """Rows of all garments one below the other, as attention over sequences of unequal lengths takes them."""
+    """Concatenated rows with offsets, as variable-length attention takes them."""
 
     values: Tensor
-    """[n, …], row after row."""
+    """[n, …], the rows of all garments."""
     cu_seqlens: Int[Tensor, " b+1"]
-    """int32: where each garment begins, and the end of the last."""
+    """int32: start of each garment, and the end of the last."""
     max_seqlen: int
-    """Rows of the garment that has most of them."""
+    """Rows of the longest garment."""
 
 
 class _Batch(dict[str, Any]):
-    """A dict of tensors and lists; entries are attributes too.
+    """A dict of tensors and lists, with its entries as attributes.
 
-    ``torch.utils._pytree.tree_map`` goes through a batch as through a dict, and gives one of its type.
+    ``torch.utils._pytree.tree_map`` maps over a batch like over a dict, and returns the same class.
     """
 
     batch_size: int = _entry()
@@ -83,7 +83,7 @@ class _Batch(dict[str, Any]):
     front: UInt8[Tensor, "b 3 h w"] = _entry()
     back: UInt8[Tensor, "b 3 h w"] = _entry()
     repeated: Bool[Tensor, " b"] = _entry()
-    """Garments that only fill up a batch, where a loader does that."""
+    """True for garments that fill up a batch, from a loader with ``pad="repeat"``."""
 
     def __missing__(self, field: object) -> Any:
         raise UnknownKeyError(
@@ -91,8 +91,8 @@ class _Batch(dict[str, Any]):
         )
 
     def __repr__(self) -> str:
-        told = [f"{name} {_form(value)}" for name, value in self.items() if not name.endswith(("_ptr", "_size"))]
-        return f"{type(self).__name__}({self.get('batch_size', '?')} garments: {', '.join(told)})"
+        entries = [f"{name} {_form(value)}" for name, value in self.items() if not name.endswith(("_ptr", "_size"))]
+        return f"{type(self).__name__}({self.get('batch_size', '?')} garments: {', '.join(entries)})"
 
     def to(
         self,
@@ -101,34 +101,34 @@ class _Batch(dict[str, Any]):
         *,
         non_blocking: bool = False,
     ) -> Self:
-        """The batch with its tensors on a device, and the floating ones as ``dtype``; row numbers stay whole.
+        """A batch with its tensors on a device and floating tensors as ``dtype``; integer tensors keep their type.
 
-        ``non_blocking`` copies pinned ones while the host goes on. As with a tensor, ``batch.to(torch.bfloat16)`` will
-        do. Raises ``ConfigError`` for a device that is not there, and for a type that is not of floating numbers.
+        ``non_blocking`` copies pinned tensors asynchronously. Like a tensor's, ``batch.to(torch.bfloat16)`` works.
+        Raises ``ConfigError`` for a missing device and a type that is not floating.
         """
         if isinstance(device, torch.dtype):
             device, dtype = None, device
-        place, kind = None if device is None else _device(device), floating(dtype)
+        target, float_type = None if device is None else _device(device), require_float_dtype(dtype)
 
         def moved(tensor: Tensor) -> Tensor:
-            if kind is not None and tensor.is_floating_point():
-                tensor = as_type(tensor, kind)
-            return tensor if place is None else tensor.to(place, non_blocking=non_blocking)
+            if float_type is not None and tensor.is_floating_point():
+                tensor = as_type(tensor, float_type)
+            return tensor if target is None else tensor.to(target, non_blocking=non_blocking)
 
-        return self._each(moved)
+        return self._map(moved)
 
     def pin_memory(self) -> Self:
-        """The batch with its tensors in memory that a GPU copies from by itself. Raises ``ConfigError`` without one."""
+        """A batch in pinned memory. Raises ``ConfigError`` without a GPU."""
         if not torch.cuda.is_available():
-            raise ConfigError("pinned memory is for a GPU, and torch sees none: leave out pin_memory")
-        return self._each(pinned)
+            raise ConfigError("pinned memory needs a GPU, and torch sees none: leave out pin_memory")
+        return self._map(pin_tensor)
 
-    def _each(self, change: Callable[[Tensor], Tensor]) -> Self:
-        return type(self)({name: _changed(value, change) for name, value in self.items()})
+    def _map(self, function: Callable[[Tensor], Tensor]) -> Self:
+        return type(self)({name: _mapped(value, function) for name, value in self.items()})
 
 
 class PackedBatch(_Batch):
-    """Garments one below the other; rows of garment k of a field are ``ptr[k]`` to ``ptr[k + 1]`` of its pointers.
+    """Concatenated garments; garment k has rows ``ptr[k]`` to ``ptr[k + 1]`` of a field, ``ptr`` its ``<field>_ptr``.
 
     Row numbers index the arrays of the whole batch.
     """
@@ -165,28 +165,29 @@ class PackedBatch(_Batch):
     verts_ptr: Int[Tensor, " b+1"] = _entry()
 
     def garment(self, number: int) -> Item:
-        """One garment as it was before it was put into the batch. Raises ``IndexError``."""
+        """The item of one garment, as before collation. Raises ``IndexError``."""
         if not 0 <= number < self.batch_size:
             raise IndexError(f"garment {number} of a batch of {self.batch_size}")
         names = [name for name in self if name != "batch_size" and not name.endswith("_ptr")]
         return {name: self._rows(name, number) if name in RAGGED else self[name][number] for name in names}
 
     def nested(self, field: str) -> Tensor:
-        """A ragged field as a nested tensor [B, rows of each, …] in the jagged layout, without a copy."""
+        """A ragged field as a nested tensor [B, rows, …] in the jagged layout, without a copy."""
         self._require_ragged(field)
         return torch.nested.nested_tensor_from_jagged(self[field], self[f"{field}_ptr"])
 
     def varlen(self, field: str) -> Varlen:
-        """A ragged field as attention over sequences of unequal lengths takes it, without a copy.
+        """A ragged field in the form of variable-length attention, without a copy.
 
         >>> from gcd_dataset.loaders import FakeGarments, collate_packed
         >>> values, cu_seqlens, max_seqlen = collate_packed([FakeGarments(2)[0], FakeGarments(2)[1]]).varlen("panels")
         >>> values.shape, cu_seqlens, max_seqlen
         (torch.Size([4, 14]), tensor([0, 2, 4], dtype=torch.int32), 2)
 
-        Embedded to q, k and v [n, heads, width] that is ``flash_attn_varlen_func(q, k, v, cu_seqlens, cu_seqlens,
-        max_seqlen, max_seqlen)``, or ``torch.nested.nested_tensor_from_jagged(values, cu_seqlens,
-        max_seqlen=max_seqlen)``. Of a batch on a GPU the longest is waited for: ask before ``to`` to spare that.
+        With the values embedded to q, k and v [n, heads, width]: ``flash_attn_varlen_func(q, k, v, cu_seqlens,
+        cu_seqlens, max_seqlen, max_seqlen)``, or ``torch.nested.nested_tensor_from_jagged(values, cu_seqlens,
+        max_seqlen=max_seqlen)``. ``max_seqlen`` of a batch on a GPU synchronises: call this before ``to`` to avoid
+        that.
         """
         self._require_ragged(field)
         pointers = self[f"{field}_ptr"]
@@ -196,10 +197,10 @@ class PackedBatch(_Batch):
     def _require_ragged(self, field: str) -> None:
         if f"{field}_ptr" not in self:
             ragged = ", ".join(name for name in RAGGED if f"{name}_ptr" in self)
-            raise ConfigError(f"{field} is not a field of the batch whose rows differ in number: there are {ragged}")
+            raise ConfigError(f"{field} is not a ragged field of the batch: choose among {ragged}")
 
     def owners(self, field: str) -> Int[Tensor, " n"]:
-        """The garment that each row of a ragged field belongs to."""
+        """The garment of each row of a ragged field."""
         pointers = self[f"{field}_ptr"]
         return torch.arange(self.batch_size, device=pointers.device).repeat_interleave(pointers.diff())
 
@@ -208,15 +209,15 @@ class PackedBatch(_Batch):
         columns = POINTS_TO.get(field, ())
         rows: Tensor = self[field][first:last].clone() if columns else self[field][first:last]
         for column, target in columns:
-            part = rows if rows.ndim == 1 else rows[:, column]
-            part -= starts_of(self, field, target)[number].to(rows.dtype)
+            entries = rows if rows.ndim == 1 else rows[:, column]
+            entries -= starts_of(self, field, target)[number].to(rows.dtype)
         return rows
 
 
 class PaddedBatch(_Batch):
-    """Garments side by side; behind a garment's own rows, where its mask is false, stand 0, and -1 for row numbers.
+    """Garments stacked to equal length; rows where the mask is false hold 0, and -1 in integer fields.
 
-    Row numbers count in the garment's own rows.
+    Row numbers count within the garment.
     """
 
     panels: Float[Tensor, "b p 14"] = _entry()
@@ -240,59 +241,59 @@ class PaddedBatch(_Batch):
 
 
 def starts_of(batch: Mapping[str, Any], field: str, target: str) -> Int[Tensor, " b+1"]:
-    """Row of ``target`` at which each garment begins, and the end of the last, for the row numbers in ``field``.
+    """For the row numbers in ``field``: start of each garment's rows in ``target``, and the end of the last.
 
-    Raises ``ConfigError`` where the target is not in the batch, or differs between draped and undraped garments.
+    Raises ``ConfigError`` if the target is not in the batch, or differs between draped and undraped garments.
     """
     if target != "vertices":
         if f"{target}_ptr" not in batch:
             raise ConfigError(f"{field} holds rows of {target}: load the field {target} too")
         return batch[f"{target}_ptr"]
-    own = batch[f"{field}_ptr"]
-    there = [starts for name in ("verts", "box") if (starts := batch.get(f"{name}_ptr")) is not None and starts[-1]]
-    if not there and not own[-1]:
-        return torch.zeros_like(own)
-    if not there:
+    pointers = batch[f"{field}_ptr"]
+    found = [starts for name in ("verts", "box") if (starts := batch.get(f"{name}_ptr")) is not None and starts[-1]]
+    if not found and not pointers[-1]:
+        return torch.zeros_like(pointers)
+    if not found:
         raise ConfigError(f"{field} holds rows of verts and box: load the field verts or box too")
-    if not all(torch.equal(starts, there[0]) for starts in there):
+    if not all(torch.equal(starts, found[0]) for starts in found):
         raise ConfigError("draped and undraped garments in one batch: load verts or box, not both")
-    return there[0]
+    return found[0]
 
 
-def _changed(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
-    """A tensor, or each of a list of them, changed; anything else as it is."""
+def _mapped(value: Any, function: Callable[[Tensor], Tensor]) -> Any:
+    """A function applied to a tensor, or to each tensor of a list; any other value unchanged."""
     if isinstance(value, Tensor):
-        return change(value)
+        return function(value)
     if isinstance(value, list) and value and all(isinstance(entry, Tensor) for entry in value):
-        return [change(entry) for entry in value]
+        return [function(entry) for entry in value]
     return value
 
 
 def _device(device: torch.device | str | int) -> torch.device:
-    """The device. Raises ``ConfigError`` for one that is not there."""
+    """The device. Raises ``ConfigError`` for an unknown or missing one."""
     try:
-        place = torch.device(device)
+        parsed = torch.device(device)
     except (RuntimeError, TypeError) as error:
         raise ConfigError(f"device {device!r:.99}: give cpu, or a GPU as cuda:0") from error
-    if place.type == "cuda" and (place.index or 0) >= (count := torch.cuda.device_count()):
-        there = f"torch sees {count} GPUs" if count else "torch sees no GPU"
+    if parsed.type == "cuda" and (parsed.index or 0) >= (count := torch.cuda.device_count()):
+        seen = f"torch sees {count} GPUs" if count else "torch sees no GPU"
         raise ConfigError(
-            f"device {place}: {there}: give another, such as 'cuda' if torch.cuda.is_available() else 'cpu'"
+            f"device {parsed}: {seen}: give another, such as 'cuda' if torch.cuda.is_available() else 'cpu'"
         )
-    return place
+    return parsed
 
 
 def _form(value: Any) -> str:
-    """Shape and type of a value, for people."""
+    """Shape and type of a value, for ``repr``."""
     if isinstance(value, Tensor):
-        where = "" if value.device.type == "cpu" else f" on {value.device}"
-        return f"{list(value.shape)} {str(value.dtype).removeprefix('torch.')}{where}"
+        device = "" if value.device.type == "cpu" else f" on {value.device}"
+        return f"{list(value.shape)} {str(value.dtype).removeprefix('torch.')}{device}"
     return f"list of {len(value)}" if isinstance(value, list) else type(value).__name__
 
 
 def _register(kind: type[dict[str, Any]]) -> None:
-    """Have torch's ``tree_map`` go through a kind of dict, and give one of its kind."""
-    if kind in pytree.SUPPORTED_NODES:  # this module is loaded again
+    """Register a dict class with torch's pytree, so that ``tree_map`` maps over it and returns its class."""
+    if kind in pytree.SUPPORTED_NODES:  # the module is reloaded
         return
     pytree.register_pytree_node(
         kind,

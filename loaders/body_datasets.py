@@ -1,4 +1,4 @@
-"""Bodies for a ``torch.utils.data.DataLoader``: from shards, or from the folder that came with GarmentCodeData."""
+"""Data sets of bodies: from shards, or from the folder published with GarmentCodeData."""
 
 import zlib
 from abc import ABC, abstractmethod
@@ -14,8 +14,17 @@ from torch.utils.data import Dataset, Subset
 
 from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.files import user_path
-from gcd_dataset.loaders.base import GarmentItem, Item, Transform, floating, function, kept_item, made_with, tensor_of
-from gcd_dataset.loaders.indexing import UnknownKeyError, index_of, several_of
+from gcd_dataset.loaders.base import (
+    GarmentItem,
+    Item,
+    Transform,
+    recipe_from_meta,
+    require_callable,
+    require_float_dtype,
+    tensor_of,
+    wrap_item,
+)
+from gcd_dataset.loaders.indexing import UnknownKeyError, index_list, resolve_index
 from gcd_dataset.records import MEASURES
 from gcd_dataset.release.body_folder import PublishedPeople
 from gcd_dataset.shards.body_set import MEMBER_OF, decode_body_fields, decode_person, read_set_mesh
@@ -28,18 +37,18 @@ FIELDS = ("name", "shape", "arm_angle", "measures", *POSES)
 
 
 class Bodies(Dataset[Item], ABC):
-    """People by number, each in two poses; all on one mesh, so that a plain ``DataLoader`` stacks them.
+    """People by index, each in two poses; all on one mesh, so that a plain ``DataLoader`` stacks them.
 
     =====================  =========================================================================================
-    ``name``               what the person is called
+    ``name``               name of the person
     ``shape``              f32 [k]: weights of the shape components [standard deviations]
-    ``arm_angle``          f32 []: how far both arms are raised from the A-pose [rad]
-    ``measures``           f32 [26], in the order of ``columns``: cm, inclinations in degrees; NaN where none was taken
-    ``straight, apart``    f32 [v, 3]: vertices with the legs straight, and with the legs apart [cm], soles at y = 0
+    ``arm_angle``          f32 []: angle by which both arms are raised from the A-pose [rad]
+    ``measures``           f32 [26], in the order of ``columns``: cm, inclinations in degrees; NaN if not measured
+    ``straight, apart``    f32 [v, 3]: vertices with straight legs, and with the legs apart [cm], soles at y = 0
     =====================  =========================================================================================
 
-    ``fields`` chooses what an item holds, all for ``None``; ``transform`` changes it on the way out; ``dtype`` is
-    that of the numbers, and ``None`` what is stored. ``people[[3, 5]]`` is a list of items, ``people[2:5]`` a data set.
+    ``fields`` selects the fields of an item, ``None`` all; ``transform`` is called with each item; ``dtype`` is the
+    floating type, ``None`` the stored one. ``people[[3, 5]]`` is a list of items, ``people[2:5]`` a data set.
     """
 
     columns: tuple[str, ...] = MEASURES
@@ -53,24 +62,24 @@ class Bodies(Dataset[Item], ABC):
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
         self.fields = known_fields(fields, FIELDS)
-        self.transform = None if transform is None else function("transform", transform)
-        self.dtype = floating(dtype)
+        self.transform = None if transform is None else require_callable("transform", transform)
+        self.dtype = require_float_dtype(dtype)
 
     @property
     @abstractmethod
     def mesh(self) -> BodyMesh:
-        """Triangles and parts, which all bodies share."""
+        """Triangles and body parts, shared by all bodies."""
 
     @abstractmethod
     def __len__(self) -> int: ...
 
     @abstractmethod
     def person(self, index: int) -> Person:
-        """Person ``index`` with every digit, ready to be dressed. Raises ``IndexError``."""
+        """Person ``index`` in full precision, ready to be dressed. Raises ``IndexError``."""
 
     @abstractmethod
     def _values(self, position: int) -> Mapping[str, Any]:
-        """The fields as they are stored, ``self.fields`` at least."""
+        """The stored values of at least ``self.fields``."""
 
     @property
     def faces(self) -> Tensor:
@@ -79,61 +88,60 @@ class Bodies(Dataset[Item], ABC):
 
     @property
     def parts(self) -> Tensor | None:
-        """u8 [v]: ``BodyPart`` value of each vertex; ``None`` where nobody has said."""
+        """u8 [v]: ``BodyPart`` value of each vertex; ``None`` if unknown."""
         return None if self.mesh.parts is None else torch.from_numpy(np.array(self.mesh.parts))
 
     def __getitem__(self, index: Any) -> Any:
-        """Person ``index``, a number or what the person is called; several for a list, a data set for a slice.
+        """The item of an index or name; a list of items for several, a data set for a slice.
 
-        Raises ``IndexError``, ``KeyError`` for a name that nobody has, ``TypeError`` for what is no index.
+        Raises ``IndexError``, ``KeyError`` for an unknown name, ``TypeError`` for a value that is no index.
         """
         if isinstance(index, slice):
             return Subset(self, range(len(self))[index])
-        several = several_of(index)
-        return self._one(self._position(index)) if several is None else [self[each] for each in several]
+        several = index_list(index)
+        return self._load(self._position(index)) if several is None else [self[each] for each in several]
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self)} people: {', '.join(self.fields)})"
 
     def __iter__(self) -> Iterator[Any]:
-        """Everybody in order."""
         return (self[index] for index in range(len(self)))
 
-    def _one(self, position: int) -> Any:
+    def _load(self, position: int) -> Any:
         values = self._values(position)
         item = GarmentItem(
             (field, value if isinstance(value := values[field], str) else _tensor(value, self.dtype))
             for field in self.fields
         )
-        return item if self.transform is None else kept_item(self.transform(item))
+        return item if self.transform is None else wrap_item(self.transform(item))
 
     def _position(self, index: int | str) -> int:
-        return self._called(index) if isinstance(index, str) else index_of(index, len(self), "person")
+        return self._find_name(index) if isinstance(index, str) else resolve_index(index, len(self), "person")
 
-    def _called(self, name: str) -> int:
-        """The position of the person of a name. Raises ``UnknownKeyError``."""
+    def _find_name(self, name: str) -> int:
+        """The position of the person with a name. Raises ``UnknownKeyError``."""
         names = self._names()
         try:
             return names.index(name)
         except ValueError:
             near = get_close_matches(name, names, n=3)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"they are called {names[0]} and the like"
+            hint = f"did you mean {' or '.join(near)}?" if near else f"names are like {names[0]}"
             raise UnknownKeyError(f"no person {name!r:.99}: {hint}") from None
 
     @abstractmethod
     def _names(self) -> Sequence[str]:
-        """What everybody is called, in order."""
+        """Names of all people, in order."""
 
 
 class BodyDataset(Bodies):
-    """People in a folder of shards, as ``gcd generate --stage body`` makes them.
+    """People in a folder of shards, as made by ``gcd generate --stage body``.
 
     >>> ds = BodyDataset("bodies", fields=("measures", "straight"))  # doctest: +SKIP
     >>> ds[0]["straight"].shape, ds[0]["measures"][ds.columns.index("waist")]  # doctest: +SKIP
     (torch.Size([25128, 3]), tensor(81.5200))
 
-    ``verify``: ``lazy`` checks a member's CRC-32 the first time that a process reads it, ``full`` checks everything at
-    once, ``off`` nothing. Raises ``ShardError`` for a folder that holds no such split, or a broken or foreign one.
+    ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks everything
+    on opening, ``off`` nothing. Raises ``ShardError`` for a folder without such a split, or a damaged or foreign one.
     """
 
     def __init__(
@@ -162,15 +170,16 @@ class BodyDataset(Bodies):
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that person ``index`` was made with. Raises ``IndexError``."""
-        return made_with(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
+        return recipe_from_meta(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
 
     def identity(self) -> dict[str, Any]:
-        """What tells these people from others: how many, and how the first and the last were made."""
-        made = [{name: end[name] for name in ("seed", "index", "recipe")} for end in map(self.recipe, (0, -1))]
-        return {"length": len(self), "ends": made}
+        """Identity of the data set: its length, and the recipes of its first and last person."""
+        recipes = map(self.recipe, (0, -1))
+        ends = [{name: recipe[name] for name in ("seed", "index", "recipe")} for recipe in recipes]
+        return {"length": len(self), "ends": ends}
 
     def verify(self, index: int) -> None:
-        """Raise ``ShardError`` with shard, key and member if a byte of person ``index`` is not as it was written."""
+        """Raise ``ShardError`` with shard, key and member if the bytes of person ``index`` are not those written."""
         self._reader.check(self._position(index))
 
     def _names(self) -> Sequence[str]:
@@ -184,16 +193,15 @@ class BodyDataset(Bodies):
 
 
 class PublishedBodies(Bodies):
-    """People in the folder ``5000_body_shapes_and_measures`` that came with GarmentCodeData, as it is.
+    """People in the folder ``5000_body_shapes_and_measures`` published with GarmentCodeData, unconverted.
 
     >>> ds = PublishedBodies("GarmentCodeData_v2", fields=("measures", "straight"))  # doctest: +SKIP
     >>> ds[ds.names.index("00345")]["straight"].shape  # doctest: +SKIP
     torch.Size([23752, 3])
 
-    ``names``: whom to read; everybody by default. ``segmentation``: GarmentCode's ``ggg_body_segmentation.json``, which
-    tells the parts. The sign of ``arm_angle`` is that of the authors' rig, see ``PublishedPeople.shape``.
-    Raises ``ShardError`` with the first file that is missing of those that the fields come from, ``BodyError`` for one
-    that is not as it should be.
+    ``names``: the people to read, by default all. ``segmentation``: GarmentCode's ``ggg_body_segmentation.json``, for
+    the body parts. The sign of ``arm_angle`` is that of the authors' rig, see ``PublishedPeople.shape``. Raises
+    ``ShardError`` with the first missing file of those that the fields need, ``BodyError`` for an invalid file.
     """
 
     def __init__(
@@ -207,8 +215,14 @@ class PublishedBodies(Bodies):
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
         super().__init__(fields, transform, dtype=dtype)
-        kinds = {"shape": "meta", "arm_angle": "meta", "measures": "measures", "straight": "straight", "apart": "apart"}
-        needed = dict.fromkeys(kinds[field] for field in self.fields if field != "name")
+        file_of = {
+            "shape": "meta",
+            "arm_angle": "meta",
+            "measures": "measures",
+            "straight": "straight",
+            "apart": "apart",
+        }
+        needed = dict.fromkeys(file_of[field] for field in self.fields if field != "name")
         self._people = PublishedPeople(root, names=names, needed=needed, segmentation=segmentation)
         self.names = self._people.names
 
@@ -220,7 +234,7 @@ class PublishedBodies(Bodies):
         return len(self.names)
 
     def identity(self) -> dict[str, Any]:
-        """What tells these people from others: their names."""
+        """Identity of the data set: its first and last name, and a checksum of all."""
         return {"ends": [self.names[0], self.names[-1]], "names": zlib.crc32("\n".join(self.names).encode())}
 
     def person(self, index: int) -> Person:
@@ -230,16 +244,16 @@ class PublishedBodies(Bodies):
         return self.names
 
     def _values(self, position: int) -> Mapping[str, Any]:
-        name, wanted = self.names[position], set(self.fields)
+        name, fields = self.names[position], set(self.fields)
         values: dict[str, Any] = {"name": name}
-        if wanted & {"shape", "arm_angle"}:
+        if fields & {"shape", "arm_angle"}:
             shape = self._people.shape(name)
             values |= {"shape": shape.weights, "arm_angle": shape.arm_angle}
-        if "measures" in wanted:
+        if "measures" in fields:
             values["measures"] = measure_row(self._people.measurements(name))
-        return values | {pose: self._people.vertices(name, pose) for pose in POSES if pose in wanted}
+        return values | {pose: self._people.vertices(name, pose) for pose in POSES if pose in fields}
 
 
 def _tensor(value: Any, dtype: torch.dtype | None) -> Tensor:
-    """The number or numbers as ``dtype``, or as they are."""
+    """A number or array as a tensor, floating ones cast to ``dtype``."""
     return tensor_of(np.asarray(value), dtype)

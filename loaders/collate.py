@@ -1,4 +1,4 @@
-"""Batches of garments, which differ in size."""
+"""Collate functions: items of different sizes to one batch, packed or padded."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,33 +13,33 @@ from torch.utils.data._utils.collate import collate, default_collate_fn_map
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, WHOLE, PackedBatch, PaddedBatch, starts_of
-from gcd_dataset.loaders.one_thread import add, fill, join
+from gcd_dataset.loaders.one_thread import add, concatenate, fill
 from gcd_dataset.shards.room import room_for
 
 __all__ = ["collate_list", "collate_packed", "collate_padded"]
 
 
 def collate_list(items: Sequence[Any]) -> list[Any]:
-    """The items as they are, in a list."""
+    """The items in a list, unchanged."""
     return list(items)
 
 
 def collate_packed(items: Sequence[Item]) -> PackedBatch:
-    """One dict for the batch: ragged arrays one below the other, as graphs are batched in PyTorch Geometric.
+    """Concatenate ragged arrays, as PyTorch Geometric batches graphs; stack the others.
 
     - A ragged field (``RAGGED``: meshes and patterns) is concatenated along its rows. ``<field>_ptr``, int64 [B+1],
-      holds where each garment begins: garment k is ``batch["verts"][ptr[k]:ptr[k + 1]]``.
-    - Row numbers are raised so that they index the concatenated arrays: ``batch["verts"][batch["faces"]]`` are the
-      triangles of the whole batch. ``faces``, ``uv_vertex`` and the first column of ``labels`` and ``seams`` point to
-      ``verts`` and to ``box``; ``corners`` to ``uv``; ``panel_id`` and ``edges[:, EdgeColumn.PANEL]`` to ``panels``;
-      ``stitches[:, :2]`` to ``edges``; ``seams[:, 1]`` to ``stitches``. Data types stay as they are. The field pointed
-      to must be in the items. The second column of ``labels`` stays a row of each garment's ``edge_labels``.
-    - Tensors of one shape, such as ``body``, ``points``, ``front`` and ``back``, are stacked to [B, …].
-    - Everything else, such as parsed JSON and what a ``transform`` has added, becomes a list of length B.
+      holds the start of each garment: garment k is ``batch["verts"][ptr[k]:ptr[k + 1]]``.
+    - Row numbers are offset to index the concatenated arrays: ``batch["verts"][batch["faces"]]`` are the triangles of
+      the whole batch. ``faces``, ``uv_vertex`` and the first column of ``labels`` and ``seams`` refer to ``verts`` and
+      ``box``; ``corners`` to ``uv``; ``panel_id`` and ``edges[:, EdgeColumn.PANEL]`` to ``panels``; ``stitches[:, :2]``
+      to ``edges``; ``seams[:, 1]`` to ``stitches``. Data types stay. The field referred to must be in the items. The
+      second column of ``labels`` stays a row of each garment's ``edge_labels``.
+    - Tensors of equal shape, such as ``body``, ``points``, ``front`` and ``back``, are stacked to [B, …].
+    - Any other value, such as parsed JSON or the entries a ``transform`` adds, becomes a list of length B.
     - ``batch_size`` is B.
 
-    Raises ``ConfigError`` for an empty batch, items with different fields or types of one field, row numbers without
-    the field that they point to, and a batch of draped and undraped garments.
+    Raises ``ConfigError`` for an empty batch, items with different fields, different types of one field, row numbers
+    without the field that they refer to, and a batch of draped and undraped garments.
 
     >>> item = {"verts": torch.zeros(3, 3), "faces": torch.tensor([[0, 1, 2]])}
     >>> batch = collate_packed([item, item])
@@ -52,18 +52,19 @@ def collate_packed(items: Sequence[Item]) -> PackedBatch:
     batch |= {f"{field}_ptr": torch.tensor([0, *accumulate(counts)]) for field, counts in rows.items()}
     for field in items[0]:
         values = [item[field] for item in items]
-        batch[field] = _packed(values, rows[field], batch, field) if field in rows else _together(values, field)
+        batch[field] = _pack(values, rows[field], batch, field) if field in rows else _stacked(values, field)
     return batch
 
 
 def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = None) -> PaddedBatch:
-    """One dict for the batch: ragged arrays side by side, filled up to the longest, for networks of one shape.
+    """Pad ragged arrays to equal length and stack everything, for networks with inputs of fixed shape.
 
     - A ragged field becomes [B, n, …], n the rows of the longest garment of the batch; ``<field>_mask``, bool [B, n],
-      is true on rows that are there. What fills up is 0, in arrays of integers -1: an index that points to nothing.
-    - Row numbers stay those of the garment: ``faces[k]`` are rows of ``verts[k]``.
-    - ``rows``: field to n, the same for all batches: ``functools.partial(collate_padded, rows={"panels": 40})``.
-    - All else is as ``collate_packed`` does it.
+      is true on real rows. Padding is 0 in floating arrays, and -1 in integer arrays: a row number that refers to
+      nothing.
+    - Row numbers count within the garment: ``faces[k]`` are rows of ``verts[k]``.
+    - ``rows``: field to a fixed n for all batches: ``functools.partial(collate_padded, rows={"panels": 40})``.
+    - All other fields as in ``collate_packed``.
 
     Raises ``ConfigError`` for an empty batch, items with different fields, and a garment with more rows than ``rows``.
 
@@ -77,15 +78,15 @@ def collate_padded(items: Sequence[Item], *, rows: Mapping[str, int] | None = No
     for field in items[0]:
         values = [item[field] for item in items]
         if field in RAGGED:
-            batch[field], batch[f"{field}_mask"] = _padded(values, field, (rows or {}).get(field))
+            batch[field], batch[f"{field}_mask"] = _pad(values, field, (rows or {}).get(field))
         else:
-            batch[field] = _together(values, field)
+            batch[field] = _stacked(values, field)
     return batch
 
 
 def _require_same_fields(items: Sequence[Item]) -> None:
     if not items:
-        raise ConfigError("a batch of no garments: give it one or more")
+        raise ConfigError("an empty batch: give one garment or more")
     for item in items[1:]:
         if item.keys() != items[0].keys():
             odd = ", ".join(sorted(item.keys() ^ items[0].keys()))
@@ -93,80 +94,80 @@ def _require_same_fields(items: Sequence[Item]) -> None:
 
 
 def _require_same_type(values: Sequence[Tensor], field: str) -> None:
-    """Raise ``ConfigError`` for values of several types, of which some would lose digits in one array."""
+    """Raise ``ConfigError`` for different types of one field: in one array some would lose digits."""
     if any(value.dtype != values[0].dtype for value in values):
         types = ", ".join(dict.fromkeys(str(value.dtype) for value in values))
         raise ConfigError(
-            f"{field} of one batch is of {types}: give the data set one type, such as dtype=torch.float32"
+            f"{field} has types {types} in one batch: give the data set one type, such as dtype=torch.float32"
         )
 
 
-def _packed(values: list[Tensor], counts: list[int], batch: PackedBatch, field: str) -> Tensor:
-    """The rows one below the other, and the row numbers in them raised by where each garment begins."""
+def _pack(values: list[Tensor], counts: list[int], batch: PackedBatch, field: str) -> Tensor:
+    """The concatenated rows; row numbers in them are offset by each garment's start."""
     _require_same_type(values, field)
     starts = [(column, starts_of(batch, field, target)) for column, target in POINTS_TO.get(field, ())]
-    rows = _room((sum(counts), *values[0].shape[1:]), values[0])
-    if starts and starts[0][0] == WHOLE:  # in one go: these are the largest
-        for value, start, part in zip(values, starts[0][1].tolist(), torch.split(rows, counts), strict=False):
-            add(value, start, part)
+    rows = _empty((sum(counts), *values[0].shape[1:]), values[0])
+    if starts and starts[0][0] == WHOLE:  # copy and offset in one pass: the largest arrays
+        for value, start, out in zip(values, starts[0][1].tolist(), torch.split(rows, counts), strict=False):
+            add(value, start, out)
         return rows
-    join(values, rows)
+    concatenate(values, rows)
     for column, start in starts:
-        raised = start[:-1].to(rows.dtype).repeat_interleave(torch.tensor(counts), output_size=len(rows))
-        part = rows[:, column]
-        part += raised if part.ndim == 1 else raised[:, None]
+        offsets = start[:-1].to(rows.dtype).repeat_interleave(torch.tensor(counts), output_size=len(rows))
+        entries = rows[:, column]
+        entries += offsets if entries.ndim == 1 else offsets[:, None]
     return rows
 
 
-def _padded(values: list[Tensor], field: str, count: int | None) -> tuple[Tensor, Tensor]:
-    """The values side by side, and where rows are there."""
+def _pad(values: list[Tensor], field: str, count: int | None) -> tuple[Tensor, Tensor]:
+    """The padded values [B, n, …] and their mask [B, n]."""
     _require_same_type(values, field)
     lengths = [len(value) for value in values]
     longest = max(lengths) if count is None else count
     if max(lengths) > longest:
         raise ConfigError(
-            f"a garment with {max(lengths)} rows of {field}, and rows={longest}: give more, or leave it out"
+            f"a garment has {max(lengths)} rows of {field}, more than rows={longest}: give more, or leave rows out"
         )
-    rows = _room((len(values), longest, *values[0].shape[1:]), values[0])
-    nothing = 0 if values[0].is_floating_point() else -1
-    for value, place in zip(values, rows, strict=True):
-        join([value], place[: len(value)])
-        fill(place[len(value) :], nothing)
+    rows = _empty((len(values), longest, *values[0].shape[1:]), values[0])
+    padding = 0 if values[0].is_floating_point() else -1
+    for value, out in zip(values, rows, strict=True):
+        concatenate([value], out[: len(value)])
+        fill(out[len(value) :], padding)
     mask = np.arange(longest) < np.array(lengths)[:, None]
     return rows, torch.from_numpy(mask).to(values[0].device)
 
 
-def _together(values: list[Any], field: str) -> Any:
-    """Tensors of one shape as one, anything else in a list."""
+def _stacked(values: list[Any], field: str) -> Any:
+    """Tensors of equal shape stacked; anything else as a list."""
     first = values[0]
     if all(isinstance(value, Tensor) and value.shape == first.shape for value in values):
         _require_same_type(values, field)
-        batch = _room((len(values), *first.shape), first)
-        join([value[None] for value in values], batch)
+        batch = _empty((len(values), *first.shape), first)
+        concatenate([value[None] for value in values], batch)
         return batch
     return values
 
 
-def _room(shape: Sequence[int], like: Tensor) -> Tensor:
-    """Where values of a type are put together."""
+def _empty(shape: Sequence[int], like: Tensor) -> Tensor:
+    """Memory for a batch; on the CPU from a pool of buffers that are reused."""
     size = math.prod(shape) * like.itemsize
     if not size or like.device.type != "cpu":
         return torch.empty(shape, dtype=like.dtype, device=like.device)
     return torch.from_numpy(room_for(size)).view(like.dtype).view(shape)
 
 
-def _by_default(items: Sequence[GarmentItem], *, collate_fn_map: Any = None) -> dict[str, Any]:
-    """What torch's ``default_collate`` makes of garments. Raises ``ConfigError`` where they differ in size."""
+def _default_collate(items: Sequence[GarmentItem], *, collate_fn_map: Any = None) -> dict[str, Any]:
+    """torch's ``default_collate`` for garments. Raises ``ConfigError`` if they differ in size."""
     batch = {}
     for field in items[0]:
         try:
             batch[field] = collate([item[field] for item in items], collate_fn_map=collate_fn_map)
         except (RuntimeError, TypeError, KeyError, ValueError) as error:
             raise ConfigError(
-                f"{field} differs in size or kind from garment to garment, and torch's default collate stacks equal "
-                "ones: give the DataLoader collate_fn=collate_packed, or collate_padded, of gcd_dataset.loaders"
+                f"{field} differs in size or kind between garments, and torch's default collate stacks equal ones: "
+                "give the DataLoader collate_fn=collate_packed, or collate_padded, of gcd_dataset.loaders"
             ) from error
     return batch
 
 
-default_collate_fn_map[GarmentItem] = _by_default
+default_collate_fn_map[GarmentItem] = _default_collate

@@ -1,4 +1,4 @@
-"""Small garments that need no generator: tubes of two panels, for trying out code that trains on garments."""
+"""``FakeGarments``: tubes of two panels without the generator, for tests of training code."""
 
 import io
 from collections.abc import Iterable, Mapping
@@ -12,7 +12,7 @@ from PIL import Image
 
 from gcd_dataset import __version__
 from gcd_dataset.errors import ShardError
-from gcd_dataset.loaders.base import Garments, Transform, natural
+from gcd_dataset.loaders.base import Garments, Transform, require_integer
 from gcd_dataset.records import (
     BodyShape,
     BoxMesh,
@@ -35,14 +35,14 @@ from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 
 __all__ = ["FakeGarments", "fake_sample"]
 
-LABEL = "lower_interface"  # what a skirt's upper edge is called: a drape holds it at the waist
+LABEL = "lower_interface"  # the label of a skirt's upper edge; a drape holds it at the waist
 COMPONENTS = 8
 POINTS = 64
 PICTURE = 16  # pixels
 
 
 class FakeGarments(Garments):
-    """``n`` valid garments of about a hundred vertices, in every field like those of ``GarmentDataset``.
+    """``n`` valid garments of about a hundred vertices, with all fields of ``GarmentDataset``.
 
     >>> ds = FakeGarments(3, fields=("faces", "measures"))
     >>> ds[0]["faces"].shape[1], sorted(ds[0]["measures"])
@@ -59,7 +59,7 @@ class FakeGarments(Garments):
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
         super().__init__(fields, transform, dtype=dtype)
-        self._n, self._seed = natural("n", n), natural("seed", seed)
+        self._n, self._seed = require_integer("n", n), require_integer("seed", seed)
 
     def __len__(self) -> int:
         return self._n
@@ -70,19 +70,19 @@ class FakeGarments(Garments):
         return {"seed": made.seed, "index": made.index, "recipe": dict(made.recipe), "versions": dict(made.versions)}
 
     def verify(self, index: int) -> None:
-        """Raise ``ShardError`` unless garment ``index`` comes out the same twice."""
+        """Raise ``ShardError`` unless garment ``index`` has the same bytes when made twice."""
         position = self._position(index)
         if self._members(position, ()) != self._members(position, ()):
-            raise ShardError(f"fake garment {position} comes out different each time")
+            raise ShardError(f"fake garment {position} has other bytes each time it is made")
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         return encode_sample(fake_sample(self._seed, position))
 
 
 def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINTS) -> Sample:
-    """A skirt that is a tube round the y axis: front and back are rectangles, sewn together at both sides.
+    """A skirt: a tube around the y axis, of two rectangles sewn together at both sides.
 
-    ``fineness``: triangles along each that would be one; ``points``: how many lie on its surface.
+    ``fineness``: subdivisions of each cell edge; ``points``: number of surface points.
     """
     random = rng(seed, index, Stage.DESIGN)
     tube = _Tube(
@@ -108,7 +108,7 @@ def fake_sample(seed: int, index: int, *, fineness: int = 1, points: int = POINT
 
 @dataclass(frozen=True)
 class _Tube:
-    """Two rectangles of ``columns`` × ``rows`` cells each; the vertices of the seams come first."""
+    """Two rectangles of ``columns`` × ``rows`` cells each; vertices of the seams are numbered first."""
 
     width: float
     length: float
@@ -116,7 +116,7 @@ class _Tube:
     rows: int
 
     def pattern(self, name: str) -> Pattern:
-        """Front and back, sewn right to left and left to right."""
+        """Front and back, sewn together at both sides."""
         w, h = self.width, self.length
         corners = np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]])
         edges = tuple(Edge(i, (i + 1) % 4, label=LABEL if i == 2 else "") for i in range(4))
@@ -124,11 +124,11 @@ class _Tube:
         back = Placement(np.array([w / 2, 60.0, -20.0]), np.array([0.0, np.pi, 0.0]))
         panels = (Panel("front", corners, edges, front, "leg"), Panel("back", corners, edges, back, "leg"))
         seams = (Seam(EdgeRef("front", 1), EdgeRef("back", 3)), Seam(EdgeRef("front", 3), EdgeRef("back", 1)))
-        # Through a specification and back, so that the sample is one that a shard can hold to the last digit.
+        # Through a specification and back: numbers that a shard stores exactly.
         return pattern_from_spec(spec_from_pattern(Pattern(name, panels, seams)), name)
 
     def box_mesh(self) -> BoxMesh:
-        """Both rectangles in place, joined at the sides."""
+        """Both rectangles placed, seams welded."""
         uv, vertex, corners = self._flat(), self._vertex(), self._corners()
         placed = np.concatenate([panel.placement.apply(uv) for panel in self.pattern("").panels])
         total = np.zeros((vertex.max() + 1, 3))
@@ -149,29 +149,31 @@ class _Tube:
         )
 
     def round_shape(self) -> Float[np.ndarray, "v 3"]:
-        """The tube as a cylinder whose girth is twice the panels' width [cm]."""
+        """The draped vertices [cm]: a cylinder of girth twice the panels' width."""
         u, v = self._flat().T
-        share = np.concatenate([1 - u / self.width, -u / self.width])  # of half a turn; 0 is the wearer's left
+        half_turns = np.concatenate([1 - u / self.width, -u / self.width])  # 0 is the wearer's left
         radius = self.width / np.pi
-        points = np.stack([radius * np.cos(np.pi * share), 60 + np.tile(v, 2), radius * np.sin(np.pi * share)], axis=1)
+        points = np.stack(
+            [radius * np.cos(np.pi * half_turns), 60 + np.tile(v, 2), radius * np.sin(np.pi * half_turns)], axis=1
+        )
         vertices = np.zeros((self._vertex().max() + 1, 3))
         vertices[self._vertex()] = points
         return vertices
 
     def surface_points(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "n 6"]:
-        """Points of the cylinder with outward normals."""
+        """Random points of the cylinder [cm] with outward normals."""
         angle, height = random.uniform(0, 2 * np.pi, count), random.uniform(60, 60 + self.length, count)
         outward = np.stack([np.cos(angle), np.zeros(count), np.sin(angle)], axis=1)
-        place = self.width / np.pi * outward + np.stack([0 * height, height, 0 * height], axis=1)
-        return np.concatenate([place, outward], axis=1)
+        points = self.width / np.pi * outward + np.stack([0 * height, height, 0 * height], axis=1)
+        return np.concatenate([points, outward], axis=1)
 
     def _flat(self) -> Float[np.ndarray, "n 2"]:
-        """Grid points of one rectangle, row by row from below [cm]."""
+        """Grid points of one rectangle, row by row from the bottom [cm]."""
         u, v = np.meshgrid(np.linspace(0, self.width, self.columns + 1), np.linspace(0, self.length, self.rows + 1))
         return np.stack([u.ravel(), v.ravel()], axis=1)
 
     def _vertex(self) -> Int[np.ndarray, " c"]:
-        """The vertex of every grid point, the front's first: left side, right side, then what lies between."""
+        """The vertex of each grid point, front first; vertices are numbered left seam, right seam, interior."""
         side, inner = self.rows + 1, (self.rows + 1) * (self.columns - 1)
         grid = np.empty((2, side, self.columns + 1), np.int64)
         grid[0, :, -1] = grid[1, :, 0] = np.arange(side)
@@ -180,17 +182,17 @@ class _Tube:
         return grid.ravel()
 
     def _corners(self) -> Int[np.ndarray, "f 3"]:
-        """Two triangles a cell, counter-clockwise in the panel's plane."""
+        """Two triangles per cell, counter-clockwise in the panel's plane."""
         across = self.columns + 1
         cell = (np.arange(self.rows)[:, None] * across + np.arange(self.columns)).ravel()
         lower = np.stack([cell, cell + 1, cell + across + 1], axis=1)
         upper = np.stack([cell, cell + across + 1, cell + across], axis=1)
-        one = np.concatenate([lower, upper])
-        return np.concatenate([one, one + across * (self.rows + 1)])
+        front = np.concatenate([lower, upper])
+        return np.concatenate([front, front + across * (self.rows + 1)])
 
 
 def _picture(random: np.random.Generator) -> bytes:
-    """A JPEG of one colour."""
+    """A JPEG of one random colour."""
     file = io.BytesIO()
     colour = tuple(int(c) for c in random.integers(256, size=3))
     Image.new("RGB", (PICTURE, PICTURE), colour).save(file, "JPEG", quality=90)

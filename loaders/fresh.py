@@ -1,8 +1,8 @@
-"""Garments made while a model trains: ahead of it, into a buffer of a fixed size, each given several times.
+"""``FreshGarments``: garments made during training into a buffer of fixed size, each used several times.
 
-The processes are those of a ``DataLoader``, not of ``gcd_dataset.workers``: they run data sets and transforms of users,
-which may be no more than a lambda in a script without a guard, with random numbers of their own in each worker. What
-they do is the maker's: ``produce`` at the same draping processes, as far ahead.
+The workers are those of a ``DataLoader``, not of ``gcd_dataset.workers``: they run users' data sets and transforms,
+which may be a lambda in a script without a ``__main__`` guard, and need random streams of their own in each worker.
+They make garments by ``produce`` with the same draping processes and look-ahead as ``gcd generate``.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,19 +16,27 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.maker import READY
-from gcd_dataset.loaders.base import GarmentItem, Garments, Item, changing, function, kept_item, natural
-from gcd_dataset.loaders.one_thread import copied
-from gcd_dataset.loaders.replay import Given, Rate, Window
-from gcd_dataset.loaders.states import named, position_of
+from gcd_dataset.loaders.base import (
+    GarmentItem,
+    Garments,
+    Item,
+    as_transform_error,
+    require_callable,
+    require_integer,
+    wrap_item,
+)
+from gcd_dataset.loaders.one_thread import copy_tensor
+from gcd_dataset.loaders.replay import Replay, ReplayRate, ReplayWindow
+from gcd_dataset.loaders.states import dataset_entries, position_in_state
 from gcd_dataset.loaders.transforms import Augment
-from gcd_dataset.loaders.worker import begin_worker, received, told
+from gcd_dataset.loaders.worker import begin_worker, unwrap, with_traceback
 from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["FreshGarments"]
 
 
 class FreshGarments(IterableDataset[Item]):
-    """Every garment of a data set, made by ``workers`` processes ahead of the training and given ``replay`` times.
+    """A stream of generated garments, made ahead of the training by ``workers`` processes, each used ``replay`` times.
 
     >>> from gcd_dataset.loaders import FakeGarments
     >>> fresh = FreshGarments(FakeGarments(4, fields=["meta"]), replay=2, room=3)
@@ -37,25 +45,25 @@ class FreshGarments(IterableDataset[Item]):
     >>> [item["meta"]["index"] for item in fresh]  # the next epoch
     [0, 0, 1, 3, 3, 2, 1, 2]
 
-    A model that takes more garments a second than can be made sees each of them ``replay`` times, at random moments
-    out of the garments in the buffer; 2.5 is 2 times for one and 3 for the next. A garment that was given as often
-    gives its place to the next that was made, so that memory is bounded: ``room`` items here, and those of 74 designs
-    in each worker; where other processes drape for the workers, 48 garments more in each, of 1 MB at 1 cm.
-    The first garment comes as soon as it is made: the buffer takes in one more with each that is given, until there are
-    ``room`` of them. The order is a function of ``seed``, epoch and place, and of the data set: not of workers or time.
+    For a model that consumes garments faster than they are made: each garment is used ``replay`` times, at random
+    moments while it is in the buffer; 2.5 means twice for one garment and three times for the next. After its last use
+    a new garment takes its place, so memory is bounded: ``room`` items here, and the items of 74 designs in each
+    worker, plus 48 garments of 1 MB (at 1 cm) where draping processes serve the workers. The first item comes as soon
+    as the first garment is made: the buffer grows by one garment with each item, up to ``room``. The order is a
+    function of ``seed``, epoch and position, and of the data set, not of workers or timing.
 
-    Each ``iter()`` is the next epoch: the same garments in another order, changed otherwise. Of a data set that goes on
-    beyond its length, as ``MixedDataset`` does, each epoch has the garments that follow. ``set_epoch`` chooses another,
-    and ``load_state_dict`` goes on in the midst of one: what came before is not made again, but for what is in the
-    buffer there. A ``GarmentLoader`` does both by its own state.
+    Each ``iter()`` is the next epoch: the same garments in another order, with other augmentation. An ``endless`` data
+    set, such as ``MixedDataset``, supplies its following garments each epoch. ``set_epoch`` selects an epoch;
+    ``load_state_dict`` resumes within one, and of the earlier garments makes only those still in the buffer. A
+    ``GarmentLoader`` calls both according to its own state.
 
-    ``augment`` changes an item each time it is given, with a random stream of its own: see
-    ``gcd_dataset.loaders.transforms``. It gets the item in the buffer, which it must not change in place.
+    ``augment`` is applied at each use, with a random stream of its own: see ``gcd_dataset.loaders.transforms``. It gets
+    the item in the buffer and must not change it in place.
 
-    Give it to a ``GarmentLoader`` with ``shuffle=False``, or to a ``DataLoader``; both without workers. Several ranks
-    share the making with ``garments.select(range(rank, n, ranks))`` each, and ``rank=0, world_size=1`` of the loader.
-    Raises ``ConfigError`` for options that cannot be, and what a worker raises, such as ``DrapeError`` where a draping
-    process ends: ``load_state_dict(state_dict())`` then goes on with the garment that did not come.
+    Give it to a ``GarmentLoader`` with ``shuffle=False``, or to a ``DataLoader``; both without workers. To divide the
+    making among ranks, give each ``garments.select(range(rank, n, ranks))``, and the loader ``rank=0, world_size=1``.
+    Raises ``ConfigError`` for invalid options, and the errors of workers, such as ``DrapeError`` if a draping process
+    ends: then ``load_state_dict(state_dict())`` resumes at the garment that failed.
     """
 
     def __init__(
@@ -70,45 +78,46 @@ class FreshGarments(IterableDataset[Item]):
     ) -> None:
         if not isinstance(garments, Garments):
             raise ConfigError(f"FreshGarments of a {type(garments).__name__}: give GeneratedGarments, or the like")
-        self.garments, self.room = garments, natural("room", room, least=1)
-        self.workers, self.seed = natural("workers", workers), natural("seed", seed)
-        self.augment = None if augment is None else function("augment", augment)
+        self.garments, self.room = garments, require_integer("room", room, least=1)
+        self.workers, self.seed = require_integer("workers", workers), require_integer("seed", seed)
+        self.augment = None if augment is None else require_callable("augment", augment)
         self._rate = _rate(replay)
-        self._next = self._reached = self._begun = 0
+        self._next = self._position = 0  # where the next iter() begins; how far the current one has come
+        self._iterator = 0  # number of the valid iterator
 
     @property
     def replay(self) -> Fraction:
-        """How often each garment is given."""
-        return Fraction(self._rate.over, self._rate.under)
+        """Uses of each garment."""
+        return Fraction(self._rate.numerator, self._rate.denominator)
 
     def __len__(self) -> int:
         """Items of one epoch."""
-        return self._rate.due(len(self.garments))
+        return self._rate.total(len(self.garments))
 
     def __repr__(self) -> str:
         return f"FreshGarments({self.garments!r}, replay={float(self.replay):g}, room={self.room})"
 
     def __iter__(self) -> Iterator[Item]:
-        """The next epoch, or what is left of the one that a state was of."""
-        start = self._reached = self._next
+        """The next epoch, or the rest of the loaded state's epoch."""
+        start = self._position = self._next
         self._next = (start // max(len(self), 1) + 1) * len(self)
-        self._begun += 1
-        return self._counted(start, self._begun)
+        self._iterator += 1
+        return self._counted(start, self._iterator)
 
     def set_epoch(self, epoch: int) -> None:
-        """Have the next ``iter()`` be that epoch."""
-        self._go_to(natural("epoch", epoch) * len(self))
+        """Select the epoch of the next ``iter()``."""
+        self._go_to(require_integer("epoch", epoch) * len(self))
 
     def state_dict(self) -> dict[str, Any]:
-        """How many items were given since the first epoch began, by the ``iter()`` begun last, and of which order."""
-        return {"position": self._reached, **named(self)}
+        """The position: items given by the last ``iter()``, since the first epoch began; and the order's identity."""
+        return {"position": self._position, **dataset_entries(self)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from there at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
-        self._go_to(position_of(state, {}, named(self)))
+        """Resume from a state at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
+        self._go_to(position_in_state(state, {}, dataset_entries(self)))
 
     def identity(self) -> dict[str, Any]:
-        """What makes the order: garments, and how they are given."""
+        """Everything that determines the order: garments, replay, room and seed."""
         return {
             "fresh": self.garments.identity() if len(self.garments) else None,
             "replay": str(self.replay),
@@ -117,120 +126,123 @@ class FreshGarments(IterableDataset[Item]):
         }
 
     def begin_at(self, position: int) -> Iterator[Item]:
-        """The items from a position to the end of its epoch; positions count from the beginning of the first epoch.
+        """The items from a position to the end of its epoch; positions count from the start of the first epoch.
 
-        Garments that were given for the last time before are not made.
+        Garments whose last use was before are not made.
         """
         if get_worker_info() is not None:
-            raise ConfigError("FreshGarments in a worker: give the loader num_workers=0; it has workers of its own")
-        epoch, place = divmod(position, max(len(self), 1))
-        window = Window(len(self.garments), self._rate, self.room, self.seed, epoch)
-        window.skip(place)
-        order = _Making(window.waiting(self.garments.together), window.entered, window.count, self.garments.together)
+            raise ConfigError(
+                "FreshGarments in a worker: give the loader num_workers=0; they have workers of their own"
+            )
+        epoch, offset = divmod(position, max(len(self), 1))
+        window = ReplayWindow(len(self.garments), self._rate, self.room, self.seed, epoch)
+        window.skip(offset)
+        per_design = self.garments.garments_per_design
+        order = _MakeOrder(window.designs(per_design), window.entered, window.count, per_design)
         first = epoch * len(self.garments)
-        return self._given(window, zip(order.numbers(), self._made(order, first), strict=True), first)
+        return self._replayed(window, zip(order.indices(), self._made(order, first), strict=True), first)
 
     def _go_to(self, position: int) -> None:
-        self._next = self._reached = position
-        self._begun += 1
+        self._next = self._position = position
+        self._iterator += 1
 
-    def _counted(self, start: int, begun: int) -> Iterator[Item]:
+    def _counted(self, start: int, iterator: int) -> Iterator[Item]:
         for position, item in enumerate(self.begin_at(start), start + 1):
-            if begun == self._begun:  # no other ``iter()`` or state has come since
-                self._reached = position
+            if iterator == self._iterator:  # no later iter() or load_state_dict()
+                self._position = position
             yield item
 
-    def _given(self, window: Window, made: Iterator[tuple[int, Item]], first: int) -> Iterator[Item]:
-        """The items that a window chooses, out of those that are made."""
+    def _replayed(self, window: ReplayWindow, made: Iterator[tuple[int, Item]], first: int) -> Iterator[Item]:
+        """The items in the window's order, from garments as they are made."""
         buffer: dict[int, Item] = {}
-        for given in window:
-            while given.number not in buffer:
-                number, item = next(made)
-                buffer[number] = item
-                del item
-            yield self._changed(buffer.pop(given.number) if given.is_last else buffer[given.number], given, first)
+        for replay in window:
+            wanted = replay.garment
+            while wanted not in buffer:
+                garment, item = next(made)
+                buffer[garment] = item
+                del item  # or this frame would hold it beyond its last use
+            yield self._augmented(buffer.pop(wanted) if replay.is_last else buffer[wanted], replay, first)
 
-    def _made(self, order: "_Making", first: int) -> Iterator[Item]:
-        """The garments in order: workers have them by turns, and give them by turns."""
-        self.garments.tell_wait()  # before the workers are there, who would all say it
+    def _made(self, order: "_MakeOrder", first: int) -> Iterator[Item]:
+        """The garments in order, made by the workers in turn, one design each."""
+        self.garments.tell_wait()  # before the workers start: each of them would log it
         designs = DataLoader(
-            _Share(self.garments, order, first if self.garments.endless else 0),
+            _WorkerGarments(self.garments, order, first if self.garments.endless else 0),
             batch_size=None,
             num_workers=self.workers,
             worker_init_fn=begin_worker,
-            # Of its own: a ``DataLoader`` without one draws from the caller's random numbers.
+            # A generator of its own: without one, ``DataLoader`` draws from torch's global stream.
             generator=torch.Generator().manual_seed(self.seed),
         )
-        made = chain.from_iterable(map(received, designs))
-        return map(_own, made) if self.workers else made
+        made = chain.from_iterable(map(unwrap, designs))
+        return map(_copied, made) if self.workers else made
 
-    def _changed(self, item: Item, given: Given, first: int) -> Item:
+    def _augmented(self, item: Item, replay: Replay, first: int) -> Item:
         if self.augment is None:
             return item
-        number = first + given.number  # other chance in each epoch
-        with changing(self.garments, given.number):
-            return kept_item(self.augment(item, rng(self.seed, number, Stage.AUGMENT, given.before)))
+        number = first + replay.garment  # another stream in each epoch
+        with as_transform_error(self.garments, replay.garment):
+            return wrap_item(self.augment(item, rng(self.seed, number, Stage.AUGMENT, replay.before)))
 
 
-def _rate(replay: float) -> Rate:
-    """The share as whole numbers. Raises ``ConfigError``."""
+def _rate(replay: float) -> ReplayRate:
+    """``replay`` as a fraction. Raises ``ConfigError`` for a value below 1."""
     try:
-        share = Fraction(str(replay))
+        rate = Fraction(str(replay))
     except (ValueError, ZeroDivisionError):
-        share = Fraction(0)
-    if share < 1:
+        rate = Fraction(0)
+    if rate < 1:
         raise ConfigError(f"replay={replay!r:.99}: give 1 or more")
-    return Rate(share.numerator, share.denominator)
+    return ReplayRate(rate.numerator, rate.denominator)
 
 
-def _own(item: Any) -> Any:
-    """The item in memory of this process: a container has 64 MB that workers can share, if nobody asks for more."""
-    if not isinstance(item, dict):  # a transform has made something else of it
+def _copied(item: Any) -> Any:
+    """The item copied out of shared memory, of which a container has 64 MB by default."""
+    if not isinstance(item, dict):  # a transform may return any type
         return item
     return GarmentItem(
-        (name, copied(value) if isinstance(value, torch.Tensor) else value) for name, value in item.items()
+        (name, copy_tensor(value) if isinstance(value, torch.Tensor) else value) for name, value in item.items()
     )
 
 
-class _Making:
-    """The order in which garments are made: some designs, then all others from a number on."""
+class _MakeOrder:
+    """The order in which garments are made: the designs in the window, then all others from index ``start`` on."""
 
-    def __init__(self, designs: Sequence[Sequence[int]], start: int, count: int, together: int) -> None:
-        self._designs, self._start, self._count, self._together = designs, start, count, together
+    def __init__(self, designs: Sequence[Sequence[int]], start: int, count: int, garments_per_design: int) -> None:
+        self._designs, self._start, self._count, self._per_design = designs, start, count, garments_per_design
 
     def __iter__(self) -> Iterator[Sequence[int]]:
-        """The numbers of each design."""
+        """The indices of each design."""
         yield from self._designs
         start = self._start
         while start < self._count:
-            end = min((start // self._together + 1) * self._together, self._count)
+            end = min((start // self._per_design + 1) * self._per_design, self._count)
             yield range(start, end)
             start = end
 
-    def numbers(self) -> Iterator[int]:
-        """Of the garments."""
+    def indices(self) -> Iterator[int]:
         return chain.from_iterable(self)
 
 
-class _Share(IterableDataset[list[Item] | GcdError]):
-    """Each worker's garments: every so many designs, those of a design in a list; an error ends them."""
+class _WorkerGarments(IterableDataset[list[Item] | GcdError]):
+    """One worker's garments: every ``num_workers``-th design, as a list of its items; an error ends the stream."""
 
-    def __init__(self, garments: Garments, order: _Making, first: int) -> None:
+    def __init__(self, garments: Garments, order: _MakeOrder, first: int) -> None:
         self._garments, self._order, self._first = garments, order, first
 
     def __iter__(self) -> Iterator[list[Item] | GcdError]:
-        # Finished garments wait in the worker's own memory: shared memory, 64 MB in a container, holds two a worker.
-        return self._made() if get_worker_info() is None else by_thread(self._told(), READY)
+        # Finished garments wait in the worker's private memory: a container's 64 MB of shared memory hold two a worker.
+        return self._made() if get_worker_info() is None else by_thread(self._made_or_error(), READY)
 
-    def _told(self) -> Iterator[list[Item] | GcdError]:
-        """The garments, then the error that ended them."""
+    def _made_or_error(self) -> Iterator[list[Item] | GcdError]:
+        """The designs; then the error that ended them, if any, as a value."""
         try:
             yield from self._made()
         except GcdError as error:
-            yield told(error)
+            yield with_traceback(error)
 
     def _made(self) -> Iterator[list[Item]]:
-        made = self._garments.stream(self._first + number for number in chain.from_iterable(self._designs()))
+        made = self._garments.stream(self._first + index for index in chain.from_iterable(self._designs()))
         return (list(islice(made, len(design))) for design in self._designs())
 
     def _designs(self) -> Iterable[Sequence[int]]:

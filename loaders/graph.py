@@ -1,4 +1,4 @@
-"""Garments as graphs: what is sewn to what, and meshes, as index pairs; for PyTorch Geometric too."""
+"""Patterns and meshes as graphs of index pairs, also for PyTorch Geometric."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ Kind = Literal["mesh", "pattern"]
 
 @dataclass(frozen=True)
 class SeamGraph:
-    """What a pattern hangs together by; rows of ``panels`` and ``edges``, int64, from the first row to the second.
+    """The seams of a pattern as directed index pairs [2, n], int64, of rows of ``panels`` and ``edges``.
 
     >>> from gcd_dataset.loaders import FakeGarments
     >>> graph = seam_graph(FakeGarments(1)[0])  # a front and a back, sewn together at both sides
@@ -29,11 +29,11 @@ class SeamGraph:
     """
 
     sewn_panels: Int[Tensor, "2 2*s"]
-    """Panels that a seam joins, seam by seam, and back."""
+    """Pairs of panels joined by a seam, seam by seam, then the same pairs reversed."""
     sewn_edges: Int[Tensor, "2 2*s"]
-    """Edges that a seam joins, seam by seam, and back."""
+    """Pairs of edges joined by a seam, seam by seam, then the same pairs reversed."""
     next_edge: Int[Tensor, "2 e"]
-    """Each edge and the one that follows in its panel's loop."""
+    """Each edge and its successor in the panel's outline."""
     edge_panel: Int[Tensor, "2 e"]
     """Each edge and its panel."""
 
@@ -44,18 +44,18 @@ def seam_graph(garment: Item | PackedBatch) -> SeamGraph:
     Raises ``ConfigError`` without the fields ``edges`` and ``stitches``, or for a padded batch.
     """
     edges, stitches = _rows(garment, "edges"), _rows(garment, "stitches")
-    there = stitches[:, [StitchColumn.LEFT, StitchColumn.RIGHT]].long().T
-    sewn = torch.cat([there, there.flip(0)], dim=1)
+    joined = stitches[:, [StitchColumn.LEFT, StitchColumn.RIGHT]].long().T
+    sewn = torch.cat([joined, joined.flip(0)], dim=1)
     panel = edges[:, EdgeColumn.PANEL].long().contiguous()
     row = torch.arange(len(edges), device=edges.device)
-    first = torch.searchsorted(panel, panel)  # edges stand panel by panel
+    first = torch.searchsorted(panel, panel)  # edges are sorted by panel
     is_last = torch.cat([panel[1:] != panel[:-1], panel.new_ones(min(1, len(panel)), dtype=torch.bool)])
-    following = torch.where(is_last, first, row + 1)
-    return SeamGraph(panel[sewn], sewn, torch.stack([row, following]), torch.stack([row, panel]))
+    successor = torch.where(is_last, first, row + 1)
+    return SeamGraph(panel[sewn], sewn, torch.stack([row, successor]), torch.stack([row, panel]))
 
 
 def mesh_edges(faces: Int[Tensor, "f 3"]) -> Int[Tensor, "2 n"]:
-    """The edges of triangles, each in both directions, once, in the order of their vertices.
+    """The edges of triangles as index pairs, each in both directions, unique and sorted.
 
     >>> mesh_edges(torch.tensor([[0, 1, 2]])).tolist()
     [[0, 0, 1, 1, 2, 2], [1, 2, 0, 2, 0, 1]]
@@ -66,22 +66,24 @@ def mesh_edges(faces: Int[Tensor, "f 3"]) -> Int[Tensor, "2 n"]:
 
 
 def to_pyg(garment: Item | PackedBatch, graph: Kind = "mesh") -> Any:
-    """The garment as a graph of PyTorch Geometric; of a packed batch one graph, with ``batch`` and ``ptr``.
+    """The garment as a graph of PyTorch Geometric; a packed batch becomes one graph with ``batch`` and ``ptr``.
 
     - ``mesh``: ``Data`` with ``pos`` (``verts``, or ``box`` of an undraped garment) [cm], ``face`` [3, f] and
-      ``edge_index``. Lists of such go through PyTorch Geometric's own ``Batch`` as well.
+      ``edge_index``. PyTorch Geometric's own ``Batch`` accepts lists of these.
     - ``pattern``: ``HeteroData`` with nodes ``panel`` and ``edge``, whose ``x``, f32, are the rows of the pattern's
-      arrays, edges without the column ``PANEL``; relations (edge, ``sewn``, edge), (panel, ``sewn``, panel),
-      (edge, ``next``, edge), (edge, ``of``, panel).
+      arrays, edges without the column ``PANEL``; relations (edge, ``sewn``, edge), (panel, ``sewn``, panel), (edge,
+      ``next``, edge), (edge, ``of``, panel).
 
-    Raises ``ConfigError`` where ``torch_geometric`` is not installed, or a field that the graph is made of is missing.
+    Raises ``ConfigError`` if ``torch_geometric`` is not installed, or a field that the graph needs is missing.
     """
     if graph not in get_args(Kind):
-        raise ConfigError(f"graph={graph!r}: there is {', '.join(get_args(Kind))}")
+        raise ConfigError(f"graph={graph!r}: choose {' or '.join(get_args(Kind))}")
     try:
         from torch_geometric.data import Data, HeteroData
     except ImportError as error:
-        raise ConfigError("to_pyg makes graphs of torch_geometric, which is not there: pip install it") from error
+        raise ConfigError(
+            "to_pyg needs torch_geometric, which is not installed: pip install torch_geometric"
+        ) from error
     if graph == "mesh":
         field, faces = _vertices(garment), _rows(garment, "faces")
         return Data(
@@ -92,7 +94,7 @@ def to_pyg(garment: Item | PackedBatch, graph: Kind = "mesh") -> Any:
 
 def _hetero(garment: Item | PackedBatch, data: Any) -> Any:
     seams = seam_graph(garment)
-    # The first column of edges is the number of a panel: no feature, and another one in every batch.
+    # Not the first column of edges: a panel's row number, which depends on the batch, is no feature.
     features = {"panels": _rows(garment, "panels"), "edges": _rows(garment, "edges")[:, EdgeColumn.PANEL + 1 :]}
     for node, field in (("panel", "panels"), ("edge", "edges")):
         data[node].x = features[field].float()
@@ -106,23 +108,23 @@ def _hetero(garment: Item | PackedBatch, data: Any) -> Any:
 
 
 def _membership(garment: Item | PackedBatch, field: str) -> dict[str, Tensor]:
-    """Of a batch: the garment of each row, and where each garment's rows begin."""
+    """Of a batch: the garment of each row, and the start of each garment's rows."""
     if not isinstance(garment, PackedBatch):
         return {}
     return {"batch": garment.owners(field), "ptr": garment[f"{field}_ptr"]}
 
 
 def _vertices(garment: Mapping[str, Any]) -> str:
-    """The field that holds the positions that faces index: ``verts``, unless nothing was draped."""
+    """The field that ``faces`` index: ``verts``, or ``box`` of an undraped garment."""
     for field in ("verts", "box"):
         if field in garment and len(garment[field]):
             return field
-    raise ConfigError("a mesh without vertices: load the field verts or box too")
+    raise ConfigError("the garment has faces but no vertices: load the field verts or box too")
 
 
 def _rows(garment: Mapping[str, Any], field: str) -> Float[Tensor, "n *c"]:
     if field not in garment:
-        raise ConfigError(f"a garment without {field}: load that field too")
+        raise ConfigError(f"the garment has no {field}: load that field too")
     if garment[field].ndim != 2:
         raise ConfigError(
             f"{field} of shape {tuple(garment[field].shape)}: give an item or a packed batch, not a padded one"

@@ -1,4 +1,4 @@
-"""Garments from one HDF5 file."""
+"""``Hdf5Garments``: garments from one HDF5 file."""
 
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping
@@ -9,9 +9,9 @@ import torch
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
-from gcd_dataset.loaders.available import lacking_where
-from gcd_dataset.loaders.base import Garments, Transform, made_with
-from gcd_dataset.loaders.indexing import number_in
+from gcd_dataset.loaders.available import absent_when_empty
+from gcd_dataset.loaders.base import Garments, Transform, recipe_from_meta
+from gcd_dataset.loaders.indexing import index_from_key
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
 from gcd_dataset.shards.layout import FIELDS, Bytes, key_of, known_fields
@@ -20,15 +20,15 @@ __all__ = ["Hdf5Garments"]
 
 
 class Hdf5Garments(Garments):
-    """Garments in a file that ``gcd export --hdf5`` has made, with the items of the shards that it was made from.
+    """Garments in a file made by ``gcd export --hdf5``; items equal those of the exported shards.
 
     >>> ds = Hdf5Garments("train.h5", fields=("verts", "faces"))  # doctest: +SKIP
     >>> ds[0]["verts"].shape  # doctest: +SKIP
     torch.Size([14425, 3])
 
-    Each process of a ``DataLoader``, forked or spawned, opens the file for itself. Shards are read several times as
-    fast: train from those. ``fields`` and ``dtype`` are those of ``GarmentDataset``. Raises ``ShardError`` for a file
-    that is missing, damaged, foreign or newer, ``ConfigError`` for a field that no garment of the file holds.
+    Each process of a ``DataLoader``, forked or spawned, opens the file itself. Shards read several times as fast: train
+    from those. ``fields`` and ``dtype`` as in ``GarmentDataset``. Raises ``ShardError`` for a missing, damaged, foreign
+    or newer file, ``ConfigError`` for a field that no garment of the file holds.
     """
 
     reads_only = True
@@ -41,16 +41,16 @@ class Hdf5Garments(Garments):
         transform: Transform | None = None,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        from gcd_dataset.shards.hdf5 import Hdf5Reader  # brings h5py, which nobody else needs
+        from gcd_dataset.shards.hdf5 import Hdf5Reader  # imports h5py
 
         known_fields(fields)
         _require_file(user_path(source))
         self._reader = Hdf5Reader(source)
-        super().__init__(fields, transform, lacking=lacking_where(self._is_empty, FIELDS), dtype=dtype)
+        super().__init__(fields, transform, absent=absent_when_empty(self._is_empty, FIELDS), dtype=dtype)
 
     @property
     def split(self) -> str:
-        """The split that the file holds."""
+        """The split in the file."""
         return self._reader.split
 
     def __len__(self) -> int:
@@ -58,26 +58,26 @@ class Hdf5Garments(Garments):
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` was made with. Raises ``IndexError``."""
-        return made_with(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
+        return recipe_from_meta(self._reader.read(self._position(index), ["meta.json"])["meta.json"])
 
     def verify(self, index: int) -> None:
-        """Raise ``ShardError`` with file and member if a byte of garment ``index`` is not as it was written."""
+        """Raise ``ShardError`` with file and member if the bytes of garment ``index`` are not those written."""
         self._reader.check(self._position(index))
 
     def _is_empty(self, field: str) -> bool:
         """Whether a field is empty in all garments of the file."""
         return self._reader.largest(field) <= (len(NO_PICTURE) if FIELDS[field].endswith(".jpg") else 0)
 
-    def _described(self) -> list[str]:
+    def _description(self) -> list[str]:
         return [f"{self.split} of {self._reader.path}"]
 
-    def _of_key(self, key: str) -> int | None:
-        number = number_in(key)
+    def _find_key(self, key: str) -> int | None:
+        number = index_from_key(key)
         if number is None:
             return None
-        # They stand in the order of their numbers.
-        place = bisect_left(range(len(self)), number, key=self._number)
-        return place if place < len(self) and self._number(place) == number else None
+        # Garments are sorted by number.
+        position = bisect_left(range(len(self)), number, key=self._number)
+        return position if position < len(self) and self._number(position) == number else None
 
     def _number(self, position: int) -> int:
         return int(read_meta(self._reader.read(position, ["meta.json"])["meta.json"])["index"])
@@ -86,17 +86,17 @@ class Hdf5Garments(Garments):
         return key_of(self._number(position))
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        # Scale and centre of the points are there.
+        # meta.json holds scale and centre of the points.
         return self._reader.read(position, dict.fromkeys((*members, FIELDS["meta"])))
 
 
 def _require_file(path: Path) -> None:
-    """Raise ``ShardError`` for a folder, and for what is not there."""
+    """Raise ``ShardError`` for a folder or a missing file."""
     with reading(path):
-        is_folder, is_there = path.is_dir(), path.exists()
+        is_folder, exists = path.is_dir(), path.exists()
     if is_folder:
         raise ShardError(
             f"{path}: a folder: give a file from gcd export --hdf5; GarmentDataset reads folders of shards"
         )
-    if not is_there:
+    if not exists:
         raise ShardError(f"{path}: no such file: give one that gcd export --hdf5 has made")

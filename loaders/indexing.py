@@ -1,8 +1,8 @@
-"""What may stand in the brackets behind a data set: a number, a name, several of these, or a slice.
+"""Indices of a data set: an integer, a key, a list of either, or a slice.
 
->>> index_of(np.int64(-1), 10), several_of(torch.tensor([1, 2]))
+>>> resolve_index(np.int64(-1), 10), index_list(torch.tensor([1, 2]))
 (9, [1, 2])
->>> index_of(10, 10)
+>>> resolve_index(10, 10)
 Traceback (most recent call last):
 ...
 IndexError: garment 10 of 10: give -10 to 9
@@ -21,27 +21,35 @@ import torch
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.shards.layout import key_of
 
-__all__ = ["NoIndexError", "UnknownKeyError", "index_of", "number_in", "number_of", "several_of", "unknown_key"]
+__all__ = [
+    "InvalidIndexError",
+    "UnknownKeyError",
+    "index_from_key",
+    "index_list",
+    "require_whole_number",
+    "resolve_index",
+    "unknown_key",
+]
 
-LOOKED_AT = 10_000  # keys, for those that look like one that is not there
+MOST_COMPARED = 10_000  # keys that are compared with an unknown one
 
 
-class NoIndexError(ConfigError, TypeError):
-    """Something in brackets that is neither a number nor a name."""
+class InvalidIndexError(ConfigError, TypeError):
+    """An index that is neither an integer nor a name."""
 
 
 class UnknownKeyError(ConfigError, KeyError):
-    """A name that nothing has."""
+    """A key or name that no item has."""
 
-    __str__ = Exception.__str__  # that of KeyError puts the message in quotes
+    __str__ = Exception.__str__  # KeyError's own puts the message in quotes
 
 
-def index_of(index: Any, length: int, what: str = "garment") -> int:
-    """The position, from 0, that a whole number of any kind names; negative ones count from the end.
+def resolve_index(index: Any, length: int, what: str = "garment") -> int:
+    """An index as a position from 0; negative indices count from the end.
 
-    Raises ``IndexError``, and ``NoIndexError`` for anything but a whole number.
+    Raises ``IndexError``, and ``InvalidIndexError`` for anything but an integer.
     """
-    number = number_of(index, what)
+    number = require_whole_number(index, what)
     if not -length <= number < length:
         raise IndexError(
             f"{what} {number} of {length}: give {f'-{length} to {length - 1}' if length else 'one with some'}"
@@ -49,29 +57,29 @@ def index_of(index: Any, length: int, what: str = "garment") -> int:
     return number % length
 
 
-def number_of(index: Any, what: str = "garment") -> int:
-    """The index as an integer. Raises ``NoIndexError`` for anything but a whole number; for True and False too."""
+def require_whole_number(index: Any, what: str = "garment") -> int:
+    """The index as an int. Raises ``InvalidIndexError`` for anything but an integer, also for a bool."""
     if type(index) is int:
         return index
     is_bool = isinstance(index, bool | np.bool_) or getattr(index, "dtype", None) in (torch.bool, np.bool_)
     try:
         if not is_bool:
             return operator.index(index)
-    except (TypeError, RuntimeError):  # the second of a tensor of several numbers
+    except (TypeError, RuntimeError):  # RuntimeError: a tensor of several elements
         pass
-    told = type(index).__name__ if isinstance(index, torch.Tensor | np.ndarray) else repr(index)
+    given = type(index).__name__ if isinstance(index, torch.Tensor | np.ndarray) else repr(index)
     mask = ", of a mask where it is true" if is_bool else ""
-    raise NoIndexError(f"{what} {told}: give a whole number{mask}, a name, a list of these, or a slice")
+    raise InvalidIndexError(f"{what} {given}: give a whole number{mask}, a name, a list of these, or a slice")
 
 
-def several_of(index: Any) -> list[Any] | None:
-    """The indices in a list, array or tensor of them; ``None`` for one index. Raises ``NoIndexError``."""
+def index_list(index: Any) -> list[Any] | None:
+    """The indices in a list, array or tensor; ``None`` for a single index. Raises ``InvalidIndexError``."""
     if isinstance(index, torch.Tensor | np.ndarray):
         if index.ndim == 0:
             return None
         if index.ndim > 1 or str(index.dtype).removeprefix("torch.").rstrip("0123456789") not in ("int", "uint"):
             form = f"{str(index.dtype).removeprefix('torch.')} of shape {list(index.shape)}"
-            raise NoIndexError(
+            raise InvalidIndexError(
                 f"an array of {form} in brackets: give whole numbers in one row, such as mask.nonzero()[0]"
             )
         numbers: list[Any] = index.tolist()
@@ -79,10 +87,10 @@ def several_of(index: Any) -> list[Any] | None:
     return list(index) if isinstance(index, Sequence) and not isinstance(index, str | bytes) else None
 
 
-def number_in(key: str) -> int | None:
-    """The number of the sample with a key of ours; ``None`` for another key.
+def index_from_key(key: str) -> int | None:
+    """The index in a key of this package; ``None`` for any other key.
 
-    >>> number_in("gcd_000000012"), number_in("gcd_12")
+    >>> index_from_key("gcd_000000012"), index_from_key("gcd_12")
     (12, None)
     """
     match = re.fullmatch(r"gcd_([0-9]{9,18})", key)
@@ -90,11 +98,14 @@ def number_in(key: str) -> int | None:
 
 
 def unknown_key(key: str, keys: Iterable[str], like: Sequence[str]) -> UnknownKeyError:
-    """The error for a key that is none of ``keys``, with those that look like it; ``like``: a first and a last one."""
+    """The error for an unknown key, with similar keys.
+
+    ``keys``: the known keys; ``like``: the first and the last, for the message.
+    """
     digits = re.sub(r"[^0-9]", "", key)[:18]
-    some = list(islice(keys, LOOKED_AT))
-    meant = [key_of(int(digits))] if digits else []
-    near = [name for name in meant if name in some] or get_close_matches(key, some, n=3)
+    compared = list(islice(keys, MOST_COMPARED))
+    by_digits = [key_of(int(digits))] if digits else []
+    near = [name for name in by_digits if name in compared] or get_close_matches(key, compared, n=3)
     hint = f"did you mean {' or '.join(near)}? " if near else ""
-    there = f"keys are {like[0]} to {like[1]}" if like[0] != like[1] else f"there is {like[0]}"
-    return UnknownKeyError(f"no garment {key!r:.99}: {hint}{there}")
+    known = f"keys are {like[0]} to {like[1]}" if like[0] != like[1] else f"there is {like[0]}"
+    return UnknownKeyError(f"no garment {key!r:.99}: {hint}{known}")

@@ -1,4 +1,4 @@
-"""Batches of garments that a training run, stopped at any moment, goes on with: nothing lost, nothing repeated."""
+"""``GarmentLoader``: resumable batches; after any interruption no garment is lost or repeated."""
 
 from collections.abc import Generator, Iterator, Mapping, Sized
 from contextlib import closing, nullcontext
@@ -10,11 +10,11 @@ from torch.utils.data import Dataset, IterableDataset
 
 from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, natural
-from gcd_dataset.loaders.batch_plan import AHEAD, BatchPlan, ByNumber, Collate, Cursor, Streamed
+from gcd_dataset.loaders.base import Garments, require_integer
+from gcd_dataset.loaders.batch_plan import PREFETCH, BatchPlan, Collate, Cursor, IndexedPlan, StreamPlan
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
-from gcd_dataset.loaders.worker import received
+from gcd_dataset.loaders.worker import unwrap
 
 __all__ = ["GarmentLoader"]
 
@@ -29,27 +29,29 @@ class GarmentLoader:
     >>> loader.epoch, loader.state_dict()["position"]
     (1, 10)
 
-    - ``state_dict()`` counts the batches that the loop has received, whatever workers have made ahead. A loader with
-      another number of ranks or workers or another ``batch_size`` takes it: what is left of the epoch comes, once.
-    - ``iter()`` begins an epoch: the first, then those that follow, also after a loop that broke off. After
-      ``load_state_dict`` it begins where that state was, as ``loader.load_state_dict(loader.state_dict())`` has a loop
-      go on that broke off. Only the last iterator begun gives batches.
-    - ``batch_size`` is that of this rank; ranks get equally many garments, so that none waits for another. ``rank``,
-      ``world_size`` and ``pad`` are those of ``ElasticSampler``: where they are not given, each ``iter()`` looks them
-      up. With ``pad="repeat"`` a batch that is a dict holds ``repeated``, bool [B]: the garments that only fill up.
+    - ``state_dict()`` counts the batches that the training loop has received, not those prefetched by workers. A loader
+      with another number of ranks or workers or another ``batch_size`` can load the state: the rest of the epoch
+      follows, each garment once.
+    - ``iter()`` begins an epoch: the first, then the following ones, also after a broken-off loop. After
+      ``load_state_dict`` it yields the rest of the state's epoch; to resume a broken-off loop, call
+      ``loader.load_state_dict(loader.state_dict())``. Only the most recent iterator yields batches.
+    - ``batch_size`` is per rank; all ranks get equally many garments, so none waits for another. ``rank``,
+      ``world_size`` and ``pad`` are those of ``ElasticSampler``; if not given, each ``iter()`` looks them up. With
+      ``pad="repeat"`` a batch that is a dict holds ``repeated``, bool [B]: true for garments that fill up.
       ``drop_last`` leaves out each rank's last, smaller batch.
-    - ``num_workers=0``: what is only read is read by a thread beside the loop, two batches ahead. Worker processes cost
-      more than reading does; they are for garments that are made, and for transforms that take long. They stay from
-      epoch to epoch.
-    - A ``transform``, an ``augment`` and a ``collate_fn`` of yours run in the loop's thread or in worker processes.
-      What they draw from ``torch.rand`` (on the CPU), ``numpy.random`` and ``random`` depends on ``seed``, epoch and
-      garment, that of a ``collate_fn`` on the batch, and takes nothing from what the model draws. A data set that is
-      asked for whole batches (``__getitems__``), such as a ``Subset`` or a subclass, draws by batch.
-    - A transform that fails raises ``TransformError`` with key and data set. Any other error of a garment has a note.
-    - On a machine with a GPU batches lie in pinned memory.
-    - An ``IterableDataset`` comes as it does, cut to this rank's share: it has to give the same on every rank, is read
-      from its beginning to go on, and takes ``shuffle=False``, no workers and no ``pad``. ``FreshGarments`` go on
-      without what came before. Garments with ``streaming=True`` are read by number all the same.
+    - ``num_workers=0``: a thread reads stored garments, two batches ahead of the loop. Worker processes cost more than
+      reading does; use them for generated garments and slow transforms. They persist over epochs.
+    - Your ``transform``, ``augment`` and ``collate_fn`` run in the training thread or in worker processes. Their draws
+      from ``torch.rand`` (on the CPU), ``numpy.random`` and ``random`` depend on ``seed``, epoch and garment (for
+      ``collate_fn``: on the batch), and leave the model's random state alone. A data set with ``__getitems__``, such as
+      a ``Subset`` or a subclass, is seeded per batch.
+    - A transform that fails raises ``TransformError`` with key and data set. Any other error carries a note that names
+      the garment.
+    - On a machine with a GPU batches are in pinned memory.
+    - An ``IterableDataset`` is read in its own order and split over ranks: it must yield the same items on every rank,
+      is read from its beginning to resume, and requires ``shuffle=False``, no workers and no ``pad``. ``FreshGarments``
+      resume without making the earlier garments. A ``GarmentDataset`` with ``streaming=True`` is read by index all the
+      same.
 
     Raises ``ConfigError`` for options that do not fit together.
     """
@@ -68,31 +70,31 @@ class GarmentLoader:
         drop_last: bool = False,
         pad: Pad = "none",
     ) -> None:
-        self.dataset, self.batch_size = dataset, natural("batch_size", batch_size, least=1)
-        num_workers = natural("num_workers", num_workers)
+        self.dataset, self.batch_size = dataset, require_integer("batch_size", batch_size, least=1)
+        num_workers = require_integer("num_workers", num_workers)
         if not callable(collate_fn):
             raise ConfigError(f"collate_fn={collate_fn!r:.99}: give a function that takes a list of items")
         self._plan: BatchPlan
         if isinstance(dataset, IterableDataset) and not isinstance(dataset, Garments):
             _require_stream_options(shuffle, num_workers, pad)
-            seed = natural("seed", seed)
-            self._plan = Streamed(dataset, batch_size, collate_fn, rank, world_size, seed=seed, drop_last=drop_last)
+            seed = require_integer("seed", seed)
+            self._plan = StreamPlan(dataset, batch_size, collate_fn, rank, world_size, seed=seed, drop_last=drop_last)
         else:
             sized = cast(Sized, dataset)  # torch declares no length
             sampler = ElasticSampler(sized, shuffle=shuffle, seed=seed, rank=rank, world_size=world_size, pad=pad)
-            self._plan = ByNumber(
+            self._plan = IndexedPlan(
                 sampler, dataset, batch_size, collate_fn, drop_last=drop_last, num_workers=num_workers
             )
         self._batches = self._plan.loader(
             pin_memory=torch.cuda.device_count() > 0,
-            # Of its own: a ``DataLoader`` without one draws from the caller's random numbers.
+            # A generator of its own: without one, ``DataLoader`` draws from torch's global stream.
             generator=torch.Generator().manual_seed(seed % (1 << 63)),
         )
-        self._place: Cursor = self._plan.first
-        self._begun, self._loaded = 0, False
+        self._cursor: Cursor = self._plan.first
+        self._iterator, self._is_loaded = 0, False  # number of the valid iterator; whether a state is to resume
 
     def __len__(self) -> int:
-        """Batches of a whole epoch. Raises ``TypeError`` for a stream that has no length."""
+        """Batches of a whole epoch. Raises ``TypeError`` for a stream without a length."""
         return len(self._plan)
 
     def __repr__(self) -> str:
@@ -101,54 +103,54 @@ class GarmentLoader:
 
     @property
     def epoch(self) -> int:
-        """The epoch that the loop has come to, from 0; after its last batch the next."""
-        return self._plan.epoch(self._place)
+        """The epoch of the next batch, from 0."""
+        return self._plan.epoch(self._cursor)
 
     def state_dict(self) -> dict[str, Any]:
-        """Seed, shuffle, length and data set, which name the order, and the position in it: garments of all ranks."""
-        return self._plan.state(self._place)
+        """The position, in garments of all ranks, with seed, shuffle, length and data set, which identify the order."""
+        return self._plan.state(self._cursor)
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from there at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
-        self._place, self._loaded = self._plan.place_of(state), True
-        self._begun += 1
+        """Resume from a state at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
+        self._cursor, self._is_loaded = self._plan.cursor_in(state), True
+        self._iterator += 1
 
     def __iter__(self) -> Iterator[Any]:
-        """The batches of an epoch, or what is left of that of the state that was loaded."""
-        self._begun += 1
-        return self._received(self._begun)
+        """The batches of the next epoch, or of the rest of the loaded state's epoch."""
+        self._iterator += 1
+        return self._batches_of(self._iterator)
 
-    def _received(self, begun: int) -> Iterator[Any]:
-        """Batches, the place moved on with each; an error where another iterator or a state has come between."""
-        self._require_last(begun)
-        start = self._plan.begin(self._place if self._loaded else self._plan.anew(self._place))
+    def _batches_of(self, iterator: int) -> Iterator[Any]:
+        """Batches of a pass; moves the cursor. Raises ``ConfigError`` once a newer iterator or state exists."""
+        self._require_valid(iterator)
+        start = self._plan.begin(self._cursor if self._is_loaded else self._plan.next_pass(self._cursor))
         source = iter(self._batches)
-        with closing(_ahead(source)) if self._plan.in_thread else nullcontext(source) as batches:
-            for number, batch in enumerate(map(received, batches), 1):
-                self._place, self._loaded = self._plan.after(start, number), False
-                yield self._plan.marked(batch, start, number)
-                self._require_last(begun)
-        self._place = self._plan.finished(self._place)
+        with closing(_prefetched(source)) if self._plan.runs_in_thread else nullcontext(source) as batches:
+            for number, batch in enumerate(map(unwrap, batches), 1):
+                self._cursor, self._is_loaded = self._plan.after(start, number), False
+                yield self._plan.annotate(batch, start, number)
+                self._require_valid(iterator)
+        self._cursor = self._plan.after_last(self._cursor)
 
-    def _require_last(self, begun: int) -> None:
-        if begun != self._begun:
+    def _require_valid(self, iterator: int) -> None:
+        if iterator != self._iterator:
             raise ConfigError(
-                "an iterator that another iter() or load_state_dict() has come after: take batches from the last one"
+                "this iterator ended with a later iter() or load_state_dict(): take batches from the last one"
             )
 
 
 def _require_stream_options(shuffle: bool, num_workers: int, pad: Pad) -> None:
-    """Raise ``ConfigError`` for what cannot be had from a stream."""
+    """Raise ``ConfigError`` for options that a stream does not support."""
     if shuffle:
-        raise ConfigError("shuffle=True: a stream comes in its own order: give shuffle=False, or no stream")
+        raise ConfigError("shuffle=True: a stream has its own order: give shuffle=False, or an indexable data set")
     if num_workers:
-        raise ConfigError(f"num_workers={num_workers}: each would read the whole stream: give num_workers=0")
+        raise ConfigError(f"num_workers={num_workers}: each worker would read the whole stream: give num_workers=0")
     if pad != "none":
-        raise ConfigError(f"pad={pad!r}: what has passed does not come again to fill up: leave it out for a stream")
+        raise ConfigError(f"pad={pad!r}: a stream cannot repeat its first items to fill up: leave it out for a stream")
 
 
-def _ahead(batches: Iterator[Any]) -> Generator[Any]:
-    """The same, made by a thread while the caller is at work."""
-    # A thread starts on the first GPU, and pinning memory there would take some of it from another rank.
+def _prefetched(batches: Iterator[Any]) -> Generator[Any]:
+    """The same batches, made by a thread while the caller works."""
+    # A new thread's current device is GPU 0; pinning memory would then open a CUDA context on another rank's GPU.
     gpu = torch.cuda.current_device() if torch.cuda.is_initialized() else None  # type: ignore[no-untyped-call]
-    return by_thread(batches, AHEAD, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True)
+    return by_thread(batches, PREFETCH, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True)

@@ -1,4 +1,4 @@
-"""Several data sets in one order, each by its share: published garments beside fresh ones."""
+"""``MixedDataset``: several data sets interleaved by weight, such as published garments with generated ones."""
 
 from bisect import bisect_left
 from collections import defaultdict
@@ -11,36 +11,36 @@ from math import gcd, lcm
 from typing import Any
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, Transform, items_of, natural
-from gcd_dataset.loaders.indexing import UnknownKeyError, number_of
-from gcd_dataset.loaders.order import permutation
+from gcd_dataset.loaders.base import Garments, Transform, load_items, require_integer
+from gcd_dataset.loaders.indexing import UnknownKeyError, require_whole_number
+from gcd_dataset.loaders.order import cached_permutation
 from gcd_dataset.shards.layout import Bytes
 
 __all__ = ["MixedDataset"]
 
-MOST = 1 << 62  # garments in an epoch: no length in Python is greater
+LONGEST_EPOCH = 1 << 62  # Python's limit for a length
 
 
 class MixedDataset(Garments):
-    """Garments of several data sets by turns, as often as their ``weights`` say.
+    """Garments of several data sets, interleaved in proportion to their ``weights``.
 
     >>> from gcd_dataset.loaders import FakeGarments
     >>> mixed = MixedDataset([FakeGarments(6, fields=["meta"]), FakeGarments(2, seed=9, fields=["meta"])], [3, 1])
     >>> [mixed.source(i) for i in range(len(mixed))]
     [(0, 3), (0, 0), (1, 1), (0, 1), (0, 4), (0, 2), (1, 0), (0, 5)]
 
-    Garment ``i`` is a function of ``seed`` and ``i``. In any stretch of the order each of two data sets is less than
-    one garment away from its share, each of three less than two, and of more a few: no order keeps more than two within
-    one whatever their weights. These count in proportion to each other, as the decimals that they are written as.
+    Garment ``i`` is a function of ``seed`` and ``i``. In any stretch of the order, the count of each of two data sets
+    is within one garment of its share, of three within two, of more within a few; no order is within one for all
+    weights of three or more. Only the ratio of the weights matters, as the decimals that they are written as.
 
-    Every data set comes in an order of its own, by chance, and when it has come to its end in another. ``len()`` is an
-    epoch: until each has come through once; those short for their weight have come several times by then. Numbers from
-    ``len()`` on are the epochs that follow, which go on where the one before ended. A ``GarmentLoader`` keeps this
-    order, whatever its own ``shuffle``; a plain ``DataLoader`` shows the first epoch every time, and with
-    ``shuffle=True`` holds the shares on average only.
+    Each data set is shuffled, and reshuffled each time it is exhausted. ``len()`` is an epoch: until every data set has
+    been exhausted once; by then those with few garments for their weight have repeated. Indices from ``len()`` on are
+    the following epochs, which continue where the previous one ended. A ``GarmentLoader`` keeps this order, whatever
+    its ``shuffle``; a plain ``DataLoader`` repeats the first epoch, and with ``shuffle=True`` keeps the shares on
+    average only.
 
-    ``transform`` is called with each item, after that of the data set it comes from. Raises ``ConfigError`` for data
-    sets of different fields or ``dtype``, without garments, or without a positive weight each.
+    ``transform`` is called with each item, after the transform of its own data set. Raises ``ConfigError`` for data
+    sets with different fields or ``dtype``, an empty one, or weights that are not one positive number each.
     """
 
     endless = True
@@ -53,43 +53,43 @@ class MixedDataset(Garments):
         seed: int = 0,
         transform: Transform | None = None,
     ) -> None:
-        self.datasets, self.weights = tuple(datasets), _proportions(weights)
-        _require_alike(self.datasets, weights)
+        self.datasets, self.weights = tuple(datasets), _integer_ratio(weights)
+        _require_compatible(self.datasets, weights)
         fields = self.datasets[0].fields
-        super().__init__(fields, transform, there=fields, dtype=self.datasets[0].dtype)
-        self._seed, self._turns = natural("seed", seed), _turns(self.weights)
+        super().__init__(fields, transform, available=fields, dtype=self.datasets[0].dtype)
+        self._seed, self._tree = require_integer("seed", seed), _weight_tree(self.weights)
         self.reads_only = all(dataset.reads_only for dataset in self.datasets)
 
     @cached_property
     def _length(self) -> int:
-        needed = {part: len(dataset) for part, dataset in enumerate(self.datasets)}
+        lengths = {part: len(dataset) for part, dataset in enumerate(self.datasets)}
 
-        def all_came_through(length: int) -> bool:
-            return all(count >= needed[part] for part, count in self._turns.counts(length).items())
+        def all_exhausted(length: int) -> bool:
+            return all(count >= lengths[part] for part, count in self._tree.counts(length).items())
 
-        return bisect_left(range(MOST), True, key=all_came_through)
+        return bisect_left(range(LONGEST_EPOCH), True, key=all_exhausted)
 
     def __len__(self) -> int:
         return self._length
 
     def source(self, index: int) -> tuple[int, int]:
-        """Which data set garment ``index`` comes from, and its number there. Raises ``IndexError``."""
-        part, turn = self._turns.at(self._position(index))
+        """Number of the data set that garment ``index`` comes from, and its index there. Raises ``IndexError``."""
+        part, before = self._tree.at(self._position(index))
         length = len(self.datasets[part])
-        epoch, place = divmod(turn, length)
-        return part, permutation(length, self._seed, part, epoch)(place)
+        epoch, offset = divmod(before, length)
+        return part, cached_permutation(length, self._seed, part, epoch)(offset)
 
     def tell_wait(self) -> None:
         for dataset in self.datasets:
             dataset.tell_wait()
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """Several garments at once; what is made on a GPU is made together."""
+        """The items of a batch, one request per data set, so that a GPU drapes its garments together."""
         sources = [self.source(index) for index in indices]
-        of_part: dict[int, list[int]] = defaultdict(list)
-        for part, number in sources:
-            of_part[part].append(number)
-        items = {part: iter(items_of(self.datasets[part], numbers)) for part, numbers in of_part.items()}
+        indices_of: dict[int, list[int]] = defaultdict(list)
+        for part, part_index in sources:
+            indices_of[part].append(part_index)
+        items = {part: iter(load_items(self.datasets[part], wanted)) for part, wanted in indices_of.items()}
         return [
             self._transformed(next(items[part]), self._position(index))
             for (part, _), index in zip(sources, indices, strict=True)
@@ -97,109 +97,113 @@ class MixedDataset(Garments):
 
     def recipe(self, index: int) -> dict[str, Any]:
         """Seed, index, options and versions that garment ``index`` was made with. Raises ``IndexError``."""
-        part, number = self.source(index)
-        return self.datasets[part].recipe(number)
+        part, part_index = self.source(index)
+        return self.datasets[part].recipe(part_index)
 
     def verify(self, index: int) -> None:
-        """Raise ``ShardError`` unless garment ``index`` is, byte for byte, what it should be."""
-        part, number = self.source(index)
-        self.datasets[part].verify(number)
+        """Raise ``ShardError`` if the bytes of garment ``index`` differ from the expected ones."""
+        part, part_index = self.source(index)
+        self.datasets[part].verify(part_index)
 
     def identity(self) -> dict[str, Any]:
-        """Those of the data sets, with what makes the order."""
+        """Identities of the data sets, weights and seed."""
         parts = [dataset.identity() for dataset in self.datasets]
         return {"parts": parts, "weights": self.weights, "seed": self._seed}
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        part, number = self.source(position)
-        return self.datasets[part]._members(number, members)
+        part, part_index = self.source(position)
+        return self.datasets[part]._members(part_index, members)
 
-    def _one(self, position: int) -> Any:
-        part, number = self.source(position)
-        return self._transformed(self.datasets[part][number], position)
+    def _load(self, position: int) -> Any:
+        part, part_index = self.source(position)
+        return self._transformed(self.datasets[part][part_index], position)
 
-    def _described(self) -> list[str]:
+    def _description(self) -> list[str]:
         shares = zip(self.weights, self.datasets, strict=True)
         return [" + ".join(f"{weight} {type(dataset).__name__}" for weight, dataset in shares)]
 
     def _key(self, position: int) -> str:
-        part, number = self.source(position)
-        return self.datasets[part]._key(number)
+        part, part_index = self.source(position)
+        return self.datasets[part]._key(part_index)
 
     def _position(self, index: int | str) -> int:
-        """The position of a number; negative ones count from the end of the first epoch."""
+        """The position of an index; negative indices count from the end of the first epoch."""
         if isinstance(index, str):
-            raise UnknownKeyError(f"garment {index!r:.99}: a mix has no keys: ask one of its data sets, .datasets[0]")
-        number = number_of(index)
+            raise UnknownKeyError(
+                f"garment {index!r:.99}: a mix has no keys: use one of its data sets, such as .datasets[0]"
+            )
+        number = require_whole_number(index)
         if number < -len(self):
             raise IndexError(f"garment {number} of {len(self)}: give -{len(self)} or more")
         return number if number >= 0 else number + len(self)
 
 
 @dataclass(frozen=True)
-class _One:
-    """A data set that takes every place it is given."""
+class _Leaf:
+    """A data set: it takes every position that reaches it."""
 
     part: int
     weight: int
 
-    def at(self, place: int) -> tuple[int, int]:
-        return self.part, place
+    def at(self, position: int) -> tuple[int, int]:
+        return self.part, position
 
     def counts(self, length: int) -> dict[int, int]:
         return {self.part: length}
 
 
 @dataclass(frozen=True)
-class _Two:
-    """Two groups that take turns: after ``n`` places the first has had its share of ``n``, rounded to whole places."""
+class _Pair:
+    """Two groups interleaved: of ``n`` positions ``first`` takes its share of ``n``, rounded to an integer."""
 
-    first: "_One | _Two"
-    second: "_One | _Two"
+    first: "_Leaf | _Pair"
+    second: "_Leaf | _Pair"
 
     @property
     def weight(self) -> int:
         return self.first.weight + self.second.weight
 
-    def at(self, place: int) -> tuple[int, int]:
-        """The data set whose turn it is at a place, and how often it had its turn before."""
-        before = self._share(place)
-        return self.first.at(before) if self._share(place + 1) > before else self.second.at(place - before)
+    def at(self, position: int) -> tuple[int, int]:
+        """The data set at a position, and its number of garments before that position."""
+        before = self._share(position)
+        takes_first = self._share(position + 1) > before
+        return self.first.at(before) if takes_first else self.second.at(position - before)
 
     def counts(self, length: int) -> dict[int, int]:
-        """How often each data set comes in the first ``length`` places."""
-        own = self._share(length)
-        return self.first.counts(own) | self.second.counts(length - own)
+        """Garments of each data set in the first ``length`` positions."""
+        share = self._share(length)
+        return self.first.counts(share) | self.second.counts(length - share)
 
-    def _share(self, places: int) -> int:
-        return (2 * places * self.first.weight + self.weight) // (2 * self.weight)
+    def _share(self, length: int) -> int:
+        return (2 * length * self.first.weight + self.weight) // (2 * self.weight)
 
 
-def _turns(weights: Sequence[int]) -> _One | _Two:
-    """The data sets two by two, always the two lightest groups: so the heavy ones keep closest to their shares."""
-    groups: list[tuple[int, int, _One | _Two]] = [
-        (weight, part, _One(part, weight)) for part, weight in enumerate(weights)
+def _weight_tree(weights: Sequence[int]) -> _Leaf | _Pair:
+    """A binary tree of the data sets, always joining the two lightest groups: the heaviest deviate least."""
+    groups: list[tuple[int, int, _Leaf | _Pair]] = [
+        (weight, part, _Leaf(part, weight)) for part, weight in enumerate(weights)
     ]
     heapify(groups)
     while len(groups) > 1:
         (light, _, second), (heavy, part, first) = heappop(groups), heappop(groups)
-        heappush(groups, (light + heavy, part, _Two(first, second)))
+        heappush(groups, (light + heavy, part, _Pair(first, second)))
     return groups[0][2]
 
 
-def _proportions(weights: Sequence[float]) -> tuple[int, ...]:
-    """The weights as the smallest whole numbers that stand to each other as they do."""
+def _integer_ratio(weights: Sequence[float]) -> tuple[int, ...]:
+    """The weights as the smallest integers in the same ratio. Raises ``ConfigError``."""
     try:
         exact = [Fraction(str(weight)) for weight in weights]
     except ValueError:
         exact = []
     if not exact or min(exact) <= 0:
         raise ConfigError(f"weights={list(weights)}: give a positive number for each data set")
-    whole = [int(weight * lcm(*(other.denominator for other in exact))) for weight in exact]
-    return tuple(weight // gcd(*whole) for weight in whole)
+    denominator = lcm(*(weight.denominator for weight in exact))
+    integers = [int(weight * denominator) for weight in exact]
+    return tuple(weight // gcd(*integers) for weight in integers)
 
 
-def _require_alike(datasets: Sequence[Garments], weights: Sequence[float]) -> None:
+def _require_compatible(datasets: Sequence[Garments], weights: Sequence[float]) -> None:
     if len(datasets) != len(weights):
         raise ConfigError(f"{len(datasets)} data sets and {len(weights)} weights: give one each")
     for number, dataset in enumerate(datasets):
@@ -212,5 +216,5 @@ def _require_alike(datasets: Sequence[Garments], weights: Sequence[float]) -> No
         if odd := sorted(set(dataset.fields) ^ set(datasets[0].fields)):
             raise ConfigError(f"only one of data sets 0 and {number} has {', '.join(odd)}: give both the same fields")
         if dataset.dtype != datasets[0].dtype:
-            unlike = f"{datasets[0].dtype} and {dataset.dtype}"
-            raise ConfigError(f"data sets 0 and {number} give floats as {unlike}: give both the same dtype")
+            types = f"{datasets[0].dtype} and {dataset.dtype}"
+            raise ConfigError(f"data sets 0 and {number} give floats as {types}: give both the same dtype")

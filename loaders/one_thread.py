@@ -1,7 +1,7 @@
-"""Large arrays put together by one thread.
+"""Copies of large arrays in the calling thread.
 
-Those of torch keep on turning for a while after each call, in the way of workers that make garments: with 14 of these
-on 16 cores a loop that copied box meshes with them got half as many.
+torch's threads spin after each call and take cores from workers that make garments: with 14 workers on 16 cores, a
+loop that copied box meshes with torch received half as many.
 """
 
 from collections.abc import Sequence
@@ -11,68 +11,67 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["add", "as_type", "copied", "fill", "join", "pinned"]
+__all__ = ["add", "as_type", "concatenate", "copy_tensor", "fill", "pin_tensor"]
 
-AT_ONCE = 1 << 15  # numbers: of more torch has several threads convert them
+CHUNK = 1 << 15  # elements: torch converts larger tensors with several threads
 
 
-def copied(value: Tensor) -> Tensor:
-    """The same values in memory of their own."""
-    return torch.from_numpy(value.detach().numpy().copy()) if _in_numpy(value) else value.clone()
+def copy_tensor(value: Tensor) -> Tensor:
+    """A copy of the tensor, in memory of its own."""
+    return torch.from_numpy(value.detach().numpy().copy()) if _numpy_can_view(value) else value.clone()
 
 
 def as_type(value: Tensor, dtype: torch.dtype) -> Tensor:
-    """The values as another type; the same tensor where they are of it."""
-    if value.numel() <= AT_ONCE or value.dtype == dtype or value.device.type != "cpu" or torch.get_num_threads() == 1:
+    """The tensor cast to a type; the same tensor if it has that type."""
+    if value.numel() <= CHUNK or value.dtype == dtype or value.device.type != "cpu" or torch.get_num_threads() == 1:
         return value.to(dtype)
-    changed = torch.empty(value.shape, dtype=dtype)
-    source, target = value.reshape(-1), changed.view(-1)
-    for cut in range(0, len(source), AT_ONCE):
-        target[cut : cut + AT_ONCE].copy_(source[cut : cut + AT_ONCE])
-    return changed
+    result = torch.empty(value.shape, dtype=dtype)
+    source, target = value.reshape(-1), result.view(-1)
+    for cut in range(0, len(source), CHUNK):
+        target[cut : cut + CHUNK].copy_(source[cut : cut + CHUNK])
+    return result
 
 
-def pinned(value: Tensor) -> Tensor:
-    """The same values in memory that a GPU copies from by itself. Raises ``RuntimeError`` without a GPU."""
-    if not _in_numpy(value):
+def pin_tensor(value: Tensor) -> Tensor:
+    """A copy in pinned memory. Raises ``RuntimeError`` without a GPU."""
+    if not _numpy_can_view(value):
         return value.pin_memory()
-    memory = torch.empty_like(value, pin_memory=True)
-    np.copyto(memory.numpy(), value.detach().numpy())
-    return memory
+    copy = torch.empty_like(value, pin_memory=True)
+    np.copyto(copy.numpy(), value.detach().numpy())
+    return copy
 
 
-def join(values: Sequence[Tensor], out: Tensor) -> None:
-    """Put values of one type one below the other."""
-    if _in_numpy(out):
+def concatenate(values: Sequence[Tensor], out: Tensor) -> None:
+    """Concatenate tensors of one type along their first axis into ``out``."""
+    if _numpy_can_view(out):
         np.concatenate([value.detach().numpy() for value in values], out=out.numpy())
     else:
         torch.cat(list(values), out=out)
 
 
 def add(value: Tensor, start: int, out: Tensor) -> None:
-    """Put whole numbers raised by ``start`` there."""
-    if _in_numpy(out):
+    """Write ``value + start`` to ``out``; integers."""
+    if _numpy_can_view(out):
         np.add(value.numpy(), start, out=out.numpy())
     else:
         torch.add(value, start, out=out)
 
 
 def fill(out: Tensor, value: int) -> None:
-    """Put one number everywhere."""
-    if _in_numpy(out):
+    if _numpy_can_view(out):
         out.numpy().fill(value)
     else:
         out.fill_(value)
 
 
-def _in_numpy(value: Tensor) -> bool:
-    plain = value.device.type == "cpu" and value.layout is torch.strided and not (value.is_conj() or value.is_neg())
-    return plain and _is_of_numpy(value.dtype)
+def _numpy_can_view(value: Tensor) -> bool:
+    is_plain = value.device.type == "cpu" and value.layout is torch.strided and not (value.is_conj() or value.is_neg())
+    return is_plain and _numpy_has(value.dtype)
 
 
 @cache
-def _is_of_numpy(dtype: torch.dtype) -> bool:
-    """Not brain floats, nor those of 8 bits."""
+def _numpy_has(dtype: torch.dtype) -> bool:
+    """Whether NumPy has the type; it lacks bfloat16 and the 8-bit floats."""
     try:
         torch.empty(0, dtype=dtype).numpy()
     except TypeError:

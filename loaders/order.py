@@ -1,8 +1,9 @@
-"""The order in which garments come: a pure function of seed, epoch and position, shared out over any number of ranks.
+"""The order of samples: a pure function of seed, epoch and position, split over any number of ranks.
 
-A position counts the garments that all ranks together have received since the first epoch began; epoch ``e`` is the
-positions from ``e * n`` on. What comes at a position depends on neither ranks, workers nor batch size, so one integer
-is all that has to be kept to go on later, with other ones too.
+A *position* counts the garments that all ranks together have received since the first epoch began: epoch ``e`` covers
+positions ``e * n`` to ``(e + 1) * n - 1``, with *offsets* 0 to ``n - 1``. The garment *index* at a position depends on
+neither ranks, workers nor batch size, so one integer is the whole state of a loader, and a job may resume with another
+number of ranks.
 """
 
 import math
@@ -15,29 +16,31 @@ import numpy as np
 from torch.utils.data import DistributedSampler
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.loaders.base import Garments, natural
-from gcd_dataset.loaders.ranks import present_rank, require_rank, shared_out_by
-from gcd_dataset.loaders.states import named, position_of
+from gcd_dataset.loaders.base import Garments, require_integer
+from gcd_dataset.loaders.ranks import current_rank, require_rank, sharding_library
+from gcd_dataset.loaders.states import dataset_entries, position_in_state
 
-__all__ = ["ElasticSampler", "Pad", "Permutation", "RankShare", "SampleOrder", "permutation"]
+__all__ = ["ElasticSampler", "Pad", "Permutation", "RankShare", "SampleOrder", "cached_permutation"]
 
 Pad = Literal["none", "repeat"]
 
-ROUNDS = 8  # of the network: half of them change a number's left part, half its right
-WORD = (1 << 64) - 1
-AT_ONCE = 1024  # garments of a rank whose numbers are worked out together
+ROUNDS = 8  # of the Feistel network: four change the row, four the column
+MASK64 = (1 << 64) - 1
+CHUNK = 1024  # indices that a rank computes at once
 
 
 class Permutation:
-    """A permutation of 0 … ``length`` - 1 chosen by some numbers, without a table of it.
+    """A keyed pseudorandom permutation of 0 … ``length`` - 1 in O(1) memory.
 
     >>> shuffled = Permutation(5, 0, 7)
-    >>> [shuffled(place) for place in range(5)]
+    >>> [shuffled(i) for i in range(5)]
     [1, 0, 2, 4, 3]
 
-    A Feistel network over the smallest grid of about √length × √length that holds all numbers, walked on from numbers
-    beyond ``length`` (Black and Rogaway, Ciphers with Arbitrary Finite Domains, CT-RSA 2002). NumPy's own
-    ``permutation`` may change with its releases, and a stored position must not then mean another garment.
+    A generalised Feistel network on a grid of about √length × √length numbers, with cycle-walking: a result beyond
+    ``length`` is permuted again (Black and Rogaway, Ciphers with Arbitrary Finite Domains, CT-RSA 2002).
+
+    Not ``np.random.permutation``: that needs a table of 8 bytes per garment in every process, 8 GB for 10⁹, and its
+    result may change between releases of NumPy, while the positions in users' checkpoints must keep their meaning.
     """
 
     def __init__(self, length: int, *key: int) -> None:
@@ -45,151 +48,152 @@ class Permutation:
         self._rows = math.isqrt(length - 1) + 1
         self._columns = -(-length // self._rows)
         keys = np.random.SeedSequence(key).generate_state(ROUNDS, np.uint64).tolist()
-        self._rounds = tuple(zip(keys[::2], keys[1::2], strict=True))
+        self._round_keys = tuple(zip(keys[::2], keys[1::2], strict=True))
 
-    def __call__(self, place: int) -> int:
-        while (place := self._walked(place)) >= self.length:
+    def __call__(self, number: int) -> int:
+        while (number := self._permute_grid(number)) >= self.length:
             pass
-        return place
+        return number
 
-    def of(self, places: Sequence[int]) -> list[int]:
-        """The same for several places: a thousand take little longer than twenty do one by one."""
-        found = np.asarray(places, np.uint64)
-        beyond = np.arange(len(found))
-        while len(beyond):
-            found[beyond] = self._walked(found[beyond])
-            beyond = beyond[found[beyond] >= self.length]
-        return found.tolist()
+    def many(self, numbers: Sequence[int]) -> list[int]:
+        """``[self(number) for number in numbers]`` in NumPy: 1000 numbers take as long as 20 single calls."""
+        result = np.asarray(numbers, np.uint64)
+        outside = np.arange(len(result))
+        while len(outside):
+            result[outside] = self._permute_grid(result[outside])
+            outside = outside[result[outside] >= self.length]
+        return result.tolist()
 
-    def _walked(self, place: Any) -> Any:
-        """A number of the grid, or each of an array of them."""
-        row, column = divmod(place, self._columns)
-        for first, second in self._rounds:
-            row = (row + _scrambled(column + first)) % self._rows
-            column = (column + _scrambled(row + second)) % self._columns
+    def _permute_grid(self, number: Any) -> Any:
+        """The Feistel network on the numbers of the grid; takes an int or a uint64 array."""
+        row, column = divmod(number, self._columns)
+        for row_key, column_key in self._round_keys:
+            row = (row + _mix64(column + row_key)) % self._rows
+            column = (column + _mix64(row + column_key)) % self._columns
         return row * self._columns + column
 
 
-permutation = lru_cache(maxsize=64)(Permutation)
-"""The same, kept for the next place."""
+cached_permutation = lru_cache(maxsize=64)(Permutation)
 
 
-def _scrambled(number: Any) -> Any:
-    """A word in which every bit depends on every bit of ``number``: that is how SplitMix64 ends (Steele 2014)."""
-    number = number & WORD  # words of an array begin again by themselves
-    number = ((number ^ number >> 30) * 0xBF58476D1CE4E5B9) & WORD
-    number = ((number ^ number >> 27) * 0x94D049BB133111EB) & WORD
-    return number ^ number >> 31
+def _mix64(word: Any) -> Any:
+    """The finaliser of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): every bit depends on every bit of ``word``."""
+    word = word & MASK64  # for Python's ints; uint64 arrays wrap by themselves
+    word = ((word ^ word >> 30) * 0xBF58476D1CE4E5B9) & MASK64
+    word = ((word ^ word >> 27) * 0x94D049BB133111EB) & MASK64
+    return word ^ word >> 31
 
 
 class SampleOrder:
-    """Which garment comes at which position: all of an epoch, then those of the next in another order.
+    """Position → index: the garments of an epoch, then those of the next epoch in another order.
 
-    ``shuffle``: by chance, named by ``seed``; otherwise as they are numbered. A data set with an order of its own, as
-    ``MixedDataset`` is one, comes in that. Raises ``ConfigError`` for a data set without garments.
+    With ``shuffle`` each epoch is a permutation keyed by ``(seed, epoch)``, otherwise it is 0, 1, 2, …. An ``endless``
+    data set, such as ``MixedDataset``, has an order of its own: index = position. Raises ``ConfigError`` for an empty
+    data set.
     """
 
     def __init__(self, dataset: Sized, *, shuffle: bool, seed: int) -> None:
-        self.length, self.shuffle, self.seed = len(dataset), shuffle, natural("seed", seed)
+        self.length, self.shuffle, self.seed = len(dataset), shuffle, require_integer("seed", seed)
         if not self.length:
-            raise ConfigError("a data set without garments has no order: give one with 1 or more")
-        self._as_it_comes = isinstance(dataset, Garments) and dataset.endless
-        self._dataset = named(dataset)
+            raise ConfigError("an empty data set has no order: give one with 1 garment or more")
+        self._is_endless = isinstance(dataset, Garments) and dataset.endless
+        self._dataset_entries = dataset_entries(dataset)
 
     def __getitem__(self, position: int) -> int:
-        """The number of the garment at a position."""
-        if self._as_it_comes:
+        """The index at a position."""
+        if self._is_endless:
             return position
-        epoch, place = divmod(position, self.length)
-        return permutation(self.length, self.seed, epoch)(place) if self.shuffle else place
+        epoch, offset = divmod(position, self.length)
+        return cached_permutation(self.length, self.seed, epoch)(offset) if self.shuffle else offset
 
-    def numbers(self, positions: Sequence[int]) -> list[int]:
-        """The numbers of the garments at some positions of one epoch."""
-        if self._as_it_comes or not self.shuffle or not len(positions):
+    def indices(self, positions: Sequence[int]) -> list[int]:
+        """The indices at some positions of one epoch."""
+        if self._is_endless or not self.shuffle or not len(positions):
             return [self[position] for position in positions]
         epoch = positions[0] // self.length
-        return permutation(self.length, self.seed, epoch).of([place - epoch * self.length for place in positions])
+        offsets = [position - epoch * self.length for position in positions]
+        return cached_permutation(self.length, self.seed, epoch).many(offsets)
 
     def epoch(self, position: int) -> int:
-        """The epoch that a position is in."""
         return position // self.length
 
     def end(self, position: int) -> int:
-        """Where the epoch of a position ends and the next begins."""
+        """The end of the epoch of a position: where the next epoch begins."""
         return (self.epoch(position) + 1) * self.length
 
-    def anew(self, position: int) -> int:
-        """Where a pass begins that goes on with nothing: the epoch after one that was broken off."""
+    def next_pass(self, position: int) -> int:
+        """The position itself if an epoch begins there, otherwise the end of its epoch."""
         return self.end(position - 1)
 
     def state(self, position: int) -> dict[str, Any]:
-        """A position, with all that says whose order it is one of."""
-        return {"position": position, **self._names(), **self._dataset}
+        """A position with the entries that identify this order."""
+        return {"position": position, **self._entries(), **self._dataset_entries}
 
-    def position_of(self, state: Mapping[str, Any]) -> int:
-        """The position in a state. Raises ``ConfigError`` for the state of another order, and for none."""
-        return position_of(state, self._names(), self._dataset)
+    def position_in(self, state: Mapping[str, Any]) -> int:
+        """The position in a state. Raises ``ConfigError`` for a state of another order, or an invalid one."""
+        return position_in_state(state, self._entries(), self._dataset_entries)
 
-    def _names(self) -> dict[str, Any]:
+    def _entries(self) -> dict[str, Any]:
         return {"seed": self.seed, "shuffle": self.shuffle, "length": self.length}
 
 
 @dataclass(frozen=True)
 class RankShare:
-    """An order shared out among ranks, and the part of one of them."""
+    """One rank's share of an order: every ``world_size``-th position, from ``rank`` on."""
 
     order: SampleOrder
     rank: int
     world_size: int
     pad: Pad
-    among: int = 1
-    """Ranks among which somebody else shares out what this one gets."""
+    outer_world_size: int = 1
+    """Ranks of a library that splits this share again, such as ``accelerate``."""
 
-    def begin(self, position: int) -> int:
-        """Where to go on: the next epoch if what is left of this one is not enough for every rank."""
-        return position if self.share(position) else self.order.end(position)
+    def resume(self, position: int) -> int:
+        """The position if every rank gets a garment in the rest of its epoch, otherwise the end of the epoch."""
+        return position if self.positions(position) else self.order.end(position)
 
-    def share(self, position: int) -> range:
-        """The positions of this rank from there to the end of the epoch, and beyond it for those that fill up."""
-        left = self.order.end(position) - position
-        own = -(-left // self.world_size) if self.pad == "repeat" else left // self.world_size
-        return range(position + self.rank, position + self.rank + own * self.world_size, self.world_size)
+    def positions(self, start: int) -> range:
+        """This rank's positions from ``start`` to the end of the epoch; with padding possibly beyond that end."""
+        remaining = self.order.end(start) - start
+        count = -(-remaining // self.world_size) if self.pad == "repeat" else remaining // self.world_size
+        return range(start + self.rank, start + self.rank + count * self.world_size, self.world_size)
 
-    def after(self, begun: int, received: int) -> int:
-        """The position after every rank has received that many garments."""
-        received *= self.among
-        done = received >= len(self.share(begun))
-        return self.order.end(begun) if done else begun + received * self.world_size
+    def after(self, start: int, received: int) -> int:
+        """The position after every rank has received ``received`` garments of a pass from ``start``."""
+        received *= self.outer_world_size
+        is_done = received >= len(self.positions(start))
+        return self.order.end(start) if is_done else start + received * self.world_size
 
-    def garments(self, begun: int) -> Iterator[int]:
-        """The numbers of this rank's garments; behind the epoch that was begun follow its first garments."""
-        length, share = self.order.length, self.share(begun)
-        first = self.order.end(begun) - length
-        for cut in range(0, len(share), AT_ONCE):
-            yield from self.order.numbers([first + (place - first) % length for place in share[cut : cut + AT_ONCE]])
+    def indices(self, start: int) -> Iterator[int]:
+        """This rank's indices from ``start`` to the end of the epoch; padding repeats the epoch's first garments."""
+        length, positions = self.order.length, self.positions(start)
+        first = self.order.end(start) - length
+        for cut in range(0, len(positions), CHUNK):
+            chunk = positions[cut : cut + CHUNK]
+            yield from self.order.indices([first + (position - first) % length for position in chunk])
 
 
 class ElasticSampler(DistributedSampler[int]):
-    """This rank's garments of an epoch, for a plain ``DataLoader``; the next time those of the next epoch.
+    """This rank's garments of an epoch, for a plain ``DataLoader``; each ``iter()`` is the next epoch.
 
     >>> from gcd_dataset.loaders import FakeGarments
     >>> [list(ElasticSampler(FakeGarments(7), rank=rank, world_size=2)) for rank in (0, 1)]
     [[1, 0, 2], [3, 6, 4]]
 
-    Ranks take turns, so that the first garments of all ranks together are the first of the order, whatever their
-    number. ``rank`` and ``world_size``, where they are not given, are looked up by ``len()`` and ``iter()``: those of
-    ``torch.distributed`` where it runs, else of the environment that ``torchrun`` sets, else 0 and 1. ``pad``: what
-    happens at the end of an epoch to fewer garments than ranks: with ``none`` they are left out, so that all ranks get
-    equally many, and with ``repeat`` the first garments of the epoch fill up.
+    Ranks take garments in turn: after ``k`` garments each, all ranks together have received the first
+    ``k * world_size`` garments of the order. If ``rank`` and ``world_size`` are not given, ``len()`` and ``iter()``
+    look them up: in ``torch.distributed`` if it is initialised, else in the environment that ``torchrun`` sets, else
+    0 of 1. ``pad`` is for the end of an epoch, when fewer garments than ranks remain: ``none`` leaves them out, so that
+    all ranks get equally many; ``repeat`` fills up with the first garments of the epoch.
 
-    Lightning takes it for the ``DistributedSampler`` that it is and puts none of its own in its place. A loader that
-    ``accelerate`` has prepared shares out garments itself: it gets all of them.
+    A ``DistributedSampler`` by type, so Lightning does not replace it. A loader that ``accelerate`` has prepared splits
+    the garments over ranks itself: there the sampler yields all of them.
 
-    ``iter()`` begins an epoch: the next one too after a loop that broke off, and after ``load_state_dict`` the rest of
-    that of the state. ``set_epoch`` chooses the epoch that the next ``iter()`` begins.
+    ``iter()`` after a broken-off loop begins the next epoch; after ``load_state_dict`` it yields the rest of the
+    state's epoch. ``set_epoch`` selects the epoch of the next ``iter()``.
 
-    The state counts garments as they are handed to the ``DataLoader``; worker processes ask ahead of the training loop,
-    which then has to say how many it has ``received``. Raises ``ConfigError`` for ranks that cannot be.
+    ``state_dict()`` counts garments as they are passed to the ``DataLoader``, whose workers prefetch; pass
+    ``received``, the garments that the training loop has received. Raises ``ConfigError`` for an invalid rank.
     """
 
     def __init__(
@@ -202,81 +206,85 @@ class ElasticSampler(DistributedSampler[int]):
         world_size: int | None = None,
         pad: Pad = "none",
     ) -> None:
-        # Not that of ``DistributedSampler``, which asks for the rank at once.
+        # No super().__init__: DistributedSampler's asks for the rank at once, before a framework may have set it.
         if pad not in get_args(Pad):
-            raise ConfigError(f"pad={pad!r}: there is {', '.join(get_args(Pad))}")
+            raise ConfigError(f"pad={pad!r}: choose {' or '.join(get_args(Pad))}")
         self.order = SampleOrder(dataset, shuffle=shuffle, seed=seed)
-        self.pad, self._given = pad, require_rank(rank, world_size)
-        self._division = self.division() if self._given else None
-        self.position = self._begun = self._first_epoch = 0
-        self._loaded = False
+        self.pad, self._fixed_rank = pad, require_rank(rank, world_size)
+        self._rank_share = self.rank_share() if self._fixed_rank else None
+        self.position = self._start = self._first_epoch = 0
+        self._is_loaded = False
 
     @property
     def rank(self) -> int:  # type: ignore[override]
-        """This rank, from 0, as things stand now."""
-        return self.division().rank
+        """This rank, from 0, looked up now."""
+        return self.rank_share().rank
 
     @property
     def world_size(self) -> int:
-        """How many ranks there are, as things stand now."""
-        return self.division().world_size
+        """Number of ranks, looked up now."""
+        return self.rank_share().world_size
 
-    num_replicas = world_size  # what ``DistributedSampler`` calls it
+    num_replicas = world_size  # the name in ``DistributedSampler``
 
     @property
     def epoch(self) -> int:  # type: ignore[override]
         """The epoch of the next garment, from 0."""
         return self.order.epoch(self.position)
 
-    def division(self) -> RankShare:
-        """How garments are shared out among ranks as things stand now. Raises ``ConfigError`` for too few of them."""
-        library = shared_out_by()
+    def rank_share(self) -> RankShare:
+        """This rank's share; the rank is looked up now. Raises ``ConfigError`` for more ranks than garments."""
+        library = sharding_library()
         if library is None:
-            division = RankShare(self.order, *(self._given or present_rank()), self.pad)
-        elif self._given not in (None, (0, 1)):
-            raise ConfigError(f"world_size={self._given[1]}: {library} shares out garments too: leave it out, and rank")
-        else:
-            division = RankShare(self.order, 0, 1, self.pad, among=present_rank()[1])
-        if not division.share(0):
+            rank_share = RankShare(self.order, *(self._fixed_rank or current_rank()), self.pad)
+        elif self._fixed_rank not in (None, (0, 1)):
             raise ConfigError(
-                f"{self.order.length} garments for {division.world_size} ranks: give pad='repeat', or fewer ranks"
+                f"world_size={self._fixed_rank[1]}: {library} splits garments over ranks too: leave out rank and "
+                "world_size"
             )
-        return division
+        else:
+            rank_share = RankShare(self.order, 0, 1, self.pad, outer_world_size=current_rank()[1])
+        if not rank_share.positions(0):
+            raise ConfigError(
+                f"{self.order.length} garments for {rank_share.world_size} ranks: give pad='repeat', or fewer ranks"
+            )
+        return rank_share
 
     def __len__(self) -> int:
         """This rank's garments in a whole epoch."""
-        return len(self.division().share(0))
+        return len(self.rank_share().positions(0))
 
     def __iter__(self) -> Iterator[int]:
-        self._division = division = self.division()
-        self._begun = begun = division.begin(self.position if self._loaded else self.order.anew(self.position))
-        return self._handed_out(division, begun)
+        self._rank_share = rank_share = self.rank_share()
+        self._start = rank_share.resume(self.position if self._is_loaded else self.order.next_pass(self.position))
+        return self._indices(rank_share, self._start)
 
     def set_epoch(self, epoch: int) -> None:
-        """Have the next ``iter()`` begin that epoch.
+        """Select the epoch of the next ``iter()``.
 
-        After ``load_state_dict`` the first epoch set is that of the state, and the next one that after it: a framework
-        may count from 0 again.
+        The first call after ``load_state_dict`` keeps the epoch of the state, and later epochs count from it: a
+        framework may count from 0 again.
         """
-        epoch = natural("epoch", epoch)
-        if self._loaded:
+        epoch = require_integer("epoch", epoch)
+        if self._is_loaded:
             self._first_epoch = self.epoch - epoch
         else:
             self.position = (self._first_epoch + epoch) * self.order.length
 
     def state_dict(self, received: int | None = None) -> dict[str, Any]:
-        """Where the training loop has come to; ``received``: this rank's garments since the last ``iter()``."""
+        """The state of the training loop; ``received``: garments of this rank since the last ``iter()``."""
         if received is None:
             return self.order.state(self.position)
-        division = self._division or self.division()
-        return self.order.state(division.after(self._begun, natural("received", received)))
+        rank_share = self._rank_share or self.rank_share()
+        return self.order.state(rank_share.after(self._start, require_integer("received", received)))
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from there at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
-        self.position = self._begun = self.order.position_of(state)
-        self._loaded, self._division = True, None
+        """Resume from a state at the next ``iter()``. Raises ``ConfigError`` for the state of another order."""
+        self.position = self._start = self.order.position_in(state)
+        self._is_loaded, self._rank_share = True, None
 
-    def _handed_out(self, division: RankShare, begun: int) -> Iterator[int]:
-        for count, number in enumerate(division.garments(begun), 1):
-            self.position, self._loaded = division.after(begun, -(-count // division.among)), False
-            yield number
+    def _indices(self, rank_share: RankShare, start: int) -> Iterator[int]:
+        for count, index in enumerate(rank_share.indices(start), 1):
+            received = -(-count // rank_share.outer_world_size)
+            self.position, self._is_loaded = rank_share.after(start, received), False
+            yield index

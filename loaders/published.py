@@ -1,4 +1,4 @@
-"""GarmentCodeData as its authors have published it, with the items of every other data set."""
+"""``PublishedGarmentCodeData``: GarmentCodeData in its published files, with the items of the other data sets."""
 
 import io
 import json
@@ -16,9 +16,9 @@ from PIL import Image
 from gcd_dataset import __version__
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.points import sample_surface
-from gcd_dataset.loaders.available import lacking_at
+from gcd_dataset.loaders.available import absent_at_stage
 from gcd_dataset.loaders.base import Garments, Transform
-from gcd_dataset.loaders.indexing import number_in
+from gcd_dataset.loaders.indexing import index_from_key
 from gcd_dataset.records import Drape, Measurements, Outcome, Pattern, Provenance, Sample
 from gcd_dataset.release.batch_index import PublishedBatches
 from gcd_dataset.release.garment_list import PublishedGarments
@@ -29,8 +29,8 @@ from gcd_dataset.shards.layout import MEMBERS, Bytes, key_of
 
 __all__ = ["PublishedGarmentCodeData"]
 
-LARGEST_PICTURE = 8192  # pixels a side; published ones have 800
-POINTS = 8192  # of a garment's surface, as in our own data sets
+LARGEST_PICTURE = 8192  # pixels per side; published pictures have 800
+POINTS = 8192  # on a garment's surface, as in generated data sets
 META, MEASURES = "meta.json", "measures.json"
 MESH = ("spec", "sim", "box", "segmentation", "vertex_labels")
 DRAPE = ("sim", "segmentation")
@@ -42,47 +42,47 @@ FILES: Mapping[str, tuple[str, ...]] = {
     "corners.npy": MESH, "uv_vertex.npy": MESH, "box.npy": MESH,
     "verts.npy": DRAPE, "points.npy": DRAPE, "front.jpg": ("front",), "back.jpg": ("back",),
 }  # fmt: skip
-"""Member of a sample to the published files that it is made from."""
-NEED: Mapping[str, frozenset[str]] = {
+"""Member to the published files that it is made from."""
+MEMBERS_FROM: Mapping[str, frozenset[str]] = {
     kind: frozenset(member for member, kinds in FILES.items() if kind in kinds)
     for kind in ("spec", "measures", "design", "box", "front", "back")
 }
-"""Published file to the members that take it."""
+"""Published file to the members made from it."""
 
 
 class PublishedGarmentCodeData(Garments):
-    """GarmentCodeData, version 1 or 2, in the folders and archives in which it was published; nothing is converted.
+    """GarmentCodeData, version 1 or 2, in its published folders and archives, unconverted.
 
     >>> ds = PublishedGarmentCodeData("GarmentCodeData_v2", "train", fields=("verts", "faces"))  # doctest: +SKIP
     >>> ds[0]["verts"].shape, ds.names[0]  # doctest: +SKIP
     (torch.Size([3549, 3]), 'garments_5000_0/default_body/rand_K3V9QX7T1B')
 
-    ``root``: the folder with ``garments_5000_0`` and its like, or the one that holds it; batches that are not there are
-    left out. Or ``PublishedBatches``, opened once for several splits, with ``bodies`` and ``cache_dir`` of their own.
-    ``split``: ``train``, ``validation`` or ``test`` of the official split, or ``all`` of what is on disk. ``bodies``:
-    ``default``, ``random``, or ``both``, where a design's two garments follow each other. ``fields``: what to read;
-    nothing else is touched. ``cache_dir``: where the indices of archives are kept, by default beside them.
+    ``root``: the folder that holds ``garments_5000_0`` and the other batches, or its parent; missing batches are left
+    out. Or a ``PublishedBatches``, opened once for several splits; then ``bodies`` and ``cache_dir`` are its own.
+    ``split``: ``train``, ``validation`` or ``test`` of the official split, or ``all`` garments on disk. ``bodies``:
+    ``default``, ``random``, or ``both``: then a design's two garments are adjacent. ``fields``: the fields to read;
+    other files are not opened. ``cache_dir``: folder for the indices of archives, by default beside them.
 
-    An archive of 5 GB is read through once, in a minute or two; from then on a garment in it takes some 50 ms to reach.
-    To train for long, extract the archives or ``gcd convert`` them.
+    An archive of 5 GB is scanned once, in a minute or two; from then on a garment in it is found in about 50 ms. For
+    long trainings, extract the archives or convert them with ``gcd convert``.
 
     Items are those of ``GarmentDataset``, except:
 
-    - failed garments, as ``dataset_properties`` of the batch names them, are left out;
+    - failed garments, listed in the batch's ``dataset_properties``, are left out;
     - vertices are numbered as in segmentation and labels, not as in the ply files, which split them at seams;
     - ``uv`` is in the panels' planes [cm], not in the files' texture coordinates, whose scale is stored nowhere;
-    - ``measures`` and ``design`` are as they stand in the files, ``measures`` with what GarmentCode derives from them,
-      such as ``_leg_length``: data made with the authors' tools after the release
-      has lost decimals there (171.99 became 171.0); ``design`` keeps range and type of every parameter beside ``v``;
-    - rotations are Rz Ry Rx, as they were meshed with;
-    - there is no ``body``: ``meta["body"]`` says who wears the garment, and ``PublishedBodies`` knows them. Some bodies
-      of the release were lifted to stand on y = 0 before draping, and their garments with them;
-    - ``front`` and ``back`` are put on white and stored as JPEG, as ours are; ``meta["source"]`` tells batch and name;
-    - counts in ``meta["drape"]`` are -1 where the properties do not tell them.
+    - ``measures`` and ``design`` are as in the files, ``measures`` with GarmentCode's derived values, such as
+      ``_leg_length``: data made with the authors' tools after the release has lost decimals there (171.99 became
+      171.0); ``design`` keeps range and type of every parameter beside ``v``;
+    - rotations are Rz Ry Rx, as in the authors' mesh generation;
+    - there is no ``body``: ``meta["body"]`` names the wearer, whom ``PublishedBodies`` has. Some bodies of the release
+      were lifted to stand on y = 0 before draping, and their garments with them;
+    - ``front`` and ``back`` are composed on white and encoded as JPEG, like generated ones; ``meta["source"]`` holds
+      batch and name;
+    - counts in ``meta["drape"]`` are -1 if the properties lack them.
 
-    Raises ``ConfigError`` for options that there are not, ``ShardError`` for a folder without the layout or garments of
-    the split, ``OutputError`` where an index cannot be kept; items raise ``ShardError`` with the file that is missing
-    or not as it should be.
+    Raises ``ConfigError`` for invalid options, ``ShardError`` for a folder without the layout or garments of the split,
+    ``OutputError`` if an index cannot be written; items raise ``ShardError`` with the missing or invalid file.
     """
 
     reads_only = True
@@ -98,7 +98,7 @@ class PublishedGarmentCodeData(Garments):
         transform: Transform | None = None,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        super().__init__(fields, transform, lacking=lacking_at("drape", ["body"]), dtype=dtype)
+        super().__init__(fields, transform, absent=absent_at_stage("drape", ["body"]), dtype=dtype)
         if not isinstance(root, PublishedBatches):
             root = PublishedBatches(root, bodies=bodies, cache_dir=cache_dir)
         self._garments = PublishedGarments(root, split)
@@ -106,46 +106,46 @@ class PublishedGarmentCodeData(Garments):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all garments: batch, body folder and name."""
+        """Batch, body folder and name of all garments."""
         return tuple(map(str, self._garments.entries))
 
     def name(self, index: int) -> str:
-        """Of garment ``index``: batch, body folder and name. Raises ``IndexError``."""
+        """Batch, body folder and name of garment ``index``. Raises ``IndexError``."""
         return str(self._garments.entries[self._position(index)])
 
     def number(self, index: int) -> int:
-        """The number of garment ``index`` in shards: the same whatever else is on disk. Raises ``IndexError``."""
+        """The number of garment ``index`` in converted shards, whatever else is on disk. Raises ``IndexError``."""
         return self._garments.entries[self._position(index)].index
 
     @property
     def origin(self) -> dict[str, Any]:
-        """Which release and which split numbers the garments: the recipe of their shards."""
+        """Release and split that the garments are numbered by: the recipe of converted shards."""
         return {"published": self._garments.batches.release, "split_sha256": self._garments.split_sha256}
 
     def __len__(self) -> int:
         return len(self._garments)
 
     def recipe(self, index: int) -> dict[str, Any]:
-        """Release and split that garment ``index`` is from; nothing makes it again. Raises ``IndexError``."""
+        """Release and split of garment ``index``; it cannot be made again. Raises ``IndexError``."""
         made = self._provenance(self._position(index))
         return {"seed": made.seed, "index": made.index, "recipe": dict(made.recipe), "versions": dict(made.versions)}
 
     def verify(self, index: int) -> None:
-        """Raise ``ShardError`` unless all files of garment ``index`` are there and fit each other.
+        """Raise ``ShardError`` unless all files of garment ``index`` exist and agree.
 
-        The release holds no checksums, so that a number which was changed within reason is not found.
+        The release has no checksums, so a plausible change of a number is not detected.
         """
         encode_sample(self.sample(index))
 
     def sample(self, index: int) -> Sample:
-        """Garment ``index`` with everything that is published of it. Raises ``ShardError``, ``IndexError``."""
+        """Garment ``index`` with everything published. Raises ``ShardError``, ``IndexError``."""
         return self._sample(self._position(index), MEMBERS)
 
-    def _described(self) -> list[str]:
+    def _description(self) -> list[str]:
         return [str(self._garments.batches.release)]
 
-    def _of_key(self, key: str) -> int | None:
-        number, entries = number_in(key), self._garments.entries
+    def _find_key(self, key: str) -> int | None:
+        number, entries = index_from_key(key), self._garments.entries
         return next((row for row, entry in enumerate(entries) if entry.index == number or str(entry) == key), None)
 
     def _key(self, position: int) -> str:
@@ -154,28 +154,28 @@ class PublishedGarmentCodeData(Garments):
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         garment = self._garments.garment(position)
         encoded = encode_part(self._sample_of(garment, position, members))
-        # Not those of the sample: a record holds the measures by name, angles in radians.
+        # The file's own measures: the record would have fewer names, and angles in radians.
         return encoded | {MEASURES: json.dumps(garment.measures).encode()} if MEASURES in members else encoded
 
     def _sample(self, position: int, members: Iterable[str]) -> Sample:
-        """A garment of which no more is read than ``members`` take."""
+        """A garment; only the files for ``members`` are read."""
         return self._sample_of(self._garments.garment(position), position, members)
 
     def _sample_of(self, garment: PublishedGarment, position: int, members: Iterable[str]) -> Sample:
         wanted = set(members)
         garment.fetch({kind for member in wanted for kind in FILES[member]})
-        provenance, told = self._provenance(position), META in wanted
+        provenance, with_meta = self._provenance(position), META in wanted
         return Sample(
             key=key_of(provenance.index),
-            provenance=replace(provenance, body_name=garment.body_name) if told else provenance,
-            pattern=garment.pattern if wanted & NEED["spec"] else Pattern(garment.name, (), ()),
-            measurements=garment.measurements if wanted & NEED["measures"] else Measurements(),
-            design=garment.design if wanted & NEED["design"] else {},
-            box_mesh=garment.box_mesh if wanted & NEED["box"] else None,
-            drape=garment.drape if told else _at_rest(garment) if wanted & {"verts.npy"} else None,
+            provenance=replace(provenance, body_name=garment.body_name) if with_meta else provenance,
+            pattern=garment.pattern if wanted & MEMBERS_FROM["spec"] else Pattern(garment.name, (), ()),
+            measurements=garment.measurements if wanted & MEMBERS_FROM["measures"] else Measurements(),
+            design=garment.design if wanted & MEMBERS_FROM["design"] else {},
+            box_mesh=garment.box_mesh if wanted & MEMBERS_FROM["box"] else None,
+            drape=garment.drape if with_meta else _vertices_only(garment) if wanted & {"verts.npy"} else None,
             points=_points(garment, provenance.source) if wanted & {"points.npy"} else None,
-            front=_on_white(garment, "front") if wanted & NEED["front"] else None,
-            back=_on_white(garment, "back") if wanted & NEED["back"] else None,
+            front=_jpeg_on_white(garment, "front") if wanted & MEMBERS_FROM["front"] else None,
+            back=_jpeg_on_white(garment, "back") if wanted & MEMBERS_FROM["back"] else None,
         )
 
     def _provenance(self, position: int) -> Provenance:
@@ -189,26 +189,26 @@ class PublishedGarmentCodeData(Garments):
         )
 
 
-def _at_rest(garment: PublishedGarment) -> Drape:
-    """The vertices, with figures that nobody has asked for."""
+def _vertices_only(garment: PublishedGarment) -> Drape:
+    """The draped vertices, with dummy figures: ``meta.json`` is not requested."""
     return Drape(garment.vertices, Outcome.SETTLED, 0, 0, 0, 1.0, 1.0)
 
 
 def _points(garment: PublishedGarment, source: str) -> Float[np.ndarray, "n 6"]:
-    """Points of the draped surface: the same for a garment of that name, whatever the split."""
+    """Random points of the draped surface, seeded by the garment's name, whatever the split."""
     random = rng(zlib.crc32(source.encode()), 0, Stage.POINTS)
     return sample_surface(garment.vertices, garment.faces, POINTS, random)
 
 
-def _on_white(garment: PublishedGarment, side: str) -> bytes:
-    """A picture as JPEG, its background white where it had none. Raises ``ShardError``."""
+def _jpeg_on_white(garment: PublishedGarment, side: str) -> bytes:
+    """A picture as JPEG, composed on white. Raises ``ShardError``."""
     try:
         with Image.open(io.BytesIO(garment.picture(side)), formats=["PNG"]) as image:
             if max(image.size) > LARGEST_PICTURE:
-                raise ValueError(f"{image.width} by {image.height} pixels, where {LARGEST_PICTURE} are read")
-            cut_out = image.convert("RGBA")
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:  # the second for a broken chunk
+                raise ValueError(f"{image.width} by {image.height} pixels, more than {LARGEST_PICTURE}")
+            picture = image.convert("RGBA")
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:  # SyntaxError: a broken PNG chunk
         raise garment.broken(side, f"not a picture ({error})") from error
     return jpeg_bytes(
-        np.asarray(Image.alpha_composite(Image.new("RGBA", cut_out.size, "white"), cut_out).convert("RGB"))
+        np.asarray(Image.alpha_composite(Image.new("RGBA", picture.size, "white"), picture).convert("RGB"))
     )

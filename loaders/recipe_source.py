@@ -1,4 +1,4 @@
-"""Data sets by name: ``recipe:standard-1k`` is made where it is not there."""
+"""The source ``recipe:NAME``: a data set that is made on first use."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,22 +11,22 @@ __all__ = ["RECIPE", "recipe_folder"]
 
 RECIPE = "recipe:"
 SERVER = ("revision", "endpoint", "token", "max_cache_size", "patience")
-"""Options for servers alone."""
+"""Options of remote sources."""
 
 
 def recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: Sequence[str]) -> Path:
-    """The folder of the data set that ``recipe:NAME`` or ``recipe:FILE.toml`` names, made now if it is not there.
+    """The folder of the data set of ``recipe:NAME`` or ``recipe:FILE.toml``; makes the data set if it is missing.
 
-    It is ``root``/NAME, by default in the cache. No server is asked. Raises ``ConfigError`` for an unknown recipe or
-    split, and options for servers; ``ShardError`` where it is not there and nothing is to be fetched or made.
+    The folder is ``root``/NAME, by default in the cache; no server is asked. Raises ``ConfigError`` for an unknown
+    recipe or split, and for options of remote sources; ``ShardError`` if it is missing and ``download=False``.
     """
-    # Late: nobody else needs the generator and all it stands on.
+    # Imported here: other sources do not need the generator.
     from gcd_dataset.generator.recipes import find_recipe
     from gcd_dataset.verbs.recipes import have_recipe
     from gcd_dataset.verbs.seal import is_sealed
 
     if given := [name for name in SERVER if getattr(remote, name) is not None]:
-        raise ConfigError(f"{given[0]} is for URLs and the Hub, and {source} is made here: leave it out")
+        raise ConfigError(f"{given[0]} is for URLs and the Hub, but {source} is made here: leave it out")
     recipe = find_recipe(source.removeprefix(RECIPE))
     for split in splits:
         if split not in recipe.splits:
@@ -37,6 +37,6 @@ def recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: 
     base = remote.folder / "recipes" if root is None else user_path(root)
     folder = base / recipe.name
     if not remote.allowed and not is_sealed(folder, recipe):
-        raise ShardError(f"{folder}: {recipe.name} is not there, and download=False: leave that out, and it is made")
+        raise ShardError(f"{folder}: {recipe.name} is not there, and download=False: leave that out to make it")
     have_recipe(recipe, folder)
     return folder

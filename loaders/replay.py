@@ -1,4 +1,4 @@
-"""Which garment of an epoch is given next, when each is given several times: numbers alone, whatever they stand for."""
+"""The replay order of an epoch: which garment comes next when each is used several times. Pure integers."""
 
 from collections.abc import Iterator
 from copy import deepcopy
@@ -9,103 +9,107 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Given", "Rate", "Window"]
+__all__ = ["Replay", "ReplayRate", "ReplayWindow"]
 
-AT_ONCE = 1024  # places whose chance is drawn together
-WORD = 64  # bits of it
+CHUNK = 1024  # random words that are drawn at once
+WORD_BITS = 64
 
 
 @dataclass(frozen=True)
-class Rate:
-    """How often garments are given: 5/2 is 2 times for one and 3 for the next."""
+class ReplayRate:
+    """Uses per garment as a fraction: 5/2 is twice for one garment and three times for the next."""
 
-    over: int
-    under: int
+    numerator: int
+    denominator: int
 
-    def due(self, garments: int) -> int:
-        """How often the first so many are given in all."""
-        return garments * self.over // self.under
+    def total(self, garments: int) -> int:
+        """Uses of the first ``garments`` garments together."""
+        return garments * self.numerator // self.denominator
 
-    def times(self, number: int) -> int:
-        """How often one of them is."""
-        return self.due(number + 1) - self.due(number)
+    def times(self, index: int) -> int:
+        """Uses of one garment."""
+        return self.total(index + 1) - self.total(index)
 
 
-class Given(NamedTuple):
-    """A garment that is given."""
+class Replay(NamedTuple):
+    """One use of a garment."""
 
-    number: int
+    garment: int
     before: int
-    """How often it was given before in this epoch."""
+    """Earlier uses of the garment in this epoch."""
     is_last: bool
 
 
 @dataclass
-class Window:
-    """The garments of an epoch that may be given next, and at the call of ``next`` one of them by chance.
+class ReplayWindow:
+    """Iterator over the uses of an epoch: a window of up to ``room`` garments, from which each use is drawn at random.
 
-    >>> window = Window(count=3, rate=Rate(2, 1), room=2, seed=0, epoch=0)
-    >>> [given.number for given in window]
+    >>> window = ReplayWindow(count=3, rate=ReplayRate(2, 1), room=2, seed=0, epoch=0)
+    >>> [replay.garment for replay in window]
     [0, 1, 0, 1, 2, 2]
 
-    It begins with one garment and takes in another with each that is given, until ``room`` are in it: so the first
-    comes as soon as it is made. What comes at which place depends on these numbers alone.
+    The window starts with one garment and grows by one with each use, so that the first use needs one garment only. A
+    garment leaves after its last use. The order depends on these five numbers alone.
     """
 
     count: int
     """Garments of an epoch."""
-    rate: Rate
+    rate: ReplayRate
     room: int
+    """Most garments in the window."""
     seed: int
     epoch: int
-    place: int = 0
-    """How many were given so far."""
+    offset: int = 0
+    """Uses so far."""
     entered: int = 0
-    """How many of the garments have been taken in, in the order of their numbers."""
-    _waiting: list[list[int]] = field(default_factory=list)
-    """Number of each that is in it, and how often it was given."""
+    """Garments that have entered the window so far, in the order of their indices."""
+    _window: list[list[int]] = field(default_factory=list)
+    """Index and uses so far of each garment in the window."""
 
-    def __iter__(self) -> Iterator[Given]:
+    def __iter__(self) -> Iterator[Replay]:
         return self
 
-    def __next__(self) -> Given:
-        while len(self._waiting) < min(self.room, self.place + 1) and self.entered < self.count:
-            self._waiting.append([self.entered, 0])
+    def __next__(self) -> Replay:
+        while len(self._window) < min(self.room, self.offset + 1) and self.entered < self.count:
+            self._window.append([self.entered, 0])
             self.entered += 1
-        if not self._waiting:
+        if not self._window:
             raise StopIteration
-        row = _chance(self.seed, self.epoch, self.place // AT_ONCE)[self.place % AT_ONCE] * len(self._waiting) >> WORD
-        entry = self._waiting[row]
-        number, before = entry
+        word = _random_words(self.seed, self.epoch, self.offset // CHUNK)[self.offset % CHUNK]
+        row = word * len(self._window) >> WORD_BITS
+        entry = self._window[row]
+        index, before = entry
         entry[1] += 1
-        is_last = entry[1] == self.rate.times(number)
+        is_last = entry[1] == self.rate.times(index)
         if is_last:
-            self._waiting[row] = self._waiting[-1]
-            self._waiting.pop()
-        self.place += 1
-        return Given(number, before, is_last)
+            self._window[row] = self._window[-1]
+            self._window.pop()
+        self.offset += 1
+        return Replay(index, before, is_last)
 
-    def skip(self, places: int) -> None:
-        """Go on without what comes at so many places."""
-        for _ in range(places):
+    def skip(self, uses: int) -> None:
+        """Advance by some uses."""
+        for _ in range(uses):
             next(self)
 
-    def waiting(self, together: int) -> list[list[int]]:
-        """The numbers in it, those of a design in one list; that which is given first stands first."""
-        left = {number for number, _ in self._waiting}
+    def designs(self, garments_per_design: int) -> list[list[int]]:
+        """The indices in the window, one list per design, in the order of each design's next use."""
+        left = {index for index, _ in self._window}
         ahead, order = deepcopy(self), list[int]()
         while left:
-            number = next(ahead).number
-            if number in left:
-                left.remove(number)
-                order.append(number)
-        first = {design: place for place, design in reversed(list(enumerate(number // together for number in order)))}
-        in_order = sorted(order, key=lambda number: (first[number // together], number))
-        return [list(numbers) for _, numbers in groupby(in_order, key=lambda number: number // together)]
+            index = next(ahead).garment
+            if index in left:
+                left.remove(index)
+                order.append(index)
+        first_use: dict[int, int] = {}
+        for rank, index in enumerate(order):
+            first_use.setdefault(index // garments_per_design, rank)
+        in_order = sorted(order, key=lambda index: (first_use[index // garments_per_design], index))
+        return [list(indices) for _, indices in groupby(in_order, key=lambda index: index // garments_per_design)]
 
 
 @lru_cache(maxsize=4)
-def _chance(seed: int, epoch: int, block: int) -> list[int]:
-    """Random words. Not of a generator of NumPy, whose numbers may change with its releases."""
-    words: list[int] = np.random.SeedSequence((seed, epoch, block)).generate_state(AT_ONCE, np.uint64).tolist()
+def _random_words(seed: int, epoch: int, chunk: int) -> list[int]:
+    """Random 64-bit words from ``SeedSequence``: the draws of a ``Generator`` may change between releases of NumPy."""
+    words: list[int] = np.random.SeedSequence((seed, epoch, chunk)).generate_state(CHUNK, np.uint64).tolist()
     return words

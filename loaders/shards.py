@@ -1,4 +1,4 @@
-"""Garments from shards: by number, or as a stream."""
+"""``GarmentDataset``: garments from shards, by index or as a stream."""
 
 import bisect
 import tarfile
@@ -17,10 +17,10 @@ from webdataset.tariterators import group_by_keys, tar_file_expander
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.hub.opening import open_store
 from gcd_dataset.hub.site import Remote
-from gcd_dataset.loaders.available import lacking_where
-from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, made_with, naming, tensor_of
-from gcd_dataset.loaders.indexing import UnknownKeyError, number_in
-from gcd_dataset.loaders.ranks import is_in_group, present_rank, runs_beside_accelerate, shared_out_by
+from gcd_dataset.loaders.available import absent_when_empty
+from gcd_dataset.loaders.base import GarmentItem, Garments, Transform, note_items, recipe_from_meta, tensor_of
+from gcd_dataset.loaders.indexing import UnknownKeyError, index_from_key
+from gcd_dataset.loaders.ranks import accelerate_is_active, current_rank, in_process_group, sharding_library
 from gcd_dataset.loaders.recipe_source import RECIPE, recipe_folder
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
@@ -36,11 +36,11 @@ __all__ = ["GarmentDataset", "StreamedGarments"]
 
 META = MEMBERS[0]
 EMPTY = {"npy": len(write_npy(np.zeros(0, np.float32))), "jpg": len(NO_PICTURE)}
-"""Bytes of a member that a step not taken leaves: fewer than of any other."""
+"""Bytes of an empty member, as a stage that was not made leaves it: fewer than of any other."""
 
 
 class GarmentDataset(Garments):
-    """Garments in a folder of shards, at a URL, or in a repository of the Hugging Face Hub, by number.
+    """Garments by index, from a folder of shards, a URL, or a repository of the Hugging Face Hub.
 
     >>> ds = GarmentDataset("garments", fields=("verts", "faces"))  # doctest: +SKIP
     >>> ds[0]["verts"].shape  # doctest: +SKIP
@@ -49,33 +49,28 @@ class GarmentDataset(Garments):
     >>> GarmentDataset("recipe:standard-1k", "test")  # doctest: +SKIP
 
     ``source``: a folder, ``http://…``, ``https://…``, ``file://…``, ``s3://BUCKET/PREFIX`` or any other URL of
-    ``fsspec``, or ``ORG/NAME`` (also ``hf://…``, ``…@REVISION``); or ``recipe:NAME``, or ``recipe:FILE.toml``: a data
-    set that is made by its recipe, here and now if it is not there.
-    ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
-    ``fields``: what to read; for ``None`` all that the garments hold, which those made up to the stage ``pattern`` or
-    ``mesh`` do not have all; nothing else is touched, nor asked of a server. ``dtype``: of floating fields, float32 by
-    default, ``None`` for what is stored.
-    ``root``: download the split, or the fields of it, into this folder first, and read it there. Of a recipe, make all
-    of its data set in the folder NAME there, by default in that of the cache.
-    ``download``: without it no server is asked, and nothing made: what is in ``root`` or the cache has to do.
-    ``revision``: branch, tag or commit of a repository; looked up once, see the attribute ``revision``.
-    ``cache_dir``, ``max_cache_size``: where what was read of a server is kept, and how much of it, such as ``"20GB"``;
-    may be shared by any number of processes. By default ``~/.cache/gcd_dataset``, without limit.
-    ``patience``: seconds to wait for a server that is gone or busy, before reading fails; by default 30, ``math.inf``
-    for as long as it takes.
-    ``endpoint``, ``token``: of the Hub; by default what ``HF_ENDPOINT`` and ``hf auth login`` have set.
-    ``transform``: called with each item. ``verify``: ``lazy`` checks a member's CRC-32 the first time that a process
-    reads it, ``full`` checks everything at once, ``off`` nothing; what comes from a server is checked in any case.
-    ``settled_only``: only garments whose drape hangs still. ``streaming``: an iterable data set instead, which reads
-    shards from end to end through ``webdataset`` and shares garments out over ranks and workers; of a server too, where
-    it keeps nothing.
+    ``fsspec``, or ``ORG/NAME`` (also ``hf://…``, ``…@REVISION``); or ``recipe:NAME`` or ``recipe:FILE.toml``: the data
+    set of a recipe, made on first use. ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
+    ``fields``: the fields to read, ``None`` for all that the garments hold (those of stage ``pattern`` or ``mesh`` lack
+    some); other members are neither read nor downloaded. ``dtype``: the type of floating fields, float32 by default,
+    ``None`` for the stored types. ``root``: download the split, or its selected fields, to this folder first, and read
+    it there. A recipe's data set is made in its subfolder NAME, by default in the cache. ``download``: ``False`` asks
+    no server and makes nothing: ``root`` or the cache must hold the data. ``revision``: branch, tag or commit of a
+    repository; resolved once, see the attribute ``revision``. ``cache_dir``, ``max_cache_size``: the cache of remote
+    data and its limit, such as ``"20GB"``; any number of processes may share it. By default ``~/.cache/gcd_dataset``,
+    without limit. ``patience``: seconds to wait for an unreachable or busy server before a read fails; by default 30,
+    ``math.inf`` for no limit. ``endpoint``, ``token``: of the Hub; by default from ``HF_ENDPOINT`` and ``hf auth
+    login``. ``transform``: called with each item. ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it
+    for the first time, ``full`` checks everything on opening, ``off`` nothing; remote data is checked in any case.
+    ``settled_only``: only garments whose drape has settled. ``streaming``: an iterable data set instead, which reads
+    shards sequentially with ``webdataset`` and splits the garments over ranks and workers; remote data is not cached.
 
-    Tars that others have made for ``webdataset`` are read too: their fields are the endings of their names, such as
-    ``seg.png``, decoded by the last of these, and ``None`` where a sample has no such file.
+    Foreign tars for ``webdataset`` are read too: their fields are the extensions of their files, such as ``seg.png``,
+    decoded by the last one, and ``None`` for a sample without such a file.
 
-    Raises ``ShardError`` for a source that holds no such split, or a broken or newer one, ``RemoteError`` for a server
+    Raises ``ShardError`` for a source without such a split, or a damaged or newer one, ``RemoteError`` for a server
     that does not answer, ``ConfigError`` for options that do not fit together, and for a field that no garment of the
-    split holds, since they were not made up to that stage.
+    split holds because they were not made up to that stage.
     """
 
     reads_only = True
@@ -116,111 +111,109 @@ class GarmentDataset(Garments):
         self._ends = list(accumulate(len(part.positions) for part in self._parts))
         self._member_of = _member_of([part.reader for part in self._parts])
         self._foreign = self._parts[0].reader.layout.kind == FOREIGN
-        super().__init__(fields, transform, there=self._member_of, lacking=self._lacking(), dtype=dtype)
+        super().__init__(fields, transform, available=self._member_of, absent=self._absent_fields(), dtype=dtype)
         self._check_stream = verify != "off"
         self.source = store.source
-        """Where the garments come from, with the revision: ``None`` for a folder that was not downloaded."""
+        """The remote source with its revision; ``None`` for a folder that was not downloaded."""
 
     @property
     def revision(self) -> str | None:
-        """The commit of the Hub that is read, or the hash of a URL's manifest."""
+        """The commit of the repository, or the hash of a URL's manifest."""
         return None if self.source is None else self.source.rpartition("@")[2]
 
     def __len__(self) -> int:
         return self._ends[-1]
 
-    def _one(self, position: int) -> Any:
-        part, place = self._place(position)
-        with part.reader.naming(place):
-            return self._item(part.reader.read(place, self._wanted), position)
+    def _load(self, position: int) -> Any:
+        part, row = self._locate(position)
+        with part.reader.naming(row):
+            return self._item(part.reader.read(row, self._member_names), position)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """Several garments, as a ``DataLoader`` asks for a batch of them: of a server all at once."""
-        asked: dict[ShardReader, list[int]] = {}
-        places = []
+        """The items of a batch, in one request to a server; a ``DataLoader`` calls this."""
+        requests: dict[ShardReader, list[int]] = {}
+        locations = []
         for index in indices:
-            part, position = self._place(self._position(index))
-            asked.setdefault(part.reader, []).append(position)
-            places.append((part.reader, position))
-        content = {reader: reader.read_many(positions, self._wanted) for reader, positions in asked.items()}
+            part, position = self._locate(self._position(index))
+            requests.setdefault(part.reader, []).append(position)
+            locations.append((part.reader, position))
+        replies = {reader: reader.read_many(positions, self._member_names) for reader, positions in requests.items()}
         items = []
-        for index, (reader, position) in zip(indices, places, strict=True):
-            members = next(content[reader])
-            with naming(self, index), reader.naming(position):
+        for index, (reader, position) in zip(indices, locations, strict=True):
+            members = next(replies[reader])
+            with note_items(self, index), reader.naming(position):
                 items.append(self._item(members, self._position(index)))
         return items
 
     def recipe(self, index: int) -> dict[str, Any]:
-        """Seed, index, options and versions that garment ``index`` was made with, and ``source`` if it was published.
+        """Seed, index, options and versions of garment ``index``, and ``source`` if it is remote.
 
-        Raises ``IndexError``, and ``ConfigError`` for a foreign sample, which does not tell.
+        Raises ``IndexError``, and ``ConfigError`` for a foreign sample, which has no recipe.
         """
         position = self._position(index)
         if self._foreign:
             raise ConfigError("samples of foreign archives do not tell how they were made: ask their maker")
-        made = made_with(self._members(position, (META,))[META])
-        return made if self.source is None else {**made, "source": self.source}
+        recipe = recipe_from_meta(self._members(position, (META,))[META])
+        return recipe if self.source is None else {**recipe, "source": self.source}
 
     def identity(self) -> dict[str, Any]:
-        """What tells these garments from others, wherever they lie; of foreign ones, who tell nothing, their names."""
+        """Identity of the data set, independent of its path: length and both ends, as recipes or foreign keys."""
         if not self._foreign:
             return super().identity()
-        places = [self._place(self._position(index)) for index in (0, -1)]
-        keys = [part.reader.index.key(int(part.reader.rows([place])[0])) for part, place in places]
-        return {"length": len(self), "ends": keys}
+        return {"length": len(self), "ends": [self._key(self._position(index)) for index in (0, -1)]}
 
     def verify(self, index: int) -> None:
-        """Raise ``ShardError`` with shard, key and member if a byte of garment ``index`` is not as it was written."""
-        part, position = self._place(self._position(index))
+        """Raise ``ShardError`` with shard, key and member if the bytes of garment ``index`` are not those written."""
+        part, position = self._locate(self._position(index))
         part.reader.check(position)
 
-    def _described(self) -> list[str]:
+    def _description(self) -> list[str]:
         splits = dict.fromkeys(part.reader.split for part in self._parts)
         return [f"{' + '.join(splits)} of {self._parts[0].reader.store.place()}"]
 
-    def _lacking(self) -> dict[str, str]:
-        """Field to the reason why no garment holds it, by the sizes in the index."""
+    def _absent_fields(self) -> dict[str, str]:
+        """Absent field to the reason, from the sizes in the index."""
         if self._foreign:
             return {}
         largest = {
             field: max(part.largest(member) for part in self._parts) for field, member in self._member_of.items()
         }
-        return lacking_where(
+        return absent_when_empty(
             lambda field: largest[field] <= EMPTY[self._member_of[field].rpartition(".")[2]], self._member_of
         )
 
-    def _of_key(self, key: str) -> int | None:
-        number = number_in(key)
+    def _find_key(self, key: str) -> int | None:
+        number = index_from_key(key)
         if number is None and not self._foreign:
             return None
         found: dict[str, int] = {}
         for part, end in zip(self._parts, self._ends, strict=True):
-            place = part.place_of(key) if number is None or self._foreign else part.place_of_number(number)
-            if place is not None:
-                found.setdefault(part.reader.split, end - len(part.positions) + place)
+            row = part.row_of_key(key) if number is None or self._foreign else part.row_of_number(number)
+            if row is not None:
+                found.setdefault(part.reader.split, end - len(part.positions) + row)
         if len(found) > 1:
-            raise UnknownKeyError(f"garment {key} is in {' and in '.join(found)}: open one split, or give its number")
+            raise UnknownKeyError(f"garment {key} is in {' and in '.join(found)}: open one split, or give its index")
         return next(iter(found.values()), None)
 
     def _key(self, position: int) -> str:
-        part, place = self._place(position)
-        return part.reader.index.key(int(part.reader.rows([place])[0]))
+        part, position = self._locate(position)
+        return part.reader.index.key(int(part.reader.rows([position])[0]))
 
     @property
-    def _wanted(self) -> tuple[str, ...]:
+    def _member_names(self) -> tuple[str, ...]:
         if self._foreign:
             return self.fields
         return members_of(self.fields, self._member_of)
 
-    def _place(self, position: int) -> tuple["_Part", int]:
+    def _locate(self, position: int) -> tuple["_Part", int]:
         """The part that holds a garment, and its position in the part's reader."""
         number = bisect.bisect_right(self._ends, position)
         part = self._parts[number]
         return part, part.positions[position - (self._ends[number] - len(part.positions))]
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
-        part, place = self._place(position)
-        return part.reader.read(place, members)
+        part, position = self._locate(position)
+        return part.reader.read(position, members)
 
     def _item(self, members: Mapping[str, Bytes], position: int) -> Any:
         if not self._foreign:
@@ -234,66 +227,68 @@ class GarmentDataset(Garments):
 
 
 class _Part(NamedTuple):
-    """Some samples of a split."""
+    """The samples of one part of ``split=``."""
 
     reader: ShardReader
     positions: range
 
     def largest(self, member: str) -> int:
-        """Bytes of the largest member of that name."""
+        """Largest size of a member [bytes]."""
         index = self.reader.index
         size = index.table.size[self.reader.rows(self.positions), index.layout.members.index(member)]
         return int(size.max(initial=0))
 
-    def place_of_number(self, number: int) -> int | None:
-        """Where among its samples the one that was written under a number stands."""
-        there = self.reader.index.table.sample[self.reader.rows(self.positions)]
-        return next(iter(np.flatnonzero(there == number).tolist()), None)
+    def row_of_number(self, number: int) -> int | None:
+        """Row, within this part, of the sample with a number; ``None`` if there is none."""
+        numbers = self.reader.index.table.sample[self.reader.rows(self.positions)]
+        return next(iter(np.flatnonzero(numbers == number).tolist()), None)
 
-    def place_of(self, key: str) -> int | None:
-        """Where among its samples the one of that key stands."""
+    def row_of_key(self, key: str) -> int | None:
+        """Row, within this part, of the sample with a key; ``None`` if there is none."""
         keys = map(self.reader.index.key, self.reader.rows(self.positions).tolist())
-        return next((place for place, other in enumerate(keys) if other == key), None)
+        return next((row for row, other in enumerate(keys) if other == key), None)
 
 
-class _Stretch(NamedTuple):
-    """Some samples of a part that are in one shard, in the order of the file."""
+class _ShardRun(NamedTuple):
+    """Samples of a part that lie in one shard, in the order of the file."""
 
     part: _Part
     shard: int
     rows: np.ndarray
-    """Of the index."""
-    places: np.ndarray
-    """Their numbers in the data set."""
+    """Rows of the shard index."""
+    indices: np.ndarray
+    """Indices in the data set."""
 
     @property
     def name(self) -> str:
-        """The shard's file."""
+        """File name of the shard."""
         return self.part.reader.index.shards[self.shard]
 
-    def within(self, first: int, count: int) -> "_Stretch":
-        """Those from sample ``first`` on, which may be before this stretch, ``count`` of them at most."""
-        own = slice(max(first, 0), max(first + count, 0))
-        return self._replace(rows=self.rows[own], places=self.places[own])
+    def within(self, first: int, count: int) -> "_ShardRun":
+        """Samples ``first`` to ``first + count`` of this run; the range may extend beyond the run on both sides."""
+        part = slice(max(first, 0), max(first + count, 0))
+        return self._replace(rows=self.rows[part], indices=self.indices[part])
 
     def by_key(self) -> dict[str, list[int]]:
-        """Key to numbers in the data set: of a foreign archive, samples may share one."""
-        numbers: dict[str, list[int]] = {}
-        for row, place in zip(self.rows.tolist(), self.places.tolist(), strict=True):
-            numbers.setdefault(self.part.reader.index.key(row), []).append(place)
-        return numbers
+        """Key to indices in the data set; samples of a foreign archive may share a key."""
+        indices: dict[str, list[int]] = {}
+        for row, index in zip(self.rows.tolist(), self.indices.tolist(), strict=True):
+            indices.setdefault(self.part.reader.index.key(row), []).append(index)
+        return indices
 
     def begin(self) -> int:
-        """First byte of the first sample in an archive of ours, which begins with this member."""
+        """Byte offset of the first sample in an archive of this package; a sample starts with ``meta.json``."""
         index = self.part.reader.index
         return int(index.table.offset[self.rows[0], index.layout.members.index(META)]) - BLOCK
 
 
 def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
-    """Field to member, of those that all splits have. Raises ``ConfigError`` for splits of different kinds."""
+    """Field to member, for members that all splits have. Raises ``ConfigError`` for splits of different kinds."""
     layouts = [reader.layout for reader in readers]
     if len({layout.kind for layout in layouts}) > 1:
-        raise ConfigError("our samples in one split and foreign ones in another: open them as two data sets")
+        raise ConfigError(
+            "samples of this package in one split and foreign ones in another: open them as two data sets"
+        )
     shared = [member for member in layouts[0].members if all(member in layout.members for layout in layouts)]
     if layouts[0].kind == FOREIGN:
         return {member: member for member in shared}
@@ -301,90 +296,89 @@ def _member_of(readers: Iterable[ShardReader]) -> dict[str, str]:
 
 
 class StreamedGarments(GarmentDataset, IterableDataset):
-    """The same items in the order of the shards; ranks and workers share them out as neighbouring stretches.
+    """The items in the order of the shards; each rank and worker reads one contiguous part.
 
-    Every garment comes once, and no rank or worker gets more than one garment more than another. A shard that several
-    have a part of is read by each of them, in a folder from where its part begins, of a server from the shard's
-    beginning.
+    Every garment comes once, and the parts differ by one garment at most. A shard that spans several parts is read by
+    each of their processes: in a folder from the start of its part, from a server from the start of the shard.
     """
 
     _ranks: tuple[int, int] | None = None
-    """Rank and number of ranks of the process that has spawned this one as a worker."""
+    """Rank and world size of the process that spawned this worker."""
 
     def select(self, indices: Iterable[int]) -> Garments:
-        raise ConfigError("a stream has no numbers to choose by: leave out streaming=True, or slice the split")
+        raise ConfigError("a stream has no indices: leave out streaming=True, or slice the split")
 
     def __getitem__(self, index: Any) -> Any:
-        raise ConfigError("a stream has no numbers to choose by: leave out streaming=True")
+        raise ConfigError("a stream has no indices: leave out streaming=True")
 
     def __iter__(self) -> Iterator[Any]:
         first, count = self._share()
-        for stretch in self._stretches():
-            own = stretch.within(first, count)
-            if len(own.places):
-                yield from self._from_shard(own)
-            first -= len(stretch.places)
+        for run in self._shard_runs():
+            part = run.within(first, count)
+            if len(part.indices):
+                yield from self._from_shard(part)
+            first -= len(run.indices)
 
     def __getstate__(self) -> dict[str, Any]:
-        # A spawned worker is in no group of processes, and may not have the environment of its rank either.
-        return {**self.__dict__, "_ranks": present_rank() if is_in_group() else self._ranks}
+        # A spawned worker has no process group, and may lack the rank's environment variables.
+        return {**self.__dict__, "_ranks": current_rank() if in_process_group() else self._ranks}
 
     def _share(self) -> tuple[int, int]:
-        """Where this process begins, in the order of the shards, and how many garments it gets."""
+        """First garment of this process, in the order of the shards, and its number of garments."""
         worker = get_worker_info()
-        rank, ranks = (0, 1) if shared_out_by() else self._ranks or present_rank()
-        if worker is not None and ranks > 1 and runs_beside_accelerate():
+        rank, ranks = (0, 1) if sharding_library() else self._ranks or current_rank()
+        if worker is not None and ranks > 1 and accelerate_is_active():
             raise ConfigError(
-                "streaming=True in workers beside accelerate, which may share out garments too: give num_workers=0, or "
+                "streaming=True in workers with accelerate, which may split the garments too: give num_workers=0, or "
                 "leave out streaming=True and load with a GarmentLoader"
             )
-        number, of = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        begin, end = (edge * len(self) // ranks for edge in (rank, rank + 1))
-        first, last = (begin + edge * (end - begin) // of for edge in (number, number + 1))
-        return first, last - first
+        number, workers = (0, 1) if worker is None else (worker.id, worker.num_workers)
+        rank_begin, rank_end = (edge * len(self) // ranks for edge in (rank, rank + 1))
+        begin, end = (rank_begin + edge * (rank_end - rank_begin) // workers for edge in (number, number + 1))
+        return begin, end - begin
 
-    def _stretches(self) -> Iterator["_Stretch"]:
-        """All garments, shard by shard, as they lie in the files."""
+    def _shard_runs(self) -> Iterator["_ShardRun"]:
+        """All garments, shard by shard, in the order of the files."""
         for part, end in zip(self._parts, self._ends, strict=True):
             index, rows = part.reader.index, part.reader.rows(part.positions)
             for shard in np.unique(index.shard[rows]).tolist():
-                places = np.flatnonzero(index.shard[rows] == shard)
-                places = places[np.argsort(rows[places], kind="stable")]
-                yield _Stretch(part, shard, rows[places], end - len(part.positions) + places)
+                in_shard = np.flatnonzero(index.shard[rows] == shard)
+                in_shard = in_shard[np.argsort(rows[in_shard], kind="stable")]
+                yield _ShardRun(part, shard, rows[in_shard], end - len(part.positions) + in_shard)
 
-    def _from_shard(self, stretch: "_Stretch") -> Iterator[Any]:
-        """The samples of a stretch."""
-        reader = stretch.part.reader
-        store, members, left = reader.store, self._streamed, stretch.by_key()
-        place, count = store.place(stretch.name), len(stretch.places)
-        begin = 0 if self._foreign else stretch.begin()
+    def _from_shard(self, run: "_ShardRun") -> Iterator[Any]:
+        """The items of a run."""
+        reader = run.part.reader
+        store, members, remaining = reader.store, self._streamed_members, run.by_key()
+        shard, count = store.place(run.name), len(run.indices)
+        begin = 0 if self._foreign else run.begin()
         samples = _foreign_samples if self._foreign else partial(_samples, wanted=members)
-        for sample in samples(reader, stretch.name, begin=begin):
-            if not (positions := left.get(sample["__key__"])):
-                continue  # a part of others, or the shard has grown since
+        for sample in samples(reader, run.name, begin=begin):
+            if not (indices := remaining.get(sample["__key__"])):
+                continue  # in another process's part, or written since the index was read
             if not self._foreign:
                 if missing := sorted(members - sample.keys()):
-                    raise ShardError(f"{place}: sample {sample['__key__']} has no {missing[0]}: {store.remedy}")
+                    raise ShardError(f"{shard}: sample {sample['__key__']} has no {missing[0]}: {store.remedy}")
                 if self._check_stream:
-                    _check(place, sample, store.remedy)
+                    _check(shard, sample, store.remedy)
             count -= 1
-            with naming_place(partial(_named, place, sample)):
-                item = self._item(sample, positions.pop(0))
+            with naming_place(partial(_label, shard, sample)):
+                item = self._item(sample, indices.pop(0))
             yield item
             if not count:
                 return
-        # A damaged header looks like the end of an archive to ``tarfile``, which then leaves out the rest of it.
-        there = len(stretch.places)
-        raise ShardError(f"{place}: {there - count} samples of {there} read: {store.remedy}")
+        # tarfile takes a damaged header for the end of the archive.
+        total = len(run.indices)
+        raise ShardError(f"{shard}: {total - count} samples of {total} read: {store.remedy}")
 
     @property
-    def _streamed(self) -> set[str]:
-        """Members to take out of our archives: the first always, or a sample without fields would not be one."""
-        return {META, *self._wanted}
+    def _streamed_members(self) -> set[str]:
+        """Members to extract; always ``meta.json``, which marks the start of a sample."""
+        return {META, *self._member_names}
 
 
 def _samples(reader: ShardReader, shard: str, wanted: Container[str], begin: int) -> Iterator[Mapping[str, Any]]:
-    """The samples of a shard of ours, from a byte on where the shard can be begun there.
+    """The samples of a shard of this package, from byte ``begin`` on if the stream can seek.
 
     Raises ``ShardError`` for a damaged archive.
     """
@@ -401,35 +395,34 @@ def _samples(reader: ShardReader, shard: str, wanted: Container[str], begin: int
 
 
 def _foreign_samples(reader: ShardReader, shard: str, begin: int) -> Iterator[Mapping[str, Any]]:
-    """The samples of a shard as ``webdataset`` gives them. Raises ``ShardError`` for a damaged archive."""
+    """The samples of a foreign shard, read by ``webdataset``. Raises ``ShardError`` for a damaged archive."""
     place = reader.store.place(shard)
     try:
-        # Opened here, since WDS_SECURE=1 forbids ``webdataset`` to open files.
+        # Opened here: with WDS_SECURE=1 webdataset refuses to open files.
         with reader.store.stream(shard) as stream:
             yield from group_by_keys(tar_file_expander([{"url": place, "stream": stream}]))
-    except (tarfile.TarError, ValueError) as error:  # the latter for a name that comes twice
-        told = " ".join(str(error.args[0] if error.args else error).split())
-        raise ShardError(f"{place}: a damaged archive ({told}): {reader.store.remedy}") from error
+    except (tarfile.TarError, ValueError) as error:  # ValueError: a duplicate name
+        message = " ".join(str(error.args[0] if error.args else error).split())
+        raise ShardError(f"{place}: a damaged archive ({message}): {reader.store.remedy}") from error
 
 
-def _named(place: str, sample: Mapping[str, Any]) -> str:
-    return f"{place}: sample {sample['__key__']}"
+def _label(shard: str, sample: Mapping[str, Any]) -> str:
+    return f"{shard}: sample {sample['__key__']}"
 
 
-def _check(place: str, sample: Mapping[str, Any], remedy: str) -> None:
-    """Raise ``ShardError`` if a member differs from the CRC-32 in the sample's meta.json."""
+def _check(shard: str, sample: Mapping[str, Any], remedy: str) -> None:
+    """Raise ``ShardError`` if a member's CRC-32 differs from the one in the sample's ``meta.json``."""
     try:
         meta = read_meta(sample[META])
     except ShardError as error:
-        raise ShardError(f"{place}: sample {sample['__key__']}, member {META}: {error}: {remedy}") from error
+        raise ShardError(f"{shard}: sample {sample['__key__']}, member {META}: {error}: {remedy}") from error
     if key_of(meta["index"]) != sample["__key__"]:
-        raise ShardError(f"{place}: sample {sample['__key__']} says that it is {key_of(meta['index'])}: {remedy}")
+        raise ShardError(f"{shard}: sample {sample['__key__']} holds the number of {key_of(meta['index'])}: {remedy}")
     written = meta.get("crc32")
     if not isinstance(written, Mapping):
-        raise ShardError(f"{place}: sample {sample['__key__']}, member {META}: no checksums of its members: {remedy}")
+        raise ShardError(f"{shard}: sample {sample['__key__']}, member {META}: no checksums of its members: {remedy}")
     for member in sample.keys() - {META, "__key__", "__url__"}:
         if zlib.crc32(sample[member]) != written.get(member):
             raise ShardError(
-                f"{place}: sample {sample['__key__']}, member {member}: bytes differ from those that were written: "
-                f"{remedy}"
+                f"{shard}: sample {sample['__key__']}, member {member}: bytes differ from those written: {remedy}"
             )

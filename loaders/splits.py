@@ -1,4 +1,4 @@
-"""What ``split=`` may say: a split, a part of one, or several of these after one another.
+"""Syntax of ``split=``: a split, a slice of one, or a sum of these.
 
 >>> parse_splits("train[:10%]+test")
 (SplitPart(name='train', start=None, stop='10%'), SplitPart(name='test', start=None, stop=None))
@@ -13,32 +13,32 @@ from gcd_dataset.errors import ConfigError
 
 __all__ = ["SplitPart", "parse_splits"]
 
-BOUND = r"-?[0-9]{1,18}%?"  # no data set holds more
+BOUND = r"-?[0-9]{1,18}%?"  # 18 digits fit an int64
 PART = re.compile(rf"\s*(?P<name>\w[\w.-]*)\s*(?:\[\s*(?P<start>{BOUND})?\s*:\s*(?P<stop>{BOUND})?\s*\])?\s*")
 
 
 @dataclass(frozen=True)
 class SplitPart:
-    """The samples of a split from ``start`` to ``stop``: numbers or per cent, negative ones from the end."""
+    """The samples ``start`` to ``stop`` of a split: integers or per cent, negative ones from the end."""
 
     name: str
     start: str | None = None
     stop: str | None = None
 
     def range_of(self, count: int) -> range:
-        """Positions in a split of ``count`` samples. Neighbouring parts share none, and leave none out."""
+        """Positions in a split of ``count`` samples. Adjacent parts neither overlap nor leave a gap."""
         return range(count)[_bound(self.start, count) : _bound(self.stop, count)]
 
 
 def parse_splits(text: str) -> tuple[SplitPart, ...]:
-    """The parts that ``split=`` names. Raises ``ConfigError``."""
+    """The parts of a ``split=`` text. Raises ``ConfigError``."""
     matches = [PART.fullmatch(part) for part in text.split("+")] if isinstance(text, str) else [None]
     parts = tuple(SplitPart(match["name"], match["start"], match["stop"]) for match in matches if match)
     if len(parts) < len(matches):
         raise ConfigError(f"split={text!r:.99}: write train, train[:10%], train[100:200] or train+test")
     for bound in (bound for part in parts for bound in (part.start, part.stop) if bound and bound.endswith("%")):
         if abs(int(bound[:-1])) > 100:
-            raise ConfigError(f"split={text!r}: {bound} is beyond the whole: give -100% to 100%")
+            raise ConfigError(f"split={text!r}: {bound} is out of range: give -100% to 100%")
     return parts
 
 

@@ -1,4 +1,4 @@
-"""The state of a loader: a position, and the names by which that of another loader is found out."""
+"""The state of a loader: a position, and entries that identify the order and data set that it belongs to."""
 
 import hashlib
 import json
@@ -13,80 +13,84 @@ from torch.utils.data import ConcatDataset, Subset
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments
 
-__all__ = ["named", "position_of", "require_whole"]
+__all__ = ["dataset_entries", "position_in_state", "require_whole"]
 
-MOST = 1 << 62  # garments since the first epoch: no length in Python is greater
-LONGEST = 60  # characters of a value in a message
+LARGEST_POSITION = 1 << 62  # Python's limit for a length
+LONGEST_REPR = 60  # characters of a value in a message
 
 
-def named(dataset: object) -> dict[str, str]:
-    """Entries of a state that name a data set: ``dataset`` for a comparison, and ``garments`` for people.
+def dataset_entries(dataset: object) -> dict[str, str]:
+    """State entries that identify a data set: a hash as ``dataset``, and a description for messages as ``garments``.
 
-    Known are garments, data sets with ``identity()`` as theirs, and torch's ``Subset`` and ``ConcatDataset`` of them;
-    of others the name of the class.
+    The hash covers garments, data sets with an ``identity()`` method, and torch's ``Subset`` and ``ConcatDataset`` of
+    them; of any other data set ``dataset`` is the name of its class.
     """
     known = _identity(dataset)
-    return {"dataset": known if isinstance(known, str) else _hash(known), "garments": _described(dataset, known)}
+    return {"dataset": known if isinstance(known, str) else _hash(known), "garments": _description(dataset, known)}
 
 
-def position_of(state: Mapping[str, Any], names: Mapping[str, Any], dataset: Mapping[str, str]) -> int:
-    """The position in a state of the same names and data set. Raises ``ConfigError`` for another state, and for none.
+def position_in_state(state: Mapping[str, Any], order: Mapping[str, Any], dataset: Mapping[str, str]) -> int:
+    """The position in a state. Raises ``ConfigError`` if it is not a state, or that of another order or data set.
 
-    >>> position_of({"position": 8, "seed": 0, "dataset": "Numbers"}, {"seed": 0}, {"dataset": "Numbers"})
+    ``order``, ``dataset``: the entries that it must have.
+
+    >>> position_in_state({"position": 8, "seed": 0, "dataset": "Numbers"}, {"seed": 0}, {"dataset": "Numbers"})
     8
     """
     if not isinstance(state, Mapping):
-        raise ConfigError(f"a state that is no dict but {_shown(state)}: give one that state_dict() has returned")
-    missing = ({"position", "dataset"} | names.keys()) - state.keys()
+        raise ConfigError(f"state {_short_repr(state)} is not a dict: give one that state_dict() has returned")
+    missing = ({"position", "dataset"} | order.keys()) - state.keys()
     if missing:
-        raise ConfigError(f"a state without {', '.join(sorted(missing))}: give one that state_dict() has returned")
-    for name, value in names.items():
-        if not _same(state[name], value):
-            raise _foreign(name, _shown(state[name]), _shown(value))
-    if not _same(state["dataset"], dataset["dataset"]):
-        raise _foreign("dataset", _both(state), _both(dataset))
+        raise ConfigError(f"the state has no {', '.join(sorted(missing))}: give one that state_dict() has returned")
+    for name, value in order.items():
+        if not _equals(state[name], value):
+            raise _mismatch(name, _short_repr(state[name]), _short_repr(value))
+    if not _equals(state["dataset"], dataset["dataset"]):
+        raise _mismatch("dataset", _dataset_in_words(state), _dataset_in_words(dataset))
     return require_whole("position", state["position"])
 
 
 def require_whole(name: str, value: Any) -> int:
-    """An entry of a state that counts something. Raises ``ConfigError`` for one that does not."""
-    number = _whole(value)
-    if number is None or not 0 <= number < MOST:
-        raise ConfigError(f"a state whose {name} is {_shown(value)}: give one that state_dict() has returned")
+    """A state entry as an integer. Raises ``ConfigError`` unless it is an integer from 0 on."""
+    number = _as_integer(value)
+    if number is None or not 0 <= number < LARGEST_POSITION:
+        raise ConfigError(
+            f"the state has {name} {_short_repr(value)}, not a count: give one that state_dict() has returned"
+        )
     return number
 
 
-def _foreign(name: str, theirs: str, ours: str) -> ConfigError:
+def _mismatch(name: str, theirs: str, ours: str) -> ConfigError:
     return ConfigError(
-        f"the state of another order: its {name} is {theirs}, and here it is {ours}: load it with the same data set, "
+        f"the state of another order: its {name} is {theirs}, here it is {ours}: load it with the same data set, "
         "seed and shuffle"
     )
 
 
-def _both(state: Mapping[str, Any]) -> str:
-    """The data set of a state, for people and exactly."""
-    exact = _shown(state["dataset"])
+def _dataset_in_words(state: Mapping[str, Any]) -> str:
+    """Description and hash of a state's data set, for a message."""
+    exact = _short_repr(state["dataset"])
     return f"{state['garments']} ({exact})" if isinstance(state.get("garments"), str) else exact
 
 
-def _same(value: Any, ours: Any) -> bool:
-    """Whether an entry of a state is ours; it may be anything, an array too."""
+def _equals(value: Any, ours: Any) -> bool:
+    """Whether a state entry equals ours; it may be of any type, even an array."""
     if isinstance(ours, int):
-        return _whole(value) == ours
+        return _as_integer(value) == ours
     return isinstance(value, type(ours)) and bool(value == ours)
 
 
-def _whole(value: Any) -> int | None:
+def _as_integer(value: Any) -> int | None:
     try:
         return operator.index(value)
-    except (TypeError, ValueError, RuntimeError):  # an array, a tensor of several
+    except (TypeError, ValueError, RuntimeError):  # e.g. an array or tensor of several elements
         return None
 
 
-def _shown(value: Any) -> str:
-    """A value on one line, not too long."""
+def _short_repr(value: Any) -> str:
+    """The value's ``repr`` on one line, shortened."""
     text = " ".join(repr(value).split())
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
+    return text if len(text) <= LONGEST_REPR else f"{text[:LONGEST_REPR]}…"
 
 
 def _hash(content: Any) -> str:
@@ -94,12 +98,12 @@ def _hash(content: Any) -> str:
 
 
 def _identity(dataset: object) -> Any:
-    """What tells a data set from another: of garments how they were made, wherever they lie."""
+    """JSON that identifies a data set wherever its files are; of an unknown class its name."""
     if isinstance(dataset, Garments):
         return dataset.identity()
     kind = type(dataset).__qualname__
-    if callable(told := getattr(dataset, "identity", None)):
-        return {"class": kind, "identity": told()}
+    if callable(identity := getattr(dataset, "identity", None)):
+        return {"class": kind, "identity": identity()}
     if isinstance(dataset, Subset):
         return {"of": _identity(dataset.dataset), "chosen": _checksum(dataset.indices)}
     if isinstance(dataset, ConcatDataset):
@@ -111,14 +115,14 @@ def _checksum(indices: Sequence[int]) -> int:
     return zlib.crc32(np.asarray(indices, np.int64).tobytes())
 
 
-def _described(dataset: object, known: Any) -> str:
-    """A data set for people: its class, how many it holds, and from which garment to which."""
+def _description(dataset: object, known: Any) -> str:
+    """A data set in words: class, length, and first and last garment."""
     try:
         count = f" of {len(dataset)}" if isinstance(dataset, Sized) else ""
-    except TypeError:  # a stream that has no length
+    except TypeError:  # a stream without a length
         count = ""
-    told = known.get("identity", known) if isinstance(known, dict) else {}
-    first, last = told.get("ends") or (None, None)
+    identity = known.get("identity", known) if isinstance(known, dict) else {}
+    first, last = identity.get("ends") or (None, None)
     if isinstance(first, Mapping) and isinstance(last, Mapping):
         return f"{type(dataset).__name__}{count}, seed {first['seed']}, numbers {first['index']} to {last['index']}"
     return f"{type(dataset).__name__}{count}{'' if first is None else f', {first} to {last}'}"

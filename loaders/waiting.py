@@ -1,4 +1,4 @@
-"""How long a garment takes to make, told before the first of them comes."""
+"""A log line with the expected time per garment, before the first garment."""
 
 import logging
 
@@ -9,11 +9,11 @@ __all__ = ["seconds_each", "tell_wait"]
 
 logger = logging.getLogger("gcd_dataset")
 
-WORTH_TELLING = 2.0  # s
+LOGGED_FROM = 2.0  # s
 
 
 def seconds_each(config: MakeConfig) -> float:
-    """About how long one core, or one GPU, takes for a garment [s].
+    """Approximate time of one core for a garment [s]; 0 where a garment takes less than a second.
 
     >>> seconds_each(MakeConfig(stage="drape", device="cpu", resolution=2.0))
     2.425
@@ -24,9 +24,9 @@ def seconds_each(config: MakeConfig) -> float:
 
 
 def tell_wait(config: MakeConfig) -> None:
-    """Log how long a garment takes here, if that is long enough to wonder."""
+    """Log the expected time per garment, if it is seconds."""
     each = seconds_each(config)
-    if each >= WORTH_TELLING:
+    if each >= LOGGED_FROM:
         logger.warning(
             "waiting for the first garment: about %.0f s each on %s, longer for the first where kernels are compiled",
             each,

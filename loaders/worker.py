@@ -1,4 +1,4 @@
-"""How a worker process that makes garments begins, how it hands over errors, and that it ends with its parent."""
+"""Start-up of a worker process, its errors as values, and its end with its parent process."""
 
 import multiprocessing
 import os
@@ -14,63 +14,64 @@ from torch.utils.data import get_worker_info
 
 from gcd_dataset.errors import GcdError
 
-__all__ = ["begin_worker", "received", "told"]
+__all__ = ["begin_worker", "unwrap", "with_traceback"]
 
-WAIT = 1.0  # s
+POLL = 1.0  # s
 
-Made = TypeVar("Made")
+Value = TypeVar("Value")
 
 
 def begin_worker(worker: int) -> None:
-    """The ``worker_init_fn`` of a ``DataLoader`` whose workers make garments, of which there is one a core.
+    """The ``worker_init_fn`` for a ``DataLoader`` with workers that make garments, one per core.
 
-    Tensors are shared by name. The other way, file descriptors, has the loop ask the worker for each tensor, and a
-    worker at work answers late: with six of them on two cores a box mesh took the loop 29 ms, by name 4 ms.
+    Tensors are shared by file name (``file_system``). With the default, file descriptors, the main process requests
+    each tensor's descriptor from the worker, and a busy worker answers late: with six workers on two cores receiving a
+    box mesh took 29 ms, by name 4 ms.
 
-    Linear algebra keeps to one thread, as torch does in a worker: threads of all workers wait for each other otherwise,
-    which on two cores costs a quarter more CPU time with eight threads.
+    BLAS is limited to one thread, as torch is in a worker: the threads of all workers would wait for each other, which
+    with eight threads on two cores took a quarter more CPU time.
 
-    The worker ends within seconds of the process it works for, even if that is killed, and of a loader that nobody
-    takes garments from any more: it leaves those that it is making.
+    The worker exits within seconds of its parent process, even if that was killed, and of a loader that is no longer
+    read; garments in the making are dropped.
     """
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     threadpoolctl.threadpool_limits(1)
-    threading.Thread(target=_end_with, args=(os.getppid(), _ended()), daemon=True).start()
+    threading.Thread(target=_exit_with_parent, args=(os.getppid(), _done_event()), daemon=True).start()
 
 
-def told(error: GcdError) -> GcdError:
-    """The error that is being handled, to be handed over as a result, with a note of what the worker was at.
+def with_traceback(error: GcdError) -> GcdError:
+    """The error being handled, with its traceback as a note; to be sent as a value.
 
-    Raised in the worker, it would come with the whole traceback in its message.
+    If it were raised in a worker, torch would raise it in the main process with the whole traceback in its message.
     """
     error.add_note(f"in a worker process:\n{traceback.format_exc()}")
     return error
 
 
-def received(made: Made | GcdError) -> Made:
-    """What a worker has handed over. Raises its error."""
-    if isinstance(made, GcdError):
+def unwrap(value: Value | GcdError) -> Value:
+    """The value that a worker has sent. Raises it if it is an error."""
+    if isinstance(value, GcdError):
         try:
-            raise made
+            raise value
         finally:
-            del made  # the error would hold this frame, and with it the loader and its workers
-    return made
+            del value  # its traceback refers to this frame: the cycle would keep the loader and its workers alive
+    return value
 
 
-def _ended() -> Event | None:
-    """What torch tells its workers by that nobody takes what they make any more, an argument of theirs."""
+def _done_event() -> Event | None:
+    """torch's done event, if there is one: an argument of the worker process."""
     arguments = getattr(multiprocessing.current_process(), "_args", ()) if get_worker_info() else ()
     return next((value for value in arguments if isinstance(value, Event)), None)
 
 
-def _end_with(parent: int, ended: Event | None) -> None:
-    """End this process, and with it its shared memory, soon after its parent or the loader, however that has ended."""
-    # torch looks for the parent too, but then waits until somebody reads what was made, for ever and with all of it. At
+def _exit_with_parent(parent: int, done: Event | None) -> None:
+    """Exit this process, and free its shared memory, soon after its parent or its loader has ended."""
+    # torch checks for the parent too, but then waits forever for its queue to be read, and its memory stays taken. At
     # the end of a loader it waits five seconds for each worker in turn.
     while os.getppid() == parent:
-        time.sleep(WAIT)
-        # Not ``wait``: whoever sets the event waits for all who wait for it, and for ever for one that ended meanwhile.
-        if ended is not None and ended.is_set():
-            time.sleep(WAIT)  # one that has nothing to do ends by itself
+        time.sleep(POLL)
+        # Poll: `set()` blocks on dead waiters.
+        if done is not None and done.is_set():
+            time.sleep(POLL)  # an idle worker exits by itself meanwhile
             os._exit(0)
     os._exit(1)

@@ -1,4 +1,4 @@
-"""The benchmarks by name; each is a module like ``figures.Case``, imported when it is run."""
+"""The benchmark cases by name; each is a module of the form ``figures.Case``, imported on use."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -23,9 +23,9 @@ CASES: Mapping[str, str] = {
     "reconstruction": "benchmarks.cases.reconstruction",
     "scale": "benchmarks.cases.scale",
 }
-"""Case to its module: one needs a simulator, another a network."""
+"""Case to its module, imported on use: each has heavy dependencies of its own."""
 
 
 def load_case(name: str) -> Case:
-    """The case of that name, one of ``CASES``."""
+    """The module of a case in ``CASES``."""
     return cast(Case, import_module(CASES[name]))

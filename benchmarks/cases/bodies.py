@@ -1,12 +1,12 @@
-"""Bodies: what one costs, whether those drawn are the people of a survey, and whether cloth can be hung on them.
+"""Bodies: CPU time, agreement with a survey, and fitness for draping.
 
-A third of the bodies is drawn from the pooled shape space, a third are women, a third men; each stands with its legs
-straight and with its legs apart. Women and men are held against ANSUR II, measure by measure in the survey's own
-definitions (``generator/data/survey.json``): a row of the table each. "within" counts the measures whose mean differs
-by 2 % at most, or whose standard deviation by 10 %; neck, shoulder width and arm length are defined otherwise there, so
-only their variation is compared. As in a survey all stand alike, arms in the A-pose. ``failed`` counts bodies with a
-measure that is not a positive number, ``crossing`` those whose trunk, arms or legs pass through themselves or each
-other, ``clearance`` is the gap between arm and trunk 3 cm below the underarm point.
+A third of the bodies is drawn from the pooled shape space, a third are women, a third men; each is built with straight
+legs and with legs apart. Women and men are compared with ANSUR II, measure by measure in the survey's own definitions
+(``generator/data/survey.json``): one row of the table each. "within" counts measures whose mean differs by at most 2 %,
+or whose standard deviation by at most 10 %; neck, shoulder width and arm length are defined differently there, so only
+their variation is compared. As in a survey all bodies have the same pose, arms in the A-pose. ``failed`` counts bodies
+with a measure that is not a positive number, ``crossing`` those whose trunk, arms or legs intersect themselves or each
+other; ``clearance`` is the gap between arm and trunk 3 cm below the underarm point.
 """
 
 import argparse
@@ -43,8 +43,8 @@ class DrawnBody:
     sex: str | None
     mesh_seconds: float
     measure_seconds: float
-    taken: Mapping[str, float]
-    """The survey's measures [cm, kg]."""
+    measures: Mapping[str, float]
+    """Measures as the survey defines them [cm, kg]."""
     failed: bool
     crossings: int
     clearance: float
@@ -52,17 +52,16 @@ class DrawnBody:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
     parser.add_argument("--count", type=int, default=600, help="bodies")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--plot", type=Path, help="PNG of the histograms over the published distributions")
+    parser.add_argument("--plot", type=Path, help="PNG: histograms over the published distributions")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Draw, build, measure. Raises ``ConfigError`` for too few bodies to have a spread."""
+    """Draw, build and measure bodies. Raises ``ConfigError`` for fewer than two of each kind."""
     if options.count < 2 * len(KINDS):
         raise ConfigError(f"count is {options.count}: give {2 * len(KINDS)} or more, two of each kind")
-    draw(options.seed, 0)  # loads the asset and compiles the kernel
+    draw(options.seed, 0)  # warm-up: loads the asset, compiles the kernel
     people = [draw(options.seed, number) for number in range(options.count)]
     values = {sex: _values(people, sex) for sex in SEXES}
     if options.plot:
@@ -72,7 +71,7 @@ def run(options: argparse.Namespace) -> Measured:
 
 
 def draw(seed: int, number: int) -> DrawnBody:
-    """Body ``number``: pooled, female and male by turns."""
+    """Body ``number``; pooled, female and male in turn."""
     sex = KINDS[number % len(KINDS)]
     shape = draw_shape(rng(seed, number, Stage.BODY), sex=sex)
     begun = time.process_time()
@@ -85,15 +84,15 @@ def draw(seed: int, number: int) -> DrawnBody:
         sex=sex,
         mesh_seconds=built - begun,
         measure_seconds=measured - built,
-        taken=_surveyed(shape),
+        measures=_surveyed(shape),
         failed=_is_failed(size) or _is_failed(measure(apart)),
         crossings=skin_crossings(body) + skin_crossings(apart),
-        clearance=_least_clearance(body, apart),
+        clearance=_min_clearance(body, apart),
     )
 
 
 def _surveyed(shape: BodyShape) -> Mapping[str, float]:
-    """The survey's measures; raised arms lift the shoulders, so for them all stand with the arms alike."""
+    """Measures as the survey defines them, with lowered arms: raised ones lift the shoulders."""
     body = build_body(replace(shape, arm_angle=0.0))
     return survey_measures(body, measure(body))
 
@@ -104,7 +103,7 @@ def _is_failed(size: Measurements) -> bool:
     return not (np.isfinite(angles).all() and (lengths > 0).all())
 
 
-def _least_clearance(*poses: Body) -> float:
+def _min_clearance(*poses: Body) -> float:
     return min(arm_clearance(body) for body in poses)
 
 
@@ -150,12 +149,12 @@ def _population(values: Mapping[str, Float[np.ndarray, "n m"]]) -> list[Figure]:
 
 
 def _values(people: Sequence[DrawnBody], sex: str) -> Float[np.ndarray, "n m"]:
-    """The survey's measures of everybody of a sex."""
-    return np.array([[p.taken[name] for name in survey_of(sex).measures] for p in people if p.sex == sex])
+    """The survey's measures of all bodies of a sex."""
+    return np.array([[p.measures[name] for name in survey_of(sex).measures] for p in people if p.sex == sex])
 
 
 def _differences(survey: Survey, found: Float[np.ndarray, "n m"]) -> tuple[np.ndarray, np.ndarray]:
-    """Means and standard deviations over the published ones, minus one; NaN for means that do not compare."""
+    """Relative differences of means and of standard deviations; NaN for means that are not comparable."""
     means = np.where(np.isfinite(survey.tolerance), found.mean(axis=0) / survey.mean - 1, np.nan)
     return means, found.std(axis=0, ddof=1) / survey.sd - 1
 
@@ -197,7 +196,7 @@ COLOURS = {"female": "#b5446e", "male": "#3a6ea5"}
 
 
 def _plot(values: Mapping[str, Float[np.ndarray, "n m"]], path: Path) -> None:
-    """Histograms of what was drawn over the survey's normal curves; where definitions differ the curve is moved."""
+    """Histograms of drawn bodies over the survey's normal curves; curves with other definitions are shifted."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Page
 

@@ -1,4 +1,4 @@
-"""Patterns from specification files, or sampled designs, draped: seconds, outcomes, crossings.
+"""Drape patterns from specification files, or sampled designs: seconds, outcomes, crossings.
 
     python -m benchmarks.run drape PATTERNS/*/default_body/*_specification.json \\
         --body mean_all.obj --body-apart mean_all_apart.obj --measurements mean_all.yaml --segmentation parts.json
@@ -7,13 +7,12 @@
     python -m benchmarks.run drape --count 250 --memory 1000
     python -m benchmarks.run drape dress_pencil_specification.json --body mean_all.obj --peer newton --batches 1 16 64
 
-Kernels are loaded before the clock starts; everything from box mesh to drape is counted, but for the coarse meshes of
-sampled garments, which are made with their box meshes and have a figure of their own. With ``--batch 1`` a garment's
-seconds are its own, with more its share. ``--count`` takes so many designs of a seed, each on the neutral body and on
-a random one; the table then holds the garments that did not settle. ``--ablation`` drapes them once with each feature
-switched, ``--memory`` one after the other in this process, with what the process and the GPU hold after every 50;
-``--peer newton`` drapes the same meshes with Newton's ``SolverStyle3D`` too, set up as told in
-``benchmarks.peers.newton``.
+Kernels are loaded before the clock starts. The time is from box mesh to drape; the coarse meshes of sampled garments
+are made with their box meshes and timed separately. With ``--batch 1`` a garment's seconds are its own, otherwise its
+share of the batch. ``--count`` samples that many designs of a seed, each for the neutral body and a random one; the
+table lists the garments that did not settle. ``--ablation`` drapes them once per switched feature. ``--memory`` drapes
+them in turn in this process and records process and GPU memory after every 50. ``--peer newton`` also drapes the same
+meshes with Newton's ``SolverStyle3D``, configured as described in ``benchmarks.peers.newton``.
 """
 
 import argparse
@@ -46,36 +45,35 @@ from gcd_dataset.records import Body, Drape, Measurements, Outcome, Pattern
 
 __all__ = ["add_arguments", "run"]
 
-TILE = 256  # pixels of one garment on a sheet
-SOME = 16  # garments by which the making of coarse meshes is timed
+TILE = 256  # pixels of a garment on a sheet
+TIMED_MESHES = 16  # garments for the timing of coarse meshes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
     parser.add_argument("spec", nargs="*", type=Path, help="specification JSON")
-    parser.add_argument("--count", type=int, default=0, help="designs to be drawn instead, for two bodies each")
-    parser.add_argument("--seed", type=int, default=0, help="of the sampled designs")
-    parser.add_argument("--workers", type=int, default=1, help="processes that make patterns and meshes of those")
+    parser.add_argument("--count", type=int, default=0, help="designs to sample instead, for two bodies each")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sampled designs")
+    parser.add_argument("--workers", type=int, default=1, help="processes that make their patterns and meshes")
     parser.add_argument("--sheet", type=Path, help="picture of the first 64 sampled garments")
     parser.add_argument("--failures", type=Path, help="folder for pictures of the sampled garments that failed")
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--ablation", action="store_true", help="each feature switched off in turn")
-    what.add_argument("--memory", type=int, default=0, metavar="N", help="N drapes of the sampled garments, in turn")
-    what.add_argument("--peer", choices=["newton"], help="drape the same meshes with that, too")
-    parser.add_argument("--batches", nargs="+", type=int, default=[1, 16, 64], help="garments at a time beside --peer")
-    parser.add_argument("--body", default="neutral", help="as of gcd drape")
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument("--ablation", action="store_true", help="each feature switched off in turn")
+    mode.add_argument("--memory", type=int, default=0, metavar="N", help="N drapes of the sampled garments, in turn")
+    mode.add_argument("--peer", choices=["newton"], help="drape the same meshes with this solver too")
+    parser.add_argument("--batches", nargs="+", type=int, default=[1, 16, 64], help="batch sizes for --peer")
+    parser.add_argument("--body", default="neutral", help="as for gcd drape")
     parser.add_argument("--body-apart", help="the same body with its legs apart, for trousers (default: --body)")
     parser.add_argument("--measurements", type=Path)
     parser.add_argument("--segmentation", type=Path)
     parser.add_argument("--device", default="auto")
     parser.add_argument("--resolution", type=float, default=1.0, help="[cm]")
-    parser.add_argument("--batch", type=int, default=1, help="garments at a time: threads on a CPU")
-    parser.add_argument("--repeat", type=int, default=1, help="times each pattern is in the list, to fill a batch")
+    parser.add_argument("--batch", type=int, default=1, help="garments per batch; threads on a CPU")
+    parser.add_argument("--repeat", type=int, default=1, help="copies of each pattern, to fill a batch")
     parser.add_argument("--pictures", type=Path, help="folder for meshes and pictures")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Drape, and gather the figures of DESIGN section 8."""
+    """Drape, and return seconds, outcomes and crossings."""
     if bool(options.spec) == bool(options.count):
         raise ConfigError("give either specification files or --count N")
     if options.peer:
@@ -103,12 +101,12 @@ def run(options: argparse.Namespace) -> Measured:
 
 def _body(options: argparse.Namespace, apart: bool) -> tuple[Body, Measurements]:
     name = options.body_apart if apart and options.body_apart else options.body
-    found = named_body(name, measurements=options.measurements, segmentation=options.segmentation, legs_apart=apart)
+    body, measurements, *_ = named_body(name, measurements=options.measurements, segmentation=options.segmentation, legs_apart=apart)
     return found[0], found[1]
 
 
 def _warm_up(pattern: Pattern, wearer: tuple[Body, Measurements], device: str) -> None:
-    """Compile and load what the first drape would wait for."""
+    """Compile and load the kernels of a drape."""
     mesh = build_box_mesh(pattern, spacing=3.0)
     drape_batch([DrapeJob(mesh, *wearer)], DrapeConfig(max_frames=1), device=device)
 
@@ -138,7 +136,7 @@ def _run_sampled(options: argparse.Namespace) -> Measured:
         Figure("garments", len(worn), ""),
         Figure("vertices_mean", float(np.mean([len(one.job.box_mesh.vertices) for one in worn])), ""),
         Figure("s_per_garment", seconds / len(worn), "s"),
-        Figure("coarse_mesh_s_per_garment", _coarse_seconds(worn[:SOME]), "s"),
+        Figure("coarse_mesh_s_per_garment", _coarse_seconds(worn[:TIMED_MESHES]), "s"),
         *_outcomes(drapes),
     ]
     if device != "cpu":
@@ -151,7 +149,7 @@ def _run_sampled(options: argparse.Namespace) -> Measured:
 
 
 def _coarse_seconds(worn: Sequence[Worn]) -> float:
-    """What it takes to make the coarse mesh of a garment, on the average [s]."""
+    """Mean time to make a coarse mesh [s]."""
     start = time.perf_counter()
     for one in worn:
         coarse_start(one.job.box_mesh)
@@ -170,7 +168,7 @@ def _outcomes(drapes: Sequence[Drape]) -> list[Figure]:
 
 
 def _failed(worn: Sequence[Worn], drapes: Sequence[Drape]) -> list[dict[str, Any]]:
-    """A row for every garment that did not settle."""
+    """A row per garment that did not settle."""
     return [
         {
             "index": one.index,
@@ -190,6 +188,6 @@ def _failed(worn: Sequence[Worn], drapes: Sequence[Drape]) -> list[dict[str, Any
 
 
 def _write_sheet(path: Path, shown: Sequence[tuple[DrapeJob, Drape]]) -> None:
-    """Each garment from the front, eight in a row."""
+    """Front views of the garments, eight per row."""
     pictures = [render_garment(drape.vertices, job.box_mesh, job.body, size=TILE)[0] for job, drape in shown]
     write_whole(path, jpeg_bytes(contact_sheet(pictures, columns=8)))

@@ -1,10 +1,10 @@
-"""Fabrics by name: what a strip over an edge shows of their bending rigidity, and one skirt in several of them.
+"""Fabrics: the bending length of strips against theory, and one skirt in several fabrics.
 
     python -m benchmarks.run fabrics --sheet fabrics.jpg
     python -m benchmarks.run fabrics --fabrics gcd_soft denim --resolution 1 --device cuda:0 --sheet fabrics.jpg
 
-The bending length is that of a strip 6 cm wide on the mesh of a panel, hanging over an edge as in Peirce's test; what
-it should be is (rigidity / weight)^(1/3); a fabric that bends within two edges of the mesh is left out. Seconds are
+The bending length is measured on a strip 6 cm wide, meshed like a panel, that overhangs an edge as in Peirce's test;
+theory gives (rigidity / weight)^(1/3). A fabric whose bending length is below two mesh edges is left out. Seconds are
 those of the skirt's drape, set-up included, kernels loaded.
 """
 
@@ -32,7 +32,7 @@ from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["add_arguments", "run"]
 
-SHOWN = ("gcd_soft", "wool_light", "denim", "gcd_stiff")
+FABRICS_SHOWN = ("gcd_soft", "wool_light", "denim", "gcd_stiff")
 SKIRT = Overlay.from_dict(
     {
         "meta": {"upper": "none", "wb": "StraightWB", "bottom": "SkirtCircle"},
@@ -41,33 +41,32 @@ SKIRT = Overlay.from_dict(
     }
 )
 TILE = 1024  # pixels of a picture
-SHOWN_PART = np.s_[340:840, 262:762]  # of it: from the waist to the knees
+CROP = np.s_[340:840, 262:762]  # waist to knees
 GRAINS: tuple[Grain, ...] = ("warp", "weft")
-EDGES = 2.0  # of the mesh, in the bending length of a fabric whose strip can show it
+MIN_EDGES = 2.0  # least bending length that the mesh resolves [edges]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
     parser.add_argument(
-        "--fabrics", nargs="+", default=SHOWN, metavar="NAME", help=f"of the skirt: {', '.join(FABRICS)}"
+        "--fabrics", nargs="+", default=FABRICS_SHOWN, metavar="NAME", help=f"fabrics of the skirt: {', '.join(FABRICS)}"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the skirt's design")
-    parser.add_argument("--resolution", type=float, default=2.0, help="of the skirt [cm]")
-    parser.add_argument("--spacing", type=float, default=0.5, help="edges of the strips [cm]")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the skirt's design")
+    parser.add_argument("--resolution", type=float, default=2.0, help="edge length of the skirt's mesh [cm]")
+    parser.add_argument("--spacing", type=float, default=0.5, help="edge length of the strips' meshes [cm]")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--sheet", type=Path, help="picture of the skirt in each fabric, side by side")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Hang a strip of every fabric over an edge, both ways of the grain, and drape the skirt."""
+    """Measure strips of every fabric along warp and weft, and drape the skirt."""
     device = resolve_device(options.device)
-    shown = [name for name in FABRICS if min(_expected(name)) >= EDGES * options.spacing]
-    rows = [_strips(name, options.spacing, device) for name in shown]
+    names = [name for name in FABRICS if min(_expected(name)) >= MIN_EDGES * options.spacing]
+    rows = [_strips(name, options.spacing, device) for name in names]
     job = _skirt(options.seed, options.resolution)
     drapes = _drape(job, options.fabrics, device)
     if options.sheet:
         pictures = [render_garment(drape.vertices, job.box_mesh, job.body, size=TILE)[0] for drape, _ in drapes]
-        sheet = contact_sheet([picture[SHOWN_PART] for picture in pictures], columns=len(pictures))
+        sheet = contact_sheet([picture[CROP] for picture in pictures], columns=len(pictures))
         write_whole(options.sheet, jpeg_bytes(sheet))
     ratios = [row[f"{grain}_over_expected"] for row in rows for grain in ("warp", "weft")]
     return Measured(
@@ -84,7 +83,7 @@ def run(options: argparse.Namespace) -> Measured:
 
 
 def _strips(name: str, spacing: float, device: str) -> dict[str, Any]:
-    """Bending lengths of a fabric as they should be and as they are found [cm], and their ratio."""
+    """Measured and expected bending lengths of a fabric [cm], and their ratio."""
     row: dict[str, Any] = {"fabric": name}
     for grain, expected in zip(GRAINS, _expected(name), strict=True):
         found = cantilever(fabric_named(name), grain, spacing=spacing, device=device)
@@ -104,7 +103,7 @@ def _skirt(seed: int, resolution: float) -> DrapeJob:
 
 
 def _drape(job: DrapeJob, names: list[str], device: str) -> list[tuple[Drape, float]]:
-    """The garment in each fabric, with the seconds that it took."""
+    """The skirt's drape and seconds in each fabric."""
     if not names:
         raise ConfigError("give --fabrics one name or more")
     jobs = [DrapeJob(job.box_mesh, job.body, job.measurements, fabric_named(name)) for name in names]

@@ -1,4 +1,4 @@
-"""What a case gives back."""
+"""The result types of a benchmark case."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -9,7 +9,7 @@ __all__ = ["Case", "Figure", "Measured"]
 
 
 class Figure(NamedTuple):
-    """One measured number; printed as ``case.metric value unit``."""
+    """One measured number, printed as ``case.metric value unit``."""
 
     metric: str
     value: float
@@ -18,20 +18,20 @@ class Figure(NamedTuple):
 
 @dataclass(frozen=True)
 class Measured:
-    """The figures of a run, and the rows they were taken from."""
+    """The figures of a run, and the table behind them."""
 
     figures: Sequence[Figure]
     rows: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
-    """A table for the report; every row has the same keys."""
+    """Rows of the report's table; all have the same keys."""
 
 
 class Case(Protocol):
-    """A module of this folder."""
+    """The interface of a case module."""
 
     __doc__: str | None
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """The options of the case."""
+        """Add the options of the case."""
 
     def run(self, options: argparse.Namespace) -> Measured:
-        """Measure."""
+        """Run the benchmark."""

@@ -1,16 +1,16 @@
-"""Fresh garments that reach a training loop: how many a second, and how long a training waits for them.
+"""Fresh garments in a training loop: garments per second, and the time that the training waits for them.
 
     python -m benchmarks.run generated --device cuda:0 --workers 14 --seconds 20 --warm 300
 
-Workers make them ahead, as ``FreshGarments`` does; the loop puts them into batches. The clock starts when ``--warm``
-garments have come: kernels are loaded then, and every worker is at work. ``own_per_second``, of draped garments: what
-one draping process gives when prepared garments never run out, measured after the loop has ended; ``share``: what of
-that reached the loop, which two such processes on each GPU feed.
+Workers make garments ahead of a loop that collates them, as ``FreshGarments`` does. The clock starts after ``--warm``
+garments: kernels are then loaded and all workers busy. ``own_per_second``, for draped garments, is the rate of one
+draping process with unlimited prepared garments, measured after the loop; ``share`` is the loop's rate divided by it,
+with two such processes per GPU feeding the loop.
 
-On a GPU with box meshes or drapes two networks are trained then, on each garment ``--replay`` times, to tell the body
-in the garment. ``small``: a few layers on each point. ``large``: a transformer of as many layers as it takes for a step
-to last longer than the making of the garments that it asks for, timed before on a batch that is there. ``*_waits``: the
-share of time in which a network has no batch; ``*_gpu_idle``: the mean of what nvidia-smi tells, whoever uses the GPU.
+On a GPU, with box meshes or drapes, two networks are then trained to predict the body from the garment, with each
+garment replayed ``--replay`` times. ``small``: a few layers per point. ``large``: a transformer with enough layers that
+a step takes longer than making its garments, timed beforehand on a batch in memory. ``*_waits``: the share of time in
+which a network has no batch; ``*_gpu_idle``: from the mean utilisation that nvidia-smi reports, of all processes.
 """
 
 import argparse
@@ -30,33 +30,32 @@ from gcd_dataset.loaders import FreshGarments, GarmentLoader, GeneratedGarments
 
 __all__ = ["add_arguments", "run"]
 
-MANY = 10**6  # garments: more than any run makes
+COUNT = 10**6  # garments, more than any run makes
 FIELDS = {"pattern": ("panels", "edges", "stitches", "body"), "mesh": ("points", "body", "box", "faces")}
 FIELDS["drape"] = ("points", "body", "verts", "faces")
-LAYERS = (1, 2, 4, 8, 16, 32, 64)  # of the large network: 3 million weights each
-SLOWER = 1.25  # by which a step of it is longer than the garments of the step take
+LAYERS = (1, 2, 4, 8, 16, 32, 64)  # candidates for the large network; 3 million weights per layer
+SLACK = 1.25  # least step time of the large network over the time to make the step's garments
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
     parser.add_argument("--stage", choices=("pattern", "mesh", "drape"), default="drape")
     parser.add_argument("--workers", type=int, default=2, help="processes that make garments")
-    parser.add_argument("--seconds", type=float, default=30.0, help="of each measurement")
+    parser.add_argument("--seconds", type=float, default=30.0, help="duration of each measurement")
     parser.add_argument("--device", default="auto", help="where cloth is draped and the network is trained")
     parser.add_argument("--resolution", type=float, default=1.0, help="[cm]")
     parser.add_argument("--picture", type=int, default=512, help="side of the pictures [pixels]; 0 for none")
     parser.add_argument("--batch", type=int, default=8, help="garments in a batch of the loop")
-    parser.add_argument("--warm", type=int, default=64, help="garments that come before the clock starts")
-    parser.add_argument("--prepared", type=int, default=32, help="different garments for the draper's own rate")
-    parser.add_argument("--replay", type=float, default=8.0, help="times the networks see a garment")
+    parser.add_argument("--warm", type=int, default=64, help="garments before the clock starts")
+    parser.add_argument("--prepared", type=int, default=32, help="distinct designs for the draper's own rate")
+    parser.add_argument("--replay", type=float, default=8.0, help="uses of each garment by the networks")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Make, count, train. Raises ``ConfigError`` for no time, or nothing to make."""
+    """Measure the loop, the draper and the networks. Raises ``ConfigError`` for options out of range."""
     if options.seconds <= 0 or min(options.workers, options.warm) < 0 or min(options.batch, options.prepared) < 1:
         raise ConfigError("give --seconds above 0, --workers and --warm of 0 or more, --batch and --prepared of 1")
     garments = GeneratedGarments(
-        MANY,
+        COUNT,
         stage=options.stage,
         device=options.device,
         resolution=options.resolution,
@@ -81,7 +80,7 @@ def run(options: argparse.Namespace) -> Measured:
 
 
 def _rate(garments: GeneratedGarments, options: argparse.Namespace) -> tuple[float, float]:
-    """Seconds until the first batch, and garments a second that reach the loop."""
+    """Seconds until the first batch, and garments per second in the loop."""
     begun = time.perf_counter()
     batches = _batches(garments, options, replay=1.0)
     next(batches)
@@ -95,7 +94,7 @@ def _rate(garments: GeneratedGarments, options: argparse.Namespace) -> tuple[flo
 
 
 def _batches(garments: GeneratedGarments, options: argparse.Namespace, *, replay: float) -> Iterator[Any]:
-    """The batches of a loop; with ``replay`` the buffer is full when ``--warm`` garments have been given."""
+    """Batches; with ``replay`` the buffer is full after ``--warm`` garments."""
     room = options.batch if replay == 1 else max(options.warm, 1)
     fresh = FreshGarments(garments, replay=replay, room=room, workers=options.workers)
     return iter(GarmentLoader(fresh, options.batch, shuffle=False, rank=0, world_size=1))
@@ -107,13 +106,13 @@ def _pass_warm(batches: Iterator[Any], options: argparse.Namespace) -> None:
 
 
 def _trained(garments: GeneratedGarments, options: argparse.Namespace, rate: float, name: str) -> list[Figure]:
-    """A small network, then one that garments coming at ``rate`` are enough for, on the same stream."""
+    """Figures of the small network, then of a large one for which ``rate`` suffices, on the same stream."""
     device = torch.device(name)
     batches = _batches(garments, options, replay=options.replay)
     first = next(batches)
     outputs = first["body"].reshape(options.batch, -1).shape[1]
-    # Chosen before the rest: the small network then uses up the garments that were made meanwhile.
-    least = SLOWER * options.batch / (rate * options.replay)
+    # Chosen first: the small network then consumes the garments made meanwhile.
+    least = SLACK * options.batch / (rate * options.replay)
     large, layers, seconds = _large(outputs, first, device, options.batch, least)
     weights = sum(weight.numel() for weight in large.parameters()) / 1e6
     _pass_warm(batches, options)
@@ -132,7 +131,7 @@ def _trained(garments: GeneratedGarments, options: argparse.Namespace, rate: flo
 def _waits(
     name: str, net: nn.Module, batches: Iterator[Any], device: torch.device, options: argparse.Namespace
 ) -> list[Figure]:
-    """How many steps a network takes, and the share of the time in which it waits for a batch."""
+    """Steps per second of a network, and the share of time in which it waits for a batch."""
     training = _Training(net, device, options.batch)
     training.step(next(batches))
     begun, waited, steps = time.perf_counter(), 0.0, 0
@@ -151,7 +150,7 @@ def _waits(
 
 
 def _large(outputs: int, batch: Any, device: torch.device, size: int, least: float) -> tuple[nn.Module, int, float]:
-    """The smallest transformer of which a step takes ``least`` seconds, or the largest; its layers, and its seconds."""
+    """The smallest transformer whose step takes ``least`` seconds, or the largest; its layers and seconds per step."""
     for layers in LAYERS:
         net = _Transformer(outputs, layers)
         training = _Training(net, device, size)
@@ -166,25 +165,25 @@ def _large(outputs: int, batch: Any, device: torch.device, size: int, least: flo
 
 
 class _Training:
-    """Steps of a network."""
+    """Optimiser steps of a network."""
 
     def __init__(self, net: nn.Module, device: torch.device, batch: int) -> None:
         self._net, self._device, self._batch = net.to(device), device, batch
-        self._chosen = torch.optim.Adam(net.parameters())
+        self._optimizer = torch.optim.Adam(net.parameters())
 
     def step(self, batch: Any) -> None:
-        """From the surface points to the body's shape."""
+        """One step: predict the body's shape weights from the surface points."""
         points = batch["points"].to(self._device, non_blocking=True).float().reshape(self._batch, -1, 6) / 100
         body = batch["body"].to(self._device, non_blocking=True).reshape(self._batch, -1)
-        self._chosen.zero_grad()
+        self._optimizer.zero_grad()
         loss = nn.functional.mse_loss(self._net(points), body)
         loss.backward()  # type: ignore[no-untyped-call]
-        self._chosen.step()
-        loss.item()  # waits for the GPU, so that what follows is counted as waiting for garments alone
+        self._optimizer.step()
+        loss.item()  # synchronises, so that later waits are for garments only
 
 
 class _PointNet(nn.Module):
-    """Each point through the same layers, then the greatest of each feature."""
+    """A shared network per point, then the maximum over points."""
 
     def __init__(self, outputs: int) -> None:
         super().__init__()
@@ -199,7 +198,7 @@ class _PointNet(nn.Module):
 
 
 class _Transformer(nn.Module):
-    """Points in groups of 16, each group a token of 512 numbers."""
+    """A transformer on tokens of 16 points."""
 
     def __init__(self, outputs: int, layers: int) -> None:
         super().__init__()

@@ -1,11 +1,11 @@
-"""What it costs to load garments of 14 500 vertices, by our loader and by others, beside what no loader can beat.
+"""Loading garments of 14 500 vertices: ``GarmentLoader``, other loaders, and a lower bound.
 
-All load the same synthetic garments, in batches of 16 put together by ``collate_packed``, out of the file cache; CPU
-time is that of all threads and workers in the cheapest of several epochs. ``webdataset`` reads our shards, in their
-order; ``litdata`` and ``hdf5`` read copies that hold the loaded tensors, in random order, as ours is. ``geometry``:
-panels, faces, uv, panel of each face, vertices. ``points``: 8 192 surface points with normals, and the pattern as
-arrays. ``patterns``: the pattern as arrays, design and measures (``hdf5``: the arrays alone). ``floor`` reads the
-stored bytes and copies them once. A loader that is not installed is left out.
+All load the same synthetic garments from the page cache, in batches of 16 collated by ``collate_packed``; CPU time is
+that of all threads and workers in the cheapest of several epochs. ``webdataset`` reads the shards sequentially;
+``litdata`` and ``hdf5`` read copies that hold the loaded tensors, in random order, as ours does. ``geometry``: panels,
+faces, uv, panel of each face, vertices. ``points``: 8 192 surface points with normals, and the pattern as arrays.
+``patterns``: the pattern as arrays, design and measures (``hdf5``: the arrays only). ``floor``, the lower bound, reads
+the stored bytes and copies them once. A loader that is not installed is left out.
 """
 
 import argparse
@@ -19,7 +19,7 @@ import torch
 
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.loading.timing import Cost, cost_of
-from benchmarks.loading.ways import WAYS
+from benchmarks.loading.loaders import LOADERS
 from benchmarks.loading.workload import CONFIGS, write_shards
 from gcd_dataset.errors import ConfigError
 
@@ -30,26 +30,25 @@ ROUNDS = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
     parser.add_argument(
-        "--count", type=int, default=192, help="garments; 1.1 MB each, and as much for each other loader"
+        "--count", type=int, default=192, help="garments; 1.1 MB each, and again for each other loader"
     )
-    parser.add_argument("--seconds", type=float, default=1.5, help="for each loader, fields and number of workers")
-    parser.add_argument("--folder", type=Path, help="where the garments are kept; by default nowhere")
+    parser.add_argument("--seconds", type=float, default=1.5, help="duration for each loader, fields and number of workers")
+    parser.add_argument("--folder", type=Path, help="folder that keeps the garments; by default temporary")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Write, then load. Raises ``ConfigError`` for fewer garments than a batch, or no time."""
+    """Write shards, then time the loaders. Raises ``ConfigError`` for options out of range."""
     if options.count < 16 or options.seconds <= 0:
         raise ConfigError("give --count of 16 or more, and --seconds of more than 0")
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as own:
         folder = write_shards(options.folder or Path(own), options.count)
         costs = {
-            (way, config, workers): cost
+            (loader, config, workers): cost
             for config in CONFIGS
             for workers in WORKERS
-            for way, cost in _by_turns(folder, config, workers, options).items()
+            for loader, cost in _costs(folder, config, workers, options).items()
         }
     return Measured(_figures(costs), _rows(costs))
 
@@ -57,21 +56,21 @@ def run(options: argparse.Namespace) -> Measured:
 Costs = Mapping[tuple[str, str, int], Cost]
 
 
-def _by_turns(folder: Path, config: str, workers: int, options: argparse.Namespace) -> dict[str, Cost]:
-    """The cheapest epoch of each loader; they take turns, so that other work on the machine falls on all of them."""
+def _costs(folder: Path, config: str, workers: int, options: argparse.Namespace) -> dict[str, Cost]:
+    """The cheapest epoch of each loader; loaders alternate, so that other load on the machine affects all."""
     costs: dict[str, Cost] = {}
     for _ in range(ROUNDS):
-        for way, load in WAYS.items():
+        for loader, load in LOADERS.items():
             batches = load(folder, CONFIGS[config], workers)
             if batches is not None:
                 cost = cost_of(batches, options.count, seconds=options.seconds / ROUNDS)
-                costs[way] = min(cost, costs.get(way, cost))
+                costs[loader] = min(cost, costs.get(loader, cost))
     return costs
 
 
 def _figures(costs: Costs) -> list[Figure]:
-    def cpu(way: str, config: str = "geometry") -> float:
-        cost = costs.get((way, config, 0))
+    def cpu(loader: str, config: str = "geometry") -> float:
+        cost = costs.get((loader, config, 0))
         return math.nan if cost is None else cost.cpu_ms
 
     ratios = [
@@ -87,14 +86,14 @@ def _figures(costs: Costs) -> list[Figure]:
 
 
 def _rows(costs: Costs) -> list[dict[str, Any]]:
-    """A row for each loader and fields: CPU time by number of workers, and garments a second."""
+    """A row per loader and fields: CPU time and garments per second by number of workers."""
     rows = []
     for config in CONFIGS:
-        for way in WAYS:
-            found = {workers: costs.get((way, config, workers)) for workers in WORKERS}
+        for loader in LOADERS:
+            found = {workers: costs.get((loader, config, workers)) for workers in WORKERS}
             if found[0] is None:
                 continue
-            row: dict[str, Any] = {"fields": config, "loader": way}
+            row: dict[str, Any] = {"fields": config, "loader": loader}
             row |= {f"CPU-ms, {n} workers": f"{cost.cpu_ms:.3f}" if cost else "" for n, cost in found.items()}
             row |= {
                 f"garments/s, {n} workers": f"{1e3 / cost.wall_ms:.0f}" if cost else "" for n, cost in found.items()

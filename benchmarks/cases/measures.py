@@ -1,10 +1,10 @@
-"""Measures of meshes whose landmarks are found, against the published ones, against ours by vertex, and when broken.
+"""Measures with landmarks found on the mesh: against published ones, against landmarks known by vertex, and on damage.
 
 ``published``: share of the 26 measures of the published mean bodies within 0.5 cm (heights and girths), 1.5 cm or 3°
-(what hangs on landmarks); each is a row of the table, with the cause of the difference. ``own``: the same share on
-drawn bodies of ours, landmarks found against landmarks known by vertex. ``speed``: all measures of a body of ours, in
-CPU-milliseconds. ``broken``: what came of damaged files (``benchmarks/broken_bodies.py``); ``wrong`` counts those that
-were measured wrongly without a word.
+(measures that depend on landmarks); one row of the table per measure, with the cause of the difference. ``own``: the
+same share on drawn bodies, landmarks found against landmarks known by vertex. ``speed``: CPU-milliseconds for all
+measures of a drawn body. ``broken``: outcomes for damaged files (``benchmarks/broken_bodies.py``); ``wrong`` counts
+files that were measured wrongly without a remark.
 """
 
 import argparse
@@ -31,9 +31,9 @@ __all__ = ["add_arguments", "run", "tolerance"]
 
 GIRTHS_AND_HEIGHTS = ("height", "bust", "underbust", "waist", "hips", "leg_circ", "wrist")
 CLOSE, NEAR, DEGREES = 0.5, 1.5, 3.0  # cm, cm, degrees
-STATED = "doubtful"  # in a remark
+STATED = "doubtful"  # first word of such a remark
 LOOSE = {"fused": 2.5}
-"""Kinds of damage that leave bumps of millimetres, on which a tape rides: by how much their tolerances grow."""
+"""Damage that leaves bumps of millimetres, over which the tape runs: factor on the tolerances."""
 SPEED_BODIES = 100
 
 LEVEL = "the level where it is taken"
@@ -68,18 +68,17 @@ CAUSES = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
     parser.add_argument("folder", type=Path, help="folder with bodies NAME.obj and their measures NAME.yaml")
-    parser.add_argument("--own", type=int, default=10, help="drawn bodies of ours (default: 10)")
+    parser.add_argument("--own", type=int, default=10, help="drawn bodies (default: 10)")
     parser.add_argument("--broken", type=int, default=len(KINDS), help="damaged files (default: one of each kind)")
-    parser.add_argument("--seed", type=int, default=0, help="names the drawn bodies (default: 0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the drawn bodies (default: 0)")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Measure. Raises ``ConfigError`` for a folder without bodies."""
+    """Measure all bodies. Raises ``ConfigError`` for a folder without bodies."""
     names = sorted(path.stem for path in options.folder.glob("*.obj") if path.with_suffix(".yaml").is_file())
     if not names:
-        raise ConfigError(f"{options.folder}: holds no body NAME.obj with its measures NAME.yaml")
+        raise ConfigError(f"{options.folder}: no body NAME.obj with its measures NAME.yaml in it")
     off = {name: _off_published(options.folder / name) for name in names}
     own = [_off_own(options.seed, index) for index in range(options.own)]
     broken = Counter(_fate(options.seed, index) for index in range(options.broken))
@@ -93,7 +92,7 @@ def run(options: argparse.Namespace) -> Measured:
 
 
 def tolerance(key: str) -> float:
-    """By how much a measure may differ [cm, degrees]."""
+    """Tolerance of a measure [cm, degrees]."""
     if key in ANGLES:
         return DEGREES
     return CLOSE if key in GIRTHS_AND_HEIGHTS else NEAR
@@ -135,7 +134,7 @@ def _speed(seed: int) -> float:
 
 
 def _fate(seed: int, index: int) -> str:
-    """``right``, ``stated`` (measured, but said to be doubtful), ``error`` or ``wrong``."""
+    """Outcome of a damaged file: ``right``, ``stated`` (measured, with a remark of doubt), ``error`` or ``wrong``."""
     kind = list(KINDS)[index % len(KINDS)]
     made = broken_body(kind, rng(seed, index, Stage.BODY, 1))
     with tempfile.TemporaryDirectory() as folder:
@@ -149,5 +148,5 @@ def _fate(seed: int, index: int) -> str:
     stated = any(remark.startswith(STATED) for remark in remarks) or set(far) == {"leg_circ"} <= taken.at_border.keys()
     if made.truth is not None and not far:
         return "right"
-    print(f"{kind} {index}: {far or 'measured, although nothing true can be said'}{' (stated)' if stated else ''}")
+    print(f"{kind} {index}: {far or 'measured, although no truth is known'}{' (stated)' if stated else ''}")
     return "stated" if stated else "wrong"

@@ -1,9 +1,8 @@
-"""What drawing designs costs, how many are accepted, and what they are.
+"""Sampling designs: CPU time, acceptance, and the mix of garments.
 
-Every design is drawn for the neutral body and for a random one, as ``gcd generate --bodies both --stage pattern`` does
-it; it is accepted when both can wear it. CPU time is that of drawing the design, both patterns and all checks; bodies
-and their measures are counted apart. ``defects`` are patterns in which ``validate`` finds an error or an edge under
-0.5 cm.
+Every design is drawn for the neutral body and a random one, as in ``gcd generate --bodies both --stage pattern``; it is
+accepted if both can wear it. CPU time covers drawing the design, both patterns and all checks; bodies and their
+measures are timed separately. ``defects`` are patterns in which ``validate`` finds an error or an edge under 0.5 cm.
 """
 
 import argparse
@@ -29,23 +28,23 @@ from gcd_dataset.validate import Rule, Severity, check_pattern
 __all__ = ["add_arguments", "run"]
 
 MOST_ATTEMPTS = 30
-ON_SHEET = 64
+ON_SHEET = 64  # designs
 
 
 @dataclass(frozen=True)
 class AcceptedDesign:
-    """One accepted design."""
+    """An accepted design: kind, size, rejects and CPU time."""
 
     kind: Kind
     counts: tuple["Counts", ...]
-    """Of each of its patterns."""
+    """One entry per pattern."""
     rejects: tuple[Reject, ...]
     seconds: float
-    """CPU time, that of what was turned down included."""
+    """CPU time, including rejected attempts."""
 
 
 class Counts(NamedTuple):
-    """What is in a pattern."""
+    """Numbers of parts of a pattern."""
 
     panels: int
     edges: int
@@ -60,14 +59,13 @@ class Counts(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
-    parser.add_argument("--count", type=int, default=1000, help="designs to be accepted")
+    parser.add_argument("--count", type=int, default=1000, help="accepted designs")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--sheet", type=Path, help="JPEG with the first 64 designs, drawn for their random bodies")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Draw, and count. Raises ``ConfigError`` for a count of none."""
+    """Sample designs and count. Raises ``ConfigError`` for ``--count`` below 1."""
     if options.count < 1:
         raise ConfigError(f"count is {options.count}: give 1 or more")
     neutral = measure(build_body(neutral_shape()))
@@ -86,7 +84,7 @@ def run(options: argparse.Namespace) -> Measured:
 
 
 def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> tuple[AcceptedDesign, tuple[Pattern, ...]]:
-    """Design ``number`` and its patterns: the first that all can wear."""
+    """Design ``number`` and its patterns: the first attempt that all can wear."""
     begun = time.process_time()
     rejects: list[Reject] = []
     kind = sample_kind(rng(seed, number, Stage.KIND))
@@ -137,7 +135,7 @@ def _shares(drawn: Sequence[AcceptedDesign]) -> list[Figure]:
 
 
 def _reasons(drawn: Sequence[AcceptedDesign]) -> list[dict[str, object]]:
-    """Why designs were turned down, the most frequent reason first, with an example."""
+    """Reject reasons, most frequent first, with an example."""
     rejects = [reject for design in drawn for reject in design.rejects]
     examples = {reject.rule: reject.figures for reject in reversed(rejects)}
     return [

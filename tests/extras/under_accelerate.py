@@ -67,7 +67,7 @@ require_each_once("a stream, dispatched", prepared(streamed()))
 require_each_once("all of them, said so", prepared(sampled(rank=0, world_size=1)))
 require_refused(prepared(sampled(rank=dist.get_rank(), world_size=2)), "world_size=2: accelerate shares out")
 if dist.get_rank() == 0:  # which alone reads, and tells the others
-    require_refused(streamed(1), "streaming=True in workers beside accelerate")
+    require_refused(streamed(1), "streaming=True in workers with accelerate")
 
 sampler = ElasticSampler(garments)
 loader = prepared(DataLoader(garments, SIZE, sampler=sampler, num_workers=1, collate_fn=numbers))

@@ -47,10 +47,10 @@ class Apart(GeneratedGarments):
 
     def __init__(self, n: int, place: DraperAddress, **options: Any) -> None:
         super().__init__(n, **OPTIONS, **options)
-        self._places = (place,)
+        self._addresses = (place,)
 
     @property
-    def _apart(self) -> bool:
+    def _drapes_elsewhere(self) -> bool:
         return True
 
 
@@ -382,7 +382,7 @@ def test_a_draper_killed_under_workers_is_one_error(place: DraperAddress, monkey
 def test_workers_have_the_draping_processes_by_turns(items: list[dict[str, Any]], place: DraperAddress) -> None:
     ds = Apart(COUNT, place)
     places = (place, _made("cpu"))
-    ds._places = places
+    ds._addresses = places
     assert_all_same(FreshGarments(ds, room=1, workers=2), items)
     assert [len(drapers(place)) for place in places] == [1, 1]
     (places[1].folder / "owner").unlink()

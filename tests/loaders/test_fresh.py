@@ -82,9 +82,9 @@ class Counting(FakeGarments):
         super().__init__(count, fields=["meta"], **options)
         self.made: list[int] = []
 
-    def _one(self, position: int) -> Any:
+    def _load(self, position: int) -> Any:
         self.made.append(position)
-        return super()._one(position)
+        return super()._load(position)
 
 
 def test_the_first_comes_as_soon_as_it_is_made() -> None:

@@ -101,11 +101,11 @@ def test_patterns_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> No
 
 def test_what_cannot_be_a_graph_is_refused(monkeypatch: pytest.MonkeyPatch, items: list[dict[str, Any]]) -> None:
     monkeypatch.setitem(sys.modules, "torch_geometric", None)
-    with pytest.raises(ConfigError, match="torch_geometric, which is not there"):
+    with pytest.raises(ConfigError, match="torch_geometric, which is not installed"):
         to_pyg(items[0])
-    with pytest.raises(ConfigError, match="there is mesh, pattern"):
+    with pytest.raises(ConfigError, match="choose mesh or pattern"):
         to_pyg(items[0], "points")  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="a garment without stitches: load that field too"):
+    with pytest.raises(ConfigError, match="the garment has no stitches: load that field too"):
         seam_graph({"edges": items[0]["edges"]})
     with pytest.raises(ConfigError, match="give an item or a packed batch"):
         seam_graph(collate_padded(items))
@@ -113,5 +113,5 @@ def test_what_cannot_be_a_graph_is_refused(monkeypatch: pytest.MonkeyPatch, item
 
 @pytest.mark.usefixtures("pyg")
 def test_a_mesh_needs_vertices(items: list[dict[str, Any]]) -> None:
-    with pytest.raises(ConfigError, match="a mesh without vertices"):
+    with pytest.raises(ConfigError, match="the garment has faces but no vertices"):
         to_pyg({"faces": items[0]["faces"]})

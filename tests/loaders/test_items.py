@@ -100,7 +100,7 @@ def test_pictures_that_are_not_taken_are_refused() -> None:
 
 def test_published_garments_do_not_tell_their_bodies(examples: Path) -> None:
     root = examples / "published" / "GarmentCodeData_v2"
-    with pytest.raises(ConfigError, match="no field body: these garments do not tell the weights"):
+    with pytest.raises(ConfigError, match="no field body: these garments have no shape weights"):
         PublishedGarmentCodeData(root, "all", fields=["body"])
     ds = PublishedGarmentCodeData(root, "all", fields=["measures", "meta"])
     assert ds[0]["measures"]["_leg_length"] == pytest.approx(85.0, abs=10)
@@ -146,14 +146,14 @@ def test_what_is_stored_as_asked_is_not_copied(sets: dict[str, Path], monkeypatc
 
 def test_types_of_other_numbers_are_refused(sets: dict[str, Path]) -> None:
     for dtype in (torch.int64, "float32", np.float32):
-        with pytest.raises(ConfigError, match=r"dtype=.*: give a type of floating numbers, such as torch\.float32"):
+        with pytest.raises(ConfigError, match=r"dtype=.*: give a floating type, such as torch\.float32"):
             GarmentDataset(sets["mesh"], dtype=dtype)  # type: ignore[arg-type]
 
 
 def test_types_are_not_mixed_in_a_batch(sets: dict[str, Path]) -> None:
     items = [GarmentDataset(sets["mesh"], fields=["panels", "body"], dtype=dtype)[0] for dtype in (torch.float32, None)]
     for collate in (collate_packed, collate_padded):
-        with pytest.raises(ConfigError, match=r"panels of one batch is of torch\.float32, torch\.float64"):
+        with pytest.raises(ConfigError, match=r"panels has types torch\.float32, torch\.float64 in one batch"):
             collate(items)
 
 
@@ -314,6 +314,6 @@ def test_all_are_told_in_a_line(sets: dict[str, Path], tmp_path: Path) -> None:
 
 def test_a_number_beyond_float32_is_not_made_infinite() -> None:
     large = np.array([1.0, 1e300])
-    with pytest.raises(ShardError, match="dtype=None keeps them"):
+    with pytest.raises(ShardError, match="dtype=None keeps the stored type"):
         tensor_of(large, torch.float32)
     assert tensor_of(large, None).tolist() == [1.0, 1e300]

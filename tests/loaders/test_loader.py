@@ -163,7 +163,7 @@ def test_an_iterator_begun_before_the_state_came_is_refused(workers: int) -> Non
     next(used)
     loader.load_state_dict(state)
     for early in (unused, used):
-        with pytest.raises(ConfigError, match=r"load_state_dict\(\) has come after: take batches from"):
+        with pytest.raises(ConfigError, match=r"ended with a later iter\(\) or load_state_dict\(\): take batches"):
             next(early)
     assert ids(next(iter(loader))) == ORDER[8:12]
 
@@ -333,9 +333,9 @@ def test_numbers_that_cannot_be_are_told_with_those_that_can(options: dict[str, 
 
 def test_what_a_stream_cannot_do_is_refused() -> None:
     for options, told in (
-        ({}, "a stream comes in its own order"),
-        ({"shuffle": False, "num_workers": 2}, "each would read the whole stream"),
-        ({"shuffle": False, "pad": "repeat"}, "does not come again"),
+        ({}, "a stream has its own order"),
+        ({"shuffle": False, "num_workers": 2}, "each worker would read the whole stream"),
+        ({"shuffle": False, "pad": "repeat"}, "cannot repeat its first items"),
     ):
         with pytest.raises(ConfigError, match=told):
             GarmentLoader(Count(), 3, **options)

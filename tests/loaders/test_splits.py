@@ -90,7 +90,7 @@ def test_slices_and_selections_are_data_sets(folder: Path) -> None:
 def test_a_stream_cannot_be_chosen_from(folder: Path) -> None:
     stream = GarmentDataset(folder, streaming=True)
     for choose in (lambda: stream[0], lambda: stream[1:], lambda: stream.select([1])):
-        with pytest.raises(ConfigError, match="a stream has no numbers"):
+        with pytest.raises(ConfigError, match="a stream has no indices"):
             choose()
 
 

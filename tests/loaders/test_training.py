@@ -28,7 +28,7 @@ from gcd_dataset.loaders import (
     collate_list,
     collate_packed,
 )
-from gcd_dataset.loaders.batch_plan import Making, Turn
+from gcd_dataset.loaders.batch_plan import BatchIndices, BatchMaker
 from tests.loaders.patterns import sewn
 
 N = 12
@@ -159,8 +159,8 @@ def test_items_are_those_of_the_data_set(folder: Path, wrapped: Any) -> None:
 )
 def test_what_workers_are_sent_can_be_pickled(folder: Path, wrapped: Any) -> None:
     """Spawned ones are."""
-    making = Making(wrapped(GarmentDataset(folder, fields=["meta"], transform=jittered)), collate_packed, 0)
-    sent, turn = pickle.loads(pickle.dumps(making)), Turn(1, [3, 0])
+    making = BatchMaker(wrapped(GarmentDataset(folder, fields=["meta"], transform=jittered)), collate_packed, 0)
+    sent, turn = pickle.loads(pickle.dumps(making)), BatchIndices(1, [3, 0])
     assert torch.equal(making.__getitems__(turn)["noise"], sent.__getitems__(turn)["noise"])
 
 
@@ -361,7 +361,7 @@ def test_the_state_of_other_garments_is_refused(folder: Path, tmp_path: Path) ->
     ds = GarmentDataset(folder, fields=["meta"])
     other = GarmentDataset(sewn(tmp_path, N, seed=1), fields=["meta"])
     named = (
-        r"its dataset is GarmentDataset of 12, seed 0, numbers 0 to 11 \('\w{16}'\), and here it is GarmentDataset of "
+        r"its dataset is GarmentDataset of 12, seed 0, numbers 0 to 11 \('\w{16}'\), here it is GarmentDataset of "
         r"12, seed 1, numbers 0 to 11 \('\w{16}'\): load it with the same data set"
     )
     with pytest.raises(ConfigError, match=named):
@@ -407,7 +407,7 @@ def test_a_state_that_is_none_is_told_on_one_line(folder: Path, entry: dict[str,
     assert len(str(told.value)) < 400
     none: tuple[Any, ...] = (None, [], 3, "state")
     for nothing in none:
-        with pytest.raises(ConfigError, match="a state that is no dict but"):
+        with pytest.raises(ConfigError, match=r"state .* is not a dict"):
             loader.load_state_dict(nothing)
 
 
