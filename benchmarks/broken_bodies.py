@@ -1,4 +1,4 @@
-"""Meshes of bodies that something has happened to, each with the measures that a careful tailor would still take."""
+"""Damaged body meshes, each with the measures of the intact body where they are still defined."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -11,23 +11,23 @@ from scipy.spatial.transform import Rotation
 from gcd_dataset.generator.body import build_body, draw_shape, measure
 from gcd_dataset.records import Body, BodyPart, Measurements
 
-__all__ = ["KINDS", "BrokenBody", "broken_body", "grown_together"]
+__all__ = ["KINDS", "BrokenBody", "broken_body", "fused_by_scanner"]
 
 SMOOTHING = 10 * (0.5, -0.53)
-"""Steps to and from the neighbours' mean, which take the stairs of cells away and leave the size (Taubin, 1995)."""
+"""Smoothing steps of alternating sign, which remove the steps between cells without shrinking (Taubin, 1995)."""
 
 
 @dataclass(frozen=True)
 class BrokenBody:
-    """A file's content, and the truth about it."""
+    """The content of a damaged file, and its true measures."""
 
     kind: str
     content: bytes
     truth: Measurements | None
-    """``None`` where nothing true can be said."""
+    """``None`` if the damage leaves no true measures."""
 
     def write(self, folder: Path) -> Path:
-        """The file, an OBJ."""
+        """Write the OBJ file. Returns its path."""
         path = folder / f"{self.kind}.obj"
         path.write_bytes(self.content)
         return path
@@ -38,9 +38,9 @@ _Damage = Callable[[Body, np.random.Generator], tuple[_Mesh, Body | None]]
 
 
 def broken_body(kind: str, rng: np.random.Generator) -> BrokenBody:
-    """A drawn body, damaged; ``kind`` is one of ``KINDS``."""
+    """A drawn body with one kind of damage of ``KINDS``."""
     body = build_body(draw_shape(rng))
-    # In another order the mesh is not known to be ours, so that its landmarks have to be found.
+    # With faces in another order the mesh is not recognised as ours, so landmarks must be found.
     body = replace(body, faces=np.roll(body.faces, 1, axis=0))
     (vertices, faces), true_body = KINDS[kind](body, rng)
     content = _obj(vertices, faces)
@@ -222,17 +222,17 @@ def _no_body(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
 
 def _arms_down(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
     shape = replace(draw_shape(rng), arm_angle=-np.radians(rng.uniform(32, 42)))
-    return grown_together(build_body(shape), rng.uniform(1.2, 2.0)), None
+    return fused_by_scanner(build_body(shape), rng.uniform(1.2, 2.0)), None
 
 
 def _fused(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    return grown_together(body, rng.uniform(0.6, 0.8)), body
+    return fused_by_scanner(body, rng.uniform(0.6, 0.8)), body
 
 
-def grown_together(body: Body, cell: float) -> _Mesh:
-    """The body as a scanner that fuses depth pictures gives it: skin about filled cells of ``cell`` cm, one a vertex.
+def fused_by_scanner(body: Body, cell: float) -> _Mesh:
+    """The body as scanned by depth fusion: the surface of filled cells of ``cell`` cm, one vertex per cell corner.
 
-    Surface nets (Gibson, 1998) on the solid cells; parts that touch grow together.
+    Surface nets (Gibson, 1998); parts that touch fuse together.
     """
     low = body.vertices.min(axis=0) - 2 * cell
     shape = np.ceil((body.vertices.max(axis=0) + 2 * cell - low) / cell).astype(int)
@@ -264,7 +264,7 @@ def _smoothed(corners: np.ndarray, quads: np.ndarray, share: float) -> np.ndarra
 
 
 def _filled(body: Body, low: np.ndarray, shape: np.ndarray, cell: float) -> np.ndarray:
-    """Which cells have their middle inside: an odd number of skins in front of it, or a signed sum that is not 0."""
+    """Cells whose centre is inside: with a positive signed number of skins in front of it."""
     corners = body.vertices[body.faces]
     depth = np.zeros(tuple(shape), int)
     nx, _, nz = shape
@@ -338,4 +338,4 @@ KINDS: Mapping[str, _Damage] = {
     "empty file": _whole,
     "truncated file": _hole((0.0, 0.0)),
 }
-"""What happened, by name."""
+"""Kind of damage to the function that applies it."""

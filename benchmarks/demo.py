@@ -1,4 +1,4 @@
-"""A tour on the CPU: make garments, read them back through a DataLoader, leave a picture to look at.
+"""Demo on the CPU: make garments, read them back with a DataLoader, write a contact sheet.
 
 python -m benchmarks.demo --out demo
 """
@@ -32,7 +32,7 @@ SHORT = Overlay.from_dict(
         "pants": {"length": {"range": [0.2, 0.4]}},
     }
 )
-"""Short garments, which a CPU drapes in seconds."""
+"""Short garments: a CPU drapes them in seconds."""
 
 
 def main() -> None:
@@ -46,11 +46,11 @@ def main() -> None:
     print(f"Making {2 * DESIGNS} garments: {DESIGNS} designs, each for two bodies, draped at 2 cm on the CPU")
     with tqdm(total=2 * DESIGNS, unit="garment") as bar:
 
-        def told(progress: Progress) -> None:
+        def on_progress(progress: Progress) -> None:
             bar.update(progress.done - bar.n)
 
-        made = generate(out / "garments", 2 * DESIGNS, seed=SEED, config=config, told=told)
-    print(", ".join(f"{count} {outcome.lower()}" for outcome, count in made.outcomes.items()) or "all there already")
+        made = generate(out / "garments", 2 * DESIGNS, seed=SEED, config=config, told=on_progress)
+    print(", ".join(f"{count} {outcome.lower()}" for outcome, count in made.outcomes.items()) or "all made before")
 
     dataset = GarmentDataset(out / "garments")
     loader = DataLoader(dataset, batch_size=4, num_workers=0, collate_fn=collate_packed)

@@ -1,4 +1,4 @@
-"""What the draper of a GPU does: how many garments a second, and how long the GPU waits."""
+"""The rate of a GPU's draping process, and the GPU's idle time."""
 
 import shutil
 import subprocess
@@ -18,63 +18,64 @@ from gcd_dataset.generator.recipe import MakeConfig, devices_of
 
 __all__ = ["gpu_idle", "own_rate"]
 
-TOLD_EVERY = 200  # ms between two readings of nvidia-smi
-TRIFLE = 1e-6  # cm
-ORDERED = 256  # more than a GPU drapes at a time
+SAMPLE_EVERY = 200  # ms between samples of nvidia-smi
+SHIFT = 1e-6  # cm, makes a body a different one
+QUEUED = 256  # requests, more than a GPU drapes at a time
 
 
 def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pictured: bool = False) -> float:
-    """Garments a second of the draping process alone, which always has more orders than it drapes at a time.
+    """Garments per second of one draping process whose queue never runs empty.
 
-    ``prepared`` designs come again, on bodies that the draper has not seen; the first ``warm`` are not counted.
+    ``prepared`` designs are repeated, on bodies that the draper has not seen; the first ``warm`` garments are not
+    counted.
     """
     counted = 0
     worn = [worn for number in range(prepared) for worn in prepare(1, number, config).dressed]
     jobs = [DrapeJob(one.box_mesh, one.body, one.size, coarse=one.coarse) for one in worn if one.box_mesh]
     picture = config.picture if pictured else 0
     with SharedDraper(address_for(devices_of(config)[0])) as draper:
-        orders = (DrapeRequest(number, _on_another(job, number), picture) for number, job in enumerate(cycle(jobs)))
-        for order in islice(orders, ORDERED):
-            draper.ask(order)
-        for order in islice(orders, warm):
+        requests = (DrapeRequest(number, _on_new_body(job, number), picture) for number, job in enumerate(cycle(jobs)))
+        for request in islice(requests, QUEUED):
+            draper.ask(request)
+        for request in islice(requests, warm):
             draper.answer()
-            draper.ask(order)
+            draper.ask(request)
         begun = time.perf_counter()
         while time.perf_counter() - begun < seconds:
             draper.answer()
             counted += 1
-            draper.ask(next(orders))
+            draper.ask(next(requests))
         return counted / (time.perf_counter() - begun)
 
 
-def _on_another(job: DrapeJob, number: int) -> DrapeJob:
-    """The job on a body of its own, as the garments of a data set have: what is known of a body is kept."""
-    return replace(job, body=replace(job.body, vertices=job.body.vertices + TRIFLE * number))
+def _on_new_body(job: DrapeJob, number: int) -> DrapeJob:
+    """The job on a body of its own, as in a data set: the draper caches data per body."""
+    return replace(job, body=replace(job.body, vertices=job.body.vertices + SHIFT * number))
 
 
 @contextmanager
 def gpu_idle(device: str) -> Iterator[list[float]]:
-    """A list that holds, after the block, the share of time in which the GPU did nothing; without a GPU none."""
+    """Context manager: a list that afterwards holds the GPU's share of idle time; empty without a GPU."""
     idle: list[float] = []
     if device == "cpu" or shutil.which("nvidia-smi") is None:
         yield idle
         return
     number = device.partition(":")[2] or "0"
     command = ["nvidia-smi", "-i", number, "--query-gpu=utilization.gpu", "--format=csv,noheader,nounits"]
-    reading = subprocess.Popen([*command, "-lms", str(TOLD_EVERY)], stdout=subprocess.PIPE, text=True)
-    told: list[float] = []
+    smi = subprocess.Popen([*command, "-lms", str(SAMPLE_EVERY)], stdout=subprocess.PIPE, text=True)
+    percent: list[float] = []
 
     def listen() -> None:
-        assert reading.stdout is not None
-        told.extend(float(line) for line in reading.stdout if line.strip().isdigit())
+        assert smi.stdout is not None
+        percent.extend(float(line) for line in smi.stdout if line.strip().isdigit())
 
     thread = threading.Thread(target=listen)
     thread.start()
     try:
         yield idle
     finally:
-        reading.terminate()
+        smi.terminate()
         thread.join()
-        reading.wait()
-        if told:
-            idle.append(1 - float(np.mean(told)) / 100)
+        smi.wait()
+        if percent:
+            idle.append(1 - float(np.mean(percent)) / 100)

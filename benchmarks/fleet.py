@@ -1,7 +1,7 @@
-"""Data sets on paper: what they cost on many GPUs, what limits them, and how long they take on machines that fail.
+"""A model of making a data set on many GPUs: cost, bottleneck, and a simulation of failing machines.
 
-All times in seconds, all sizes in bytes. A *part* is what ``gcd generate --shard I/N`` makes: a machine takes one after
-the other until none is left.
+Times in seconds, sizes in bytes. A *part* is the work of one ``gcd generate --shard I/N``; a machine makes parts until
+none is left.
 """
 
 import math
@@ -19,47 +19,47 @@ __all__ = ["Bill", "Fleet", "Machine", "ObjectStore", "Run", "bill", "expected_s
 
 @dataclass(frozen=True)
 class Machine:
-    """A GPU with its cores, as measured by ``benchmarks.run scale``; the defaults are those of one H200, 16 cores."""
+    """A GPU with its cores, as measured by ``benchmarks.run scale``; defaults for one H200 with 16 cores."""
 
     rate: float = 34.7
-    """Garments a second of one GPU, written, with pictures."""
+    """Garments per second of one GPU, written, with pictures."""
     cores: int = 16
-    """Of each GPU."""
+    """CPU cores per GPU."""
     cpu: float = 0.225
-    """CPU-seconds of a worker for a garment: 0.208 prepare, 0.008 points, 0.005 encoding, 0.004 pictures."""
+    """CPU seconds of a worker per garment: 0.208 prepare, 0.008 points, 0.005 encoding, 0.004 pictures."""
     write: float = 4.3e-9
-    """CPU-seconds of the writing process for a byte: copy, CRC-32, write, SHA-256 of the shard."""
+    """CPU seconds of the writing process per byte: copy, CRC-32, write, SHA-256 of the shard."""
     receive: float = 0.62e-9
-    """CPU-seconds of the writing process to receive a byte from a worker."""
+    """CPU seconds of the writing process to receive a byte from a worker."""
     network: float = 1.25e9
-    """Bytes a second from one host, 10 Gbit/s."""
+    """Bytes per second of one host, 10 Gbit/s."""
     gpus: int = 8
-    """Of one host, which one ``gcd generate`` uses."""
+    """GPUs per host, used by one ``gcd generate``."""
 
 
 @dataclass(frozen=True)
 class ObjectStore:
-    """An object store; the defaults are those that S3 documents, for one prefix, and its list prices in us-east-1."""
+    """An object store; defaults are S3's documented limits per prefix and its list prices in us-east-1."""
 
     puts: float = 3_500.0
-    """Requests a second that write."""
+    """Write requests per second."""
     piece: int = 50 << 20
-    """Bytes of a request of an upload in pieces."""
+    """Bytes per part of a multipart upload."""
     beside: int = 5
-    """Requests for a shard beside its pieces: begin, end, two notes, a look at its size."""
+    """Further requests per shard: begin and complete the upload, two notes, a check of its size."""
     put_usd: float = 5e-6
-    """Of one request."""
+    """Price of a write request."""
     month_usd: float = 0.023e-9
-    """Of a byte for a month."""
+    """Price of a byte per month."""
 
     def requests(self, shard: float) -> int:
-        """For a shard of so many bytes."""
+        """Write requests for a shard of a size [bytes]."""
         return math.ceil(shard / self.piece) + self.beside
 
 
 def limits(machine: Machine, store: ObjectStore, *, gpus: int, size: float) -> dict[str, float]:
-    """Garments a second that each part of the way lets through, for so many GPUs and garments of ``size`` bytes."""
-    hosts, together = math.ceil(gpus / machine.gpus), min(gpus, machine.gpus)
+    """Garments per second that each resource permits, for ``gpus`` GPUs and garments of ``size`` bytes."""
+    hosts, gpus_per_host = math.ceil(gpus / machine.gpus), min(gpus, machine.gpus)
     writer = 1 / (size * (machine.write + machine.receive))
     return {
         "GPU": gpus * machine.rate,
@@ -67,12 +67,12 @@ def limits(machine: Machine, store: ObjectStore, *, gpus: int, size: float) -> d
         "writer": hosts * writer,
         "network": hosts * machine.network / size,
         "requests": store.puts / store.requests(SHARD_SIZE * size) * SHARD_SIZE,
-    } | ({} if together == 1 else {"writers, a part for each GPU": gpus * writer})
+    } | ({} if gpus_per_host == 1 else {"writers, a part for each GPU": gpus * writer})
 
 
 @dataclass(frozen=True)
 class Bill:
-    """A data set on GPUs that do not fail."""
+    """Resources and cost of a data set on GPUs that do not fail."""
 
     garments: int
     gpus: int
@@ -86,22 +86,22 @@ class Bill:
     requests: int
     compute_usd: float
     store_usd: float
-    """Of its requests and its first month."""
+    """Price of its requests and its first month."""
     index: int
     """Bytes of ``index-train.npz``."""
     manifest: int
     """Bytes of ``manifest.json``."""
 
 
-INDEX_BYTES = 333.3  # a garment, measured
-MANIFEST_BYTES = 240.0  # a shard, with two rules in ``rejects``, measured
+INDEX_BYTES = 333.3  # per garment, measured
+MANIFEST_BYTES = 240.0  # per shard, with two rules in ``rejects``, measured
 
 
 def bill(machine: Machine, store: ObjectStore, *, garments: int, gpus: int, size: float, gpu_usd: float) -> Bill:
-    """What a data set takes. ``gpu_usd``: of a GPU with its cores for an hour."""
+    """The bill of a data set. ``gpu_usd``: price of a GPU with its cores per hour."""
     rates = limits(machine, store, gpus=gpus, size=size)
-    if (alone := rates.pop("writers, a part for each GPU", None)) is not None:
-        rates["writer"] = alone
+    if (per_gpu := rates.pop("writers, a part for each GPU", None)) is not None:
+        rates["writer"] = per_gpu
     bottleneck = min(rates, key=lambda name: rates[name])
     seconds = garments / rates[bottleneck]
     shards = math.ceil(garments / SHARD_SIZE)
@@ -129,23 +129,23 @@ def bill(machine: Machine, store: ObjectStore, *, garments: int, gpus: int, size
 
 @dataclass(frozen=True)
 class Fleet:
-    """Machines of one GPU each, that fail while they are at work, by chance and without memory."""
+    """Machines of one GPU each, with failures during work as a Poisson process."""
 
     machines: int = 1000
     rate: float = 34.7
-    """Garments a second."""
+    """Garments per second."""
     begin: float = 25.0
-    """From the start of a part to its first garment."""
+    """Time from the start of a part to its first garment."""
     failing: float = math.inf
-    """Seconds of work between two failures of a machine, on average."""
+    """Mean working time between failures of a machine."""
     again: float = 180.0
-    """From a failure to the next garment of the part: another machine, its start, its processes."""
+    """Time from a failure to the next garment of the part: another machine, its start, its processes."""
     kept: int = SHARD_SIZE
-    """Garments that are safe together: a shard in a store; a part where a failure takes the disk along."""
+    """Garments that become safe together: a shard with an object store; a whole part if a failure loses the disk."""
     slow_share: float = 0.0
-    """Of the machines, which are slow for good."""
+    """Share of machines that are permanently slow."""
     slow_rate: float = 0.5
-    """Theirs, as a share of the others'."""
+    """Rate of a slow machine relative to the others."""
 
     def __post_init__(self) -> None:
         if self.machines < 1 or self.kept < 1 or min(self.rate, self.failing, self.slow_rate) <= 0:
@@ -154,25 +154,25 @@ class Fleet:
 
 @dataclass(frozen=True)
 class Run:
-    """How a data set came about."""
+    """The result of a simulation."""
 
     seconds: float
     failures: int
     lost: float
-    """Seconds of work done twice, of all machines."""
+    """Seconds of repeated work, over all machines."""
     away: float
-    """Seconds in which machines began parts or were being replaced."""
+    """Seconds spent on starts and replacements, over all machines."""
     idle: float
-    """Seconds in which machines had no part left, while others were at work."""
+    """Seconds without a part while others were still working, over all machines."""
     efficiency: float
-    """Time of as many machines that never begin, fail or wait, by the time that it took."""
+    """Time of the same machines without starts, failures or waits, over the actual time."""
 
 
 def expected_seconds(fleet: Fleet, part: int) -> float:
-    """Time for a part on one machine that is not slow, on average.
+    """Expected time for a part on one machine of normal rate.
 
-    The garments that are kept together are begun anew until no failure comes: with failures at rate λ, a stretch of t
-    seconds takes (1/λ + R)(exp(λt) - 1), where R passes after each failure.
+    Garments that become safe together are repeated until no failure interrupts them: with failure rate λ, a stretch of
+    t seconds takes (1/λ + R)(exp(λt) - 1), where R is the delay after each failure.
     """
     stretches = _stretches(part, fleet.kept)
     rate = 1 / fleet.failing
@@ -184,13 +184,13 @@ def expected_seconds(fleet: Fleet, part: int) -> float:
 
 
 def _stretches(part: int, kept: int) -> list[tuple[int, int]]:
-    """Garments of a stretch, and how many stretches of a part have as many."""
+    """Stretch lengths of a part [garments], with the number of stretches of each length."""
     whole, rest = divmod(part, kept)
     return [(kept, whole), (rest, 1)] if rest else [(kept, whole)]
 
 
 def simulate(fleet: Fleet, garments: int, part: int, *, seed: int = 0) -> Run:
-    """One run over parts of ``part`` garments. Raises ``ConfigError`` without a garment."""
+    """Simulate one run over parts of ``part`` garments. Raises ``ConfigError`` for fewer than one."""
     import simpy
 
     if min(garments, part) < 1:
@@ -200,13 +200,13 @@ def simulate(fleet: Fleet, garments: int, part: int, *, seed: int = 0) -> Run:
     count = {"failures": 0.0, "lost": 0.0, "away": 0.0}
     ends: list[float] = []
 
-    def machine(chance: np.random.Generator, rate: float) -> Generator[Any, None, None]:
+    def machine(rng: np.random.Generator, rate: float) -> Generator[Any, None, None]:
         while waiting:
             left = waiting.pop()
             count["away"] += fleet.begin
             yield clock.timeout(fleet.begin)
             while left:
-                failing = chance.exponential(fleet.failing) if math.isfinite(fleet.failing) else math.inf
+                failing = rng.exponential(fleet.failing) if math.isfinite(fleet.failing) else math.inf
                 if failing >= left / rate:
                     yield clock.timeout(left / rate)
                     break
@@ -218,10 +218,10 @@ def simulate(fleet: Fleet, garments: int, part: int, *, seed: int = 0) -> Run:
                 count["away"] += fleet.again
         ends.append(clock.now)
 
-    chances = np.random.Generator(np.random.Philox(seed)).spawn(fleet.machines)
+    rngs = np.random.Generator(np.random.Philox(seed)).spawn(fleet.machines)
     slow = round(fleet.slow_share * fleet.machines)
-    for number, chance in enumerate(chances):
-        clock.process(machine(chance, fleet.rate * (fleet.slow_rate if number < slow else 1.0)))
+    for number, rng in enumerate(rngs):
+        clock.process(machine(rng, fleet.rate * (fleet.slow_rate if number < slow else 1.0)))
     clock.run()
     seconds = max(ends)
     ideal = garments / fleet.rate / (fleet.machines - slow + slow * fleet.slow_rate)
@@ -236,7 +236,7 @@ def simulate(fleet: Fleet, garments: int, part: int, *, seed: int = 0) -> Run:
 
 
 def as_row(run: Run) -> Mapping[str, Any]:
-    """The run in hours, for a table."""
+    """The run as a table row, in hours."""
     return {
         "hours": run.seconds / 3600,
         "failures": run.failures,

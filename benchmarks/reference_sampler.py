@@ -1,7 +1,7 @@
-"""GarmentCode's sampler, written anew from its rules: what it draws, and what it accepts.
+"""GarmentCode's sampler, reimplemented from its rules: what it draws, and what it accepts.
 
-All parameters are drawn by their own rule; a design that fails one test is drawn whole again. The patterns are ours,
-with GarmentCode's faults left in.
+Each parameter is drawn independently; a design that fails a test is redrawn as a whole. Patterns are ours, with
+GarmentCode's faults left in.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from gcd_dataset.generator.garments.space import DesignSpace, draw
 from gcd_dataset.records import Measurements
 from gcd_dataset.validate import Rule, check_pattern
 
-__all__ = ["reference_design", "turned_down_for"]
+__all__ = ["reference_design", "reject_reason"]
 
 SPACE = DesignSpace.declared(OutfitDesign)
 FLOOR_SLACK = 1.0  # cm
@@ -24,12 +24,12 @@ THIN_BAND = 0.25
 
 
 def reference_design(rng: np.random.Generator) -> OutfitDesign:
-    """A design as GarmentCode's sampler draws it, before any test."""
+    """A design drawn like GarmentCode's, before any test."""
     return draw(SPACE, rng)
 
 
-def turned_down_for(design: OutfitDesign, sizes: Sequence[Measurements]) -> str:
-    """The test of GarmentCode's sampler that a design fails, in its order; empty for one that it accepts."""
+def reject_reason(design: OutfitDesign, sizes: Sequence[Measurements]) -> str:
+    """The first test of GarmentCode's sampler that a design fails; empty if it is accepted."""
     if design.meta.upper is None and design.meta.bottom is None:
         return "empty"
     if _slides(design):

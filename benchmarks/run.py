@@ -27,7 +27,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     report = report_in_tree(name) if options.keep else options.report
     if report is None:
         in_tree = report_in_tree(name)
-        print(f"benchmarks.run {name}: no report is written: --keep writes {in_tree}, --report another file", file=sys.stderr)
+        print(
+            f"benchmarks.run {name}: no report is written: --keep writes {in_tree}, --report another file",
+            file=sys.stderr,
+        )
     try:
         measured = case.run(options)
         for figure in measured.figures:

@@ -1,4 +1,4 @@
-"""Whether a body's skin passes through itself."""
+"""Self-intersections of a body's skin."""
 
 import functools
 
@@ -17,7 +17,7 @@ __all__ = ["skin_crossings"]
 
 
 def skin_crossings(body: Body) -> int:
-    """Edges of trunk, arms and legs of a body of ours that pass through the skin. Heads, hands and feet are folded."""
+    """Number of edges of trunk, arms and legs that pass through the skin; heads, hands and feet are folded anyway."""
     faces, edges = _skin()
     corners = body.vertices[faces].astype(np.float32)
     device = resolve_device("cpu")
@@ -25,7 +25,7 @@ def skin_crossings(body: Body) -> int:
     def vectors(points: np.ndarray) -> wp.array:
         return wp.array(points, dtype=wp.vec3, device=device)
 
-    # The drape's kernel, for one world. The tree is named: the kernel knows its number, which keeps nothing alive.
+    # The drape's kernel, for one world. Keep a reference to the BVH: its id does not keep it alive.
     bvh = wp.Bvh(vectors(corners.min(axis=1)), vectors(corners.max(axis=1)), groups=_zeros(len(faces), device))
     cloth = Cloth()
     cloth.vertex_world = _zeros(len(body.vertices), device)

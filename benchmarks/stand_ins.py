@@ -1,7 +1,7 @@
-"""Bodies of ours that come as those of other body models do: their mesh, pose, origin, axes, unit, eyes and mouth.
+"""Stand-ins for other body models: our bodies with their vertex count, pose, origin, axes, unit, eyes and mouth.
 
-SMPL (6,890 vertices, closed mouth, T-pose, metres, origin at the pelvis) and SMPL-X (10,475 vertices, an open mouth,
-two eyeballs of their own) may not be shipped; these have what makes them hard to measure.
+SMPL (6,890 vertices, closed mouth, T-pose, metres, origin at the pelvis) and SMPL-X (10,475 vertices, open mouth, two
+separate eyeballs) may not be redistributed; the stand-ins have the properties that make them hard to measure.
 """
 
 from dataclasses import replace
@@ -20,22 +20,22 @@ __all__ = ["SMPLX_VERTICES", "SMPL_VERTICES", "coarser", "like_smpl", "like_smpl
 
 SMPL_VERTICES = 6890
 SMPLX_VERTICES = 10475
-EYE = 642  # vertices of an eyeball; of SMPL-X 546
-ALIKE = 0.25  # cm by which edges differ that may go in any order: many in one round
-PELVIS = 0.53  # of the height
+EYE = 642  # vertices of an eyeball; SMPL-X has 546
+BIN = 0.25  # cm: edges within a bin collapse in random order, so that many collapse per round
+PELVIS = 0.53  # share of the height
 
 _Mesh = tuple[np.ndarray, np.ndarray]  # vertices, faces
 
 
 def like_smpl(shape: BodyShape, *, arm: float = T_POSE) -> _Mesh:
-    """A body [m] as SMPL gives it: one closed skin, y up, facing +z, the origin at the pelvis."""
+    """A body in SMPL's form [m]: one closed skin, y up, facing +z, origin at the pelvis."""
     body = build_body(replace(shape, arm_angle=arm))
     skin = VisibleSkin.of(body.faces, body.parts)
     return _from_pelvis(coarser(skin.points(body.vertices), skin.faces, SMPL_VERTICES))
 
 
 def like_smplx(shape: BodyShape, *, arm: float = T_POSE) -> _Mesh:
-    """A body [m] as SMPL-X gives it: the mouth open to a cavity, eyeballs as pieces of their own."""
+    """A body in SMPL-X's form [m]: the mouth open to a cavity, eyeballs as separate components."""
     body = build_body(replace(shape, arm_angle=arm))
     sockets = (body.parts == BodyPart.INTERNAL.value) & (body.vertices[:, 1] > 0.92 * body.vertices[:, 1].max())
     parts = np.where(sockets, BodyPart.INTERNAL.value, BodyPart.HEAD.value).astype(np.uint8)
@@ -58,26 +58,26 @@ def _from_pelvis(mesh: _Mesh) -> _Mesh:
 
 
 def coarser(vertices: np.ndarray, faces: np.ndarray, count: int) -> _Mesh:
-    """The mesh with its shortest edges drawn together until ``count`` vertices are left, all on the surface.
+    """The mesh simplified to ``count`` vertices on its surface, by collapsing the shortest edges.
 
-    An edge goes where its ends share two neighbours and no more, so a closed skin stays one (Dey et al., 1999); in each
-    round those that are the shortest far and wide.
+    An edge may collapse if its ends share exactly two neighbours, which keeps the topology (Dey et al., 1999); each
+    round collapses the locally shortest edges.
     """
     surface = SkinSurface.of(vertices, faces)
     while len(vertices) > count:
-        going = _shortest_around(vertices, faces)[: len(vertices) - count]
-        points, target = vertices.copy(), np.arange(len(vertices))
-        points[going[:, 0]] = vertices[going].mean(axis=1)
-        target[going[:, 1]] = going[:, 0]
-        # Edges whose going would turn a face over stay; they are far apart, so each face tells of one.
-        turned = np.unique(faces[_turned(vertices, points[target], faces, target)])
-        going = going[~np.isin(going, turned).any(axis=1)]
-        if not len(going):
+        collapsing = _shortest_around(vertices, faces)[: len(vertices) - count]
+        moved, target = vertices.copy(), np.arange(len(vertices))
+        moved[collapsing[:, 0]] = vertices[collapsing].mean(axis=1)
+        target[collapsing[:, 1]] = collapsing[:, 0]
+        # Keep edges whose collapse would flip a face; collapsing edges are far apart, so one edge flips a face.
+        flipped = np.unique(faces[_flipped(vertices, moved[target], faces, target)])
+        collapsing = collapsing[~np.isin(collapsing, flipped).any(axis=1)]
+        if not len(collapsing):
             break
         target = np.arange(len(vertices))
-        target[going[:, 1]] = going[:, 0]
+        target[collapsing[:, 1]] = collapsing[:, 0]
         vertices = vertices.copy()
-        vertices[going[:, 0]] = surface.nearest(vertices[going].mean(axis=1)).points
+        vertices[collapsing[:, 0]] = surface.nearest(vertices[collapsing].mean(axis=1)).points
         faces = target[faces]
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
         used, renumbered = np.unique(faces, return_inverse=True)
@@ -86,7 +86,7 @@ def coarser(vertices: np.ndarray, faces: np.ndarray, count: int) -> _Mesh:
 
 
 def _shortest_around(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Edges that may go and are shorter than all others near their ends, the shortest first."""
+    """Collapsible edges that are shorter than all others near their ends, shortest first."""
     sides = np.sort(np.concatenate([faces[:, :2], faces[:, 1:], faces[:, ::2]]), axis=1)
     edges = np.unique(sides, axis=0)
     size = len(vertices)
@@ -95,7 +95,7 @@ def _shortest_around(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     common = np.asarray(graph[edges[:, 0]].multiply(graph[edges[:, 1]]).sum(axis=1)).ravel()
     edges = np.random.default_rng(0).permutation(edges[common == 2])
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    edges = edges[np.argsort(np.round(length / ALIKE), kind="stable")]
+    edges = edges[np.argsort(np.round(length / BIN), kind="stable")]
     rank = np.arange(len(edges), dtype=float)
     least = np.full(size, np.inf)
     for end in edges.T:
@@ -106,8 +106,8 @@ def _shortest_around(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return edges[(wider[edges] == rank[:, None]).all(axis=1)]
 
 
-def _turned(before: np.ndarray, after: np.ndarray, faces: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Whether each face that stays looks the other way afterwards."""
+def _flipped(before: np.ndarray, after: np.ndarray, faces: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Whether each remaining face is flipped by a collapse."""
     normals = [np.cross(p[faces[:, 1]] - p[faces[:, 0]], p[faces[:, 2]] - p[faces[:, 0]]) for p in (before, after)]
     moved = target[faces]
     stays = (moved != np.roll(moved, 1, axis=1)).all(axis=1)

@@ -1,4 +1,4 @@
-"""Strips of cloth on a mesh of equilateral triangles, as the solver meshes a panel; and Peirce's cantilever test."""
+"""Strips of cloth, meshed with equilateral triangles like a panel, and Peirce's cantilever test."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -17,13 +17,13 @@ from gcd_dataset.records import Body, BoxMesh, Measurements
 __all__ = ["Grain", "bending_length", "cantilever", "hold_fast", "strip", "strip_job"]
 
 Grain = Literal["warp", "weft"]
-NOBODY = Measurements(height=170.0, head_l=26.0, waist_line=37.0, neck_w=19.0, armscye_depth=13.0)
-ALONG = {
+DUMMY_MEASURES = Measurements(height=170.0, head_l=26.0, waist_line=37.0, neck_w=19.0, armscye_depth=13.0)
+ORIENTATION = {
     "weft": np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]]),
     "warp": np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]]),
 }
-LEVEL = 80.0  # cm
-CLAMPED = 2.0  # cm of a strip
+LEVEL = 80.0  # cm, height of the strip
+CLAMPED = 2.0  # cm, length of the clamped end
 WIDTH = 6.0  # cm
 PEIRCE = 8.0  # c³ = l³ cos(angle / 2) / (8 tan(angle))
 HEAVY = 1e12  # g
@@ -34,11 +34,14 @@ def strip(
     height: float,
     spacing: float,
     *,
-    place: Float[np.ndarray, "3 2"] = ALONG["weft"],
+    orientation: Float[np.ndarray, "3 2"] = ORIENTATION["weft"],
     labels: Mapping[str, np.ndarray] | None = None,
 ) -> BoxMesh:
-    """A rectangle of equilateral triangles with a side along the weft, as large as they allow [cm]; its middle lies at
-    (0, ``LEVEL``, 0). Every other row is closed with half triangles."""
+    """A rectangle of equilateral triangles of edge length ``spacing``, of about ``width`` × ``height`` [cm].
+
+    Its centre is at (0, ``LEVEL``, 0). Every second row is completed with half triangles. ``orientation``: the images
+    of the panel's x and y axes in space.
+    """
     columns, rows = round(width / spacing), round(height / spacing / np.sqrt(0.75))
     flat, row_of = [], []
     for row in range(rows + 1):
@@ -54,7 +57,7 @@ def strip(
         sides += [(a + i, a + i + 1, b + i + 1) for i in range(columns)]
         faces += sides if up else [(i, k, j) for i, j, k in sides]
     uv, f = np.array(flat), np.array(faces)
-    vertices = (uv - 0.5 * uv.max(axis=0)) @ place.T + np.array([0.0, LEVEL, 0.0])
+    vertices = (uv - 0.5 * uv.max(axis=0)) @ orientation.T + np.array([0.0, LEVEL, 0.0])
     return BoxMesh(
         vertices=vertices,
         faces=f,
@@ -70,32 +73,34 @@ def strip(
 
 
 def strip_job(mesh: BoxMesh, fabric: Fabric) -> DrapeJob:
-    """A strip far from any body."""
+    """A drape job for a strip, its body far away."""
     ball = trimesh.creation.icosphere(subdivisions=1, radius=5.0)
     ball.apply_translation([0.0, 5.0, 300.0])
     body = Body(np.asarray(ball.vertices, float), np.asarray(ball.faces), np.zeros(len(ball.vertices), np.uint8))
-    return DrapeJob(mesh, body, NOBODY, fabric)
+    return DrapeJob(mesh, body, DUMMY_MEASURES, fabric)
 
 
 def hold_fast(model: ClothModel, held: np.ndarray) -> None:
-    """Make vertices so heavy that nothing moves them; their weight stays."""
+    """Fix vertices by a huge inertia; their weight stays."""
     inertia = model.cloth.inertia.numpy()
     inertia[held] = HEAVY
     model.cloth.inertia.assign(wp.array(inertia, dtype=float, device=model.device))
 
 
 def bending_length(fabric: Fabric, grain: Grain) -> float:
-    """What a strip cut along the grain should show: (rigidity / weight)^(1/3) [cm] (Peirce, The handle of cloth as a
-    measurable quantity, J. Textile Inst. 21, 1930; ISO 9073-7)."""
+    """The theoretical bending length of a strip cut along the grain: (rigidity / weight)^(1/3) [cm].
+
+    Peirce, The handle of cloth as a measurable quantity, J. Textile Inst. 21, 1930; ISO 9073-7.
+    """
     return float((getattr(fabric.bend, grain) * 1e7 / (fabric.mass * GRAVITY)) ** (1 / 3))
 
 
 def cantilever(fabric: Fabric, grain: Grain, *, spacing: float = 1.0, device: str = "cpu") -> float:
-    """The bending length that a strip shows which hangs over an edge by twice what it should be [cm]."""
+    """The bending length measured on a strip that overhangs an edge by twice the theoretical length [cm]."""
     overhang = 2 * bending_length(fabric, grain)
-    long, wide = overhang + CLAMPED, WIDTH
-    size = (long, wide) if grain == "weft" else (wide, long)
-    mesh = strip(*size, spacing, place=ALONG[grain])
+    length = overhang + CLAMPED
+    size = (length, WIDTH) if grain == "weft" else (WIDTH, length)
+    mesh = strip(*size, spacing, orientation=ORIENTATION[grain])
     x = mesh.vertices[:, 0]
     config = DrapeConfig(sewing_time=1e-4, held_time=1e6, max_frames=10_000, damping=8.0)
     solver = Solver(build_model([strip_job(mesh, fabric)], config, device), config)

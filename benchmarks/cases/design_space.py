@@ -1,8 +1,8 @@
-"""What our sampler draws against what GarmentCode's sampler accepts, parameter by parameter.
+"""Distributions of our sampler against those of GarmentCode's sampler, parameter by parameter.
 
-Both draw designs for the neutral body and a random one. A parameter is compared over the designs whose garment uses
-its section. ``distance`` is the largest difference of the two distribution functions (Kolmogorov-Smirnov), for choices
-half the sum of differences of the shares (total variation): 0 alike, 1 nothing in common.
+Both draw designs for the neutral body and a random one. A parameter is compared over the designs whose garment uses its
+section. ``distance`` is the largest difference of the two distribution functions (Kolmogorov-Smirnov), for choices half
+the sum of differences of the shares (total variation): 0 if equal, 1 if disjoint.
 """
 
 import argparse
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.reference_sampler import reference_design, turned_down_for
+from benchmarks.reference_sampler import reference_design, reject_reason
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
@@ -26,19 +26,18 @@ from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["add_arguments", "run"]
 
-FEWEST = 20  # designs that use a parameter, below which it is not compared
+FEWEST = 20  # designs that must use a parameter for a comparison
 Values = Mapping[str, list[Any]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
     parser.add_argument("--count", type=int, default=1000, help="designs of each sampler")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--plot", type=Path, help="PNG with the distributions of all parameters")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Draw with both, and compare. Raises ``ConfigError`` for a count of none."""
+    """Draw with both samplers and compare. Raises ``ConfigError`` for ``--count`` below 1."""
     if options.count < 1:
         raise ConfigError(f"count is {options.count}: give 1 or more")
     ours = _values(_ours(options.seed, options.count))
@@ -67,7 +66,7 @@ def _sizes(seed: int, number: int) -> tuple[Measurements, Measurements]:
 
 
 def _ours(seed: int, count: int) -> Iterator[OutfitDesign]:
-    """The designs that our sampler draws and our rules accept."""
+    """Designs drawn by our sampler and accepted by our rules."""
     for number in range(count):
         sizes, kind, attempt = _sizes(seed, number), sample_kind(rng(seed, number, Stage.KIND)), 0
         while True:
@@ -79,11 +78,11 @@ def _ours(seed: int, count: int) -> Iterator[OutfitDesign]:
 
 
 def _theirs(seed: int, count: int, reasons: Counter[str]) -> Iterator[OutfitDesign]:
-    """The designs that GarmentCode's sampler accepts; ``reasons`` counts all its verdicts."""
+    """Designs accepted by GarmentCode's sampler; ``reasons`` counts all its verdicts."""
     number = 0
     while reasons[""] < count:
         design = reference_design(rng(seed, number, Stage.DESIGN))
-        reason = turned_down_for(design, _sizes(seed, number))
+        reason = reject_reason(design, _sizes(seed, number))
         reasons[reason] += 1
         number += 1
         if not reason:
@@ -91,7 +90,7 @@ def _theirs(seed: int, count: int, reasons: Counter[str]) -> Iterator[OutfitDesi
 
 
 def _values(designs: Iterator[OutfitDesign]) -> Values:
-    """The values of each parameter in the designs that use it."""
+    """Values of each parameter in the designs that use it."""
     found: dict[str, list[Any]] = {leaf.path: [] for leaf in leaves(OutfitDesign)}
     for design in designs:
         tree = design_to_dict(design)
@@ -124,8 +123,8 @@ def _distance(leaf: Leaf, ours: Sequence[Any], theirs: Sequence[Any]) -> float:
         shares = [Counter(map(str, values)) for values in (ours, theirs)]
         return 0.5 * sum(abs(shares[0][o] / len(ours) - shares[1][o] / len(theirs)) for o in shares[0] | shares[1])
     both = np.unique(np.concatenate([ours, theirs]))
-    reached = [np.searchsorted(np.sort(values), both, side="right") / len(values) for values in (ours, theirs)]
-    return float(np.abs(reached[0] - reached[1]).max())
+    distributions = [np.searchsorted(np.sort(values), both, side="right") / len(values) for values in (ours, theirs)]
+    return float(np.abs(distributions[0] - distributions[1]).max())
 
 
 def _summary(leaf: Leaf, values: Sequence[Any]) -> str:
@@ -134,12 +133,12 @@ def _summary(leaf: Leaf, values: Sequence[Any]) -> str:
     if isinstance(leaf.space, Choice):
         counts = Counter(str(value) for value in values)
         return ", ".join(f"{option} {100 * n / len(values):.0f} %" for option, n in counts.most_common(3))
-    kept = np.mean(np.isclose(values, leaf.space.default))
-    return f"mean {np.mean(values):.2f}, default {100 * kept:.0f} %"
+    share = np.mean(np.isclose(values, leaf.space.default))
+    return f"mean {np.mean(values):.2f}, default {100 * share:.0f} %"
 
 
 def _plot(ours: Values, theirs: Values) -> bytes:
-    """Small histograms of all parameters, ours filled and theirs as a line."""
+    """PNG: histograms of all parameters, ours filled, theirs as a line."""
     import io
 
     from matplotlib.figure import Figure as Page
@@ -147,8 +146,8 @@ def _plot(ours: Values, theirs: Values) -> bytes:
     shown = [leaf for leaf in leaves(OutfitDesign) if min(len(ours[leaf.path]), len(theirs[leaf.path])) >= FEWEST]
     columns = 8
     page = Page(figsize=(2.6 * columns, 1.5 * -(-len(shown) // columns)), layout="constrained")
-    for place, leaf in enumerate(shown):
-        axes = page.add_subplot(-(-len(shown) // columns), columns, place + 1)
+    for number, leaf in enumerate(shown, 1):
+        axes = page.add_subplot(-(-len(shown) // columns), columns, number)
         _histogram(axes, leaf, ours[leaf.path], theirs[leaf.path])
     file = io.BytesIO()
     page.savefig(file, format="png", dpi=80)

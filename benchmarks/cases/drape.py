@@ -101,8 +101,10 @@ def run(options: argparse.Namespace) -> Measured:
 
 def _body(options: argparse.Namespace, apart: bool) -> tuple[Body, Measurements]:
     name = options.body_apart if apart and options.body_apart else options.body
-    body, measurements, *_ = named_body(name, measurements=options.measurements, segmentation=options.segmentation, legs_apart=apart)
-    return found[0], found[1]
+    body, measurements, *_ = named_body(
+        name, measurements=options.measurements, segmentation=options.segmentation, legs_apart=apart
+    )
+    return body, measurements
 
 
 def _warm_up(pattern: Pattern, wearer: tuple[Body, Measurements], device: str) -> None:

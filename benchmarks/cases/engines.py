@@ -1,10 +1,10 @@
-"""What a local Ray cluster costs beside plain processes: CPU and wall seconds a garment, and of the start.
+"""A local Ray cluster against plain processes: CPU and wall seconds per garment, and for the start.
 
     python -m benchmarks.run engines --stage mesh --count 128 --workers 2
 
-Each engine makes a few garments, which is its start, then ``--count`` of them, encoded as for a shard; what the start
-of the local engine's processes costs is taken off its second run. CPU seconds are those of this process and all below
-it, Ray's own included, read from /proc when the last garment arrives.
+Each engine makes a few garments, as its start, then ``--count``, encoded as for a shard; the start of the local
+engine's processes is subtracted from its second run. CPU seconds are those of this process and all its descendants,
+including Ray's, read from /proc when the last garment arrives.
 """
 
 import argparse
@@ -24,18 +24,17 @@ from gcd_dataset.verbs.ray_engine import ray_cluster
 __all__ = ["add_arguments", "run"]
 
 TICKS = os.sysconf("SC_CLK_TCK")
-SECONDS = {"pattern": 0.03, "mesh": 0.1}  # CPU-s of a garment, which sets the size of a range
+SECONDS = {"pattern": 0.03, "mesh": 0.1}  # CPU seconds per garment, which set the size of a range
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
     parser.add_argument("--count", type=int, default=512, help="garments")
     parser.add_argument("--stage", choices=SECONDS, default="pattern")
     parser.add_argument("--workers", type=int, default=2, help="processes that make garments")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """A few garments, then the count, by each engine."""
+    """Time both engines."""
     config = MakeConfig(stage=options.stage, picture=0)
     few = 2 * options.workers
     figures, each = [], {}
@@ -56,7 +55,7 @@ def run(options: argparse.Namespace) -> Measured:
 
 
 def _spent(made: Iterator[Any], count: int, begun: tuple[float, float]) -> tuple[float, float]:
-    """CPU and wall seconds from ``begun`` until the last of ``count`` garments is there."""
+    """CPU and wall seconds from ``begun`` until ``count`` garments have arrived."""
     for _ in range(count):
         next(made)
     return _cpu_seconds() - begun[0], time.perf_counter() - begun[1]
@@ -64,7 +63,7 @@ def _spent(made: Iterator[Any], count: int, begun: tuple[float, float]) -> tuple
 
 @contextmanager
 def _engine(engine: str, config: MakeConfig, workers: int) -> Iterator[Callable[[int], Iterator[Any]]]:
-    """Makes so many garments."""
+    """A function that makes a number of garments with an engine."""
     if engine == "local":
         yield lambda count: produce(0, range(count), config, workers=workers, finished=encode_sample)
         return
@@ -75,12 +74,12 @@ def _engine(engine: str, config: MakeConfig, workers: int) -> Iterator[Callable[
 
 
 def _cpu_seconds() -> float:
-    """Of this process and all that descend from it, as long as they are listed."""
+    """CPU seconds of this process and its living descendants."""
     spent, parents = {}, {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = path.read_text().rpartition(")")[2].split()
-        except OSError:  # ended meanwhile
+        except OSError:  # the process has ended
             continue
         parents[path.parent.name], spent[path.parent.name] = fields[1], (int(fields[11]) + int(fields[12])) / TICKS
     ours = {str(os.getpid())}

@@ -48,7 +48,11 @@ MIN_EDGES = 2.0  # least bending length that the mesh resolves [edges]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--fabrics", nargs="+", default=FABRICS_SHOWN, metavar="NAME", help=f"fabrics of the skirt: {', '.join(FABRICS)}"
+        "--fabrics",
+        nargs="+",
+        default=FABRICS_SHOWN,
+        metavar="NAME",
+        help=f"fabrics of the skirt: {', '.join(FABRICS)}",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the skirt's design")
     parser.add_argument("--resolution", type=float, default=2.0, help="edge length of the skirt's mesh [cm]")

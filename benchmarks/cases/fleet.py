@@ -1,9 +1,9 @@
-"""Large data sets on paper: cost and bottleneck, and a simulation of many machines that fail.
+"""A model of large data sets: cost, bottleneck, and a simulation of many machines that fail.
 
     python -m benchmarks.run fleet --machines 1000 --garments 10000000 --parts 2560 25600
 
-Nothing is made: stage times are those that ``benchmarks.run scale`` has measured. ``gpu_hours``, ``tb``, ``usd``:
-machines that do not fail; ``hours``: the simulation's, with parts of the size that ends soonest, ``best_part``.
+No garment is made: stage times are those measured by ``benchmarks.run scale``. ``gpu_hours``, ``tb``, ``usd``: machines
+that do not fail; ``hours``: from the simulation, with the fastest part size, ``best_part``.
 """
 
 import argparse
@@ -22,22 +22,25 @@ PARTS = (10, 40, 100, 400, 1_000, 4_000)  # shards
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
     parser.add_argument("--machines", type=int, default=1000, help="GPUs, each with its cores")
     parser.add_argument("--garments", type=int, default=10_000_000)
-    parser.add_argument("--rate", type=float, default=Machine.rate, help="garments a second of one GPU")
-    parser.add_argument("--bytes", type=float, default=963e3, help="of a garment")
-    parser.add_argument("--gpu-usd", type=float, default=3.5, help="of a GPU and its cores for an hour")
-    parser.add_argument("--parts", type=int, nargs="+", default=[SHARD_SIZE * n for n in PARTS], help="garments")
-    parser.add_argument("--begin", type=float, default=Fleet.begin, help="from a part's start to its first garment [s]")
+    parser.add_argument("--rate", type=float, default=Machine.rate, help="garments per second of one GPU")
+    parser.add_argument("--bytes", type=float, default=963e3, help="bytes per garment")
+    parser.add_argument("--gpu-usd", type=float, default=3.5, help="price of a GPU and its cores per hour")
+    parser.add_argument(
+        "--parts", type=int, nargs="+", default=[SHARD_SIZE * n for n in PARTS], help="garments per part, values to try"
+    )
+    parser.add_argument(
+        "--begin", type=float, default=Fleet.begin, help="time from a part's start to its first garment [s]"
+    )
     parser.add_argument("--failing", type=float, default=24.0, help="hours of work between failures; inf for none")
-    parser.add_argument("--again", type=float, default=Fleet.again, help="from a failure to the next garment [s]")
-    parser.add_argument("--slow-share", type=float, default=0.02, help="of the machines, that run at half the rate")
+    parser.add_argument("--again", type=float, default=Fleet.again, help="time from a failure to the next garment [s]")
+    parser.add_argument("--slow-share", type=float, default=0.02, help="share of machines that run at half the rate")
     parser.add_argument("--seed", type=int, default=0)
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Reckon, then simulate each size of parts, with shards and with parts that are safe at once."""
+    """Compute the cost, then simulate each part size, with whole shards kept after a failure and with whole parts."""
     if min(options.garments, options.machines, *options.parts) < 1 or min(options.rate, options.bytes) <= 0:
         raise ConfigError("give 1 or more machines, garments and garments a part, rate and bytes above 0")
     machine, store = Machine(rate=options.rate), ObjectStore()

@@ -18,8 +18,8 @@ from typing import Any
 import torch
 
 from benchmarks.cases.figures import Figure, Measured
-from benchmarks.loading.timing import Cost, cost_of
 from benchmarks.loading.loaders import LOADERS
+from benchmarks.loading.timing import Cost, cost_of
 from benchmarks.loading.workload import CONFIGS, write_shards
 from gcd_dataset.errors import ConfigError
 
@@ -30,10 +30,10 @@ ROUNDS = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--count", type=int, default=192, help="garments; 1.1 MB each, and again for each other loader")
     parser.add_argument(
-        "--count", type=int, default=192, help="garments; 1.1 MB each, and again for each other loader"
+        "--seconds", type=float, default=1.5, help="duration for each loader, fields and number of workers"
     )
-    parser.add_argument("--seconds", type=float, default=1.5, help="duration for each loader, fields and number of workers")
     parser.add_argument("--folder", type=Path, help="folder that keeps the garments; by default temporary")
 
 

@@ -1,11 +1,11 @@
-"""Our patterns against those that GarmentCode made from the same designs and measures.
+"""Our patterns against GarmentCode's, from the same designs and measures.
 
-Every folder that holds a ``*_specification.json``, a ``design_params.yaml`` and a ``body_measurements.yaml`` is one
-design. ``same``: panel names and seams agree. ``outline``: every outline lies within 0.2 cm of its twin; within 0.5 cm
-for fronts of the bodice and 1 cm for sleeves, their cuffs and hoods, where the reference differs from itself between
-versions of SciPy; and each sleeve's cap, its gathers taken off, is as long as its armhole to 0.1 cm. ``placement``:
-every panel hangs within 1 cm of its twin. A design that agrees only with a mend (``garments/mends.py``) left out counts
-as agreeing; ``--expect`` takes a TOML file of folder name to list of mends, and then no other mend explains anything.
+Every folder with a ``*_specification.json``, a ``design_params.yaml`` and a ``body_measurements.yaml`` is one design.
+``same``: panel names and seams agree. ``outline``: every outline is within 0.2 cm of its counterpart; within 0.5 cm for
+fronts of the bodice and 1 cm for sleeves, their cuffs and hoods, where the reference varies between versions of SciPy;
+and each sleeve's cap, without gathers, equals its armhole to 0.1 cm. ``placement``: every panel is placed within 1 cm
+of its counterpart. A design that agrees only without some mend (``garments/mends.py``) counts as agreeing; with
+``--expect``, a TOML file of folder name to list of mends, only the listed mends may be left out.
 """
 
 import argparse
@@ -36,7 +36,7 @@ PLACEMENT = 1.0  # cm
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of one design."""
+    """The result for one design."""
 
     name: str
     structure: tuple[str, ...]
@@ -45,31 +45,30 @@ class Verdict:
     worst_outline: float = float("nan")
     worst_placement: float = float("nan")
     explained_by: tuple[Mend, ...] = ()
-    """Mends that had to be left out."""
+    """Mends left out to make the patterns agree."""
 
     @property
     def agrees(self) -> bool:
-        """Whether nothing differs."""
+        """Whether the patterns agree."""
         return not (self.structure or self.outline or self.placement)
 
     @property
     def faults(self) -> int:
-        """In how many of the three ways the patterns differ."""
+        """In how many of the three criteria the patterns differ."""
         return sum(map(bool, (self.structure, self.outline, self.placement)))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
-    parser.add_argument("folder", type=Path, help="folder of designs, searched through and through")
-    parser.add_argument("--only", default="", help="designs whose path holds this text")
-    parser.add_argument("--expect", type=Path, help="TOML: folder name = list of mends that may explain it")
+    parser.add_argument("folder", type=Path, help="folder of designs, searched recursively")
+    parser.add_argument("--only", default="", help="only designs whose path contains this text")
+    parser.add_argument("--expect", type=Path, help="TOML: folder name = list of mends that may be left out")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Compare. Raises ``ConfigError`` for a folder without designs, and for a broken file of expectations."""
+    """Compare all designs. Raises ``ConfigError`` for a folder without designs, or an invalid ``--expect`` file."""
     folders = [path for path in _designs(options.folder) if options.only in str(path)]
     if not folders:
-        raise ConfigError(f"{options.folder}: no folder in it holds design, measures and specification of a pattern")
+        raise ConfigError(f"{options.folder}: no folder in it has design, measures and specification of a pattern")
     expected = None if options.expect is None else _read_expected(options.expect)
     verdicts = [_judge(options.folder, path, expected) for path in folders]
     for verdict in verdicts:
@@ -105,18 +104,18 @@ def _designs(folder: Path) -> list[Path]:
 
 
 def _read_expected(path: Path) -> Mapping[str, frozenset[Mend]]:
-    named = read_toml(path)
+    content = read_toml(path)
     try:
-        return {folder: frozenset(Mend[name] for name in mends) for folder, mends in named.items()}
+        return {folder: frozenset(Mend[name] for name in mends) for folder, mends in content.items()}
     except TypeError as error:
         raise ConfigError(f"{path}: {error}: give a TOML file of folder name = list of mends") from error
     except KeyError as error:
         known = ", ".join(mend.name for mend in Mend)
-        raise ConfigError(f"{path}: no mend is called {error}: there are {known}") from error
+        raise ConfigError(f"{path}: unknown mend {error}: choose among {known}") from error
 
 
 def _judge(root: Path, folder: Path, expected: Mapping[str, frozenset[Mend]] | None) -> Verdict:
-    """The verdict with all mends; with as few as possible left out, where that explains what differs."""
+    """The verdict with all mends; if the patterns differ, with the fewest mends left out that explain it."""
     name = folder.relative_to(root).as_posix()
     may_explain = ALL_MENDS if expected is None else expected.get(name, frozenset())
     try:
@@ -134,7 +133,7 @@ def _judge(root: Path, folder: Path, expected: Mapping[str, frozenset[Mend]] | N
 
 
 def _subsets(mends: Iterable[Mend]) -> list[tuple[Mend, ...]]:
-    """All choices of some mends, the smaller ones first."""
+    """All non-empty subsets of the mends, smallest first."""
     ordered = sorted(mends, key=lambda mend: mend.name)
     return [chosen for count in range(1, len(ordered) + 1) for chosen in combinations(ordered, count)]
 
@@ -157,7 +156,7 @@ def _verdict(
         for panel, distance in found.placement.items()
         if distance > PLACEMENT
     ]
-    caps = _caps_that_differ(ours, design)
+    caps = _cap_differences(ours, design)
     return Verdict(
         name,
         tuple(map(str, found.structure)),
@@ -170,14 +169,14 @@ def _verdict(
 
 
 def _tolerance(panel: str) -> float:
-    """How far the outline of a panel may be off [cm]."""
+    """Tolerance of a panel's outline [cm]."""
     if "sleeve" in panel or panel.startswith("sl_") or "hood" in panel:
         return SLEEVE_OUTLINE
     return FRONT_OUTLINE if panel.endswith("ftorso") else OUTLINE
 
 
-def _caps_that_differ(pattern: Pattern, design: OutfitDesign) -> list[Difference]:
-    """Sleeves whose caps, their gathers taken off, are not as long as their armholes."""
+def _cap_differences(pattern: Pattern, design: OutfitDesign) -> list[Difference]:
+    """Sleeves whose cap, without gathers, differs in length from the armhole."""
     found = []
     for side, arm in (("right", design.sleeve), ("left", design.left.sleeve)):
         if side == "left" and not design.left.enable_asym:
@@ -190,7 +189,7 @@ def _caps_that_differ(pattern: Pattern, design: OutfitDesign) -> list[Difference
 
 
 def _cap_and_armhole(pattern: Pattern, side: str) -> tuple[float, float]:
-    """Lengths of a sleeve's cap and of the armhole it is sewn into [cm]; 0 without sleeve."""
+    """Lengths of a sleeve's cap and of its armhole [cm]; 0 without a sleeve."""
     caps, armholes = 0.0, 0.0
     for seam in pattern.seams:
         ends = sorted((seam.left, seam.right), key=lambda ref: "sleeve" not in ref.panel)

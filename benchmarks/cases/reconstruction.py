@@ -1,11 +1,11 @@
-"""From points of a garment's box mesh to its panels: a small network, beside what a look into the training set gives.
+"""Reconstruction: from surface points of a garment's box mesh to its panels, with a small network and references.
 
     python -m benchmarks.run reconstruction --smoke
 
-``network`` is the network; ``nearest`` answers with the training garment that is nearest by chamfer distance of the
-points; ``typical`` with one and the same garment always, the one that the others are nearest to; ``ceiling`` is the
-truth in the network's form of answer, the best that it could say. Test garments are other indices of the seed that the
-training garments come from: other designs on other bodies, out of the same wardrobe.
+``network`` is the network; ``nearest`` answers with the training garment of least chamfer distance; ``typical`` always
+with the same garment, the one with the least mean distance to the others; ``ceiling`` is the truth in the network's
+output format, the best possible answer. Test garments have other indices of the same seed: other designs and bodies
+from the same design space.
 """
 
 from benchmarks.reconstruction.train import add_arguments, run

@@ -1,12 +1,12 @@
-"""Finished garments written into shards: how many a second, beside what the draper of the same machine does alone.
+"""Garments written to shards: rate, compared with the draper of the same machine alone.
 
     python -m benchmarks.run scale --device cuda:0 --workers 15 --count 2000
 
-Garments with pictures, as ``gcd generate --bodies both`` makes them, into a folder that is deleted afterwards. The
-clock of ``garments_per_s`` starts with the first garment written, when kernels are loaded and every worker is at work,
-and ends with the last. ``own_per_s``: the draping process alone, whose orders never run out, without pictures;
-``share``: the one divided by the other; ``gpu_waits``: the share of time in which nvidia-smi finds no kernel running;
-``cpu_*``: CPU seconds a garment of each step, in this process, over ``--staged`` designs.
+Garments with pictures, as ``gcd generate --bodies both`` makes them, are written to a temporary folder.
+``garments_per_s`` is timed from the first garment written, when kernels are loaded and all workers busy, to the last.
+``own_per_s``: the draping process alone with unlimited requests, without pictures; ``share``: the first over the
+second; ``gpu_waits``: the share of time in which nvidia-smi sees no kernel; ``cpu_*``: CPU seconds per garment of each
+step, in this process, over ``--staged`` designs.
 """
 
 import argparse
@@ -35,21 +35,22 @@ __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the case."""
     parser.add_argument("--count", type=int, default=64, help="garments written")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2, help="processes that make garments")
     parser.add_argument("--device", default="auto", help="where cloth is draped; several GPUs as cuda:0,1")
-    parser.add_argument("--bodies", default="both", help="who wears them")
+    parser.add_argument("--bodies", default="both", help="wearers, as for gcd generate")
     parser.add_argument("--resolution", type=float, default=1.0, help="[cm]")
     parser.add_argument("--picture", type=int, default=512, help="side of the pictures [pixels]; 0 for none")
-    parser.add_argument("--seconds", type=float, default=30.0, help="of the draper's own measurement; 0 for none")
+    parser.add_argument(
+        "--seconds", type=float, default=30.0, help="duration of the draper's own measurement; 0 for none"
+    )
     parser.add_argument("--prepared", type=int, default=32, help="designs for the draper's own rate")
     parser.add_argument("--staged", type=int, default=8, help="designs for the CPU seconds of each step")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Write, then measure the draper and the steps alone."""
+    """Write shards, then measure the draper and each step alone."""
     if options.count < 2:
         raise ConfigError(f"--count is {options.count}: give 2 or more")
     config = MakeConfig(
@@ -73,7 +74,7 @@ def run(options: argparse.Namespace) -> Measured:
 
 
 def _written(config: MakeConfig, options: argparse.Namespace) -> tuple[float, float]:
-    """Garments a second from the first to the last, and the share of them that did not settle."""
+    """Garments per second from the first to the last, and the share that did not settle."""
     begun, unsettled = 0.0, 0
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -89,7 +90,7 @@ def _written(config: MakeConfig, options: argparse.Namespace) -> tuple[float, fl
 
 
 def _steps(config: MakeConfig, options: argparse.Namespace) -> list[Figure]:
-    """CPU seconds of each step, for one garment."""
+    """CPU seconds of each step, per garment."""
     spent: dict[str, float] = {}
 
     def timed(name: str, step: Callable[..., Any], *arguments: Any) -> Any:
@@ -111,7 +112,7 @@ def _steps(config: MakeConfig, options: argparse.Namespace) -> list[Figure]:
 
 
 def _jpeg_seconds(size: int) -> float:
-    """CPU seconds to encode two pictures of a garment's size and detail: noise would be slower."""
+    """CPU seconds to encode two smooth pictures of the garments' size; noise would take longer."""
     import numpy as np
 
     if not size:

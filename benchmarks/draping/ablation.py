@@ -1,4 +1,4 @@
-"""The drape with its features switched off in turn, each on the same garments."""
+"""Ablation: the same garments draped with each feature switched in turn."""
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,14 +20,14 @@ PULLS = ("pull_to_parts", "pull_from_body")
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to drape."""
+    """A configuration of the drape."""
 
     name: str
     switched: Mapping[str, bool]
     """Options of ``DrapeConfig`` that differ from the default."""
     layers_rub: bool = True
     by_body: bool = False
-    """Whether the table shows the neutral body and random ones apart, too."""
+    """Whether the table also has separate rows for neutral and random bodies."""
 
     def config(self) -> DrapeConfig:
         return replace(DrapeConfig(), **self.switched)
@@ -37,7 +37,7 @@ class Variant:
 
 
 def variants() -> list[Variant]:
-    """The full system, both pulls off as in Korosteleva et al. (ECCV 2024), then each feature switched in turn."""
+    """The full system, both pulls off as in Korosteleva et al. (ECCV 2024), then each feature switched."""
     switches = {entry.name: entry.default for entry in fields(DrapeConfig) if isinstance(entry.default, bool)}
     return [
         Variant("full", {}, by_body=True),
@@ -48,7 +48,7 @@ def variants() -> list[Variant]:
 
 
 def measure_ablation(worn: Sequence[Worn], *, device: str, batch: int) -> Measured:
-    """The garments draped in every variant: one row each; the figures are those of the full system."""
+    """Drape the garments in every variant. Rows: one per variant; figures: those of the full system."""
     rows: list[dict[str, Any]] = []
     figures: list[Figure] = []
     for variant in variants():
@@ -61,13 +61,13 @@ def measure_ablation(worn: Sequence[Worn], *, device: str, batch: int) -> Measur
 
 
 def _rows(variant: Variant, worn: Sequence[Worn], drapes: Sequence[Drape], each: float) -> Iterator[dict[str, Any]]:
-    """A variant's line of the table, and its lines for either kind of body."""
+    """A variant's rows: over all bodies, and possibly by kind of body."""
     neutral = np.array([one.neutral for one in worn])
     groups = {"all": np.ones(len(worn), bool)}
     if variant.by_body:
         groups |= {"neutral": neutral, "random": ~neutral}
     for bodies, chosen in groups.items():
-        some = [drape for drape, taken in zip(drapes, chosen, strict=True) if taken]
+        some = [drape for drape, is_chosen in zip(drapes, chosen, strict=True) if is_chosen]
         yield {
             "variant": variant.name,
             "bodies": bodies,

@@ -1,4 +1,4 @@
-"""Pictures of garments that failed: where they started, once sewn, and how they ended."""
+"""Pictures of failed garments: at the start, once sewn, and at the end."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,7 +28,7 @@ Picture = UInt8[np.ndarray, "h w 3"]
 
 
 def write_failures(folder: Path, worn: Sequence[Worn], drapes: Sequence[Drape], *, device: str) -> None:
-    """``INDEX_OUTCOME.jpg`` for each garment that failed, and ``kinds.jpg`` with the first of each outcome."""
+    """Write ``INDEX_OUTCOME.jpg`` for each failed garment, and ``kinds.jpg`` with the first of each outcome."""
     make_folder(folder)
     kinds: dict[Outcome, Picture] = {}
     for one, drape in zip(worn, drapes, strict=True):
@@ -43,7 +43,7 @@ def write_failures(folder: Path, worn: Sequence[Worn], drapes: Sequence[Drape], 
 
 
 def picture_failure(worn: Worn, drape: Drape, *, device: str) -> Picture:
-    """Start, sewn and end, from the front and below from behind, under the outcome in words."""
+    """Front views of start, sewn and end above their back views, with the outcome as title."""
     job, device = worn.job, resolve_device(device)
     first = replace(job, box_mesh=job.coarse.mesh) if job.coarse else job
     columns = [
@@ -62,7 +62,7 @@ def picture_failure(worn: Worn, drape: Drape, *, device: str) -> Picture:
 
 
 def _sewn(job: DrapeJob, *, coarse: bool, device: str) -> Float[np.ndarray, "v 3"] | None:
-    """The garment when its seams have closed; None for one that does not live so long."""
+    """Vertices once the seams have closed [cm]; ``None`` if the drape diverges before."""
     config = DrapeConfig()
     solver = Solver(build_model([job], config, device, coarse=[0] if coarse else []), config)
     try:
@@ -73,19 +73,19 @@ def _sewn(job: DrapeJob, *, coarse: bool, device: str) -> Float[np.ndarray, "v 3
 
 
 def _views(vertices: Float[np.ndarray, "v 3"] | None, mesh: BoxMesh, job: DrapeJob, device: str) -> list[Picture]:
-    """Front and back; blank where there is nothing to show."""
+    """Front and back views; blank without finite vertices."""
     if vertices is None or not np.isfinite(vertices).all():
         return 2 * [np.full((TILE, TILE, 3), 255, np.uint8)]
     return list(render_garment(vertices, mesh, job.body, size=TILE, device=device))
 
 
 def _titled(picture: Picture, *lines: str) -> Picture:
-    """The picture under lines of text."""
+    """The picture with lines of text above it."""
     height, width, _ = picture.shape
     image = Image.new("RGB", (width, height + TITLE * len(lines)), PAPER)
     image.paste(Image.fromarray(picture), (0, TITLE * len(lines)))
     for number, line in enumerate(lines):
-        fitting = 0.7 * TITLE * min(1.0, 0.96 * width / ImageFont.load_default(0.7 * TITLE).getlength(line))
-        place = (0.02 * width, (number + 0.5) * TITLE)
-        ImageDraw.Draw(image).text(place, line, fill=INK, font=ImageFont.load_default(fitting), anchor="lm")
+        font_size = 0.7 * TITLE * min(1.0, 0.96 * width / ImageFont.load_default(0.7 * TITLE).getlength(line))
+        position = (0.02 * width, (number + 0.5) * TITLE)
+        ImageDraw.Draw(image).text(position, line, fill=INK, font=ImageFont.load_default(font_size), anchor="lm")
     return np.asarray(image)

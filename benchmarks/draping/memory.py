@@ -1,4 +1,4 @@
-"""Memory while garments are draped: on the GPU for each of them, and of the process as it goes on and on."""
+"""Memory of a draping process: per garment on the GPU, and resident memory over many drapes."""
 
 import os
 from collections.abc import Sequence
@@ -14,14 +14,14 @@ from gcd_dataset.generator.drape import drape_batch, resolve_device
 
 __all__ = ["gpu_peak_mb", "gpu_used_mb", "measure_memory", "rss_mb"]
 
-EVERY = 50  # drapes between two records; the first so many are the warm-up
+EVERY = 50  # drapes between records; the first interval is the warm-up
 MB = 1e6  # bytes
 
 
 def measure_memory(worn: Sequence[Worn], drapes: int, *, device: str, batch: int) -> Measured:
-    """So many drapes in this process, the garments taken in turn: its resident memory and that used on the GPU.
+    """Memory over ``drapes`` drapes in this process, cycling through the garments.
 
-    Raises ``ConfigError`` for fewer drapes than two records take.
+    Raises ``ConfigError`` for fewer drapes than two intervals.
     """
     if drapes < 2 * EVERY:
         raise ConfigError(f"memory over {drapes} drapes: give {2 * EVERY} or more, {EVERY} are the warm-up")
@@ -51,12 +51,12 @@ def rss_mb() -> float:
 
 
 def gpu_used_mb(device: str) -> float:
-    """What Warp has taken of a GPU and not given back [MB]; 0 on a CPU."""
+    """Memory that Warp currently holds on a GPU [MB]; 0 on a CPU."""
     return wp.get_mempool_used_mem_current(device) / MB if _pooled(device) else 0.0
 
 
 def gpu_peak_mb(device: str) -> float:
-    """The most that Warp has held of a GPU since the process began [MB]; 0 on a CPU."""
+    """Peak memory of Warp on a GPU since the process started [MB]; 0 on a CPU."""
     return wp.get_mempool_used_mem_high(device) / MB if _pooled(device) else 0.0
 
 

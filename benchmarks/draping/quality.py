@@ -1,4 +1,4 @@
-"""How well garments hang: shares that pass, crossings, frames."""
+"""Quality of drapes: pass rates, crossings, frames."""
 
 from collections.abc import Sequence
 
@@ -15,11 +15,10 @@ LIMITS = DrapeConfig()
 
 
 def quality(drapes: Sequence[Drape]) -> list[Figure]:
-    """Shares that pass and percentiles of the crossing edges: of cloth through cloth, of cloth through the body, and of
-    the body through cloth.
+    """Pass rates, and percentiles of crossing edges: cloth through cloth, cloth through body, and body through cloth.
 
-    ``passed`` asks for all that ``Outcome.SETTLED`` says, ``passed_paper`` for the checks of Korosteleva et al. (ECCV
-    2024) alone.
+    ``passed``: the share with ``Outcome.SETTLED``; ``passed_paper``: the share that passes the checks of Korosteleva et
+    al. (ECCV 2024) alone.
     """
     crossings = {
         "self": [d.self_crossings for d in drapes],
@@ -38,10 +37,10 @@ def quality(drapes: Sequence[Drape]) -> list[Figure]:
 
 
 def pass_paper(drape: Drape) -> bool:
-    """Whether it rests with few enough crossings, however far it is stretched.
+    """Whether the drape rests with few enough crossings, regardless of stretch.
 
-    Stretch is what an ``Outcome`` asks for last: what is only overstretched has passed the rest. What slid off does not
-    count as at rest, since its drape is given up on the way down. Theirs counts edges of the cloth alone.
+    Stretch is the last check of an ``Outcome``: an overstretched drape has passed the others. A garment that slid off
+    does not count as at rest, since its drape is stopped early. The paper's check counts edges of the cloth only.
     """
     if drape.outcome is Outcome.THROUGH_BODY and drape.body_through > 0:
         return drape.body_crossings <= LIMITS.max_body_crossings and drape.self_crossings <= LIMITS.max_self_crossings

@@ -1,4 +1,4 @@
-"""The garments that a benchmark drapes: sampled designs on the neutral body and on random ones."""
+"""The garments of a draping benchmark: sampled designs on the neutral body and on random ones."""
 
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ __all__ = ["Worn", "sampled"]
 
 @dataclass(frozen=True)
 class Worn:
-    """A garment and who wears it."""
+    """A sampled garment with its wearer."""
 
     index: int
-    """Of the sample: 2i and 2i + 1 are one design on two bodies."""
+    """Index of the sample; 2i and 2i + 1 are one design on two bodies."""
     body_name: str
     upper: str
     wb: str
@@ -27,12 +27,12 @@ class Worn:
 
     @property
     def neutral(self) -> bool:
-        """Whether the neutral body wears it."""
+        """Whether the wearer is the neutral body."""
         return self.body_name == "neutral"
 
 
 def sampled(seed: int, designs: int, *, resolution: float, workers: int = 1) -> list[Worn]:
-    """So many designs, meshed at ``resolution`` [cm] for two wearers each, by ``workers`` processes."""
+    """Sample ``designs`` designs, each meshed at ``resolution`` [cm] for two wearers, in ``workers`` processes."""
     config = MakeConfig(bodies="both", resolution=resolution, device="cpu")
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         made = pool.map(partial(_dressed, seed, config), range(designs))

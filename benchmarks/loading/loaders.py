@@ -1,4 +1,4 @@
-"""Ways to load the same garments as batches of ``collate_packed``: ours, three others, and what no loader beats."""
+"""Loaders of the same garments as batches of ``collate_packed``: ours, three others, and a lower bound."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,11 +18,11 @@ from gcd_dataset.shards import read_index
 from gcd_dataset.shards.codec import decode_fields
 from gcd_dataset.shards.layout import FIELDS, members_of
 
-__all__ = ["BATCH", "WAYS", "Way"]
+__all__ = ["BATCH", "LOADERS", "Loader"]
 
 BATCH = 16
-Way = Callable[[Path, Sequence[str], int], Iterable[Any] | None]
-"""Folder of shards, fields, number of workers: an epoch's batches whenever it is iterated; ``None``: not to be had."""
+Loader = Callable[[Path, Sequence[str], int], Iterable[Any] | None]
+"""``(folder of shards, fields, workers)`` to an iterable of an epoch's batches; ``None`` if not available."""
 
 
 def ours(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any]:
@@ -31,13 +31,13 @@ def ours(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any]:
 
 
 def by_webdataset(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any]:
-    """``webdataset`` over the same shards, in their order; members that are not asked for are passed over."""
+    """``webdataset`` over the same shards, sequentially; unneeded members are skipped."""
     import webdataset
 
-    wanted = members_of(fields)
+    members = members_of(fields)
     shards = sorted(map(str, folder.glob("*.tar")))
     stream = webdataset.WebDataset(
-        shards, shardshuffle=False, select_files=lambda name: name.partition(".")[2] in wanted, empty_check=False
+        shards, shardshuffle=False, select_files=lambda name: name.partition(".")[2] in members, empty_check=False
     )
     return _batches(stream.map(_Decoded(fields)), workers)
 
@@ -54,7 +54,7 @@ class _Decoded:
 
 
 def by_litdata(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any] | None:
-    """``litdata`` over chunks that hold these fields alone, as it would be given them, in random order."""
+    """``litdata`` over chunks that hold only these fields, its best case, in random order."""
     if find_spec("litdata") is None:
         return None
     from litdata import StreamingDataLoader, StreamingDataset
@@ -78,7 +78,7 @@ def by_litdata(folder: Path, fields: Sequence[str], workers: int) -> Iterable[An
 
 
 def by_hdf5(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any] | None:
-    """``h5py``: a group a garment, a contiguous array a field, in random order."""
+    """``h5py``: one group per garment, one contiguous array per field, in random order."""
     if find_spec("h5py") is None:
         return None
     import h5py
@@ -90,11 +90,11 @@ def by_hdf5(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any] 
                 arrays = {name: value.numpy() for name, value in item.items() if isinstance(value, Tensor)}
                 for name, array in arrays.items():
                     file.create_dataset(f"{number}/{name}", data=array)
-    return _batches(_Plain(path, [name for name in fields if FIELDS[name].endswith(".npy")]), workers)
+    return _batches(_Hdf5Arrays(path, [name for name in fields if FIELDS[name].endswith(".npy")]), workers)
 
 
-class _Plain(Dataset):
-    """The groups of an HDF5 file, opened in each process."""
+class _Hdf5Arrays(Dataset):
+    """The groups of an HDF5 file; each process opens the file."""
 
     def __init__(self, path: Path, fields: Sequence[str]) -> None:
         import h5py
@@ -117,9 +117,9 @@ class _Plain(Dataset):
 
 
 def floor(folder: Path, fields: Sequence[str], workers: int) -> Iterable[Any] | None:
-    """The stored bytes of the fields read out of the file cache and copied once, in random order; nothing else.
+    """A lower bound: reads the stored bytes of the fields from the page cache and copies them once, in random order.
 
-    Both buffers stay: no loader can hand out the same memory twice.
+    It reuses both buffers; a loader cannot, since batches keep their memory.
     """
     return None if workers else _Bytes(folder, fields)
 
@@ -129,33 +129,38 @@ class _Bytes:
         index = read_index(folder)
         columns = [index.layout.members.index(FIELDS[field]) for field in fields]
         offsets, sizes = index.table.offset[:, columns].tolist(), index.table.size[:, columns].tolist()
-        self._places = [list(zip(*place, strict=True)) for place in zip(offsets, sizes, strict=True)]
+        self._spans = [list(zip(*spans, strict=True)) for spans in zip(offsets, sizes, strict=True)]
         self._files = [os.open(folder / shard, os.O_RDONLY) for shard in index.shards]
         self._shard = index.shard.tolist()
         largest = max(map(sum, sizes))
         self._read, self._batch = np.empty(largest, np.uint8), np.empty(BATCH * largest, np.uint8)
 
     def __iter__(self) -> Iterator[None]:
-        order, end = Permutation(len(self._places), 0), 0
-        for place in range(len(self._places)):
-            number, filled = order(place), 0
-            for offset, size in self._places[number]:
-                os.preadv(self._files[self._shard[number]], [self._read[filled : filled + size].data], offset)
+        order, end = Permutation(len(self._spans), 0), 0
+        for offset_in_epoch in range(len(self._spans)):
+            index, filled = order(offset_in_epoch), 0
+            for offset, size in self._spans[index]:
+                os.preadv(self._files[self._shard[index]], [self._read[filled : filled + size].data], offset)
                 filled += size
-            end = 0 if place % BATCH == 0 else end
+            end = 0 if offset_in_epoch % BATCH == 0 else end
             self._batch[end : end + filled] = self._read[:filled]
             end += filled
-            if (place + 1) % BATCH == 0:
+            if (offset_in_epoch + 1) % BATCH == 0:
                 yield
 
 
 def _batches(dataset: Any, workers: int) -> DataLoader:
-    mixed = len(dataset) > 0 if isinstance(dataset, _Plain) else False
+    is_indexed = isinstance(dataset, _Hdf5Arrays) and len(dataset) > 0
     return DataLoader(
-        dataset, BATCH, shuffle=mixed, num_workers=workers, collate_fn=collate_packed, persistent_workers=workers > 0
+        dataset,
+        BATCH,
+        shuffle=is_indexed,
+        num_workers=workers,
+        collate_fn=collate_packed,
+        persistent_workers=workers > 0,
     )
 
 
-WAYS: dict[str, Way] = {
+LOADERS: dict[str, Loader] = {
     "ours": ours, "webdataset": by_webdataset, "litdata": by_litdata, "hdf5": by_hdf5, "floor": floor,
 }  # fmt: skip

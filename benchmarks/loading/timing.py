@@ -1,4 +1,4 @@
-"""CPU time of a process and of those that work for it."""
+"""CPU time of a process and its workers."""
 
 import multiprocessing
 import time
@@ -10,18 +10,18 @@ __all__ = ["Cost", "cost_of"]
 
 
 class Cost(NamedTuple):
-    """Of one item."""
+    """Time per item."""
 
     cpu_ms: float
     wall_ms: float
 
 
 def cost_of(batches: Iterable[Any], count: int, *, seconds: float) -> Cost:
-    """The cheapest epoch of ``count`` items, after a first that is not counted, within about so many seconds.
+    """The cheapest epoch of ``count`` items within about ``seconds``, after one warm-up epoch.
 
-    The cheapest, since other programs on the machine take cache and memory from the others.
+    The cheapest, since other programs on the machine slow the others.
     """
-    for _ in batches:  # starts workers, checks hashes, fills the file cache
+    for _ in batches:  # warm-up: starts workers, checks hashes, fills the page cache
         pass
     costs: list[Cost] = []
     end = time.perf_counter() + seconds
@@ -36,7 +36,7 @@ def cost_of(batches: Iterable[Any], count: int, *, seconds: float) -> Cost:
 
 
 def _cpu_seconds() -> dict[int, float]:
-    """Of this process with its threads, number 0, and of its children that are alive."""
+    """CPU seconds by process: this one with its threads as 0, and each living child."""
     spent = {0: time.process_time()}
     for child in multiprocessing.active_children():
         threads = Path(f"/proc/{child.pid}/task").iterdir()

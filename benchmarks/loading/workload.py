@@ -1,4 +1,4 @@
-"""Garments of the size that a drape at 1 cm has, written once for all the loaders that read them."""
+"""Synthetic garments of the size of a drape at 1 cm, written to shards for all loaders."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -17,17 +17,17 @@ CONFIGS: Mapping[str, tuple[str, ...]] = {
     "points": ("panels", "edges", "stitches", "points"),
     "patterns": ("design", "measures", "panels", "edges", "stitches"),
 }
-"""What is read of a garment, of those that the shards hold whole."""
+"""Configuration to the fields that are read; the shards hold all fields."""
 
 FINENESS = 16  # 14 500 vertices on average: a dress at 1 cm has 14 475
 POINTS = 8192
 PANELS, CORNERS, SEAMS = 11, 7, 28  # the mean of GarmentCodeData's patterns: 10.9 panels of 6.8 edges, 28 stitches
-SHARD = 32  # so that every worker of a stream has shards of its own
+SHARD = 32  # samples per shard: small, so that every worker of a stream has shards of its own
 RECIPE = {"fake": True, "fineness": FINENESS}
 
 
 def large_sample(index: int) -> Sample:
-    """A fine tube whose pattern is a patchwork."""
+    """A finely meshed tube with a patchwork as its pattern."""
     sample = fake_sample(0, index, fineness=FINENESS, points=POINTS)
     assert sample.box_mesh is not None
     names = tuple(f"panel_{i}" for i in range(PANELS))
@@ -39,7 +39,7 @@ def large_sample(index: int) -> Sample:
 
 
 def _patchwork(name: str, names: tuple[str, ...]) -> Pattern:
-    """Regular polygons, sewn edge to edge."""
+    """Regular polygons, sewn together edge by edge."""
     angle = 2 * np.pi * np.arange(CORNERS) / CORNERS
     corners = 20 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     edges = tuple(Edge(i, (i + 1) % CORNERS) for i in range(CORNERS))
@@ -53,7 +53,7 @@ def _patchwork(name: str, names: tuple[str, ...]) -> Pattern:
 
 
 def write_shards(folder: Path, count: int) -> Path:
-    """The first ``count`` garments as shards; those that are there stay."""
+    """Write the first ``count`` garments as shards, keeping existing ones. Returns the folder."""
     with ShardWriter(folder, seed=0, recipe=RECIPE, shard_size=SHARD) as writer:
         for index in sorted(set(range(count)) - writer.done):
             writer.write(large_sample(index))

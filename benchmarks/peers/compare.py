@@ -1,4 +1,4 @@
-"""Our drape and Newton's on the same garments, batch by batch, in one run, crossings counted alike."""
+"""Our solver and Newton's on the same garments, by batch size, with the same crossing counters."""
 
 import time
 from collections.abc import Sequence
@@ -24,11 +24,10 @@ __all__ = ["compare_solvers"]
 
 
 def compare_solvers(jobs: Sequence[DrapeJob], batches: Sequence[int], *, device: str) -> Measured:
-    """The garments in batches of each size, taken in turn until a batch is full: a row for every way.
+    """Drape batches of each size with every solver, cycling through the garments; one row per solver and size.
 
-    ``ours`` bring their coarse meshes, made in ``setup_s``; ``ours_direct`` do without a coarse start. Of ``newton``
-    set-up is what it takes from the meshes through the first frame; our model is built in ``solve_s``. All seconds are
-    a garment's share.
+    ``ours`` starts from coarse meshes, made in ``setup_s``; ``ours_direct`` has no coarse start. For ``newton``,
+    ``setup_s`` is from the meshes through the first frame; our model is built in ``solve_s``. Seconds are per garment.
     """
     jobs = [replace(job, coarse=None) for job in jobs]
     drape_batch(jobs[:1], DrapeConfig(max_frames=1), device=device)
@@ -48,18 +47,18 @@ def _ours(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:
     start = time.perf_counter()
     ready = [replace(job, coarse=coarse_start(job.box_mesh)) for job in jobs]
     meshed = time.perf_counter()
-    drapes = drape_batch(ready, device=device, at_once=_places(jobs, device))
+    drapes = drape_batch(ready, device=device, at_once=_at_once(jobs, device))
     return _row("ours", drapes, meshed - start, time.perf_counter() - meshed)
 
 
 def _ours_direct(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:
     start = time.perf_counter()
-    drapes = drape_batch(jobs, DrapeConfig(coarse_start=False), device=device, at_once=_places(jobs, device))
+    drapes = drape_batch(jobs, DrapeConfig(coarse_start=False), device=device, at_once=_at_once(jobs, device))
     return _row("ours_direct", drapes, 0.0, time.perf_counter() - start)
 
 
-def _places(jobs: Sequence[DrapeJob], device: str) -> int:
-    """Garments at once: the whole batch on a GPU; one on a CPU, where Newton has one thread, too."""
+def _at_once(jobs: Sequence[DrapeJob], device: str) -> int:
+    """Garments per batch: all on a GPU; one on a CPU, where Newton has one thread too."""
     return 1 if device == "cpu" else len(jobs)
 
 
@@ -69,7 +68,7 @@ def _theirs(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:
 
 
 def _row(solver: str, drapes: Sequence[Drape], setup: float, solve: float) -> dict[str, Any]:
-    """The line of the table for a batch, its seconds shared by the garments."""
+    """The table row of a batch, with seconds per garment."""
     return {
         "solver": solver,
         "setup_s": setup / len(drapes),
@@ -82,7 +81,7 @@ def _row(solver: str, drapes: Sequence[Drape], setup: float, solve: float) -> di
 
 
 def _judged(jobs: Sequence[DrapeJob], made: PeerDrapes, device: str) -> list[Drape]:
-    """Newton's garments as ours are judged, by our counters."""
+    """Newton's drapes with outcomes by our criteria and counters."""
     config = DrapeConfig()
     solver = Solver(build_model(jobs, config, device), config)
     solver.state.x.assign(wp.array(np.concatenate(made.vertices), dtype=wp.vec3, device=device))
@@ -108,7 +107,7 @@ def _judged(jobs: Sequence[DrapeJob], made: PeerDrapes, device: str) -> list[Dra
 
 
 def _outcome(job: DrapeJob, drape: Drape, config: DrapeConfig, *, rested: bool) -> Outcome:
-    """The first that applies, in the order of ``Outcome`` for ours."""
+    """The first outcome that applies, in the order used for our drapes."""
     failures = {
         Outcome.DIVERGED: not np.isfinite(drape.vertices).all(),
         Outcome.FELL: fell(job, drape.vertices),

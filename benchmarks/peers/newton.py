@@ -1,9 +1,9 @@
-"""The same box meshes and bodies draped by Newton's ``SolverStyle3D`` (Apache-2.0, package ``newton``).
+"""The same box meshes and bodies, draped by Newton's ``SolverStyle3D`` (Apache-2.0, package ``newton``).
 
-Newton has no batch of cloths: copies stand apart in one model, which runs until the last of them rests. Set up as well
-as we could: all skins are one shape, since contacts are looked for between every vertex and every shape; two steps of
-1/120 s a frame with 4 nonlinear and 10 linear iterations, one captured graph a frame on a GPU; waist and collar held
-as in ours, by putting vertices back on their plane after each step. The fabric is the same, in Newton's terms.
+Newton has no batches of cloth: garments stand apart in one model, which runs until the last one rests. Set up for best
+speed: all skins are one shape, since contacts are tested between every vertex and every shape; two steps of 1/120 s per
+frame with 4 nonlinear and 10 linear iterations; on a GPU, one captured graph per frame. Waist and collar are held as in
+ours, by projecting vertices onto their plane after each step. The fabric is the same, in Newton's parameters.
 """
 
 import time
@@ -26,12 +26,12 @@ from gcd_dataset.records import BoxMesh
 __all__ = ["PeerDrapes", "drape_with_newton", "require_newton", "unmirrored"]
 
 M = 0.01  # metres in a cm
-APART = 3.0  # m between two garments
+SPACING = 3.0  # m between garments
 SUBSTEPS = 2
 STEP = 1 / 120  # s
 ITERATIONS, LINEAR_ITERATIONS = 4, 10
-STILL = 5e-4  # m in a frame
-CONTACT = 1e3  # N/m
+STILL = 5e-4  # m per frame; less counts as at rest
+CONTACT_STIFFNESS = 1e3  # N/m
 MAX_FRAMES = 300
 POLL_EVERY = 4  # frames
 GRAVITY = (0.0, -9.81, 0.0)  # m/s²
@@ -39,21 +39,21 @@ GRAVITY = (0.0, -9.81, 0.0)  # m/s²
 
 @dataclass(frozen=True)
 class PeerDrapes:
-    """What came out of a batch."""
+    """Newton's result for a batch."""
 
     vertices: list[Float[np.ndarray, "v 3"]]
     """[cm]"""
     rested: Bool[np.ndarray, " w"]
-    """Whether each came to rest before the last frame."""
+    """Whether each garment came to rest within the frame budget."""
     frames: Int[np.ndarray, " w"]
-    """Frames until it rested."""
+    """Frames until rest, or all frames."""
     setup_seconds: float
-    """From the meshes through the first frame, of the whole batch."""
+    """From the meshes through the first frame, for the whole batch."""
     solve_seconds: float
 
 
 def require_newton() -> Any:
-    """The package. Raises ``ConfigError`` where it is not installed."""
+    """The package ``newton``. Raises ``ConfigError`` if it is not installed."""
     try:
         import newton
     except ImportError as error:
@@ -64,7 +64,7 @@ def require_newton() -> Any:
 
 
 def drape_with_newton(jobs: Sequence[DrapeJob], *, device: str, max_frames: int = MAX_FRAMES) -> PeerDrapes:
-    """The garments at rest on their bodies, all in one model."""
+    """Drape the garments on their bodies, all in one model."""
     newton = require_newton()
     start = time.perf_counter()
     with wp.ScopedDevice(device):
@@ -76,9 +76,9 @@ def drape_with_newton(jobs: Sequence[DrapeJob], *, device: str, max_frames: int 
         wp.synchronize_device(device)
         done = time.perf_counter()
         x = scene.states[0].particle_q.numpy()
-    places, shifts = scene.places, scene.shifts
+    starts, shifts = scene.starts, scene.shifts
     return PeerDrapes(
-        [((x[a:b] - shift) / M).astype(np.float32) for a, b, shift in zip(places, places[1:], shifts, strict=False)],
+        [((x[a:b] - shift) / M).astype(np.float32) for a, b, shift in zip(starts, starts[1:], shifts, strict=False)],
         rested_at >= 0,
         np.where(rested_at < 0, max_frames, rested_at),
         ready - start,
@@ -88,17 +88,17 @@ def drape_with_newton(jobs: Sequence[DrapeJob], *, device: str, max_frames: int 
 
 @dataclass
 class _Scene:
-    """A model with what steps it."""
+    """A model with its solver, states and buffers."""
 
     solver: Any
     pipeline: Any
     contacts: Any
     control: Any
     states: list[Any]
-    places: Int[np.ndarray, " w1"]
-    """First vertex of each garment, and the number of all."""
+    starts: Int[np.ndarray, " w1"]
+    """First vertex of each garment, and the total number."""
     shifts: Float[np.ndarray, "w 3"]
-    """Where each stands [m]."""
+    """Offset of each garment [m]."""
     hold_normal: wp.array
     hold_offset: wp.array
     held: wp.array
@@ -124,7 +124,7 @@ class _Scene:
             contacts=pipeline.contacts(),
             control=model.control(),
             states=[model.state(), model.state()],
-            places=np.cumsum([0, *sizes]),
+            starts=np.cumsum([0, *sizes]),
             shifts=shifts,
             hold_normal=wp.array(normal, dtype=wp.vec3),
             hold_offset=wp.array(offset.astype(np.float32), dtype=float),
@@ -135,7 +135,7 @@ class _Scene:
         )
 
     def begin(self) -> None:
-        """The first frame; on a GPU the rest is recorded after it, since it loads kernels and makes room."""
+        """Run the first frame, which loads kernels and allocates; on a GPU then capture a frame as a graph."""
         self.frame()
         if wp.get_device().is_cuda:
             with wp.ScopedCapture() as capture:
@@ -143,35 +143,35 @@ class _Scene:
             self.graph = capture.graph
 
     def frame(self) -> None:
-        """Two steps, and the count of what moved in them."""
+        """Two steps, then the count of moving vertices."""
         self.moving.zero_()
         for step in range(SUBSTEPS):
             before, after = self.states[step % 2], self.states[1 - step % 2]
             before.clear_forces()
             self.pipeline.collide(before, self.contacts)
             self.solver.step(before, after, self.control, self.contacts, STEP)
-            places = [after.particle_q, after.particle_qd]
+            state = [after.particle_q, after.particle_qd]
             n = len(after.particle_q)
-            wp.launch(newton_kernels.hold, n, inputs=[self.hold_normal, self.hold_offset, self.held, *places])
+            wp.launch(newton_kernels.hold, n, inputs=[self.hold_normal, self.hold_offset, self.held, *state])
         x = self.states[0].particle_q
         wp.launch(newton_kernels.watch, len(x), inputs=[self.world, STILL, x, self.x_seen, self.moving])
 
 
 def _run(scene: _Scene, max_frames: int) -> Int[np.ndarray, " w"]:
-    """Step until all garments rest or the frames are spent; the frame in which each was found at rest, or -1."""
+    """Step until all garments rest, at most ``max_frames``; the frame in which each came to rest, or -1."""
     ours = DrapeConfig()
-    let_go = round((ours.sewing_time + ours.held_time) / (SUBSTEPS * STEP))
-    restless = ours.moving_share * np.diff(scene.places)
-    rested_at = np.full(len(restless), -1)
+    release = round((ours.sewing_time + ours.held_time) / (SUBSTEPS * STEP))
+    limit = ours.moving_share * np.diff(scene.starts)
+    rested_at = np.full(len(limit), -1)
     for number in range(2, max_frames + 1):
-        if number == let_go:
+        if number == release:
             scene.held.zero_()
         if scene.graph is None:
             scene.frame()
         else:
             wp.capture_launch(scene.graph)
-        if number > let_go and number % POLL_EVERY == 0:
-            rests = scene.moving.numpy() <= restless
+        if number > release and number % POLL_EVERY == 0:
+            rests = scene.moving.numpy() <= limit
             rested_at[rests & (rested_at < 0)] = number
             if (rested_at >= 0).all():
                 break
@@ -179,14 +179,14 @@ def _run(scene: _Scene, max_frames: int) -> Int[np.ndarray, " w"]:
 
 
 def _shifts(n: int) -> Float[np.ndarray, "n 3"]:
-    """Places on a square grid, so that single precision holds everywhere [m]."""
+    """Offsets on a square grid [m], close together for the sake of single precision."""
     side = int(np.ceil(np.sqrt(n)))
     row, column = np.divmod(np.arange(n), side)
-    return APART * np.stack([column, np.zeros(n), row], axis=1).astype(float)
+    return SPACING * np.stack([column, np.zeros(n), row], axis=1).astype(float)
 
 
 def _model(newton: Any, jobs: Sequence[DrapeJob], shifts: Float[np.ndarray, "w 3"]) -> Any:
-    """All garments and all skins."""
+    """Newton's model of all garments and skins."""
     builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=GRAVITY)
     newton.solvers.SolverStyle3D.register_custom_attributes(builder)
     for job, shift in zip(jobs, shifts, strict=True):
@@ -195,7 +195,7 @@ def _model(newton: Any, jobs: Sequence[DrapeJob], shifts: Float[np.ndarray, "w 3
     skin = newton.Mesh(vertices, faces.ravel(), compute_inertia=False)
     builder.add_shape_mesh(body=-1, mesh=skin, cfg=newton.ModelBuilder.ShapeConfig(mu=jobs[0].fabric.friction))
     model = builder.finalize()
-    model.soft_contact_ke, model.soft_contact_kd = CONTACT, 1e-5
+    model.soft_contact_ke, model.soft_contact_kd = CONTACT_STIFFNESS, 1e-5
     model.soft_contact_mu = jobs[0].fabric.friction
     return model
 
@@ -219,9 +219,9 @@ def _add_cloth(newton: Any, builder: Any, job: DrapeJob, shift: Float[np.ndarray
 
 
 def unmirrored(mesh: BoxMesh) -> Float[np.ndarray, "f 3 2"]:
-    """The corners of every face in the plane of its panel, turned over where they run clockwise [cm].
+    """The corners of every face in its panel's plane [cm], mirrored if the panel is clockwise.
 
-    Newton leaves out triangles of negative area, and with them the panels that are drawn as seen from inside.
+    Newton drops triangles of negative area, and with them the panels that are drawn from the wrong side.
     """
     corners = mesh.uv[mesh.corners].copy()
     (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
@@ -230,13 +230,15 @@ def unmirrored(mesh: BoxMesh) -> Float[np.ndarray, "f 3 2"]:
 
 
 def _pull(fabric: Fabric) -> Any:
-    """Weft, warp, shear [N/m]."""
+    """Stretch stiffness along weft and warp, and shear stiffness [N/m]."""
     return wp.vec3(fabric.pull.weft, fabric.pull.warp, shear_stiffness(fabric.pull))
 
 
 def _bend(fabric: Fabric) -> Any:
-    """Weft, warp, bias [N·m]: a third of the rigidities, since the quadratic energy of a mesh is three times a sheet's,
-    see ``kernels.sheet``."""
+    """Bending stiffness along weft, warp and bias [N·m].
+
+    A third of the rigidities: the quadratic energy of a mesh is three times that of a sheet, see ``kernels.sheet``.
+    """
     warp, weft = fabric.bend
     return wp.vec3(weft / 3, warp / 3, (warp + weft) / 6)
 
@@ -244,7 +246,7 @@ def _bend(fabric: Fabric) -> Any:
 def _skins(
     jobs: Sequence[DrapeJob], shifts: Float[np.ndarray, "w 3"]
 ) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
-    """The skins that ours are draped on, each where its garment stands [m]."""
+    """The bodies' visible skins, each at its garment's offset [m]."""
     skins = {id(job.body): VisibleSkin.of(job.body.faces, job.body.parts) for job in jobs}
     vertices, faces, count = [], [], 0
     for job, shift in zip(jobs, shifts, strict=True):

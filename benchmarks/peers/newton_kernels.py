@@ -1,4 +1,4 @@
-"""What Newton's cloth lacks for a drape: holds, and the count of what still moves. Lengths in metres."""
+"""Kernels that Newton's cloth lacks for a drape: holds, and a count of moving vertices. Lengths in metres."""
 
 import warp as wp
 
@@ -14,7 +14,7 @@ def hold(
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
 ):
-    """Put vertices that have left their half-space ``x · normal >= offset`` back on its plane."""
+    """Project vertices outside their half-space ``x · normal >= offset`` onto its plane."""
     i = wp.tid()
     gap = offset[i] - wp.dot(x[i], normal[i])
     if held[0] != 0 and wp.length_sq(normal[i]) > 0.0 and gap > 0.0:
@@ -31,7 +31,7 @@ def watch(
     x_seen: wp.array(dtype=wp.vec3),
     moving: wp.array(dtype=int),
 ):
-    """Count the vertices of each garment that have moved more than ``still`` since they were last seen."""
+    """Count the vertices of each garment that have moved by more than ``still`` since the previous call."""
     i = wp.tid()
     if wp.length(x[i] - x_seen[i]) > still:
         wp.atomic_add(moving, world[i], 1)

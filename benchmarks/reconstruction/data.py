@@ -1,9 +1,9 @@
-"""Garments as targets of the reconstruction task, and predictions as patterns.
+"""Targets of the reconstruction task from patterns, and patterns from predictions.
 
-A panel becomes a fixed number of points along its outline, about its centroid and seen from its right side; which of
-them are corners; where the centroid hangs; how the panel is turned; and its number of edges. Lengths are in ``UNIT``.
-Every corner is one of the points, and edges have points by their length: at equal distances all along, corners would be
-cut off, and with them 4 % of the area.
+A panel becomes a fixed number of outline points, relative to its centroid and seen from its right side; a flag for
+points that are corners; the position of the centroid; the panel's rotation; and its number of edges. Lengths are in
+``UNIT``. Every corner is an outline point, and edges get points in proportion to their length: equidistant points over
+the whole outline would cut corners, and 4 % of the area with them.
 """
 
 from collections.abc import Sequence
@@ -36,32 +36,32 @@ __all__ = [
 ]
 
 FIELDS = ("points", "panels", "edges", "stitches")
-"""Fields of a loaded sample that the task reads."""
+"""Item fields that the task reads."""
 Arrays: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""A pattern as the ``panels``, ``edges`` and ``stitches`` of a ``PatternTensor``: what a training set keeps of it."""
+"""``panels``, ``edges`` and ``stitches`` of a ``PatternTensor``: the pattern as stored with a training set."""
 
-UNIT = 50.0  # cm: what a garment reaches from its middle, about
-MIDDLE = (0.0, 100.0, 0.0)  # cm
+UNIT = 50.0  # cm, roughly a garment's extent from its centre
+CENTRE = (0.0, 100.0, 0.0)  # cm, roughly the centre of garments
 MAX_EDGES = 64
-LARGEST_RADIUS = 1000.0  # cm: beyond it an arc is better a cubic
-STRAIGHT = 0.2  # cm: an edge is straight if its points lie as near to its chord
+LARGEST_RADIUS = 1000.0  # cm; a flatter arc becomes a cubic
+STRAIGHT = 0.2  # cm; an edge is straight if its points are this close to the chord
 
 
 @dataclass(frozen=True)
 class GarmentBatch:
-    """Garments side by side; rows of panels beyond a garment's own are zeros."""
+    """Garments stacked to an equal number of panels; rows beyond a garment's own are zeros."""
 
     points: Float[Tensor, "b n 6"]
-    """Points of the surface about ``MIDDLE`` [UNIT], and normals."""
+    """Surface points relative to ``CENTRE`` [UNIT], and normals."""
     exists: Bool[Tensor, "b q"]
     contours: Float[Tensor, "b q c 2"]
-    """[UNIT]"""
+    """Outline points relative to the centroid [UNIT]."""
     corners: Float[Tensor, "b q c"]
-    """1 for points of the contour that are corners; a prediction's are any numbers, larger for likelier corners."""
+    """Targets: 1 for corners, else 0. Predictions: scores, larger for likelier corners."""
     centres: Float[Tensor, "b q 3"]
-    """Centroids in space, about ``MIDDLE`` [UNIT]."""
-    turns: Float[Tensor, "b q 3 3"]
-    """Rotations of the panels' planes."""
+    """Centroids of the placed panels, relative to ``CENTRE`` [UNIT]."""
+    rotations: Float[Tensor, "b q 3 3"]
+    """Rotations of the panels."""
     edge_counts: Int[Tensor, "b q"]
 
     def __len__(self) -> int:
@@ -74,7 +74,7 @@ class GarmentBatch:
         return GarmentBatch(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def with_points(self, count: int, generator: torch.Generator) -> "GarmentBatch":
-        """The same with ``count`` of the points, drawn anew and in a random order."""
+        """The garments with ``count`` of their points, drawn at random."""
         chosen = torch.randperm(self.points.shape[1], generator=generator, device=generator.device)[:count]
         return replace(self, points=self.points[:, chosen.to(self.points.device)])
 
@@ -87,21 +87,21 @@ class GarmentBatch:
 
 @dataclass(frozen=True)
 class ToTargets:
-    """A loaded sample to ``(Garments of one row, Arrays)``: the transform of a data set."""
+    """Transform of a data set: item to ``(GarmentBatch of one, Arrays)``."""
 
     queries: int
     contour_points: int
     points: int
 
     def __call__(self, item: dict[str, Any]) -> tuple[GarmentBatch, Arrays]:
-        """Raises ``ConfigError`` for more panels or edges than the network can say."""
+        """The targets of an item. Raises ``ConfigError`` for more panels or edges than the network supports."""
         arrays = (item["panels"].numpy(), item["edges"].numpy(), item["stitches"].numpy())
         points = item["points"][: self.points].float()
-        points = torch.cat([(points[:, :3] - torch.tensor(MIDDLE)) / UNIT, points[:, 3:]], dim=1)
+        points = torch.cat([(points[:, :3] - torch.tensor(CENTRE)) / UNIT, points[:, 3:]], dim=1)
         return replace(self.of(pattern_of(arrays)), points=points[None].half()), arrays
 
     def of(self, pattern: Pattern) -> GarmentBatch:
-        """The pattern as targets, without points."""
+        """The targets of a pattern, without surface points."""
         shapes = [PanelShape.of(panel) for panel in pattern.panels]
         if any(len(panel.edges) > MAX_EDGES for panel in pattern.panels):
             raise ConfigError(f"a panel has over {MAX_EDGES} edges: raise MAX_EDGES")
@@ -115,13 +115,13 @@ class ToTargets:
             exists=self._padded([np.array(True) for _ in shapes], ()).bool(),
             contours=self._padded([contour / UNIT for contour, _ in outlines], (self.contour_points, 2)),
             corners=self._padded([corners for _, corners in outlines], (self.contour_points,)),
-            centres=self._padded([(s.centre - MIDDLE) / UNIT for s in shapes], (3,)),
-            turns=self._padded([s.matrix for s in shapes], (3, 3)),
+            centres=self._padded([(s.centre - CENTRE) / UNIT for s in shapes], (3,)),
+            rotations=self._padded([s.matrix for s in shapes], (3, 3)),
             edge_counts=self._padded([np.array(len(s.panel.edges)) for s in shapes], ()).long(),
         )
 
     def _outline(self, shape: PanelShape) -> tuple[Float[np.ndarray, "c 2"], Float[np.ndarray, " c"]]:
-        """Points along the outline [cm], and which of them are corners."""
+        """Outline points [cm], and 1 for those that are corners."""
         panel = shape.panel
         lengths = np.array([curve_length(*panel.edge_ends(i), edge.curve) for i, edge in enumerate(panel.edges)])
         counts = shares(lengths, self.contour_points)
@@ -139,10 +139,12 @@ class ToTargets:
 
 
 def shares(lengths: Float[np.ndarray, " e"], count: int) -> list[int]:
-    """``count`` split by length, one at least for each (largest remainders). Raises ``ConfigError`` for too many."""
+    """``count`` divided in proportion to lengths, at least one each (largest remainders). Raises ``ConfigError``."""
     spare = count - len(lengths)
     if spare < 0:
-        raise ConfigError(f"a panel has {len(lengths)} edges, its contour {count} points: raise --contour-points")
+        raise ConfigError(
+            f"a panel has {len(lengths)} edges, but its contour only {count} points: raise --contour-points"
+        )
     exact = spare * lengths / lengths.sum()
     whole = np.floor(exact).astype(int)
     whole[np.argsort(whole - exact, kind="stable")[: spare - whole.sum()]] += 1
@@ -150,13 +152,13 @@ def shares(lengths: Float[np.ndarray, " e"], count: int) -> list[int]:
 
 
 def collate(items: Sequence[tuple[GarmentBatch, Arrays]]) -> tuple[GarmentBatch, list[Arrays]]:
-    """Several samples as one batch, for a ``DataLoader``."""
+    """The ``collate_fn``: one batch from several transformed items."""
     targets, arrays = zip(*items, strict=True)
     return GarmentBatch.join(targets), list(arrays)
 
 
 def pattern_of(arrays: Arrays) -> Pattern:
-    """The pattern of a loaded sample's arrays; panels are called by their numbers, and labels left out."""
+    """The pattern of an item's arrays; panels are named by number, without labels."""
     panels, edges, stitches = arrays
     panels, edges = panels.copy(), edges.copy()
     panels[:, PanelColumn.LABEL], edges[:, EdgeColumn.LABEL] = 0, 0
@@ -165,7 +167,7 @@ def pattern_of(arrays: Arrays) -> Pattern:
 
 
 def patterns_from(garments: GarmentBatch) -> list[Pattern]:
-    """The patterns that targets, or predictions in their form, stand for; without seams."""
+    """The patterns of targets, or of predictions in the same form; without seams."""
     names = ("exists", "contours", "corners", "centres", "turns", "edge_counts")
     arrays = [getattr(garments, name).detach().cpu().numpy() for name in names]
     patterns = []
@@ -181,7 +183,7 @@ def patterns_from(garments: GarmentBatch) -> list[Pattern]:
 def _panel(
     name: str, contour: np.ndarray, corners: np.ndarray, centre: np.ndarray, turn: np.ndarray, edge_count: int
 ) -> Panel:
-    """A panel of ``edge_count`` edges between the likeliest corners of the contour."""
+    """A panel with ``edge_count`` edges between the likeliest corners of the contour."""
     chosen = np.sort(np.argsort(-corners, kind="stable")[: max(edge_count, 2)])
     loop = UNIT * np.roll(contour, -chosen[0], axis=0).astype(float)
     bounds = np.append(chosen - chosen[0], len(loop)).tolist()
@@ -190,12 +192,12 @@ def _panel(
         Edge(i, (i + 1) % len(chosen), fitted_curve(closed[first : last + 1]))
         for i, (first, last) in enumerate(pairwise(bounds))
     )
-    placement = Placement(UNIT * centre.astype(float) + MIDDLE, euler_angles(turn.astype(float)))
+    placement = Placement(UNIT * centre.astype(float) + CENTRE, euler_angles(turn.astype(float)))
     return Panel(name, loop[bounds[:-1]], edges, placement)
 
 
 def fitted_curve(points: Float[np.ndarray, "n 2"]) -> Curve:
-    """The line if it is as near as ``STRAIGHT``, else the nearer of cubic and arc, from the first point to the last."""
+    """The curve through points: a line if within ``STRAIGHT``, else the closer of cubic and arc; ends are kept."""
     start, end = points[0], points[-1]
     t = np.linspace(0, 1, len(points))[:, None]
     straight = (1 - t) * start + t * end
@@ -207,9 +209,11 @@ def fitted_curve(points: Float[np.ndarray, "n 2"]) -> Curve:
 
 
 def _fitted_cubic(points: np.ndarray, straight: np.ndarray, t: np.ndarray) -> tuple[Cubic, float]:
-    """Least squares over equal steps of the parameter, and by how much it misses a point at most [cm]."""
+    """A cubic by least squares over equal parameter steps, and its largest error at a point [cm]."""
     basis = np.concatenate([3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t)], axis=1)
-    bend = np.linalg.lstsq(basis, points - straight, rcond=None)[0]  # of the controls, off the thirds of the chord
+    bend = np.linalg.lstsq(basis, points - straight, rcond=None)[
+        0
+    ]  # offset of the control points from the thirds of the chord
     start, end = points[0], points[-1]
     ends = (start[0], start[1]), (end[0], end[1])
     controls = start + np.array([[1.0], [2.0]]) / 3 * (end - start) + bend
@@ -218,7 +222,7 @@ def _fitted_cubic(points: np.ndarray, straight: np.ndarray, t: np.ndarray) -> tu
 
 
 def _fitted_arc(points: np.ndarray) -> tuple[Arc | None, float]:
-    """The circle by algebraic least squares (Kåsa 1976), and by how much it misses a point at most [cm]."""
+    """A circular arc by algebraic least squares (Kåsa 1976), and its largest error at a point [cm]."""
     system = np.concatenate([2 * points, np.ones((len(points), 1))], axis=1)
     x, y, rest = np.linalg.lstsq(system, np.sum(points**2, axis=1), rcond=None)[0]
     radius = float(np.sqrt(max(rest + x * x + y * y, 0.0)))

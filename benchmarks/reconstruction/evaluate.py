@@ -1,4 +1,4 @@
-"""Scores of a network, and of the references beside it, on garments that training has not seen."""
+"""Scores of a network and of references on the test garments."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -20,7 +20,7 @@ SEAMS = ("stitch_p", "stitch_r", "stitch_f1")
 
 
 def predict(net: PatternNet, garments: GarmentBatch, *, batch: int, device: torch.device) -> list[Pattern]:
-    """The patterns that the network sees in the garments' points."""
+    """Patterns predicted from the garments' points."""
     net.eval()
     with torch.no_grad():
         parts = [
@@ -31,25 +31,25 @@ def predict(net: PatternNet, garments: GarmentBatch, *, batch: int, device: torc
 
 
 def scores_of(predicted: Sequence[Pattern], true: Sequence[Pattern], *, workers: int = 0) -> list[PatternScore]:
-    """The score of each predicted pattern, by ``workers`` processes side by side."""
+    """The score of each predicted pattern, computed by ``workers`` processes."""
     if workers < 2:
         return [score_pattern(ours, theirs) for ours, theirs in zip(predicted, true, strict=True)]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         return list(pool.map(score_pattern, predicted, true, chunksize=8))
 
 
-def figures_of(who: str, scores: Sequence[PatternScore], *, seams: bool) -> list[Figure]:
-    """The mean of each score as ``who_metric``; without those of the seams for answers that have none."""
+def figures_of(answer: str, scores: Sequence[PatternScore], *, seams: bool) -> list[Figure]:
+    """Mean scores as ``answer_metric``; without seam scores for an answer that has no seams."""
     means = mean_scores(scores)
     return [
-        Figure(f"{who}_{metric}", float(getattr(means, metric)), UNITS.get(metric, "share"))
+        Figure(f"{answer}_{metric}", float(getattr(means, metric)), UNITS.get(metric, "share"))
         for metric in PatternScore.__dataclass_fields__
         if seams or metric not in SEAMS
     ]
 
 
-def row_of(who: str, scores: Sequence[PatternScore], *, seams: bool) -> Mapping[str, str]:
-    """The means with their 95 % intervals, as a row of the report."""
+def row_of(answer: str, scores: Sequence[PatternScore], *, seams: bool) -> Mapping[str, str]:
+    """A table row: mean scores with 95 % intervals."""
     means, (low, high) = mean_scores(scores), bootstrap_interval(scores, np.random.default_rng(0))
 
     def cell(metric: str) -> str:
@@ -58,4 +58,4 @@ def row_of(who: str, scores: Sequence[PatternScore], *, seams: bool) -> Mapping[
         value, least, most = (float(getattr(score, metric)) for score in (means, low, high))
         return f"{value:.3g} ({least:.3g} to {most:.3g})"
 
-    return {"answer": who, **{metric: cell(metric) for metric in PatternScore.__dataclass_fields__}}
+    return {"answer": answer, **{metric: cell(metric) for metric in PatternScore.__dataclass_fields__}}

@@ -1,8 +1,8 @@
-"""From points on a garment to the set of its panels.
+"""A network from surface points of a garment to the set of its panels.
 
-A point of every region becomes a token with what lies around it (Point-MAE, Pang et al., ECCV 2022); learned queries
-read the tokens, and each may become a panel (DETR, Carion et al., ECCV 2020). Panels have no order: the loss pairs
-queries and panels at least cost, and a contour may start anywhere.
+Points are grouped into regions, and each region becomes a token (Point-MAE, Pang et al., ECCV 2022); learned queries
+attend to the tokens, and each query may become a panel (DETR, Carion et al., ECCV 2020). Panels are a set: the loss
+matches queries to panels at least cost, and a contour may start anywhere.
 """
 
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ from benchmarks.reconstruction.data import MAX_EDGES, GarmentBatch
 
 __all__ = ["NetConfig", "PatternNet", "Predicted", "match_panels", "set_loss"]
 
-FREQUENCIES = 8  # octaves in which a position is told to the network
-REGION_SCALE = 10.0  # offsets within a region are brought to the size of 1
-WEIGHTS = {"exists": 2.0, "contours": 5.0, "corners": 1.0, "centres": 5.0, "turns": 1.0, "edges": 0.5}
+FREQUENCIES = 8  # octaves of the positional encoding
+REGION_SCALE = 10.0  # scales offsets within a region to about 1
+WEIGHTS = {"exists": 2.0, "contours": 5.0, "corners": 1.0, "centres": 5.0, "rotations": 1.0, "edges": 0.5}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +35,12 @@ class NetConfig:
     width: int = 384
     heads: int = 6
     layers: int = 6
-    """Of the encoder, and as many of the decoder."""
+    """Layers of the encoder, and of the decoder."""
 
 
 @dataclass(frozen=True)
 class Predicted:
-    """What the queries say; lengths in ``data.UNIT``."""
+    """The output of the queries; lengths in ``data.UNIT``."""
 
     exists: Float[Tensor, "b q"]
     """Logits."""
@@ -48,25 +48,25 @@ class Predicted:
     corners: Float[Tensor, "b q c"]
     """Logits."""
     centres: Float[Tensor, "b q 3"]
-    turns: Float[Tensor, "b q 3 3"]
+    rotations: Float[Tensor, "b q 3 3"]
     edges: Float[Tensor, "b q e"]
     """Logits of the number of edges."""
 
     def garments(self) -> GarmentBatch:
-        """The panels that are likelier there than not, in the form of the targets."""
+        """The predictions in the form of the targets, with the panels whose probability exceeds 1/2."""
         return GarmentBatch(
             points=self.centres.new_zeros(len(self.exists), 0, 6),
             exists=self.exists > 0,
             contours=self.contours,
             corners=self.corners,
             centres=self.centres,
-            turns=self.turns,
+            rotations=self.rotations,
             edge_counts=self.edges.argmax(dim=-1),
         )
 
 
 class PatternNet(nn.Module):
-    """Points and normals to ``Predicted``, one after every layer of the decoder; the last is the answer."""
+    """Points and normals to one ``Predicted`` per decoder layer; the last is the result."""
 
     def __init__(self, config: NetConfig) -> None:
         super().__init__()
@@ -98,7 +98,7 @@ class PatternNet(nn.Module):
         return predicted
 
     def _tokens(self, points: Float[Tensor, "b n 6"]) -> Float[Tensor, "b t w"]:
-        """The first points of each garment, which come in random order, with what lies around them."""
+        """Tokens of the regions around the first points of each garment; points are in random order."""
         centres = points[:, : self.config.tokens]
         with torch.no_grad():
             apart = torch.cdist(centres[..., :3], points[..., :3])
@@ -111,22 +111,22 @@ class PatternNet(nn.Module):
         return self.merge(around + self.place(torch.cat([waves, centres], dim=-1)))
 
     def _read(self, panels: Float[Tensor, "b q w"]) -> Predicted:
-        # Not in half precision: bfloat16 would round a metre to half a centimetre.
+        # In float32: bfloat16 would round a metre to half a centimetre.
         with torch.autocast(panels.device.type, enabled=False):
-            exists, outline, centres, turns, edges = (head(self.norm(panels.float())) for head in self.heads)
+            exists, outline, centres, rotations, edges = (head(self.norm(panels.float())) for head in self.heads)
         outline = outline.unflatten(-1, (self.config.contour_points, 3))
         return Predicted(
             exists=exists[..., 0],
             contours=outline[..., :2],
             corners=outline[..., 2],
             centres=centres,
-            turns=rotation_of(turns),
+            rotations=rotation_of(rotations),
             edges=edges,
         )
 
 
 def rotation_of(columns: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 3 3"]:
-    """The rotation of two columns, made orthonormal (Zhou et al., On the Continuity of Rotations, CVPR 2019)."""
+    """Rotation from two columns by orthonormalisation (Zhou et al., On the Continuity of Rotations, CVPR 2019)."""
     first = functional.normalize(columns[..., :3], dim=-1)
     second = columns[..., 3:] - (first * columns[..., 3:]).sum(-1, keepdim=True) * first
     second = functional.normalize(second, dim=-1)
@@ -137,9 +137,9 @@ def rotation_of(columns: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 3 3"]:
 
 
 def set_loss(layers: list[Predicted], true: GarmentBatch) -> dict[str, Tensor]:
-    """Parts of the loss by name, weighted; panels are matched to the last layer's queries, for all layers.
+    """Weighted loss terms by name; queries are matched to panels by the last layer, for all layers.
 
-    The order of the true panels, and where their contours start, do not matter.
+    Invariant to the order of the true panels and to the start of their contours.
     """
     pairs = match_panels(layers[-1], true)
     parts = [_loss_of_layer(layer, true, *pairs) for layer in layers]
@@ -149,11 +149,11 @@ def set_loss(layers: list[Predicted], true: GarmentBatch) -> dict[str, Tensor]:
 def match_panels(
     predicted: Predicted, true: GarmentBatch
 ) -> tuple[Int[Tensor, " m"], Int[Tensor, " m"], Int[Tensor, " m"]]:
-    """Rows of garments, queries and true panels that belong together at least cost (Hungarian method)."""
+    """Matched rows of garments, queries and true panels, at least total cost (Hungarian method)."""
     with torch.no_grad():
         cost = (
             2.0 * torch.cdist(predicted.centres, true.centres)
-            + 0.5 * torch.cdist(predicted.turns.flatten(2), true.turns.flatten(2))
+            + 0.5 * torch.cdist(predicted.rotations.flatten(2), true.rotations.flatten(2))
             + 2.0 * _outline_distance(predicted.contours, true.contours)
             - predicted.exists.sigmoid()[..., None]
         )
@@ -181,32 +181,32 @@ def _loss_of_layer(
             predicted.corners[garments, queries], _rolled(corners[..., None], shifted)[..., 0]
         ),
         "centres": functional.l1_loss(predicted.centres[garments, queries], true.centres[garments, panels]),
-        "turns": functional.l1_loss(predicted.turns[garments, queries], true.turns[garments, panels]),
+        "rotations": functional.l1_loss(predicted.rotations[garments, queries], true.rotations[garments, panels]),
         "edges": functional.cross_entropy(predicted.edges[garments, queries], true.edge_counts[garments, panels]),
     }
 
 
 def _correlation(contours: Float[Tensor, "*b c 2"], others: Float[Tensor, "*b c 2"]) -> Float[Tensor, "*b c"]:
-    """Sum over the points of contour · other, for every shift of the contour along itself."""
+    """Sum over the points of contour · other, for every cyclic shift of the contour."""
     ours, theirs = (torch.fft.fft(torch.view_as_complex(points.contiguous())) for points in (contours, others))
     return torch.fft.ifft(ours * theirs.conj()).real
 
 
 def _outline_distance(contours: Float[Tensor, "b q c 2"], others: Float[Tensor, "b p c 2"]) -> Float[Tensor, "b q p"]:
-    """Root mean square distance of contours, each pair at its best shift."""
+    """Root mean square distance of contours, each pair at its best cyclic shift."""
     across = _correlation(contours[:, :, None], others[:, None]).amax(dim=-1)
     squares = contours.square().sum(dim=(-2, -1))[:, :, None] + others.square().sum(dim=(-2, -1))[:, None]
     return ((squares - 2 * across).clamp(min=0) / contours.shape[-2]).sqrt()
 
 
 def _shifts(contours: Float[Tensor, "m c 2"], others: Float[Tensor, "m c 2"]) -> Int[Tensor, " m"]:
-    """By how many points each contour runs behind the other."""
+    """The cyclic shift by which each contour matches the other best."""
     with torch.no_grad():
         return _correlation(contours, others).argmax(dim=-1)
 
 
 def _rolled(values: Float[Tensor, "m c d"], shifts: Int[Tensor, " m"]) -> Float[Tensor, "m c d"]:
-    """Each row rolled along its contour by its own shift."""
+    """Each contour rolled by its own shift."""
     count = values.shape[1]
     index = (torch.arange(count, device=values.device) - shifts[:, None]) % count
     return values.gather(1, index[..., None].expand_as(values))

@@ -1,12 +1,12 @@
-"""Train a network that sees points of a garment's box mesh and says its panels; score it on garments it has not seen.
+"""Train a network to predict panels from surface points of a garment's box mesh, and score it on test garments.
 
     python -m benchmarks.reconstruction.train --smoke         about a minute on two cores
     python -m benchmarks.reconstruction.train --workers 16    one GPU, some minutes
 
-Garments are made on the spot and read once through a ``DataLoader``; what training needs of them then stays in memory,
-on the device, since a network reads them faster than anyone can make them. The test set is other indices of the same
-seed: other bodies and designs from the same wardrobe, so a garment like the test garment may well be in the training
-set. How far that alone leads is what the nearest neighbour tells.
+Garments are generated and read once through a ``DataLoader``; the training set then stays on the device, since the
+network consumes it faster than it could be made. The test set has other indices of the same seed: other bodies and
+designs from the same design space, so a training garment may be similar to a test garment. The nearest neighbour shows
+how much that alone achieves.
 """
 
 import argparse
@@ -39,10 +39,10 @@ SMOKE: dict[str, Any] = {
     "heads": 4, "layers": 2, "tokens": 32, "neighbours": 16, "points": 256, "stored_points": 1024, "queries": 40,
     "nearest_points": 256, "typical": 60,
 }  # fmt: skip
-WARM_UP = 0.05  # of the steps, in which the learning rate rises
+WARM_UP = 0.05  # share of the steps in which the learning rate rises
 WEIGHT_DECAY = 0.05
 LARGEST_GRADIENT = 1.0
-TOLD_EVERY = 50  # steps, or batches of garments
+LOG_EVERY = 50  # steps, or batches of garments
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,32 +51,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument("--smoke", action="store_true", help="a few hundred garments and a tiny network, for two cores")
     option("--train", 20_000, "garments to train on")
-    option("--test", 500, "garments to test on: the indices behind them")
-    option("--seed", 0, "of the garments, the network and the order")
-    option("--design", "", "TOML file that narrows what garments are drawn")
-    option("--resolution", 2.0, "of the box meshes that points are taken from [cm]")
-    option("--workers", 0, "processes that make garments, and that score patterns")
-    option("--cache-dir", "", "keeps the garments for the next run")
+    option("--test", 500, "garments to test on: the following indices")
+    option("--seed", 0, "seed of the garments, the network and the order")
+    option("--design", "", "TOML file that restricts the designs")
+    option("--resolution", 2.0, "edge length of the box meshes [cm]")
+    option("--workers", 0, "processes for making garments and scoring patterns")
+    option("--cache-dir", "", "folder that caches the garments")
     option("--device", "auto", "auto, cpu or cuda:0")
-    option("--threads", 0, "of torch on a CPU; 0 leaves it to torch, 1 is best for tiny networks on a busy machine")
-    option("--steps", 6_000, "of the optimiser")
-    option("--batch", 256, "garments a step")
-    option("--lr", 5e-4, "learning rate at its highest")
-    option("--points", 2_048, "points of a garment that a step sees, drawn anew each time")
-    option("--stored-points", 4_096, "points of a garment that they are drawn from, 8192 at most")
-    option("--queries", 40, "panels that the network can find")
+    option("--threads", 0, "torch's CPU threads; 0 for its default, 1 is best for tiny networks on a busy machine")
+    option("--steps", 6_000, "optimiser steps")
+    option("--batch", 256, "garments per step")
+    option("--lr", 5e-4, "highest learning rate")
+    option("--points", 2_048, "points per garment and step, redrawn for each step")
+    option("--stored-points", 4_096, "points per garment to draw from, at most 8192")
+    option("--queries", 40, "most panels of a prediction")
     option("--contour-points", 64, "points of a panel's outline")
-    option("--tokens", 256, "regions that the points are gathered in")
+    option("--tokens", 256, "regions of points")
     option("--neighbours", 32, "points in a region")
     option("--width", 384, "features of a token")
-    option("--heads", 6, "of each attention")
-    option("--layers", 6, "of the encoder, and of the decoder")
-    option("--nearest-points", 512, "points that garments are compared by for the nearest neighbour")
-    option("--typical", 500, "training garments among which the most typical one is sought")
+    option("--heads", 6, "heads per attention layer")
+    option("--layers", 6, "layers of the encoder, and of the decoder")
+    option("--nearest-points", 512, "points per garment for the nearest neighbour")
+    option("--typical", 500, "training garments to choose the most typical one from")
 
 
 def run(args: argparse.Namespace) -> Measured:
-    """Make or read the garments, train, evaluate."""
+    """Load the garments, train, evaluate."""
     if args.smoke:
         args = argparse.Namespace(**{**vars(args), **SMOKE})
     device = torch.device(("cuda:0" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device)
@@ -95,8 +95,8 @@ def run(args: argparse.Namespace) -> Measured:
     spent += _spent("train", start, per=args.steps, unit="steps")
     learnt = [
         Figure("parameters", sum(parameter.numel() for parameter in net.parameters()), "numbers"),
-        Figure("first_loss", float(np.mean(losses[:TOLD_EVERY])), f"a step, the first {TOLD_EVERY}"),
-        Figure("last_loss", float(np.mean(losses[-TOLD_EVERY:])), f"a step, the last {TOLD_EVERY}"),
+        Figure("first_loss", float(np.mean(losses[:LOG_EVERY])), f"a step, the first {LOG_EVERY}"),
+        Figure("last_loss", float(np.mean(losses[-LOG_EVERY:])), f"a step, the last {LOG_EVERY}"),
     ]
 
     start = _clocks()
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> Measured:
 
 
 def load(args: argparse.Namespace) -> tuple[GarmentBatch, list[Arrays]]:
-    """Garments to train on, and behind them those to test on; with their patterns as arrays."""
+    """Training garments followed by test garments, with their patterns as arrays."""
     dataset = GeneratedGarments(
         args.train + args.test,
         args.seed,
@@ -119,15 +119,15 @@ def load(args: argparse.Namespace) -> tuple[GarmentBatch, list[Arrays]]:
         design=read_overlay(args.design) if args.design else None,
         fields=FIELDS,
         transform=ToTargets(args.queries, args.contour_points, args.stored_points),
-        dtype=None,  # arcs are decoded from the ends of their edges, which takes every digit
+        dtype=None,  # arcs are decoded from the ends of their edges, which needs float64
     )
     loader = DataLoader(dataset, batch_size=32, num_workers=args.workers, collate_fn=collate)
     parts, arrays = [], []
-    for part, several in loader:
+    for part, pattern_arrays in loader:
         parts.append(part)
-        arrays += several
-        if len(parts) % TOLD_EVERY == 0 or len(arrays) == len(dataset):
-            _tell(f"{len(arrays)} of {len(dataset)} garments")
+        arrays += pattern_arrays
+        if len(parts) % LOG_EVERY == 0 or len(arrays) == len(dataset):
+            _log(f"{len(arrays)} of {len(dataset)} garments")
     return GarmentBatch.join(parts), arrays
 
 
@@ -135,7 +135,7 @@ def load(args: argparse.Namespace) -> tuple[GarmentBatch, list[Arrays]]:
 
 
 def train(known: GarmentBatch, args: argparse.Namespace, device: torch.device, losses: list[float]) -> PatternNet:
-    """A network trained on the garments; the loss of every step is added to ``losses``."""
+    """Train a network on the garments; appends each step's loss to ``losses``."""
     torch.manual_seed(args.seed)
     net = PatternNet(net_config(args)).to(device)
     chance = torch.Generator().manual_seed(args.seed)
@@ -155,8 +155,8 @@ def train(known: GarmentBatch, args: argparse.Namespace, device: torch.device, l
         optimizer.step()
         schedule.step()
         losses.append(loss.item())
-        if (step + 1) % TOLD_EVERY == 0:
-            _tell(f"step {step + 1} of {args.steps}, loss {np.mean(losses[-TOLD_EVERY:]):.3f}: {_listed(parts)}")
+        if (step + 1) % LOG_EVERY == 0:
+            _log(f"step {step + 1} of {args.steps}, loss {np.mean(losses[-LOG_EVERY:]):.3f}: {_listed(parts)}")
     return net
 
 
@@ -173,7 +173,7 @@ def net_config(args: argparse.Namespace) -> NetConfig:
 
 
 def learning_rate(step: int, steps: int) -> float:
-    """Share of the highest rate: up in a line, then down in half a cosine."""
+    """Learning rate relative to the highest: linear warm-up, then half a cosine."""
     rise = max(1, round(WARM_UP * steps))
     if step < rise:
         return (step + 1) / rise
@@ -195,7 +195,7 @@ def evaluate(
     args: argparse.Namespace,
     device: torch.device,
 ) -> Measured:
-    """The network beside what can be had without one, and beside the best that its form of answer allows."""
+    """Score the network and the references."""
     patterns = [pattern_of(entry) for entry in arrays[args.train :]]
     near = args.nearest_points
     neighbours = nearest_garments(unseen.points[:, :near, :3].to(device).float(), known.points[:, :near, :3].float())
@@ -208,18 +208,18 @@ def evaluate(
         "ceiling": patterns_from(unseen),
     }
     figures, rows = [_commonest_count(arrays[: args.train], patterns)], []
-    everyone = [pattern for answer in answers.values() for pattern in answer]
-    all_scores = scores_of(everyone, patterns * len(answers), workers=args.workers)  # one start of the processes
-    for number, (who, answer) in enumerate(answers.items()):
+    predictions = [pattern for answer in answers.values() for pattern in answer]
+    all_scores = scores_of(predictions, patterns * len(answers), workers=args.workers)  # in one pool of processes
+    for number, (name, answer) in enumerate(answers.items()):
         scores = all_scores[number * len(patterns) : (number + 1) * len(patterns)]
         seams = any(pattern.seams for pattern in answer)
-        figures += figures_of(who, scores, seams=seams)
-        rows.append(row_of(who, scores, seams=seams))
+        figures += figures_of(name, scores, seams=seams)
+        rows.append(row_of(name, scores, seams=seams))
     return Measured(figures, rows)
 
 
 def _commonest_count(known: list[Arrays], unseen: list[Pattern]) -> Figure:
-    """How often one is right about the number of panels who always says the commonest one."""
+    """Share of test garments that have the most common number of panels."""
     counts = Counter(len(panels) for panels, _, _ in known)
     commonest = counts.most_common(1)[0][0]
     right = float(np.mean([len(pattern.panels) == commonest for pattern in unseen]))
@@ -230,7 +230,7 @@ def _commonest_count(known: list[Arrays], unseen: list[Pattern]) -> Figure:
 
 
 def _clocks() -> tuple[float, float]:
-    """Seconds on the wall, and of all processors by this process and those it has ended."""
+    """Wall time, and CPU time of this process and its ended children [s]."""
     return time.perf_counter(), sum(times()[:4])
 
 
@@ -246,7 +246,7 @@ def _listed(parts: dict[str, torch.Tensor]) -> str:
     return ", ".join(f"{name} {value.item():.3f}" for name, value in parts.items())
 
 
-def _tell(text: str) -> None:
+def _log(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 

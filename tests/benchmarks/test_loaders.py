@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from benchmarks.loading.loaders import LOADERS
 
 from benchmarks.cases.loaders import _figures, _rows
 from benchmarks.loading.timing import Cost, cost_of
-from benchmarks.loading.ways import WAYS
 from benchmarks.loading.workload import CONFIGS, large_sample, write_shards
 
 COUNT = 32
@@ -32,7 +32,7 @@ def test_loaders_give_the_same_garments(folder: Path, config: str) -> None:
     """``webdataset`` leaves files to be closed by nobody, which is no fault of ours."""
     seen = {}
     for way in ("ours", "webdataset", "hdf5", "litdata"):
-        batches = WAYS[way](folder, CONFIGS[config], 0)
+        batches = LOADERS[way](folder, CONFIGS[config], 0)
         if batches is None:
             continue
         field = "verts" if config == "geometry" else "panels"
@@ -43,10 +43,10 @@ def test_loaders_give_the_same_garments(folder: Path, config: str) -> None:
 
 
 def test_the_floor_reads_every_byte(folder: Path) -> None:
-    batches = WAYS["floor"](folder, CONFIGS["geometry"], 0)
+    batches = LOADERS["floor"](folder, CONFIGS["geometry"], 0)
     assert batches is not None
     assert len(list(batches)) == COUNT // 16
-    assert WAYS["floor"](folder, CONFIGS["geometry"], 2) is None
+    assert LOADERS["floor"](folder, CONFIGS["geometry"], 2) is None
 
 
 def test_a_cost_is_that_of_the_cheapest_epoch() -> None:

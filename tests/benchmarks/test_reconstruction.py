@@ -96,7 +96,7 @@ def as_predicted(garments: GarmentBatch) -> Predicted:
         contours=garments.contours,
         corners=20.0 * (2.0 * garments.corners - 1.0),
         centres=garments.centres,
-        turns=garments.turns,
+        rotations=garments.rotations,
         edges=40.0 * edges,
     )
 
@@ -178,9 +178,9 @@ def test_a_garment_of_too_many_panels_is_named(four: tuple[GarmentBatch, list[Ar
 
 
 def test_six_numbers_make_a_rotation() -> None:
-    turns = rotation_of(torch.randn(5, 6, generator=torch.Generator().manual_seed(0)))
-    assert torch.allclose(turns @ turns.transpose(1, 2), torch.eye(3).expand(5, 3, 3), atol=1e-5)
-    assert torch.allclose(torch.linalg.det(turns), torch.ones(5))
+    rotations = rotation_of(torch.randn(5, 6, generator=torch.Generator().manual_seed(0)))
+    assert torch.allclose(rotations @ rotations.transpose(1, 2), torch.eye(3).expand(5, 3, 3), atol=1e-5)
+    assert torch.allclose(torch.linalg.det(rotations), torch.ones(5))
 
 
 def test_the_learning_rate_rises_then_falls() -> None:

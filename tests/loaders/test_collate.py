@@ -302,7 +302,7 @@ def test_a_batch_takes_another_type(items: list[dict[str, Any]], collate: Any) -
                 wanted = torch.bfloat16 if value.is_floating_point() else value.dtype
                 assert torch.equal(half[name], value.to(wanted)), name
                 assert half[name].dtype == wanted
-    with pytest.raises(ConfigError, match="give a type of floating numbers"):
+    with pytest.raises(ConfigError, match="give a floating type"):
         batch.to(dtype=torch.int32)
 
 

@@ -66,7 +66,7 @@ def test_a_hanging_strip_gives_by_its_weight_along_the_grain(grain: Grain) -> No
     fabric, length = Fabric(tensile=Tensile(40.0, 25.0, 15.0), bending=1e-6), 30.0
     down = {"warp": [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]], "weft": [[0.0, 1.0], [1.0, 0.0], [0.0, 0.0]]}[grain]
     size = (5.0, length) if grain == "warp" else (length, 5.0)
-    mesh = strip(*size, 1.0, place=np.array(down))
+    mesh = strip(*size, 1.0, orientation=np.array(down))
     height = mesh.vertices[:, 1]
     top, bottom = height > height.max() - 1e-6, height < height.min() + 1e-6
     x = settled(mesh, fabric, top, seconds=1.2)
