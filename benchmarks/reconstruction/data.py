@@ -168,7 +168,7 @@ def pattern_of(arrays: Arrays) -> Pattern:
 
 def patterns_from(garments: GarmentBatch) -> list[Pattern]:
     """The patterns of targets, or of predictions in the same form; without seams."""
-    names = ("exists", "contours", "corners", "centres", "turns", "edge_counts")
+    names = ("exists", "contours", "corners", "centres", "rotations", "edge_counts")
     arrays = [getattr(garments, name).detach().cpu().numpy() for name in names]
     patterns = []
     for exists, *panels in zip(*arrays, strict=True):

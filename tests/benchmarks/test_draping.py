@@ -1,4 +1,4 @@
-"""What the benchmark of the drape counts, switches and shows."""
+"""The drape benchmark: variants, figures, pictures of failures."""
 
 import sys
 from dataclasses import fields, replace
@@ -27,7 +27,7 @@ def worn(index: int) -> Worn:
     return Worn(index, "neutral", "Shirt", "", "", DrapeJob(patch(4, 4), far_ball(), SIZE))
 
 
-def test_every_switch_is_turned_alone_once() -> None:
+def test_each_switch_is_varied_once_alone() -> None:
     switches = {entry.name for entry in fields(DrapeConfig) if isinstance(entry.default, bool)}
     alone = [name for variant in variants() if len(variant.switched) == 1 for name in variant.switched]
     assert sorted(alone) == sorted(switches)
@@ -36,18 +36,18 @@ def test_every_switch_is_turned_alone_once() -> None:
         assert changed == set(variant.switched)
 
 
-def test_friction_of_layers_is_the_fabrics() -> None:
+def test_layer_friction_is_switched_in_the_fabric() -> None:
     [slippery] = [variant for variant in variants() if not variant.layers_rub]
     job = slippery.job(worn(0).job)
     assert job.fabric == replace(worn(0).job.fabric, layer_friction=0.0)
 
 
-def test_the_papers_checks_know_no_stretch() -> None:
+def test_the_papers_checks_ignore_stretch() -> None:
     assert pass_paper(drape(Outcome.OVERSTRETCHED))
     assert [outcome for outcome in Outcome if pass_paper(drape(outcome))] == [Outcome.SETTLED, Outcome.OVERSTRETCHED]
 
 
-def test_the_papers_checks_count_edges_of_the_cloth_alone() -> None:
+def test_the_papers_checks_count_edges_of_the_cloth_only() -> None:
     failed = drape(Outcome.THROUGH_BODY)
     assert pass_paper(replace(failed, body_crossings=30, body_through=6))
     assert not pass_paper(replace(failed, body_crossings=36, body_through=6))
@@ -62,13 +62,13 @@ def test_shares_and_percentiles() -> None:
     assert [figures["self_p50"], figures["self_p80"], figures["body_p95"]] == pytest.approx([0.0, 240.0, 0.0])
 
 
-def test_memory_wants_more_than_a_warm_up() -> None:
+def test_memory_needs_more_drapes_than_the_warm_up() -> None:
     with pytest.raises(ConfigError, match="99 drapes: give 100 or more"):
         measure_memory([worn(0)], 99, device="cpu", batch=1)
 
 
 def test_each_failure_has_its_picture(tmp_path: Path) -> None:
-    """Also one whose positions are no numbers; what settled has none."""
+    """Also a garment with NaN positions; a settled one has no picture."""
     garments = [worn(0), worn(1), worn(2)]
     [falling] = drape_batch([garments[0].job], DrapeConfig(max_frames=1), device="cpu")
     assert falling.outcome is Outcome.NOT_SETTLED
@@ -78,13 +78,13 @@ def test_each_failure_has_its_picture(tmp_path: Path) -> None:
     assert names == ["0_NOT_SETTLED.jpg", "2_DIVERGED.jpg", "kinds.jpg"]
 
 
-def test_newton_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_newton_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "newton", None)
     with pytest.raises(ConfigError, match=r"pip install 'gcd-dataset\[bench\]'"):
         require_newton()
 
 
-def test_panels_seen_from_inside_keep_area_and_sides() -> None:
+def test_mirrored_panels_keep_area_and_edge_lengths() -> None:
     mesh = patch(3, 2)
     mirrored = replace(mesh, uv=mesh.uv * [-1.0, 1.0])
     corners = unmirrored(mirrored)

@@ -1,4 +1,4 @@
-"""Data sets on paper: the simulation gives what can be worked out, where it can be."""
+"""The fleet model: the simulation agrees with closed forms where these exist."""
 
 import math
 from dataclasses import replace
@@ -23,29 +23,29 @@ def test_machines_that_never_fail_take_the_garments_over_their_rate() -> None:
     assert done.efficiency == pytest.approx(1.0)
 
 
-def test_every_part_is_begun_once() -> None:
+def test_every_part_is_started_once() -> None:
     assert simulate(replace(CALM, begin=25.0), 240_000, 10_000).away == 24 * 25.0
 
 
-def test_the_last_part_is_waited_for() -> None:
+def test_machines_are_idle_during_the_last_part() -> None:
     done = simulate(CALM, 90_000, 10_000)  # nine parts on eight machines
     assert done.seconds == pytest.approx(2 * 10_000 / 30.0)
     assert done.idle == pytest.approx(7 * 10_000 / 30.0)
 
 
-def test_a_part_of_odd_size_is_made_too() -> None:
+def test_a_part_of_odd_size_is_simulated_too() -> None:
     assert simulate(replace(CALM, machines=1), 25_001, 10_000).seconds == pytest.approx(25_001 / 30.0)
 
 
 @pytest.mark.parametrize("kept", [256, 10_000, 54_000, 100_000])
 def test_failures_cost_what_the_restart_model_expects(kept: int) -> None:
-    """54,000 garments are half an hour, as long as there is between two failures."""
+    """54,000 garments take half an hour, the mean time between failures."""
     fleet, parts = replace(SPOT, kept=kept), 3_000
     taken = simulate(fleet, parts * 54_000, 54_000, seed=1).seconds / parts
     assert taken == pytest.approx(expected_seconds(fleet, 54_000), rel=0.03)
 
 
-def test_one_stretch_without_delays_takes_the_textbook_time() -> None:
+def test_a_stretch_without_delays_takes_the_textbook_time() -> None:
     fleet = replace(SPOT, kept=54_000, begin=0.0, again=0.0)
     assert expected_seconds(fleet, 54_000) == pytest.approx(1800.0 * (math.e - 1))
 
@@ -64,7 +64,7 @@ def test_slow_machines_get_fewer_parts() -> None:
     assert done.seconds >= 10_000.0
 
 
-def test_the_bottleneck_is_what_lets_the_least_through() -> None:
+def test_the_bottleneck_has_the_least_rate() -> None:
     machine, store = Machine(), ObjectStore()
     assert bill(machine, store, garments=10**6, gpus=1, size=963e3, gpu_usd=1.0).bottleneck == "GPU"
     eight = limits(machine, store, gpus=8, size=963e3)
@@ -83,14 +83,14 @@ def test_a_bill_adds_up() -> None:
     assert cost.store_usd == pytest.approx(39_063 * 10 * 5e-6 + 230.0)
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_invalid_values_are_refused() -> None:
     with pytest.raises(ConfigError, match="1 or more"):
         simulate(CALM, 0, 10)
     with pytest.raises(ConfigError, match="above 0"):
         Fleet(machines=0)
 
 
-def test_the_case_prints_the_size_of_parts_that_ends_soonest(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_case_prints_the_fastest_part_size(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["fleet", "--machines", "20", "--garments", "2000000", "--parts", "256", "25600", "2000000"]
     assert run.main(arguments) == 0
     told = capsys.readouterr().out

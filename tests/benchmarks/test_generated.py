@@ -1,4 +1,4 @@
-"""Garments are counted where a training loop takes them."""
+"""The benchmark of fresh garments in a training loop."""
 
 import argparse
 
@@ -15,19 +15,19 @@ def options(*given: str) -> argparse.Namespace:
     return parser.parse_args(given)
 
 
-def test_patterns_are_counted() -> None:
+def test_the_rate_of_patterns_is_measured() -> None:
     asked = options("--stage", "pattern", "--workers", "1", "--seconds", "0.2", "--warm", "2", "--batch", "2")
     figures = {figure.metric: figure.value for figure in generated.run(asked).figures}
     assert figures["per_second"] > 0
 
 
-def test_no_time_is_refused() -> None:
+def test_a_duration_of_zero_is_refused() -> None:
     with pytest.raises(ConfigError, match="--seconds"):
         generated.run(options("--seconds", "0"))
 
 
-def test_networks_wait_for_garments() -> None:
-    """The large one is chosen for the rate at which they come: one layer where they come fast."""
+def test_the_networks_waiting_times_are_measured() -> None:
+    """The large network is sized by the garments' rate: one layer if they are fast."""
     asked = options("--workers", "0", "--seconds", "0.1", "--warm", "2", "--batch", "2")
     garments = GeneratedGarments(99, stage="mesh", resolution=8.0, fields=generated.FIELDS["mesh"])
     figures = {figure.metric: figure.value for figure in generated._trained(garments, asked, 1e6, "cpu")}

@@ -1,12 +1,12 @@
-"""All loaders that are compared load the same garments."""
+"""The loaders benchmark: all loaders yield the same garments."""
 
 from pathlib import Path
 
 import pytest
 import torch
-from benchmarks.loading.loaders import LOADERS
 
 from benchmarks.cases.loaders import _figures, _rows
+from benchmarks.loading.loaders import LOADERS
 from benchmarks.loading.timing import Cost, cost_of
 from benchmarks.loading.workload import CONFIGS, large_sample, write_shards
 
@@ -28,16 +28,16 @@ def test_garments_are_of_the_size_of_a_dress() -> None:
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("config", CONFIGS)
-def test_loaders_give_the_same_garments(folder: Path, config: str) -> None:
-    """``webdataset`` leaves files to be closed by nobody, which is no fault of ours."""
+def test_all_loaders_yield_the_same_garments(folder: Path, config: str) -> None:
+    """``webdataset`` leaves files open, hence the filters."""
     seen = {}
-    for way in ("ours", "webdataset", "hdf5", "litdata"):
-        batches = LOADERS[way](folder, CONFIGS[config], 0)
+    for loader in ("ours", "webdataset", "hdf5", "litdata"):
+        batches = LOADERS[loader](folder, CONFIGS[config], 0)
         if batches is None:
             continue
         field = "verts" if config == "geometry" else "panels"
         rows = torch.cat([batch[field] for batch in batches])
-        seen[way] = rows.sort(dim=0)[0]
+        seen[loader] = rows.sort(dim=0)[0]
     assert len(seen) >= 2
     assert all(torch.equal(rows, seen["ours"]) for rows in seen.values())
 
@@ -49,7 +49,7 @@ def test_the_floor_reads_every_byte(folder: Path) -> None:
     assert LOADERS["floor"](folder, CONFIGS["geometry"], 2) is None
 
 
-def test_a_cost_is_that_of_the_cheapest_epoch() -> None:
+def test_the_cost_is_that_of_the_cheapest_epoch() -> None:
     epochs = []
 
     class Batches:
@@ -63,7 +63,7 @@ def test_a_cost_is_that_of_the_cheapest_epoch() -> None:
     assert cost.wall_ms > 0
 
 
-def test_loaders_that_are_missing_are_left_out() -> None:
+def test_missing_loaders_are_left_out() -> None:
     costs = {("ours", "geometry", 0): Cost(0.4, 0.5), ("floor", "geometry", 0): Cost(0.1, 0.1)}
     costs |= {("webdataset", "geometry", 0): Cost(2.0, 2.0)}
     figures = {figure.metric: figure.value for figure in _figures(costs)}

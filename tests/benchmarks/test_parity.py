@@ -1,4 +1,4 @@
-"""Comparing patterns: what is the same is found the same, and what differs is named with its size."""
+"""Comparison of patterns: equal ones agree, differences are named with their size."""
 
 import argparse
 from dataclasses import replace
@@ -21,14 +21,14 @@ def test_a_pattern_agrees_with_itself() -> None:
     assert max(found.outline.values()) == max(found.placement.values()) == 0.0
 
 
-def test_a_panel_that_hangs_elsewhere_keeps_its_outline() -> None:
+def test_a_moved_panel_keeps_its_outline() -> None:
     found = compare(changed(napkins(), placement=Placement(np.array([3.0, 0.0, 4.0]), np.zeros(3))), napkins())
     assert found.outline["one"] == pytest.approx(0.0, abs=1e-9)
     assert found.placement == {"one": pytest.approx(5.0), "two": 0.0}
 
 
-def test_a_turned_panel_is_as_far_off_as_its_farthest_corner() -> None:
-    """About its middle by an angle a: twice the half diagonal times sin(a / 2)."""
+def test_a_rotated_panel_is_off_by_its_farthest_corner() -> None:
+    """Rotated about its centre by an angle a: twice the half diagonal times sin(a / 2)."""
     centred = changed(napkins(), vertices=napkins().panels[0].vertices - [10.0, 5.0])
     turned = Placement(np.zeros(3), np.array([0.0, 0.0, 0.2]))
     found = compare(changed(centred, placement=turned), centred)
@@ -37,7 +37,7 @@ def test_a_turned_panel_is_as_far_off_as_its_farthest_corner() -> None:
 
 
 def test_a_loop_may_begin_anywhere() -> None:
-    """The same panel drawn from its second corner, its seam numbered to match."""
+    """The same panel drawn from its second corner, its seam renumbered."""
     panel = napkins().panels[0]
     begun = changed(napkins(), edges=(*panel.edges[1:], panel.edges[0]))
     begun = replace(begun, seams=(Seam(EdgeRef("one", 0), EdgeRef("two", 3)),))
@@ -46,8 +46,8 @@ def test_a_loop_may_begin_anywhere() -> None:
     assert found.outline["one"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_bulge_is_found_on_its_edge() -> None:
-    """A quadratic's middle stands half as far off the chord as its control point: 0.5 · 0.1 · 20 cm."""
+def test_a_bulge_is_located_on_its_edge() -> None:
+    """A quadratic's midpoint is half as far off the chord as its control point: 0.5 · 0.1 · 20 cm."""
     panel = napkins().panels[0]
     bent = (panel.edges[0], panel.edges[1], replace(panel.edges[2], curve=Quadratic((0.5, 0.1))), panel.edges[3])
     found = compare(changed(napkins(), edges=bent), napkins())
@@ -56,7 +56,7 @@ def test_a_bulge_is_found_on_its_edge() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pattern", "told"),
+    ("pattern", "message"),
     [
         (replace(napkins(), panels=napkins().panels[:1], seams=()), "panel two: is missing"),
         (replace(napkins(), seams=()), "seam one edge 1 with two edge 3 is not sewn"),
@@ -64,8 +64,8 @@ def test_a_bulge_is_found_on_its_edge() -> None:
         (replace(napkins(), seams=(Seam(EdgeRef("one", 3), EdgeRef("two", 3)),)), "one edge 3 with two edge 3 is sewn"),
     ],
 )
-def test_what_is_sewn_otherwise_is_named(pattern: Pattern, told: str) -> None:
-    assert any(told in str(difference) for difference in compare(pattern, napkins()).structure)
+def test_different_seams_are_named(pattern: Pattern, message: str) -> None:
+    assert any(message in str(difference) for difference in compare(pattern, napkins()).structure)
 
 
 def changed(pattern: Pattern, **values: object) -> Pattern:
@@ -79,24 +79,24 @@ def run(folder: Path, expect: Path | None = None) -> dict[str, float]:
     return {figure.metric: figure.value for figure in measured.figures}
 
 
-def test_our_patterns_are_those_of_the_reference(examples: Path) -> None:
+def test_our_patterns_agree_with_the_reference(examples: Path) -> None:
     figures = run(examples / "patterns")
     assert figures["designs"] == 24
     assert figures["same"] == figures["outline"] == figures["placement"] == 1.0
 
 
 def test_without_an_expected_mend_a_difference_counts(examples: Path, tmp_path: Path) -> None:
-    """Levels are as wide as the hem above them; GarmentCode mixes the hips into that."""
+    """Our levels are as wide as the hem above; GarmentCode's width also depends on the hips."""
     expect = tmp_path / "mends.toml"
     expect.write_text("")
     assert run(examples / "patterns" / "levels_skirt", expect)["outline"] == 0.0
     expect.write_text('default_body = ["LEVEL_GIRTH"]\n')
     assert run(examples / "patterns" / "levels_skirt", expect)["outline"] == 0.5
     expect.write_text('default_body = ["LEVELS"]\n')
-    with pytest.raises(ConfigError, match="no mend is called 'LEVELS': there are"):
+    with pytest.raises(ConfigError, match="unknown mend 'LEVELS': choose among"):
         run(examples / "patterns" / "levels_skirt", expect)
 
 
-def test_a_folder_without_designs_is_told(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no folder in it holds design, measures and specification"):
+def test_a_folder_without_designs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no folder in it has design, measures and specification"):
         run(tmp_path)

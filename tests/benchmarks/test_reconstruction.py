@@ -1,4 +1,4 @@
-"""The reconstruction benchmark measures what it says, on garments small enough for seconds."""
+"""The reconstruction benchmark, on garments small enough for seconds."""
 
 import argparse
 from collections.abc import Callable, Iterator
@@ -51,7 +51,7 @@ def options(**changes: object) -> argparse.Namespace:
 
 @pytest.fixture(scope="module")
 def four(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[GarmentBatch, list[Arrays]]]:
-    """Four plain garments of the generator; tiny networks are quickest on one thread."""
+    """Four plain generated garments; tiny networks are fastest on one thread."""
     plain = tmp_path_factory.mktemp("designs") / "plain.toml"
     plain.write_text(PLAIN)
     threads = torch.get_num_threads()
@@ -81,7 +81,7 @@ def started_elsewhere(garments: GarmentBatch) -> GarmentBatch:
 
 
 @pytest.mark.parametrize("change", [shuffled, started_elsewhere])
-def test_the_order_of_panels_and_starts_does_not_matter(
+def test_the_loss_ignores_the_order_of_panels_and_the_start_of_contours(
     change: Callable[[GarmentBatch], GarmentBatch], four: tuple[GarmentBatch, list[Arrays]]
 ) -> None:
     predicted = predicted_for(four[0])
@@ -89,7 +89,7 @@ def test_the_order_of_panels_and_starts_does_not_matter(
 
 
 def as_predicted(garments: GarmentBatch) -> Predicted:
-    """The truth as a network would say it."""
+    """The targets in the form of a network's output."""
     edges = torch.nn.functional.one_hot(garments.edge_counts, 41).float()
     return Predicted(
         exists=20.0 * (2.0 * garments.exists.float() - 1.0),
@@ -101,7 +101,7 @@ def as_predicted(garments: GarmentBatch) -> Predicted:
     )
 
 
-def test_the_truth_costs_nothing(four: tuple[GarmentBatch, list[Arrays]]) -> None:
+def test_the_truth_has_no_loss(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     said = as_predicted(shuffled(four[0]))
     assert loss_of([said], four[0]) == pytest.approx(0.0, abs=1e-5)
     rows, queries, panels = match_panels(as_predicted(four[0]), four[0])
@@ -109,7 +109,7 @@ def test_the_truth_costs_nothing(four: tuple[GarmentBatch, list[Arrays]]) -> Non
     assert len(rows) == int(four[0].exists.sum())
 
 
-def test_the_form_of_the_answer_loses_next_to_nothing(four: tuple[GarmentBatch, list[Arrays]]) -> None:
+def test_targets_decode_to_nearly_the_same_pattern(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     truth = [pattern_of(arrays) for arrays in four[1]]
     score = mean_scores(scores_of(patterns_from(four[0]), truth))
     assert (score.valid, score.panel_count_acc, score.edge_count_acc) == (1, 1, 1)
@@ -118,7 +118,7 @@ def test_the_form_of_the_answer_loses_next_to_nothing(four: tuple[GarmentBatch, 
     assert score.rot_deg < 0.01
 
 
-def test_training_learns_four_garments_by_heart(four: tuple[GarmentBatch, list[Arrays]]) -> None:
+def test_training_overfits_four_garments(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     losses: list[float] = []
     args = options(steps=180)
     net = train(four[0], args, torch.device("cpu"), losses)
@@ -137,7 +137,7 @@ def test_the_same_seed_trains_the_same_network(four: tuple[GarmentBatch, list[Ar
     assert losses[0] == losses[1]
 
 
-def test_the_nearest_of_a_known_garment_is_itself(four: tuple[GarmentBatch, list[Arrays]]) -> None:
+def test_the_nearest_training_garment_of_itself_is_itself(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     points = four[0].points[..., :3].float()
     assert nearest_garments(points[:, :256], points[:, 256:]).tolist() == [0, 1, 2, 3]
 
@@ -148,12 +148,12 @@ def test_chamfer_distance_of_shifted_points() -> None:
     assert torch.allclose(chamfer_distances(grid, others), torch.tensor([0.0, 6.0]), atol=1e-3)
 
 
-def test_the_most_typical_is_in_the_middle() -> None:
+def test_the_most_typical_garment_is_central() -> None:
     cloud = torch.rand(64, 3, generator=torch.Generator().manual_seed(0))
     assert most_typical(torch.stack([cloud + shift for shift in (0.0, 5.0, 9.0)])) == 1
 
 
-def test_points_are_shared_out_by_length() -> None:
+def test_points_are_divided_by_edge_length() -> None:
     assert shares(np.array([30.0, 10.0, 30.0, 10.0]), 20) == [7, 3, 7, 3]
     assert shares(np.array([1000.0, 0.01, 0.01]), 8) == [6, 1, 1]
     with pytest.raises(ConfigError, match="raise --contour-points"):
@@ -164,7 +164,7 @@ def test_points_are_shared_out_by_length() -> None:
     "curve",
     [LINE, Cubic((0.2, 0.4), (0.7, -0.3)), Arc(12.0, False, True), Arc(12.0, True, False), Arc(30.0, False, False)],
 )
-def test_a_curve_is_found_in_its_points(curve: Curve) -> None:
+def test_a_curve_is_fitted_to_its_own_points(curve: Curve) -> None:
     ends = (3.0, -2.0), (20.0, 9.0)
     fitted = fitted_curve(curve_points(*ends, curve, np.linspace(0, 1, 20)))
     assert fitted.kind == curve.kind
@@ -172,12 +172,12 @@ def test_a_curve_is_found_in_its_points(curve: Curve) -> None:
     assert np.allclose(curve_points(*ends, fitted, middle), curve_points(*ends, curve, middle), atol=1e-6)
 
 
-def test_a_garment_of_too_many_panels_is_named(four: tuple[GarmentBatch, list[Arrays]]) -> None:
+def test_a_garment_with_too_many_panels_is_refused(four: tuple[GarmentBatch, list[Arrays]]) -> None:
     with pytest.raises(ConfigError, match="raise --queries"):
         ToTargets(1, 64, 128).of(pattern_of(four[1][0]))
 
 
-def test_six_numbers_make_a_rotation() -> None:
+def test_two_columns_give_a_rotation() -> None:
     rotations = rotation_of(torch.randn(5, 6, generator=torch.Generator().manual_seed(0)))
     assert torch.allclose(rotations @ rotations.transpose(1, 2), torch.eye(3).expand(5, 3, 3), atol=1e-5)
     assert torch.allclose(torch.linalg.det(rotations), torch.ones(5))

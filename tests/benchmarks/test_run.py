@@ -1,4 +1,4 @@
-"""The runner prints figures and leaves a report."""
+"""The runner prints figures and writes a report."""
 
 import argparse
 from pathlib import Path
@@ -12,7 +12,7 @@ from benchmarks.cases.figures import Figure, Measured
 
 @pytest.fixture(autouse=True)
 def tape(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The one case there is, and the folder of the reports that are kept."""
+    """Installs a single case, and a folder for the reports of the tree."""
 
     def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--length", type=float)
@@ -37,7 +37,7 @@ def test_figures_are_printed_and_reported(tmp_path: Path, capsys: pytest.Capture
     assert "commit: " in text
 
 
-def test_a_report_of_a_full_run_is_replaced_only_when_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_report_in_the_tree_is_replaced_only_on_request(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kept = tmp_path / "reports" / "tape.md"
     kept.parent.mkdir()
     kept.write_text("of a full run")

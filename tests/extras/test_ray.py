@@ -1,4 +1,4 @@
-"""Garments made on a Ray cluster of several nodes, one of which is killed: the same bytes, and faults as one line."""
+"""Generation on a Ray cluster of several nodes, one of which is killed: same bytes, one-line errors."""
 
 import os
 import signal
@@ -29,7 +29,7 @@ from gcd_dataset.verbs.progress import Progress  # noqa: E402
 from tests.test_cli import one_line  # noqa: E402
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore::ResourceWarning"),  # Ray leaves files of its processes open
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),  # Ray leaves files open
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     pytest.mark.filterwarnings("ignore::FutureWarning"),
@@ -64,7 +64,7 @@ sys.meta_path.insert(0, Refuse())
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """A cluster whose head makes nothing."""
+    """A cluster whose head node makes no garments."""
     from ray.cluster_utils import Cluster
 
     started = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
@@ -75,7 +75,7 @@ def cluster() -> Iterator[Any]:
 
 @pytest.fixture
 def node(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Any]]:
-    """Adds a node of one CPU to the cluster that ``RAY_ADDRESS`` names; they go after the test."""
+    """Adds nodes of one CPU to the cluster of ``RAY_ADDRESS``; removed after the test."""
     monkeypatch.setenv("RAY_ADDRESS", cluster.address)
 
     def added(**options: Any) -> Any:
@@ -108,7 +108,7 @@ def test_a_node_killed_in_the_middle_changes_no_byte(
     assert files(tmp_path / "ray") == files(tmp_path / "here")
 
 
-def test_a_design_that_nobody_can_wear_is_told_as_without_ray(
+def test_a_design_without_wearers_gives_the_same_error_as_without_ray(
     tmp_path: Path, node: Callable[..., Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
     node()
@@ -126,7 +126,7 @@ def test_a_design_that_nobody_can_wear_is_told_as_without_ray(
 @pytest.mark.parametrize(
     ("doctored", "told"), [(WITHOUT_WARP_OF_OURS, "warp-lang 0.1 instead of"), (WITHOUT_US, "gcd_dataset missing")]
 )
-def test_a_node_with_other_versions_is_told_before_anything_is_made(
+def test_a_node_with_other_versions_is_refused_at_the_start(
     doctored: str, told: str, tmp_path: Path, node: Callable[..., Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "sitecustomize.py").write_text(doctored)
@@ -140,7 +140,7 @@ def test_a_node_with_other_versions_is_told_before_anything_is_made(
     assert not out.exists()
 
 
-def test_a_garment_that_kills_each_worker_is_told_and_what_came_before_is_kept(node: Callable[..., Any]) -> None:
+def test_a_garment_that_kills_workers_is_named_and_earlier_ones_are_kept(node: Callable[..., Any]) -> None:
     node()
 
     def finished(sample: Sample) -> int:
@@ -156,7 +156,7 @@ def test_a_garment_that_kills_each_worker_is_told_and_what_came_before_is_kept(n
     assert came == [0]
 
 
-def test_an_actor_that_dies_is_started_again_and_its_garments_are_draped(node: Callable[..., Any]) -> None:
+def test_an_actor_that_dies_is_restarted_and_its_garments_are_draped(node: Callable[..., Any]) -> None:
     node(num_gpus=1)
     ray.init(log_to_driver=False)
     actor = start_actor("cpu", gpus=0.5)
@@ -171,7 +171,7 @@ def test_an_actor_that_dies_is_started_again_and_its_garments_are_draped(node: C
     assert made == here
 
 
-def test_a_node_whose_gpu_falls_out_in_the_middle_is_done_without(
+def test_a_node_whose_gpu_fails_is_dropped(
     cluster: Any, node: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = ray_actor.start_actor
@@ -193,7 +193,7 @@ def test_a_node_whose_gpu_falls_out_in_the_middle_is_done_without(
         assert np.array_equal(ours.drape.vertices, theirs.drape.vertices)
 
 
-def test_actors_that_are_gone_for_good_are_told(node: Callable[..., Any]) -> None:
+def test_permanently_lost_actors_are_named(node: Callable[..., Any]) -> None:
     node(num_gpus=1)
     ray.init(log_to_driver=False)
     actor = start_actor("cpu", gpus=0.5)
@@ -203,7 +203,7 @@ def test_actors_that_are_gone_for_good_are_told(node: Callable[..., Any]) -> Non
         list(produce(5, range(1), DRAPED, draper=draper))
 
 
-def test_an_address_where_nothing_answers_is_told_soon(
+def test_an_address_without_a_server_fails_soon(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")
@@ -217,7 +217,7 @@ def test_ctrl_c_leaves_no_process_of_a_local_cluster(tmp_path: Path) -> None:
     name, _, value = mark.partition("=")
     env = os.environ | {name: value, "RAY_ADDRESS": "local", "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path / "data"), "--count", "100000"]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it otherwise
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
     process = subprocess.Popen(
         [*command, "--stage", "pattern", "--engine", "ray", "--quiet"],
         stderr=subprocess.PIPE,
@@ -227,7 +227,7 @@ def test_ctrl_c_leaves_no_process_of_a_local_cluster(tmp_path: Path) -> None:
     )
     signal.signal(signal.SIGINT, before)
     wait_until(lambda: sum(path.stat().st_size for path in tmp_path.glob("data/*.part")) > 50_000)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does it
+    os.killpg(process.pid, signal.SIGINT)  # like a terminal
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
     assert "the same command goes on from there" in one_line(said)
@@ -235,13 +235,13 @@ def test_ctrl_c_leaves_no_process_of_a_local_cluster(tmp_path: Path) -> None:
 
 
 def marked(mark: str) -> list[str]:
-    """Processes with that entry in their environment."""
+    """Processes whose environment holds a given entry."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             if mark.encode() in (folder / "environ").read_bytes().split(b"\0"):
                 found.append(folder.name)
-        except OSError:  # ended meanwhile, or of another user
+        except OSError:  # has ended, or belongs to another user
             continue
     return found
 

@@ -1,4 +1,4 @@
-"""The programs of docs/training.md, as they stand there: two processes train on each garment once, stopped or not."""
+"""The programs of docs/training.md run verbatim: two processes train on each garment once, stopped or not."""
 
 import ast
 import os
@@ -22,18 +22,18 @@ BIN = Path(sys.executable).parent
 N, RANKS, EPOCHS = 48, 2, 2
 TORCHRUN = ["torchrun", "--standalone", "--nproc-per-node", str(RANKS), "--log-dir", "logs", "--redirects", "3"]
 TORCH_ABORT = "terminate called without an active exception"  # pytorch#179291: a gloo thread outlives Python
-OF_A_RANK = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "PYTHONUNBUFFERED")  # the last would let lines of two ranks mix
+RANK_VARIABLES = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "PYTHONUNBUFFERED")  # the last would mix ranks' lines
 
 
-def run(place: Path, *command: str) -> list[str]:
-    """What a command that succeeds prints."""
-    shutil.rmtree(place / "logs", ignore_errors=True)
-    # ``torchrun`` and ``gcd`` of this environment; a rank that this process may have is not theirs.
-    env = {name: value for name, value in os.environ.items() if name not in OF_A_RANK}
+def run(workspace: Path, *command: str) -> list[str]:
+    """The output of a command; asserts success."""
+    shutil.rmtree(workspace / "logs", ignore_errors=True)
+    # ``torchrun`` and ``gcd`` of this environment, without this process's own rank.
+    env = {name: value for name, value in os.environ.items() if name not in RANK_VARIABLES}
     env |= {"PATH": f"{BIN}{os.pathsep}{env['PATH']}", "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
-    done = subprocess.run(command, cwd=place, env=env, capture_output=True, text=True, timeout=240, check=False)
-    logs = {path: path.read_text() for path in (place / "logs").rglob("std*.log")}
-    # torch may abort a rank that exits, after the last barrier: what was printed and saved is complete and is checked.
+    done = subprocess.run(command, cwd=workspace, env=env, capture_output=True, text=True, timeout=240, check=False)
+    logs = {path: path.read_text() for path in (workspace / "logs").rglob("std*.log")}
+    # torch may abort an exiting rank after the last barrier: its output is complete, and is checked.
     aborted = any(TORCH_ABORT in text for text in logs.values())
     assert done.returncode == 0 or aborted, "".join([*logs.values(), done.stdout, done.stderr])[-6000:]
     return "".join([done.stdout, *(text for path, text in logs.items() if path.stem == "stdout")]).splitlines()
@@ -41,20 +41,20 @@ def run(place: Path, *command: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The garments and the programs of the guide."""
-    place = tmp_path_factory.mktemp("guide")
+    """A folder with the garments and programs of the guide."""
+    workspace = tmp_path_factory.mktemp("guide")
     for language, title, content in BLOCK.findall(GUIDE.read_text()):
         if language == "sh":
             for line in content.splitlines():
-                run(place, *line.split())
+                run(workspace, *line.split())
         elif title:
-            (place / title).write_text(content)
-    return place
+            (workspace / title).write_text(content)
+    return workspace
 
 
 @pytest.fixture
-def place(made: Path, tmp_path: Path) -> Path:
-    """A folder of its own for a training."""
+def workspace(made: Path, tmp_path: Path) -> Path:
+    """A fresh copy for one training."""
     (tmp_path / "garments").symlink_to(made / "garments")
     for program in made.glob("*.py"):
         (tmp_path / program.name).write_text(program.read_text())
@@ -62,7 +62,7 @@ def place(made: Path, tmp_path: Path) -> Path:
 
 
 def steps_of(lines: list[str]) -> dict[int, list[tuple[float, list[int]]]]:
-    """Step to what its ranks print: loss and garments."""
+    """Step to the (loss, garments) of each rank."""
     found = defaultdict(list)
     for line in lines:
         if match := re.fullmatch(r"(\d+) (\S+) (\[.*\])", line.removeprefix("train ")):
@@ -71,7 +71,7 @@ def steps_of(lines: list[str]) -> dict[int, list[tuple[float, list[int]]]]:
 
 
 def assert_each_once(steps: dict[int, Any], count: int, ranks: int) -> None:
-    """Every garment comes once an epoch, and all ranks take part in every step."""
+    """Assert that each garment comes once per epoch, and that all ranks take part in each step."""
     each = len(steps) // EPOCHS
     for epoch in range(EPOCHS):
         taken = [steps[step] for step in range(epoch * each + 1, (epoch + 1) * each + 1)]
@@ -88,33 +88,33 @@ def assert_each_once(steps: dict[int, Any], count: int, ranks: int) -> None:
         ("acc.py", TORCHRUN, RANKS, N, (5,)),
     ],
 )
-def test_a_stopped_training_is_the_whole_one(
-    place: Path, program: str, command: list[str], ranks: int, count: int, stops: tuple[int, ...]
+def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one(
+    workspace: Path, program: str, command: list[str], ranks: int, count: int, stops: tuple[int, ...]
 ) -> None:
-    told = run(place, *command, program)
+    told = run(workspace, *command, program)
     whole = steps_of(told)
     assert_each_once(whole, count, ranks)
-    # Also the first one, which comes after Lightning has tried out two batches.
+    # Also the first, which follows Lightning's sanity check of two batches.
     validated = {name: seen for name, seen in counted(told).items() if name.startswith("validate")}
     expected = {f"validate {epoch}": Counter(range(count, N)) for epoch in range(EPOCHS)}
     assert validated == (expected if program == "lit.py" else {})
     for checkpoint in ("plain.pt", "ddp.pt"):
-        (place / checkpoint).unlink(missing_ok=True)
+        (workspace / checkpoint).unlink(missing_ok=True)
     for folder in ("lit", "acc"):
-        if (place / folder).exists():
-            (place / folder).rename(place / f"{folder}-whole")
+        if (workspace / folder).exists():
+            (workspace / folder).rename(workspace / f"{folder}-whole")
     parts: dict[int, Any] = {}
     for stop in (*stops, None):
-        told = run(place, *command, program, *([] if stop is None else [str(stop)]))
+        told = run(workspace, *command, program, *([] if stop is None else [str(stop)]))
         begun = len(parts)
-        offset = begun if program == "acc.py" else 0  # which counts the steps of this run
+        offset = begun if program == "acc.py" else 0  # acc.py counts the steps of this run
         parts |= {step + offset: ranks for step, ranks in steps_of(told).items()}
         assert len(parts) == (len(whole) if stop is None else begun + stop if program == "acc.py" else stop)
-    assert parts == whole  # losses to the last digit, and garments
+    assert parts == whole  # bitwise equal losses, and garments
 
 
 def counted(lines: list[str]) -> dict[str, Counter[int]]:
-    """How often each garment is printed, behind what comes before its batch."""
+    """How often each garment is printed, by the label before its batch."""
     found: dict[str, Counter[int]] = defaultdict(Counter)
     for line in lines:
         if match := re.fullmatch(r"(.*?) ?(\[[\d, ]*\])", line):
@@ -122,21 +122,21 @@ def counted(lines: list[str]) -> dict[str, Counter[int]]:
     return found
 
 
-def test_a_prepared_loader_gives_each_garment_once(place: Path) -> None:
-    seen = counted(run(place, *TORCHRUN, "prepared.py"))
+def test_a_prepared_loader_yields_each_garment_once(workspace: Path) -> None:
+    seen = counted(run(workspace, *TORCHRUN, "prepared.py"))
     assert seen == {str(epoch): Counter(range(N)) for epoch in range(EPOCHS)}
 
 
-def test_arrow_holds_each_garment_once(place: Path) -> None:
-    numbers = [int(line.split()[0]) for line in run(place, *TORCHRUN, "hf.py") if line[:1].isdigit()]
+def test_arrow_holds_each_garment_once(workspace: Path) -> None:
+    numbers = [int(line.split()[0]) for line in run(workspace, *TORCHRUN, "hf.py") if line[:1].isdigit()]
     assert sorted(numbers) == list(range(N))
 
 
-def test_accelerate_shares_out_what_nobody_has(place: Path) -> None:
-    run(place, *TORCHRUN, str(HERE / "under_accelerate.py"), "garments")
+def test_accelerate_splits_what_is_not_split_yet(workspace: Path) -> None:
+    run(workspace, *TORCHRUN, str(HERE / "under_accelerate.py"), "garments")
 
 
-def test_lightning_shares_out_nothing_again(place: Path) -> None:
-    seen = counted(run(place, *TORCHRUN, str(HERE / "under_lightning.py"), "garments"))
+def test_lightning_does_not_split_again(workspace: Path) -> None:
+    seen = counted(run(workspace, *TORCHRUN, str(HERE / "under_lightning.py"), "garments"))
     names = [f"{kind} {epoch}" for kind in ("train", "validate", "fabric") for epoch in range(EPOCHS)]
     assert seen == {name: Counter(range(N)) for name in names}

@@ -1,4 +1,4 @@
-"""A program of two ranks: what accelerate's loaders give, in each of the ways that it shares out garments."""
+"""A program of two ranks: accelerate's loaders in each of their ways to split garments."""
 
 import sys
 from typing import Any
@@ -26,7 +26,7 @@ def prepared(loader: DataLoader, **options: Any) -> Any:
 
 
 def require_each_once(name: str, loader: Any) -> None:
-    """Two epochs."""
+    """Require each garment once, for two epochs."""
     for epoch in range(2):
         own = [number for batch in loader for number in batch.tolist()]
         every: list[Any] = [None] * dist.get_world_size()
@@ -45,13 +45,13 @@ def streamed(workers: int = 0) -> DataLoader:
     return DataLoader(stream, SIZE, num_workers=workers, collate_fn=numbers)
 
 
-def require_refused(loader: Any, told: str) -> None:
+def require_refused(loader: Any, message: str) -> None:
     try:
         next(iter(loader))
     except ConfigError as error:
-        assert told in str(error), error
+        assert message in str(error), error
     else:
-        raise AssertionError(told)
+        raise AssertionError(message)
 
 
 Accelerator(cpu=True)

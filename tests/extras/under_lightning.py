@@ -1,4 +1,4 @@
-"""A program of two ranks: what a model is given whose sampler Lightning would replace, and in Fabric."""
+"""A program of two ranks: the samples of a Lightning model and of Fabric; Lightning keeps our sampler."""
 
 import sys
 from typing import Any
@@ -22,7 +22,7 @@ class Model(lightning.LightningModule):  # type: ignore[misc]  # it is untyped
         self.net = torch.nn.Linear(1, 1)
 
     def train_dataloader(self) -> DataLoader:
-        """Asked for when the ranks have met."""
+        """Called once the process group exists."""
         return DataLoader(garments, 4, sampler=ElasticSampler(garments), num_workers=1, collate_fn=numbers)
 
     def training_step(self, batch: torch.Tensor, number: int) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""Real garments for tests that train on them: patterns by our own generator, of which one takes 30 ms."""
+"""Generated patterns in shards, for tests that train; one takes 30 ms."""
 
 from pathlib import Path
 
@@ -9,8 +9,8 @@ from gcd_dataset.shards import ShardWriter
 CONFIG = MakeConfig(bodies="neutral", stage="pattern")
 
 
-def sewn(folder: Path, count: int, *, seed: int = 0, shard_size: int = 1000) -> Path:
-    """Patterns 0 … ``count`` - 1 of a seed, in shards."""
+def pattern_shards(folder: Path, count: int, *, seed: int = 0, shard_size: int = 1000) -> Path:
+    """Write patterns 0 … ``count`` - 1 of a seed as shards. Returns the folder."""
     with ShardWriter(folder, split="train", seed=seed, recipe=recipe_of(CONFIG), shard_size=shard_size) as writer:
         for index in range(count):
             writer.write(make(seed, index, CONFIG))

@@ -1,4 +1,4 @@
-"""Bodies through the door that users take: from shards and from the published folder, the same items."""
+"""Data sets of bodies: shards and the published folder give the same items."""
 
 import re
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ SEED = 5
 
 @pytest.fixture(scope="module")
 def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three people of our own in shards."""
+    """Three generated people in shards."""
     folder = tmp_path_factory.mktemp("ours")
     with BodyWriter(folder, own_mesh(), seed=SEED, recipe=PEOPLE_RECIPE) as writer:
         for index in range(COUNT):
@@ -59,7 +59,7 @@ def assert_same(item: Mapping[str, Any], other: Mapping[str, Any]) -> None:
 # --------------------------------------------------------------------------------------------------------------- ours
 
 
-def test_a_shape_builds_the_meshes_that_are_stored(ours: Path) -> None:
+def test_a_stored_shape_builds_the_stored_meshes(ours: Path) -> None:
     ds = BodyDataset(ours)
     for index in range(COUNT):
         person = ds.person(index)
@@ -67,7 +67,7 @@ def test_a_shape_builds_the_meshes_that_are_stored(ours: Path) -> None:
         assert np.array_equal(person.straight, build_body(person.shape).vertices.astype(np.float32))
 
 
-def test_an_item_holds_what_the_person_is(ours: Path) -> None:
+def test_an_item_holds_the_persons_fields(ours: Path) -> None:
     ds = BodyDataset(ours)
     item, person = ds[1], ds.person(1)
     assert item["name"] == f"random:{SEED}:1"
@@ -87,7 +87,7 @@ def test_one_person_has_the_same_measures_in_both_poses(ours: Path) -> None:
         straight = measure(person.body(ds.mesh)).to_file_values()
         apart = measure(person.body(ds.mesh, legs_apart=True)).to_file_values()
         assert straight == pytest.approx(stored, abs=0.01)
-        # The legs hang on the pelvis: what is measured above it does not know how they stand.
+        # Measures above the pelvis do not depend on the pose of the legs.
         above = (
             "head_l",
             "neck_w",
@@ -100,14 +100,14 @@ def test_one_person_has_the_same_measures_in_both_poses(ours: Path) -> None:
             "waist_line",
         )
         assert {name: apart[name] for name in above} == pytest.approx({name: stored[name] for name in above}, abs=0.02)
-        # Legs of one length, spread, carry the body lower; and feet further apart.
+        # Spread legs lower the body and move the feet apart.
         assert apart["height"] < straight["height"]
         feet = np.flatnonzero(ds.mesh.parts == BodyPart.FEET.value)
         assert np.ptp(person.apart[feet, 0]) > np.ptp(person.straight[feet, 0]) + 4.0
         assert person.straight[:, 1].min() == person.apart[:, 1].min() == 0.0
 
 
-def test_a_person_is_who_wears_the_design_of_that_number(ours: Path) -> None:
+def test_person_i_wears_design_i(ours: Path) -> None:
     sample = make(SEED, 2, MakeConfig(stage="pattern"))
     person = BodyDataset(ours).person(2)
     assert sample.shape is not None
@@ -116,13 +116,13 @@ def test_a_person_is_who_wears_the_design_of_that_number(ours: Path) -> None:
     assert sample.measurements.to_file_values() == pytest.approx(person.measurements.to_file_values(), rel=1e-15)
 
 
-def test_the_mesh_is_there_once(ours: Path) -> None:
+def test_the_mesh_is_stored_once(ours: Path) -> None:
     ds = BodyDataset(ours)
     assert ds.faces.dtype == torch.int32 and ds.parts is not None
     assert ds.faces.max() + 1 == len(ds.parts) == len(ds[0]["straight"])
     inwards = ds[0]["straight"][ds.faces.long()]
     volume = torch.linalg.det(inwards.double()).sum() / 6
-    assert 40_000 < volume < 150_000  # cm³: a person, faces outwards
+    assert 40_000 < volume < 150_000  # cm³, of a person with outward faces
 
 
 @pytest.mark.parametrize(("workers", "context"), [(0, None), (2, "fork"), (1, "spawn")])
@@ -183,7 +183,7 @@ def test_the_published_layout_gives_the_same_items(ours: Path, published: Path, 
     assert dressed.vertices.dtype == float and len(dressed.vertices) == len(dressed.parts)
 
 
-def test_published_people_go_into_shards_as_they_are(few: Path, tmp_path: Path) -> None:
+def test_published_people_are_stored_unchanged_in_shards(few: Path, tmp_path: Path) -> None:
     limbs = [BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG, BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM]
     mesh = BodyMesh(MESH.faces, np.array([part.value for part in limbs], np.uint8))
     folder = PublishedBodies(few, segmentation=segmentation(tmp_path / "parts.json", mesh))
@@ -194,7 +194,7 @@ def test_published_people_go_into_shards_as_they_are(few: Path, tmp_path: Path) 
         assert_same(item, other)
 
 
-def test_only_what_is_asked_for_is_read(ours: Path, few: Path) -> None:
+def test_only_the_files_of_the_fields_are_read(ours: Path, few: Path) -> None:
     for ds in (BodyDataset(ours, fields=("measures", "name")), PublishedBodies(few, fields=("measures", "name"))):
         assert list(ds[0]) == ["name", "measures"]
         assert isinstance(ds, Bodies)
@@ -210,7 +210,7 @@ def test_only_what_is_asked_for_is_read(ours: Path, few: Path) -> None:
     assert PublishedBodies(few, fields=["shape"])[0]["shape"].shape == (3,)
 
 
-def test_what_is_missing_is_named(few: Path) -> None:
+def test_a_missing_file_is_named(few: Path) -> None:
     (few / "meshes" / "00001_apart.obj").unlink()
     with pytest.raises(ShardError, match=r"meshes/00001_apart\.obj: missing, as 1 of 8 files are: extract"):
         PublishedBodies(few)
@@ -222,7 +222,7 @@ def test_what_is_missing_is_named(few: Path) -> None:
         without.person(0).body(without.mesh)
 
 
-def test_no_such_folder_is_told(tmp_path: Path, few: Path) -> None:
+def test_a_missing_folder_is_named(tmp_path: Path, few: Path) -> None:
     archive = tmp_path / "5000_body_shapes_and_measures.tar.gz"
     archive.write_bytes(b"\x1f\x8b")
     with pytest.raises(ShardError, match="extract it"):
@@ -240,7 +240,7 @@ def edited(path: Path, pattern: str, put: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pattern", "put", "told"),
+    ("pattern", "put", "message"),
     [
         (r"^v (\S+) ", "v nan ", "a position that is no number"),
         (r"^v (\S+) \S+ \S+", r"v \1", "a vertex that is not three numbers"),
@@ -252,13 +252,13 @@ def edited(path: Path, pattern: str, put: str) -> None:
         (r"^v (\S+) (1\.\S+) ", r"v \1 \g<2>e3 ", "m tall: published meshes are in metres"),
     ],
 )
-def test_a_broken_mesh_is_named(few: Path, pattern: str, put: str, told: str) -> None:
+def test_a_broken_mesh_is_named(few: Path, pattern: str, put: str, message: str) -> None:
     edited(few / "meshes" / "00001_apart.obj", pattern, put)
-    with pytest.raises(BodyError, match=rf"00001_apart\.obj: .*{told}"):
+    with pytest.raises(BodyError, match=rf"00001_apart\.obj: .*{message}"):
         PublishedBodies(few)[1]
 
 
-def test_faces_may_be_written_in_another_way(few: Path) -> None:
+def test_faces_may_have_texture_indices(few: Path) -> None:
     before = PublishedBodies(few)[1]
     path = few / "meshes" / "00001_straight.obj"
     path.write_text(re.sub(r"^f (\d+) (\d+) (\d+)$", r"f \1/7/7 \2//9 \3", path.read_text(), flags=re.M))
@@ -266,7 +266,7 @@ def test_faces_may_be_written_in_another_way(few: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("meta", "told"),
+    ("meta", "message"),
     [
         ("{", "no map with pca_weights"),
         ("[]", "no map with pca_weights"),
@@ -276,9 +276,9 @@ def test_faces_may_be_written_in_another_way(few: Path) -> None:
         ('{"pca_weights": [1.0], "arm_inclination": "1"}', "arm_inclination '1'"),
     ],
 )
-def test_broken_weights_are_named(few: Path, meta: str, told: str) -> None:
+def test_broken_weights_are_named(few: Path, meta: str, message: str) -> None:
     (few / "meta" / "00001_meta.json").write_text(meta)
-    with pytest.raises(BodyError, match=rf"00001_meta\.json: .*{told}"):
+    with pytest.raises(BodyError, match=rf"00001_meta\.json: .*{message}"):
         PublishedBodies(few, fields=["shape"])[1]
 
 
@@ -292,7 +292,9 @@ def test_the_published_example_is_read(examples: Path) -> None:
     assert item["straight"].shape == (23752, 3)
     assert ds.faces.shape == (47500, 3)
     assert item["measures"][height] == pytest.approx(173.175)
-    assert item["straight"][:, 1].max() == pytest.approx(166.2, abs=0.1)  # cm: the mean woman stands in for this person
+    assert item["straight"][:, 1].max() == pytest.approx(
+        166.2, abs=0.1
+    )  # cm: the mean woman's mesh is used for this person
     assert ds.parts is not None
     assert (ds.parts == BodyPart.LEFT_ARM.value).sum() == 3094
     everybody = PublishedBodies(root, fields=["measures"])

@@ -1,4 +1,4 @@
-"""Items that a thread makes before they are taken."""
+"""``by_thread``: items made ahead by a thread."""
 
 import contextlib
 import gc
@@ -13,7 +13,7 @@ import pytest
 from gcd_dataset.by_thread import by_thread
 
 
-def test_no_more_are_made_than_asked_for() -> None:
+def test_the_thread_makes_no_more_items_than_the_queue_holds() -> None:
     taken, ahead = 0, []
 
     def items() -> Iterator[int]:
@@ -25,10 +25,10 @@ def test_no_more_are_made_than_asked_for() -> None:
         assert item == number
         taken = number + 1
     assert taken == 50
-    assert max(ahead) <= 3 + 1  # the one that is taken has made room
+    assert max(ahead) <= 3 + 1  # the item just taken has left a slot
 
 
-def test_they_are_made_before_they_are_taken() -> None:
+def test_items_are_made_before_they_are_taken() -> None:
     third = threading.Event()
 
     def items() -> Iterator[int]:
@@ -42,7 +42,7 @@ def test_they_are_made_before_they_are_taken() -> None:
     assert list(ahead) == [1, 2]
 
 
-def test_an_error_comes_after_those_before_it() -> None:
+def test_an_error_comes_after_the_items_before_it() -> None:
     def items() -> Iterator[int]:
         yield from (0, 1)
         raise ValueError("the third")
@@ -54,7 +54,7 @@ def test_an_error_comes_after_those_before_it() -> None:
 
 
 @pytest.mark.parametrize("wait", [False, True])
-def test_the_thread_ends_when_nobody_takes_more(wait: bool) -> None:
+def test_closing_the_iterator_ends_the_thread(wait: bool) -> None:
     threads: list[threading.Thread] = []
 
     def items() -> Iterator[int]:
@@ -70,8 +70,8 @@ def test_the_thread_ends_when_nobody_takes_more(wait: bool) -> None:
     assert not threads[0].is_alive()
 
 
-def test_an_end_of_the_thread_is_told() -> None:
-    """An exception, though no error."""
+def test_an_exit_in_the_thread_reaches_the_caller() -> None:
+    """``KeyboardInterrupt`` and the like are no ``Exception``."""
 
     def items() -> Iterator[int]:
         yield 0
@@ -91,8 +91,8 @@ def test_an_end_of_the_thread_is_told() -> None:
     assert [str(end) for end in ended] == ["the second"]
 
 
-def test_an_error_that_was_caught_keeps_nothing() -> None:
-    """Of those that it came through, such as loaders with their workers."""
+def test_a_caught_error_keeps_no_object_alive() -> None:
+    """Such as the loader, with its workers, in the frames of the traceback."""
 
     class Held:
         pass
@@ -127,17 +127,17 @@ next(made)
 """
 
 
-def test_a_program_may_end_while_items_are_made() -> None:
+def test_a_program_can_end_while_items_are_made() -> None:
     done = subprocess.run([sys.executable, "-c", AT_THE_END], capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 0, done.stderr
 
 
-def test_what_comes_first_is_done_by_the_thread() -> None:
+def test_begin_runs_in_the_thread() -> None:
     begun = []
     assert list(by_thread(iter("ab"), 1, begin=lambda: begun.append(threading.current_thread()))) == ["a", "b"]
     assert begun != [threading.current_thread()]
 
 
-def test_an_error_at_the_beginning_is_told() -> None:
+def test_an_error_in_begin_reaches_the_caller() -> None:
     with pytest.raises(ZeroDivisionError):
         next(by_thread(iter("ab"), 1, begin=lambda: 1 / 0))  # type: ignore[arg-type]

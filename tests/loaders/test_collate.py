@@ -1,4 +1,4 @@
-"""Ragged garments in one batch: every row number still means what it meant alone."""
+"""Batches of ragged garments: row numbers keep their meaning."""
 
 import subprocess
 import sys
@@ -30,8 +30,8 @@ def batch(items: list[dict[str, Any]]) -> PackedBatch:
     return collate_packed(items)
 
 
-def of(batch: dict[str, Any], field: str, k: int) -> torch.Tensor:
-    """Garment k's rows."""
+def rows_of(batch: dict[str, Any], field: str, k: int) -> torch.Tensor:
+    """Rows of garment k."""
     first, last = batch[f"{field}_ptr"][k : k + 2].tolist()
     rows: torch.Tensor = batch[field][first:last]
     return rows
@@ -41,26 +41,26 @@ def test_garments_differ_in_size(items: list[dict[str, Any]]) -> None:
     assert len({len(item["verts"]) for item in items}) > 1
 
 
-def test_arrays_are_those_of_the_garments(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
+def test_packed_rows_are_those_of_the_garments(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
     assert batch["batch_size"] == B
     for k, item in enumerate(items):
         for field in ("verts", "box", "uv", "panels"):
-            assert torch.equal(of(batch, field, k), item[field])
+            assert torch.equal(rows_of(batch, field, k), item[field])
 
 
-def test_faces_still_point_at_their_vertices(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
+def test_faces_index_the_vertices_of_the_batch(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
     for k, item in enumerate(items):
         for positions in ("verts", "box"):
-            assert torch.equal(batch[positions][of(batch, "faces", k)], item[positions][item["faces"]])
-        assert torch.equal(batch["uv"][of(batch, "corners", k)], item["uv"][item["corners"]])
+            assert torch.equal(batch[positions][rows_of(batch, "faces", k)], item[positions][item["faces"]])
+        assert torch.equal(batch["uv"][rows_of(batch, "corners", k)], item["uv"][item["corners"]])
     assert torch.equal(batch["uv_vertex"][batch["corners"]], batch["faces"])
 
 
-def test_seams_and_labels_still_point_at_vertices_and_stitches(
+def test_seams_and_labels_index_vertices_and_stitches_of_the_batch(
     items: list[dict[str, Any]], batch: dict[str, Any]
 ) -> None:
     for k, item in enumerate(items):
-        seams, labels = of(batch, "seams", k), of(batch, "labels", k)
+        seams, labels = rows_of(batch, "seams", k), rows_of(batch, "labels", k)
         assert torch.equal(batch["verts"][seams[:, 0]], item["verts"][item["seams"][:, 0]])
         start = batch["stitches_ptr"][k]
         assert torch.equal(seams[:, 1] - start, item["seams"][:, 1])
@@ -68,9 +68,9 @@ def test_seams_and_labels_still_point_at_vertices_and_stitches(
         assert torch.equal(labels[:, 1], item["labels"][:, 1])
 
 
-def test_the_pattern_still_hangs_together(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
+def test_stitches_join_the_same_edges_and_panels(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
     for k, item in enumerate(items):
-        stitches, edges, panels = of(batch, "stitches", k), of(batch, "edges", k), of(batch, "panel_id", k)
+        stitches, edges, panels = (rows_of(batch, field, k) for field in ("stitches", "edges", "panel_id"))
         assert torch.equal(
             batch["edges"][stitches[:, :2]][..., 1:], item["edges"][item["stitches"][:, :2].long()][..., 1:]
         )
@@ -80,19 +80,19 @@ def test_the_pattern_still_hangs_together(items: list[dict[str, Any]], batch: di
         assert torch.equal(batch["panels"][panels], item["panels"][item["panel_id"]])
 
 
-def test_items_are_left_as_they_were(items: list[dict[str, Any]]) -> None:
+def test_collate_leaves_the_items_unchanged(items: list[dict[str, Any]]) -> None:
     before = [item["faces"].clone() for item in items]
     collate_packed(items)
     assert all(torch.equal(item["faces"], kept) for item, kept in zip(items, before, strict=True))
 
 
-def test_one_shape_is_stacked_and_json_listed(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
+def test_equal_shapes_are_stacked_and_json_is_listed(items: list[dict[str, Any]], batch: dict[str, Any]) -> None:
     assert batch["body"].shape == (B, *items[0]["body"].shape)
     assert batch["front"].shape == (B, 3, 16, 16)
     assert [meta["index"] for meta in batch["meta"]] == list(range(B))
 
 
-def test_a_field_pointed_to_must_be_there(items: list[dict[str, Any]]) -> None:
+def test_the_field_that_row_numbers_index_is_required(items: list[dict[str, Any]]) -> None:
     def only(*fields: str) -> list[dict[str, Any]]:
         return [{field: item[field] for field in fields} for item in items]
 
@@ -102,7 +102,7 @@ def test_a_field_pointed_to_must_be_there(items: list[dict[str, Any]]) -> None:
             collate_packed(only(*fields))
 
 
-def test_what_does_not_go_together_is_refused(items: list[dict[str, Any]]) -> None:
+def test_items_that_do_not_fit_together_are_refused(items: list[dict[str, Any]]) -> None:
     with pytest.raises(ConfigError, match="an empty batch"):
         collate_packed([])
     with pytest.raises(ConfigError, match="only some garments of the batch have verts"):
@@ -130,7 +130,7 @@ def same(a: Any, b: Any) -> bool:
     return torch.equal(a, b) and a.dtype == b.dtype if isinstance(a, torch.Tensor) else bool(a == b)
 
 
-def test_a_packed_batch_gives_its_garments_back(items: list[dict[str, Any]], batch: PackedBatch) -> None:
+def test_garment_k_of_a_packed_batch_is_item_k(items: list[dict[str, Any]], batch: PackedBatch) -> None:
     for k, item in enumerate(items):
         garment = batch.garment(k)
         assert garment.keys() == item.keys()
@@ -146,7 +146,7 @@ def test_entries_are_attributes(batch: PackedBatch) -> None:
         _ = batch.repeated
 
 
-def test_batches_keep_their_kind_on_the_way(items: list[dict[str, Any]], batch: PackedBatch) -> None:
+def test_moved_and_pinned_batches_keep_their_class(items: list[dict[str, Any]], batch: PackedBatch) -> None:
     padded = collate_padded(items)
     for one in (batch, padded):
         moved = one.to("meta")
@@ -167,7 +167,7 @@ def test_nested_tensors_share_the_rows(items: list[dict[str, Any]], batch: Packe
         batch.nested("body")
 
 
-def test_padded_garments_stand_side_by_side(items: list[dict[str, Any]]) -> None:
+def test_padded_rows_are_those_of_the_garments(items: list[dict[str, Any]]) -> None:
     batch = collate_padded(items)
     for field in ("verts", "faces", "panels", "edges", "stitches", "labels", "panel_id"):
         longest = max(len(item[field]) for item in items)
@@ -179,7 +179,7 @@ def test_padded_garments_stand_side_by_side(items: list[dict[str, Any]]) -> None
     assert batch["meta"] == [item["meta"] for item in items]
 
 
-def test_padded_batches_can_have_one_shape(items: list[dict[str, Any]]) -> None:
+def test_rows_fixes_the_shape_of_padded_batches(items: list[dict[str, Any]]) -> None:
     batch = collate_padded(items, rows={"panels": 40, "edges": 200})
     assert batch.panels.shape == (B, 40, 14)
     assert batch.panels_mask.sum(1).tolist() == [len(item["panels"]) for item in items]
@@ -189,12 +189,12 @@ def test_padded_batches_can_have_one_shape(items: list[dict[str, Any]]) -> None:
         collate_padded([])
 
 
-def test_a_list_is_a_list(items: list[dict[str, Any]]) -> None:
+def test_collate_list_returns_a_list(items: list[dict[str, Any]]) -> None:
     assert collate_list(items) == items
     assert collate_list(tuple(items)) is not items
 
 
-def test_what_a_transform_adds_comes_along() -> None:
+def test_entries_that_a_transform_adds_are_listed() -> None:
     def add(item: dict[str, Any]) -> dict[str, Any]:
         return {"name": "x", "weight": torch.tensor(2.0), "mask": item["verts"][:, 0] > 0, "verts": item["verts"]}
 
@@ -226,13 +226,13 @@ assert threads() > before, "torch has no other threads: nothing was tested"
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the system does not tell of threads")
-def test_large_arrays_are_put_together_by_one_thread() -> None:
-    """Those of torch stay awake for a while after each call, in the way of workers that make garments."""
+def test_large_arrays_are_copied_by_one_thread() -> None:
+    """torch's threads spin after each call and take cores from the workers."""
     done = subprocess.run([sys.executable, "-c", ONE_THREAD], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
-def test_copies_have_memory_of_their_own() -> None:
+def test_copies_share_no_memory() -> None:
     for value in (torch.rand(3, 4), torch.rand(3, 4).T, torch.rand(3).bfloat16(), torch.zeros(0, 3, dtype=torch.int32)):
         copy = copy_tensor(value)
         assert same(copy, value)
@@ -241,8 +241,8 @@ def test_copies_have_memory_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("value", [torch.ones(3).to(torch.float8_e4m3fn), torch.tensor([1 + 2j, 3 - 1j]).conj()])
-def test_what_numpy_has_not_is_copied_too(value: torch.Tensor) -> None:
-    """A transform may add it."""
+def test_types_that_numpy_lacks_are_copied_too(value: torch.Tensor) -> None:
+    """A transform may add such a tensor."""
     copy = copy_tensor(value)
     assert copy.dtype == value.dtype
     assert copy.data_ptr() != value.data_ptr()
@@ -254,8 +254,10 @@ def test_what_numpy_has_not_is_copied_too(value: torch.Tensor) -> None:
 
 @pytest.mark.filterwarnings("ignore:The PyTorch API of nested tensors is in prototype")
 @pytest.mark.parametrize("field", ["panels", "edges", "labels"])
-def test_rows_for_attention_over_unequal_lengths(batch: PackedBatch, items: list[dict[str, Any]], field: str) -> None:
-    """What attention of each garment's rows among themselves gives, all of them at once."""
+def test_varlen_attention_equals_attention_per_garment(
+    batch: PackedBatch, items: list[dict[str, Any]], field: str
+) -> None:
+    """``varlen`` attention over the batch equals attention within each garment."""
     values, cu_seqlens, max_seqlen = batch.varlen(field)
     assert cu_seqlens.dtype == torch.int32
     assert cu_seqlens.tolist()[0] == 0
@@ -271,14 +273,14 @@ def test_rows_for_attention_over_unequal_lengths(batch: PackedBatch, items: list
         assert torch.allclose(part, alone, atol=1e-6)
 
 
-def test_fields_without_rows_of_their_own_have_no_lengths(batch: PackedBatch) -> None:
+def test_varlen_of_a_field_that_is_not_ragged_is_refused(batch: PackedBatch) -> None:
     for field in ("points", "sleeves"):
         with pytest.raises(ConfigError, match=rf"{field} is not a field .* there are panels"):
             batch.varlen(field)
 
 
 @pytest.mark.parametrize("collate", [collate_packed, collate_padded])
-def test_trees_of_torch_keep_a_batch_a_batch(items: list[dict[str, Any]], collate: Any) -> None:
+def test_tree_map_returns_a_batch(items: list[dict[str, Any]], collate: Any) -> None:
     batch = collate(items)
     twice = tree_map(
         lambda leaf: 2 * leaf if isinstance(leaf, torch.Tensor) and leaf.is_floating_point() else leaf, batch
@@ -293,7 +295,7 @@ def test_trees_of_torch_keep_a_batch_a_batch(items: list[dict[str, Any]], collat
 
 
 @pytest.mark.parametrize("collate", [collate_packed, collate_padded])
-def test_a_batch_takes_another_type(items: list[dict[str, Any]], collate: Any) -> None:
+def test_a_batch_can_be_cast(items: list[dict[str, Any]], collate: Any) -> None:
     batch = collate(items)
     for half in (batch.to(torch.bfloat16), batch.to("cpu", torch.bfloat16), batch.to(dtype=torch.bfloat16)):
         assert type(half) is type(batch)
@@ -311,7 +313,7 @@ def test_lists_of_tensors_move_too() -> None:
     assert [value.dtype for value in batch.to(torch.float64)["extra"]] == 2 * [torch.float64]
 
 
-def test_a_device_that_is_not_there_is_told(batch: PackedBatch) -> None:
+def test_a_missing_device_is_named(batch: PackedBatch) -> None:
     for device in (f"cuda:{torch.cuda.device_count()}", torch.device("cuda", torch.cuda.device_count())):
         with pytest.raises(ConfigError, match=r"device cuda:\d+: torch sees .*: give another, such as 'cuda' if"):
             batch.to(device)

@@ -1,4 +1,4 @@
-"""Fake garments are valid ones."""
+"""``FakeGarments``: valid, distinct and reproducible."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def test_the_pattern_can_be_sewn() -> None:
         assert check_pattern(fake_sample(0, index).pattern) == ()
 
 
-def test_the_tube_is_closed_but_for_its_two_ends() -> None:
+def test_the_tube_is_open_at_two_ends_only() -> None:
     mesh = fake_sample(0, 1).box_mesh
     assert mesh is not None
     edges = np.sort(np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1)
@@ -36,10 +36,10 @@ def test_faces_look_outward_and_keep_their_area() -> None:
     u, v, w = (sample.box_mesh.uv[sample.box_mesh.corners[:, k]] for k in range(3))
     flat = np.linalg.det(np.stack([v - u, w - u], axis=1))
     assert (flat > 0).all()
-    assert np.linalg.norm(normal, axis=1).sum() < flat.sum()  # chords of a circle are shorter than its arcs
+    assert np.linalg.norm(normal, axis=1).sum() < flat.sum()  # chords are shorter than arcs
 
 
-def test_every_garment_is_another_and_comes_again() -> None:
+def test_garments_differ_and_are_reproducible() -> None:
     ds = FakeGarments(4, seed=1)
     assert len({ds[i]["measures"]["waist"] for i in range(4)}) == 4
     assert ds[2]["measures"] == FakeGarments(4, seed=1)[2]["measures"]

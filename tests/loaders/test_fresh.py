@@ -1,4 +1,4 @@
-"""Garments made ahead of a training, and given several times."""
+"""``FreshGarments``: order, replay, resuming, and the end of its workers."""
 
 import contextlib
 import gc
@@ -36,7 +36,7 @@ def numbers(garments: FreshGarments) -> list[int]:
 
 
 @pytest.mark.parametrize(("replay", "times"), [(1, {1}), (3, {3}), (2.5, {2, 3})])
-def test_each_is_given_as_often_as_asked(replay: float, times: set[int]) -> None:
+def test_each_garment_is_used_replay_times(replay: float, times: set[int]) -> None:
     garments = fresh(replay=replay, room=6)
     given = numbers(garments)
     assert len(given) == len(garments) == 20 * replay
@@ -51,14 +51,14 @@ def test_workers_change_nothing() -> None:
     assert alone != numbers(fresh(replay=2, room=4, seed=1))
 
 
-def test_each_epoch_is_another() -> None:
+def test_epochs_differ_in_order_and_augmentation() -> None:
     garments = FreshGarments(FakeGarments(6), replay=2, room=4, augment=PointNoise(1.0))
     epochs = [list(garments) for _ in range(3)]
     orders = [[item["meta"]["index"] for item in epoch] for epoch in epochs]
     assert [sorted(order) for order in orders] == 3 * [sorted(2 * list(range(6)))]
     assert len({tuple(order) for order in orders}) == 3
     points = [item["points"] for epoch in epochs for item in epoch]
-    assert len({tuple(each[0].tolist()) for each in points}) == len(points)  # no change comes twice
+    assert len({tuple(each[0].tolist()) for each in points}) == len(points)  # no augmentation comes twice
     garments.set_epoch(1)
     assert_all_same(garments, epochs[1])
     assert_all_same(garments, epochs[2])
@@ -67,7 +67,7 @@ def test_each_epoch_is_another() -> None:
     assert_all_same(shared, epochs[2])
 
 
-def test_a_data_set_that_goes_on_gives_what_follows() -> None:
+def test_an_endless_data_set_continues_in_the_next_epoch() -> None:
     whole = MixedDataset([FakeGarments(3, fields=["meta"]), FakeGarments(2, seed=1, fields=["meta"])], [2, 1])
     garments = FreshGarments(whole, room=1)
     assert [item["meta"]["index"] for _ in range(3) for item in garments] == [
@@ -76,7 +76,7 @@ def test_a_data_set_that_goes_on_gives_what_follows() -> None:
 
 
 class Counting(FakeGarments):
-    """Which notes the numbers of those that are made."""
+    """Records the indices of the garments made."""
 
     def __init__(self, count: int, **options: Any) -> None:
         super().__init__(count, fields=["meta"], **options)
@@ -87,7 +87,7 @@ class Counting(FakeGarments):
         return super()._load(position)
 
 
-def test_the_first_comes_as_soon_as_it_is_made() -> None:
+def test_the_first_item_needs_one_garment_only() -> None:
     ds = Counting(50)
     given = iter(FreshGarments(ds, replay=4, room=20))
     next(given)
@@ -98,7 +98,7 @@ def test_the_first_comes_as_soon_as_it_is_made() -> None:
 
 
 class OnlyOne(FakeGarments):
-    """Of which one is made at once, and all others when the test is over."""
+    """One garment is made at once, all others when the test is over."""
 
     only = 0
 
@@ -114,8 +114,8 @@ class OnlyOne(FakeGarments):
 
 @pytest.mark.parametrize("stop", [0, 31])
 @pytest.mark.parametrize("replay", [1, 4])
-def test_the_first_of_workers_waits_for_no_other(replay: int, stop: int) -> None:
-    """Also where a training goes on: the garment that it needs next is made first."""
+def test_the_first_item_needs_one_worker_only(replay: int, stop: int) -> None:
+    """Also when resuming: the garment that is needed next is made first."""
     options: dict[str, Any] = {"replay": replay, "room": 20}
     ds = OnlyOne(50)
     ds.only = numbers(fresh(50, **options))[stop]
@@ -130,27 +130,27 @@ def refused(item: dict[str, Any]) -> dict[str, Any]:
     raise ValueError("no such thing")
 
 
-def test_an_error_in_a_worker_is_the_error_of_one_process() -> None:
-    """On one line; what the worker was at is a note."""
-    told = []
+def test_an_error_has_the_same_message_with_and_without_workers() -> None:
+    """One line; the worker's traceback is a note."""
+    messages = []
     for workers in (0, 1):
         with pytest.raises(TransformError) as raised:
             list(FreshGarments(FakeGarments(3, fields=["meta"], transform=refused), workers=workers))
-        told.append(str(raised.value))
+        messages.append(str(raised.value))
         with pytest.raises(TransformError) as raised:
             list(GarmentLoader(FakeGarments(1, fields=["meta"], transform=refused), 1, num_workers=workers))
-        told.append(str(raised.value))
-    assert len(set(told)) == 1
+        messages.append(str(raised.value))
+    assert len(set(messages)) == 1
     assert any("in refused" in note for note in raised.value.__notes__)
     del raised
-    gc.collect()  # the error has held the workers
+    gc.collect()  # the error held the workers
 
 
 def refused_first(item: dict[str, Any]) -> dict[str, Any]:
     return refused(item) if item["meta"]["index"] == 0 else item
 
 
-def test_an_error_of_a_worker_holds_no_workers() -> None:
+def test_an_error_of_a_worker_keeps_no_workers_alive() -> None:
     ds = FakeGarments(99, fields=["meta"], transform=refused_first)
     loader = GarmentLoader(ds, 1, shuffle=False, num_workers=2)
     gc.disable()
@@ -165,7 +165,7 @@ def test_an_error_of_a_worker_holds_no_workers() -> None:
 
 @pytest.mark.parametrize("workers", [0, 2])
 @pytest.mark.parametrize(("replay", "room", "stop"), [(1, 1, 7), (2.5, 8, 3), (3, 8, 40), (2, 30, 79), (2, 8, 100)])
-def test_a_state_goes_on_without_what_came_before(replay: float, room: int, stop: int, workers: int) -> None:
+def test_resuming_makes_no_earlier_garments(replay: float, room: int, stop: int, workers: int) -> None:
     options: dict[str, Any] = {"replay": replay, "room": room, "augment": PointNoise(1.0)}
     whole = FreshGarments(FakeGarments(40), **options)
     items = [item for _ in range(2) for item in whole]
@@ -181,11 +181,11 @@ def test_a_state_goes_on_without_what_came_before(replay: float, room: int, stop
     end = len(begun) * (state["position"] // len(begun) + 1)
     assert rest == [item["meta"]["index"] for item in items[state["position"] : end]]
     if not workers:
-        assert sorted(ds.made) == sorted(set(rest))  # each once, and no other
+        assert sorted(ds.made) == sorted(set(rest))  # each once, and no others
     assert [item["meta"]["index"] for item in on] != rest  # the next epoch
 
 
-def test_a_loader_goes_on_without_what_came_before() -> None:
+def test_a_resumed_loader_makes_no_earlier_garments() -> None:
     def loader(ds: FakeGarments) -> GarmentLoader:
         return GarmentLoader(FreshGarments(ds, replay=2, room=6), 4, shuffle=False)
 
@@ -209,14 +209,14 @@ def test_a_loader_goes_on_without_what_came_before() -> None:
     assert [indices(batch) for batch in on] == epochs[2]
 
 
-def test_the_state_of_others_is_refused() -> None:
+def test_the_state_of_another_order_is_refused() -> None:
     state = fresh(replay=2).state_dict()
     for other in (fresh(replay=3), fresh(21, replay=2), fresh(replay=2, seed=1), fresh(replay=2, room=3)):
         with pytest.raises(ConfigError, match="the state of another order"):
             other.load_state_dict(state)
 
 
-def test_an_iterator_that_another_has_come_after_counts_no_more() -> None:
+def test_only_the_last_iterator_moves_the_position() -> None:
     garments = fresh()
     first, second = iter(garments), iter(garments)
     next(second)
@@ -225,15 +225,15 @@ def test_an_iterator_that_another_has_come_after_counts_no_more() -> None:
     assert garments.state_dict()["position"] == len(garments) + 1
 
 
-def test_designs_in_the_buffer_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where the state was taken between the bodies of a design."""
+def test_resuming_makes_each_design_of_the_buffer_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also for a state taken between the bodies of a design."""
     designs: list[int] = []
 
-    def noted(seed: int, number: int, *options: Any) -> Any:
+    def recorded(seed: int, number: int, *options: Any) -> Any:
         designs.append(number)
         return prepare(seed, number, *options)
 
-    monkeypatch.setattr("gcd_dataset.generator.pipeline.prepare", noted)
+    monkeypatch.setattr("gcd_dataset.generator.pipeline.prepare", recorded)
     whole = GeneratedGarments(8, seed=5, bodies="both", stage="pattern", fields=["panels", "body"])
     items = list(FreshGarments(whole, room=6, replay=2))
     for stop in (5, 7):
@@ -241,20 +241,20 @@ def test_designs_in_the_buffer_are_made_once(monkeypatch: pytest.MonkeyPatch) ->
         on.load_state_dict({**on.state_dict(), "position": stop})
         designs.clear()
         assert_all_same(on, items[stop:])
-        assert len(designs) <= len(set(designs)) + 1  # of one, a body waited and the other had not come
+        assert len(designs) <= len(set(designs)) + 1  # of one design, a body was buffered and the other not yet made
 
 
-def test_no_more_are_held_than_there_is_room_for() -> None:
+def test_the_buffer_holds_at_most_room_garments() -> None:
     given: set[int] = set()
     counts: Counter[int] = Counter()
     for number in numbers(fresh(50, replay=4, room=5)):
         given.add(number)
         counts[number] += 1
-        # Of those made so far all but the last five have been given as often as they should.
+        # Of the garments made so far all but the last five have had their uses.
         assert sum(counts[n] < 4 for n in range(max(given) + 1)) <= 5
 
 
-def test_each_time_it_is_changed_otherwise() -> None:
+def test_each_use_is_augmented_differently() -> None:
     garments = FreshGarments(FakeGarments(1), replay=2, augment=PointNoise(1.0))
     first, second = garments
     assert same(first["verts"], second["verts"])
@@ -262,7 +262,7 @@ def test_each_time_it_is_changed_otherwise() -> None:
     assert_all_same(FreshGarments(FakeGarments(1), replay=2, augment=PointNoise(1.0)), [first, second])
 
 
-def test_they_are_loaded_in_batches() -> None:
+def test_a_loader_batches_the_stream() -> None:
     batches = list(GarmentLoader(fresh(8, replay=2, room=4), 4, shuffle=False))
     assert [meta["index"] for batch in batches for meta in batch["meta"]] == numbers(fresh(8, replay=2, room=4))
 
@@ -276,7 +276,7 @@ def test_workers_of_the_loader_are_refused() -> None:
 
 
 class Watched(DataLoader):
-    """One of which the test sees what its workers have sent."""
+    """A ``DataLoader`` whose worker queue the test can read."""
 
     sent: ClassVar[list[Connection]] = []
 
@@ -286,15 +286,15 @@ class Watched(DataLoader):
         return made
 
 
-def test_what_a_worker_has_made_is_taken_without_its_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is at work on the next garment, and would answer late: here it is stopped."""
+def test_tensors_are_received_without_a_reply_of_the_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The worker is busy with the next garment, here stopped, and could not answer."""
     monkeypatch.setattr("gcd_dataset.loaders.fresh.DataLoader", Watched)
     others = set(multiprocessing.active_children())
     made = iter(FreshGarments(FakeGarments(99, fields=["meta", "verts"]), room=1, workers=1))
     next(made)
     [worker] = set(multiprocessing.active_children()) - others
     assert worker.pid is not None
-    assert Watched.sent.pop().poll(120)  # it has made the next meanwhile
+    assert Watched.sent.pop().poll(120)  # the worker has made the next item
     os.kill(worker.pid, signal.SIGSTOP)
     goes_on = threading.Timer(30.0, os.kill, (worker.pid, signal.SIGCONT))
     goes_on.start()
@@ -305,27 +305,27 @@ def test_what_a_worker_has_made_is_taken_without_its_answer(monkeypatch: pytest.
     assert item["verts"].isfinite().all()
 
 
-def test_no_shared_memory_is_held_by_what_waits_in_the_buffer() -> None:
+def test_items_in_the_buffer_hold_no_shared_memory() -> None:
     made = list(FreshGarments(FakeGarments(4, fields=["meta", "verts"]), room=4, workers=1))
     assert [item["verts"].is_shared() for item in made] == 4 * [False]
 
 
-def test_what_was_given_is_forgotten() -> None:
+def test_an_item_is_freed_after_its_last_use() -> None:
     tensors: list[weakref.ref] = []
 
-    def noted(item: dict[str, Any]) -> dict[str, Any]:
+    def recorded(item: dict[str, Any]) -> dict[str, Any]:
         tensors.append(weakref.ref(item["panels"]))
         return item
 
-    whole = GeneratedGarments(40, stage="pattern", fields=["meta", "panels", "edges"], transform=noted)
+    whole = GeneratedGarments(40, stage="pattern", fields=["meta", "panels", "edges"], transform=recorded)
     for _ in FreshGarments(whole, room=8):
-        # Those in the buffer, and the one that was made last.
+        # The items in the buffer, and the one made last.
         assert sum(tensor() is not None for tensor in tensors) <= 8 + 1
     assert len(tensors) == 40
 
 
-def test_a_design_is_made_once_for_all_its_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By one worker, whatever their number: else one would have the neutral bodies and the other the random ones."""
+def test_one_worker_makes_a_design_for_all_its_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever their number: otherwise one would make the neutral bodies and another the random ones."""
     designs = multiprocessing.Value("i", 0)
 
     def counted(*options: Any) -> Any:
@@ -347,7 +347,7 @@ def test_different_ranks_make_different_garments() -> None:
 
 
 def test_a_killed_training_leaves_no_workers() -> None:
-    """Though nobody takes what they have made, which is more than the pipe to the training holds."""
+    """Although their finished items, more than the pipe holds, are never read."""
     code = (
         "import multiprocessing, os, signal\n"
         "from gcd_dataset.loaders import FakeGarments, FreshGarments\n"
@@ -367,7 +367,7 @@ def test_a_killed_training_leaves_no_workers() -> None:
 
 
 class Endless(FakeGarments):
-    """Of which all but the first few take for ever."""
+    """All garments but the first few take forever."""
 
     def __getitem__(self, index: Any) -> Any:
         if index >= 4:
@@ -376,8 +376,8 @@ class Endless(FakeGarments):
 
 
 @pytest.mark.parametrize("ahead", [False, True])
-def test_workers_leave_what_nobody_takes(ahead: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By themselves: torch gives each in turn five seconds before it ends them."""
+def test_workers_exit_when_the_iterator_is_dropped(ahead: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On their own: torch would wait five seconds for each in turn."""
     monkeypatch.setattr(BaseProcess, "terminate", lambda worker: pytest.fail("it has waited for them"))
     ds = Endless(99, fields=["meta"])
     if ahead:
@@ -393,7 +393,7 @@ def test_workers_leave_what_nobody_takes(ahead: bool, monkeypatch: pytest.Monkey
 
 
 class Uneven(FakeGarments):
-    """Of which the last is made when its worker is told to, the others at once."""
+    """The last garment is made on command, the others at once."""
 
     def __init__(self, count: int) -> None:
         super().__init__(count, fields=["meta"])
@@ -405,7 +405,7 @@ class Uneven(FakeGarments):
         return super().__getitem__(index)
 
 
-def test_a_worker_that_has_ended_before_others_keeps_nobody_waiting() -> None:
+def test_a_worker_that_exits_early_does_not_block_the_end() -> None:
     ds = Uneven(4)
     made = iter(FreshGarments(ds, workers=2, room=1))
     given: list[int] = []

@@ -1,4 +1,4 @@
-"""Garments made on the spot are those that a shard would hold."""
+"""``GeneratedGarments``: the bytes of a generated data set; caching and repair."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ COUNT = 3
 
 
 def garments(**options: Any) -> GeneratedGarments:
-    """Box meshes at 5 cm: quick, and drawn, measured and meshed like any other."""
+    """Box meshes at 5 cm: quick, made by the same steps as any other."""
     return GeneratedGarments(COUNT, seed=5, drape=None, resolution=5.0, **options)
 
 
@@ -31,7 +31,7 @@ def items() -> list[dict[str, Any]]:
     return [garments()[i] for i in range(COUNT)]
 
 
-def test_they_are_what_a_shard_gives(items: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_items_equal_those_of_a_shard(items: list[dict[str, Any]], tmp_path: Path) -> None:
     config = garments().config
     with ShardWriter(tmp_path, seed=5, recipe=recipe_of(config)) as writer:
         for sample in produce(5, range(COUNT), config):
@@ -41,7 +41,7 @@ def test_they_are_what_a_shard_gives(items: list[dict[str, Any]], tmp_path: Path
     assert garments().recipe(1) == stored.recipe(1)
 
 
-def test_a_batch_is_its_garments(items: list[dict[str, Any]]) -> None:
+def test_a_batch_holds_the_same_items(items: list[dict[str, Any]]) -> None:
     ds = garments()
     assert len(ds) == COUNT
     assert_all_same(ds.__getitems__([2, 0, -1]), [items[2], items[0], items[2]])
@@ -57,17 +57,17 @@ def test_workers_change_nothing(items: list[dict[str, Any]], workers: int, conte
     assert_all_same(loader, [collate_packed(items[:2]), collate_packed(items[2:])])
 
 
-def test_random_seeds_elsewhere_change_nothing(items: list[dict[str, Any]]) -> None:
+def test_global_random_state_changes_nothing(items: list[dict[str, Any]]) -> None:
     torch.manual_seed(123)
     assert same(garments()[1], items[1])
 
 
-def test_only_the_fields_asked_for_come() -> None:
+def test_an_item_holds_the_selected_fields_only() -> None:
     assert set(garments(fields=("panels", "box"))[0]) == {"panels", "box"}
 
 
-def test_pictures_that_nobody_asked_for_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The rest of a garment is the same without them."""
+def test_unneeded_pictures_are_not_rendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other fields stay the same."""
     options: dict[str, Any] = {"seed": 5, "resolution": 8.0, "picture": 32, "device": "cpu"}
     whole = GeneratedGarments(1, **options)[0]
 
@@ -81,7 +81,7 @@ def test_pictures_that_nobody_asked_for_are_not_taken(monkeypatch: pytest.Monkey
         GeneratedGarments(1, fields=["points", "back"], **options)[0]
 
 
-def test_the_cache_is_read_and_not_made_again(
+def test_cached_garments_are_not_made_again(
     items: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ds = garments(cache_dir=tmp_path)
@@ -92,7 +92,7 @@ def test_the_cache_is_read_and_not_made_again(
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_what_an_epoch_made_is_a_data_set(items: list[dict[str, Any]], tmp_path: Path, workers: int) -> None:
+def test_the_cache_of_a_whole_epoch_is_a_data_set(items: list[dict[str, Any]], tmp_path: Path, workers: int) -> None:
     ds = garments(cache_dir=tmp_path)
     assert_all_same(
         GarmentLoader(ds, 1, shuffle=False, num_workers=workers, collate_fn=collate_list), [[i] for i in items]
@@ -103,7 +103,7 @@ def test_what_an_epoch_made_is_a_data_set(items: list[dict[str, Any]], tmp_path:
     assert [stored.recipe(i) for i in range(COUNT)] == [ds.recipe(i) for i in range(COUNT)]
 
 
-def test_a_cache_begun_can_be_packed(items: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_a_partial_cache_can_be_packed(items: list[dict[str, Any]], tmp_path: Path) -> None:
     ds = garments(cache_dir=tmp_path)
     ds[2]
     ds.pack()
@@ -124,7 +124,7 @@ def test_another_recipe_has_another_cache(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_damage_in_the_cache_is_told_and_mended(
+def test_damage_in_the_cache_is_logged_and_repaired(
     items: list[dict[str, Any]], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     ds = garments(cache_dir=tmp_path)
@@ -145,7 +145,7 @@ def test_damage_in_the_cache_is_told_and_mended(
         assert path.read_bytes() == whole
 
 
-def test_damage_in_a_shard_of_the_cache_is_mended(items: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_damage_in_a_shard_of_the_cache_is_repaired(items: list[dict[str, Any]], tmp_path: Path) -> None:
     ds = garments(cache_dir=tmp_path)
     ds.__getitems__(range(COUNT))
     (path,) = tmp_path.glob("*/train-00000.tar")
@@ -172,7 +172,7 @@ def test_the_recipe_is_known_before_the_garment_is_made(monkeypatch: pytest.Monk
         ds.recipe(COUNT)
 
 
-def test_verify_finds_what_does_not_come_out_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_verify_finds_a_garment_that_is_not_reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
     ds = garments()
     ds.verify(1)
     made = ds._made
@@ -183,19 +183,19 @@ def test_verify_finds_what_does_not_come_out_the_same(monkeypatch: pytest.Monkey
 
 @pytest.fixture
 def designed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Numbers of the designs made in this process, as they are made."""
+    """Records the numbers of the designs made in this process."""
     numbers = []
 
-    def noted(seed: int, number: int, *options: Any) -> DressedDesign:
+    def recorded(seed: int, number: int, *options: Any) -> DressedDesign:
         numbers.append(number)
         return prepare(seed, number, *options)
 
-    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", noted)
+    monkeypatch.setattr("gcd_dataset.generator.maker.prepare", recorded)
     return numbers
 
 
 @pytest.mark.parametrize("bodies", [{"bodies": "both"}, {"bodies_each": 2}])
-def test_a_design_is_made_once_for_its_bodies_one_after_the_other(bodies: dict[str, Any], designed: list[int]) -> None:
+def test_consecutive_bodies_of_a_design_share_its_making(bodies: dict[str, Any], designed: list[int]) -> None:
     together = garments(**bodies).__getitems__([0, 1, 2])
     designed.clear()
     ds = garments(**bodies)
@@ -207,7 +207,7 @@ def test_a_design_is_made_once_for_its_bodies_one_after_the_other(bodies: dict[s
     assert designed == [0, 1, 0, 0, 1]
 
 
-def test_verify_takes_nothing_that_was_made_before(designed: list[int]) -> None:
+def test_verify_makes_the_design_again(designed: list[int]) -> None:
     ds = garments(bodies="both")
     ds[0]
     designed.clear()
@@ -223,7 +223,7 @@ def test_options_that_do_not_exist_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         ({"n": -1}, "n=-1"),
         ({"n": 2.5}, "n=2.5"),
@@ -234,12 +234,12 @@ def test_options_that_do_not_exist_are_refused() -> None:
         ({"device": 0}, "device"),
     ],
 )
-def test_arguments_are_checked_at_once(options: dict[str, Any], told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_arguments_are_checked_at_once(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         GeneratedGarments(**{"n": 1, **options})
 
 
-def test_box_meshes_come_without_warp() -> None:
+def test_box_meshes_do_not_import_warp() -> None:
     code = (
         "import sys; from gcd_dataset.loaders import GeneratedGarments; "
         "GeneratedGarments(2, drape=None, resolution=8.0, device='cuda:3').recipe(1); "

@@ -1,4 +1,4 @@
-"""Garments as graphs: what is sewn is joined, and batches are graphs of several parts."""
+"""Garments as graphs: seams become edges, and a batch is a disjoint union."""
 
 import sys
 from types import ModuleType, SimpleNamespace
@@ -32,7 +32,7 @@ def batch(items: list[dict[str, Any]]) -> PackedBatch:
 
 
 class Hetero(dict[Any, SimpleNamespace]):
-    """As much of ``HeteroData`` as is used."""
+    """The part of ``HeteroData`` that is used."""
 
     def __missing__(self, key: Any) -> SimpleNamespace:
         return self.setdefault(key, SimpleNamespace())
@@ -40,7 +40,7 @@ class Hetero(dict[Any, SimpleNamespace]):
 
 @pytest.fixture
 def pyg(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stand-in for PyTorch Geometric, which keeps what it is given."""
+    """A stand-in for PyTorch Geometric that records its arguments."""
     package, data = ModuleType("torch_geometric"), ModuleType("torch_geometric.data")
     vars(data).update(Data=SimpleNamespace, HeteroData=Hetero)
     monkeypatch.setitem(sys.modules, "torch_geometric", package)
@@ -56,7 +56,7 @@ def test_a_tube_is_two_panels_sewn_twice(items: list[dict[str, Any]]) -> None:
     assert torch.equal(graph.edge_panel[1][graph.sewn_edges], graph.sewn_panels)
 
 
-def test_a_batch_is_its_garments_side_by_side(items: list[dict[str, Any]], batch: PackedBatch) -> None:
+def test_a_batch_is_the_disjoint_union_of_its_garments(items: list[dict[str, Any]], batch: PackedBatch) -> None:
     whole = seam_graph(batch)
     for name, first in (("next_edge", "edges"), ("sewn_edges", "edges"), ("sewn_panels", "panels")):
         moved = [getattr(seam_graph(item), name) + batch[f"{first}_ptr"][k] for k, item in enumerate(items)]
@@ -64,8 +64,8 @@ def test_a_batch_is_its_garments_side_by_side(items: list[dict[str, Any]], batch
         assert ours == theirs
 
 
-def test_mesh_edges_are_those_of_euler(items: list[dict[str, Any]]) -> None:
-    """A tube, open at both ends, has as many vertices and faces together as edges."""
+def test_mesh_edges_satisfy_eulers_formula(items: list[dict[str, Any]]) -> None:
+    """For a tube open at both ends: vertices + faces = edges."""
     for item in items:
         pairs = mesh_edges(item["faces"])
         assert len(item["verts"]) + len(item["faces"]) == pairs.shape[1] / 2
@@ -91,7 +91,7 @@ def test_patterns_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> No
     assert data["panel"].x.shape == (2 * B, 14)
     alone = to_pyg(items[2], "pattern")["edge"].x
     assert alone.dtype == torch.float32
-    assert torch.equal(data["edge"].x[-len(alone) :], alone)  # nothing of the batch is in a feature
+    assert torch.equal(data["edge"].x[-len(alone) :], alone)  # features do not depend on the batch
     assert data["panel"].batch.tolist() == [0, 0, 1, 1, 2, 2]
     of = data["edge", "of", "panel"].edge_index
     assert torch.equal(data["panel"].batch[of[1]], data["edge"].batch[of[0]])
@@ -99,7 +99,9 @@ def test_patterns_for_pyg(items: list[dict[str, Any]], batch: PackedBatch) -> No
     assert to_pyg(items[0], "pattern")["edge", "next", "edge"].edge_index.shape == (2, 8)
 
 
-def test_what_cannot_be_a_graph_is_refused(monkeypatch: pytest.MonkeyPatch, items: list[dict[str, Any]]) -> None:
+def test_unknown_graphs_and_missing_fields_are_refused(
+    monkeypatch: pytest.MonkeyPatch, items: list[dict[str, Any]]
+) -> None:
     monkeypatch.setitem(sys.modules, "torch_geometric", None)
     with pytest.raises(ConfigError, match="torch_geometric, which is not installed"):
         to_pyg(items[0])

@@ -1,4 +1,4 @@
-"""A path that begins with ``~`` means the user's home, wherever a folder or file is asked for."""
+"""Paths that begin with ``~`` are expanded for every folder and file argument."""
 
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_plain_name_that_begins_so_stays() -> None:
+def test_a_name_that_begins_with_a_tilde_stays() -> None:
     assert user_path("~nobody-is-called-so/data") == Path("~nobody-is-called-so/data")
     assert user_path("data~") == Path("data~")
 

@@ -1,4 +1,4 @@
-"""What an item holds, by which names it is asked for, and what is said where that is not there: on real garments."""
+"""Fields, types and indices of items of every data set, and their error messages."""
 
 import logging
 import pickle
@@ -37,27 +37,27 @@ from tests.loaders.test_shards import assert_all_same, same
 from tests.shards.folders import fill
 
 COUNT = 4
-KEPT = 3  # the number of the first sample that is stored: keys are not positions
+FIRST = 3  # number of the first stored sample, so that keys differ from positions
 PATTERN = ("meta", "spec", "design", "measures", "panels", "edges", "stitches", "body")
 DRAPED = ("verts", "front", "back")
 
 
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Stage to a folder of garments by our generator, made up to there."""
+    """Stage to a folder of generated garments of that stage."""
     folders = {}
     for stage in ("pattern", "mesh"):
         folders[stage] = tmp_path_factory.mktemp(stage)
         config = MakeConfig(stage=stage, resolution=6.0, points=512)
         with ShardWriter(folders[stage], seed=2, recipe=recipe_of(config), shard_size=2) as writer:
-            for sample in produce(2, range(KEPT, KEPT + COUNT), config):
+            for sample in produce(2, range(FIRST, FIRST + COUNT), config):
                 writer.write(sample)
         list(write_hdf5(ShardReader(folders[stage]), folders[stage] / "train.h5"))
     return folders
 
 
 def opened(sets: dict[str, Path], stage: Any) -> dict[str, Callable[..., Any]]:
-    """Ways to the same garments."""
+    """The same garments, opened by each data set class."""
     folder = sets[stage]
     return {
         "folder": lambda **options: GarmentDataset(folder, **options),
@@ -76,15 +76,16 @@ WAYS = ("folder", "stream", "hdf5", "generated")
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize(("stage", "field"), [("pattern", "points"), ("pattern", "faces"), ("mesh", "verts")])
 def test_a_field_of_a_later_stage_is_refused_at_once(sets: dict[str, Path], way: str, stage: str, field: str) -> None:
-    """Else a training runs on arrays without rows."""
+    """Otherwise a training would run on empty arrays."""
     later = "drape" if field == "verts" else "mesh"
-    told = f"no field {field}: these garments end with stage {stage}, and {field} come with stage {later}: choose among"
-    with pytest.raises(ConfigError, match=told):
+    reason = f"these garments end with stage {stage}, and {field} come with stage {later}"
+    message = f"no field {field}: {reason}: choose among"
+    with pytest.raises(ConfigError, match=message):
         opened(sets, stage)[way](fields=["panels", field])
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_all_fields_are_those_that_the_garments_hold(sets: dict[str, Path], way: str) -> None:
+def test_all_fields_means_all_that_the_garments_hold(sets: dict[str, Path], way: str) -> None:
     assert opened(sets, "pattern")[way]().fields == PATTERN
     mesh = opened(sets, "mesh")[way]()
     assert set(mesh.fields) == set(FIELDS) - set(DRAPED)
@@ -92,13 +93,13 @@ def test_all_fields_are_those_that_the_garments_hold(sets: dict[str, Path], way:
     assert all(len(item[field]) for field in mesh.fields if isinstance(item[field], torch.Tensor))
 
 
-def test_pictures_that_are_not_taken_are_refused() -> None:
+def test_pictures_that_are_not_rendered_are_refused() -> None:
     with pytest.raises(ConfigError, match="no field front: these garments have no pictures"):
         GeneratedGarments(1, picture=0, fields=["front", "verts"])
     assert set(GeneratedGarments(1, picture=0).fields) == set(FIELDS) - {"front", "back"}
 
 
-def test_published_garments_do_not_tell_their_bodies(examples: Path) -> None:
+def test_published_garments_have_no_body_field(examples: Path) -> None:
     root = examples / "published" / "GarmentCodeData_v2"
     with pytest.raises(ConfigError, match="no field body: these garments have no shape weights"):
         PublishedGarmentCodeData(root, "all", fields=["body"])
@@ -108,7 +109,7 @@ def test_published_garments_do_not_tell_their_bodies(examples: Path) -> None:
     assert same(ds[ds[1]["meta"]["key"]], ds[1])
 
 
-def test_parts_of_a_mix_hold_the_same(sets: dict[str, Path]) -> None:
+def test_parts_of_a_mix_need_equal_fields(sets: dict[str, Path]) -> None:
     pattern, mesh = (GarmentDataset(sets[stage]) for stage in ("pattern", "mesh"))
     with pytest.raises(ConfigError, match=r"only one of data sets 0 and 1 has box, .*: give both the same fields"):
         MixedDataset([pattern, mesh], [1, 1])
@@ -123,7 +124,7 @@ def test_parts_of_a_mix_hold_the_same(sets: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_floats_go_into_a_layer_as_they_are(sets: dict[str, Path], way: str) -> None:
+def test_floating_fields_are_float32_by_default(sets: dict[str, Path], way: str) -> None:
     fields = ("panels", "edges", "points", "box", "uv", "body")
     item = next(iter(opened(sets, "mesh")[way](fields=fields)))
     for field in fields:
@@ -138,19 +139,19 @@ def test_floats_go_into_a_layer_as_they_are(sets: dict[str, Path], way: str) -> 
         assert torch.equal(half[field], stored[field].to(torch.bfloat16))
 
 
-def test_what_is_stored_as_asked_is_not_copied(sets: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stored_types_are_not_copied(sets: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gcd_dataset.loaders.base.as_type", lambda tensor, dtype: pytest.fail(str(tensor.shape)))
     monkeypatch.setattr(torch.Tensor, "to", lambda *_: pytest.fail("converted"))
     assert len(GarmentDataset(sets["mesh"], fields=["panels"], dtype=None)[0]["panels"])
 
 
-def test_types_of_other_numbers_are_refused(sets: dict[str, Path]) -> None:
+def test_types_that_are_not_floating_are_refused(sets: dict[str, Path]) -> None:
     for dtype in (torch.int64, "float32", np.float32):
         with pytest.raises(ConfigError, match=r"dtype=.*: give a floating type, such as torch\.float32"):
             GarmentDataset(sets["mesh"], dtype=dtype)  # type: ignore[arg-type]
 
 
-def test_types_are_not_mixed_in_a_batch(sets: dict[str, Path]) -> None:
+def test_a_batch_of_mixed_types_is_refused(sets: dict[str, Path]) -> None:
     items = [GarmentDataset(sets["mesh"], fields=["panels", "body"], dtype=dtype)[0] for dtype in (torch.float32, None)]
     for collate in (collate_packed, collate_padded):
         with pytest.raises(ConfigError, match=r"panels has types torch\.float32, torch\.float64 in one batch"):
@@ -165,7 +166,7 @@ def wrapped(ds: Garments) -> list[Garments]:
 
 
 @pytest.mark.parametrize("way", ["folder", "hdf5", "generated"])
-def test_several_garments_by_a_list_of_numbers(sets: dict[str, Path], way: str) -> None:
+def test_a_list_of_indices_gives_a_list_of_items(sets: dict[str, Path], way: str) -> None:
     for ds in wrapped(opened(sets, "pattern")[way](fields=["meta", "panels"])):
         several = [ds[1], ds[-1], ds[1]]
         for indices in ([1, -1, 1], (1, -1, 1), np.array([1, -1, 1]), torch.tensor([1, -1, 1], dtype=torch.int16)):
@@ -179,7 +180,7 @@ def test_several_garments_by_a_list_of_numbers(sets: dict[str, Path], way: str) 
                 ds[beyond]
 
 
-def test_what_is_no_number_is_refused(sets: dict[str, Path]) -> None:
+def test_values_that_are_no_index_are_refused(sets: dict[str, Path]) -> None:
     ds = GarmentDataset(sets["pattern"], fields=["meta"])
     mixed = MixedDataset([ds], [1])
     for index in (True, np.bool_(True), torch.tensor(True), 1.0, None, [True, False], ds):
@@ -192,13 +193,13 @@ def test_what_is_no_number_is_refused(sets: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("way", ["folder", "hdf5"])
-def test_garments_by_their_keys(sets: dict[str, Path], way: str) -> None:
+def test_garments_are_found_by_key(sets: dict[str, Path], way: str) -> None:
     for ds in wrapped(opened(sets, "pattern")[way](fields=["meta"])):
         keys = [item["meta"]["key"] for item in ds]
-        assert keys == [f"gcd_{KEPT + number:09d}" for number in range(COUNT)]
+        assert keys == [f"gcd_{FIRST + number:09d}" for number in range(COUNT)]
         assert [ds[key]["meta"]["key"] for key in keys] == keys
         assert [item["meta"]["key"] for item in ds[keys[::-1]]] == keys[::-1]
-        assert ds.recipe(keys[2])["index"] == KEPT + 2
+        assert ds.recipe(keys[2])["index"] == FIRST + 2
         with pytest.raises(KeyError) as missing:
             ds["gcd_5"]
         assert str(missing.value) == (
@@ -208,7 +209,7 @@ def test_garments_by_their_keys(sets: dict[str, Path], way: str) -> None:
             ds["gcd_000000000"]
 
 
-def test_generated_garments_by_their_keys() -> None:
+def test_generated_garments_are_found_by_key() -> None:
     ds = GeneratedGarments(10**9, stage="pattern", fields=["meta"])
     assert ds["gcd_000000002"]["meta"]["index"] == 2
     for key in ("gcd_1000000000", "gcd_12", "2", ""):
@@ -216,7 +217,7 @@ def test_generated_garments_by_their_keys() -> None:
             ds[key]
 
 
-def test_a_key_of_two_splits_names_neither(tmp_path: Path) -> None:
+def test_a_key_in_two_splits_is_refused(tmp_path: Path) -> None:
     for split in ("train", "test"):
         with ShardWriter(tmp_path, split=split, seed=0, recipe={}) as writer:
             for sample in produce(0, range(2), MakeConfig(stage="pattern")):
@@ -233,17 +234,17 @@ def test_a_key_of_two_splits_names_neither(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------------------- remedies
 
 
-def test_a_field_that_is_not_loaded_is_told(sets: dict[str, Path]) -> None:
+def test_a_field_that_is_not_loaded_is_named(sets: dict[str, Path]) -> None:
     ds = GarmentDataset(sets["mesh"], fields=["panels", "body"])
-    told = "the {} has no 'points': it holds panels, .*body.*: .*fields="
-    with pytest.raises(KeyError, match=told.format("garment").replace(": .*", "; ")):
+    message = "the {} has no 'points': it holds panels, .*body.*: .*fields="
+    with pytest.raises(KeyError, match=message.format("garment").replace(": .*", "; ")):
         ds[0]["points"]
     with pytest.raises(KeyError, match="the batch has no 'points'"):
         collate_packed([ds[0]])["points"]
 
 
 @pytest.mark.parametrize("workers", [0, 1])
-def test_the_default_collate_says_what_to_give(sets: dict[str, Path], workers: int) -> None:
+def test_the_error_of_default_collate_names_collate_packed(sets: dict[str, Path], workers: int) -> None:
     for transform in (None, lambda item: {**item}):
         ds = GarmentDataset(sets["mesh"], fields=["body", "box"], transform=transform)
         with pytest.raises(ConfigError, match=r"box differs in size or kind .* collate_fn=collate_packed"):
@@ -264,7 +265,7 @@ def test_a_transform_that_is_no_function_is_refused(sets: dict[str, Path]) -> No
             make()
 
 
-def test_designs_are_asked_for_as_a_dict() -> None:
+def test_a_design_overlay_may_be_a_dict() -> None:
     wanted = {"meta": {"upper": "none", "bottom": "Pants"}}
     ds = GeneratedGarments(2, stage="pattern", design=wanted, fields=["design"])
     assert [item["design"]["meta"]["bottom"] for item in ds] == ["Pants", "Pants"]
@@ -276,7 +277,7 @@ def test_designs_are_asked_for_as_a_dict() -> None:
             GeneratedGarments(2, design=design)  # type: ignore[arg-type]
 
 
-def test_how_long_a_drape_takes_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_time_of_a_drape_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     ds = GeneratedGarments(3, device="cpu", resolution=1.0)
     with caplog.at_level(logging.WARNING, "gcd_dataset"):
         ds.tell_wait()
@@ -291,7 +292,7 @@ def test_how_long_a_drape_takes_is_told_once(caplog: pytest.LogCaptureFixture) -
 # ----------------------------------------------------------------------------------------------------------------- repr
 
 
-def test_all_are_told_in_a_line(sets: dict[str, Path], tmp_path: Path) -> None:
+def test_repr_is_one_line(sets: dict[str, Path], tmp_path: Path) -> None:
     ds = GarmentDataset(sets["pattern"], fields=["panels", "edges"])
     assert repr(ds) == f"GarmentDataset(train of {sets['pattern']}, 4 garments: panels, edges)"
     stream = GarmentDataset(fill(tmp_path, range(2)), fields=["verts"], streaming=True)
@@ -306,13 +307,13 @@ def test_all_are_told_in_a_line(sets: dict[str, Path], tmp_path: Path) -> None:
         collate_padded([ds[0]]),
     ]
     for thing in everything:
-        told = repr(thing)
-        assert "\n" not in told
-        assert "garments" in told
-        assert len(told) < 300
+        text = repr(thing)
+        assert "\n" not in text
+        assert "garments" in text
+        assert len(text) < 300
 
 
-def test_a_number_beyond_float32_is_not_made_infinite() -> None:
+def test_a_number_beyond_float32_is_refused() -> None:
     large = np.array([1.0, 1e300])
     with pytest.raises(ShardError, match="dtype=None keeps the stored type"):
         tensor_of(large, torch.float32)

@@ -1,4 +1,4 @@
-"""A training run, stopped at any moment and gone on with elsewhere, has seen what it would have seen."""
+"""``GarmentLoader``: a run that is stopped at any batch and resumed elsewhere sees the same garments."""
 
 import multiprocessing
 import random
@@ -28,30 +28,30 @@ def loaders(ranks: int, n: int = N, batch_size: int = 4, **options: Any) -> list
 
 
 def ids(batch: Any) -> list[int]:
-    """The numbers of a batch's garments."""
+    """Indices of a batch's garments."""
     return [meta["index"] for meta in batch["meta"]]
 
 
-def together(ranks: list[GarmentLoader], steps: int | None = None) -> list[int]:
-    """What all ranks get in so many steps, or to the end of the epoch, in the order of the positions."""
+def merged(ranks: list[GarmentLoader], steps: int | None = None) -> list[int]:
+    """Indices that all ranks receive in ``steps`` batches, or to the end of the epoch, by position."""
     seen: list[int] = []
     streams = [iter(rank) for rank in ranks]
     while steps is None or steps > 0:
         batches = [batch for stream in streams if (batch := next(stream, None)) is not None]
         if not batches:
             return seen
-        assert len(batches) == len(ranks)  # nobody waits for another
+        assert len(batches) == len(ranks)  # no rank waits for another
         seen += [number for turn in zip(*map(ids, batches), strict=True) for number in turn]
         steps = None if steps is None else steps - 1
     return seen
 
 
-ORDER = together(loaders(1))
+ORDER = merged(loaders(1))
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three shards: of 4, 4 and 2 garments."""
+    """Three shards of 4, 4 and 2 garments."""
     return fill(tmp_path_factory.mktemp("data"), range(10))
 
 
@@ -67,14 +67,14 @@ def test_an_epoch_holds_every_garment_once_and_epochs_follow_on() -> None:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_workers_give_the_same_stream(workers: int) -> None:
+def test_the_number_of_workers_does_not_change_the_order(workers: int) -> None:
     alone, helped = GarmentLoader(garments(), 4), GarmentLoader(garments(), 4, num_workers=workers)
     for _ in range(2):
         assert [ids(batch) for batch in helped] == [ids(batch) for batch in alone]
 
 
-def test_the_state_counts_what_was_received() -> None:
-    """Two workers have made four batches by the time that the loop has one."""
+def test_the_state_counts_received_batches() -> None:
+    """Two workers have made four batches when the loop has received one."""
     loader = GarmentLoader(garments(), 4, num_workers=2)
     batches = iter(loader)
     assert loader.state_dict()["position"] == 0
@@ -84,38 +84,38 @@ def test_the_state_counts_what_was_received() -> None:
 
 
 @pytest.mark.parametrize("stop", [1, 7, 12, 13])
-def test_a_stopped_run_goes_on(stop: int) -> None:
+def test_a_stopped_run_resumes(stop: int) -> None:
     first = GarmentLoader(garments(), 4)
     seen = [number for _, batch in zip(range(stop), first, strict=False) for number in ids(batch)]
     second = GarmentLoader(garments(), 4)
     second.load_state_dict(first.state_dict())
     rest = [number for batch in second for number in ids(batch)]
-    if stop == 13:  # all of the epoch: what comes is the next
+    if stop == 13:  # the whole epoch: the next one follows
         assert (seen, second.epoch) == (ORDER, 2)
         assert sorted(rest) == sorted(ORDER)
     else:
         assert seen + rest == ORDER
 
 
-def test_four_ranks_then_three_of_another_batch_size() -> None:
+def test_three_ranks_resume_the_state_of_four() -> None:
     four = loaders(4, batch_size=2)
-    seen = together(four, steps=3)
+    seen = merged(four, steps=3)
     states = [rank.state_dict() for rank in four]
     assert states == 4 * [states[0]]
     three = loaders(3, batch_size=5)
     for rank in three:
         rank.load_state_dict(states[0])
-    seen += together(three)
+    seen += merged(three)
     assert seen == ORDER[: len(seen)]
     assert N - len(seen) < 3
     assert {rank.state_dict()["position"] for rank in three} == {N}
 
 
-def test_a_rest_too_small_for_all_ranks_is_no_epoch_of_its_own() -> None:
+def test_a_rest_smaller_than_the_ranks_is_skipped() -> None:
     three = loaders(3)
     for rank in three:
         rank.load_state_dict({**rank.state_dict(), "position": N - 2})
-    assert len(together(three)) == N - N % 3
+    assert len(merged(three)) == N - N % 3
     assert {rank.epoch for rank in three} == {2}
 
 
@@ -124,7 +124,7 @@ def test_three_shards_on_two_ranks(folder: Path) -> None:
         ds = GarmentDataset(folder, fields=["meta"], streaming=streaming)
         ranks = [GarmentLoader(ds, 2, rank=rank, world_size=2, shuffle=not streaming) for rank in (0, 1)]
         assert [len(rank) for rank in ranks] == [3, 3]
-        assert sorted(together(ranks)) == list(range(10))
+        assert sorted(merged(ranks)) == list(range(10))
 
 
 def test_padding_is_marked() -> None:
@@ -137,7 +137,7 @@ def test_padding_is_marked() -> None:
     assert sorted(real) == list(range(10))
 
 
-def test_small_batches_can_be_left_out() -> None:
+def test_drop_last_leaves_out_the_smaller_batch() -> None:
     loader = GarmentLoader(garments(), 8, drop_last=True)
     assert [len(ids(batch)) for batch in loader] == len(loader) * [8] == 6 * [8]
     assert loader.state_dict()["position"] == N
@@ -145,7 +145,7 @@ def test_small_batches_can_be_left_out() -> None:
         GarmentLoader(garments(), 51, drop_last=True)
 
 
-def test_a_loop_that_broke_off_goes_on_from_its_state() -> None:
+def test_a_broken_off_loop_resumes_from_its_state() -> None:
     loader, seen = GarmentLoader(garments(), 4), []
     for batch in loader:
         seen += ids(batch)
@@ -156,7 +156,7 @@ def test_a_loop_that_broke_off_goes_on_from_its_state() -> None:
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_an_iterator_begun_before_the_state_came_is_refused(workers: int) -> None:
+def test_an_iterator_from_before_load_state_dict_is_refused(workers: int) -> None:
     state = {**GarmentLoader(garments(), 4).state_dict(), "position": 8}
     loader = GarmentLoader(garments(), 4, num_workers=workers)
     unused, used = iter(loader), iter(loader)
@@ -173,11 +173,11 @@ def test_a_foreign_state_is_refused(folder: Path) -> None:
     loader = GarmentLoader(garments(10, seed=1), 4)
     with pytest.raises(ConfigError, match="the state of another order: its dataset"):
         loader.load_state_dict(state)
-    # Fake garments made on the spot and read from shards are the same garments.
+    # Fake garments made on demand and read from shards have one identity.
     GarmentLoader(GarmentDataset(folder, fields=["meta"]), 4).load_state_dict(state)
 
 
-def test_chosen_garments_are_another_data_set() -> None:
+def test_a_selection_has_its_own_state() -> None:
     some, others = garments()[::2], garments()[1::2]
     loader = GarmentLoader(some, 4)
     assert sorted(number for batch in loader for number in ids(batch)) == list(range(0, N, 2))
@@ -185,7 +185,7 @@ def test_chosen_garments_are_another_data_set() -> None:
         GarmentLoader(others, 4).load_state_dict(loader.state_dict())
 
 
-def test_the_callers_random_numbers_are_left_alone() -> None:
+def test_the_callers_random_state_is_unchanged() -> None:
     before = torch.random.get_rng_state()
     list(GarmentLoader(garments(), 4))
     assert torch.equal(torch.random.get_rng_state(), before)
@@ -195,7 +195,7 @@ def test_the_callers_random_numbers_are_left_alone() -> None:
 
 
 class Broken(Dataset):
-    """Numbers, of which one cannot be had."""
+    """Integers, one of which raises."""
 
     def __len__(self) -> int:
         return 8
@@ -221,7 +221,7 @@ def test_an_error_names_the_garment(workers: int) -> None:
     assert loader.state_dict()["position"] == 4
 
 
-def test_an_error_of_a_batch_made_together_names_the_batch() -> None:
+def test_an_error_of_getitems_names_the_batch() -> None:
     loader = GarmentLoader(BrokenTogether(), 4, shuffle=False, collate_fn=collate_list)
     with pytest.raises(ShardError, match="while loading garments 4, 5, 6, 7 of BrokenTogether"):
         list(loader)
@@ -242,7 +242,7 @@ KILLS, EPOCHS = 20, 20
 
 
 def train(ds: Any, workers: int, log: Path, tell: Connection) -> None:
-    """A run that keeps the numbers it has trained on with its state, and goes on from there."""
+    """A training that logs its indices with its state, and resumes from the log."""
     loader = GarmentLoader(ds, 4, num_workers=workers)
     seen: list[int] = []
     if log.exists():
@@ -259,21 +259,21 @@ def train(ds: Any, workers: int, log: Path, tell: Connection) -> None:
 
 
 @pytest.mark.parametrize("workers", [0, 1])
-def test_killed_at_any_batch_a_run_goes_on(workers: int, tmp_path: Path, folder: Path) -> None:
-    """Twenty times for each way to load: in the thread, and in a worker process, which the kill leaves an orphan."""
+def test_a_run_killed_at_any_batch_resumes(workers: int, tmp_path: Path, folder: Path) -> None:
+    """Twenty kills for each way to load: by a thread, and by a worker process, which the kill orphans."""
     ds: Any = GarmentDataset(folder, fields=["meta"]) if workers == 0 else garments(10)
     log, chance, fork = tmp_path / "run.pt", random.Random(0), multiprocessing.get_context("fork")
 
     def run(batches: int | None) -> None:
-        """Train on; killed in the middle of what follows so many batches."""
+        """Resume the training, and kill it during the batch after ``batches`` more."""
         hear, tell = fork.Pipe(duplex=False)
         child = fork.Process(target=train, args=(ds, workers, log, tell))
         child.start()
         tell.close()
-        told = 0
+        received = 0
         while hear.recv() is not None:
-            told += 1
-            if told == batches:
+            received += 1
+            if received == batches:
                 child.kill()
                 break
         else:
@@ -301,7 +301,7 @@ def stream(**options: Any) -> GarmentLoader:
     return GarmentLoader(Count(), 3, shuffle=False, collate_fn=collate_list, **options)
 
 
-def test_a_stream_is_shared_out_and_gone_on_with() -> None:
+def test_ranks_split_a_stream_and_resume_it() -> None:
     assert list(stream()) == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10]]
     ranks = [stream(rank=rank, world_size=2) for rank in (0, 1)]
     assert [list(rank) for rank in ranks] == [[[0, 2, 4], [6, 8]], [[1, 3, 5], [7, 9]]]
@@ -314,11 +314,11 @@ def test_a_stream_is_shared_out_and_gone_on_with() -> None:
     for _ in done:
         state = done.state_dict()
     second.load_state_dict(state)
-    assert list(second) == list(stream())  # nothing was left
+    assert list(second) == list(stream())  # no item was left
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         ({"num_workers": -1}, "num_workers=-1: give a whole number, 0 or more"),
         ({"num_workers": 1.5}, "num_workers=1.5: give a whole number, 0 or more"),
@@ -326,18 +326,18 @@ def test_a_stream_is_shared_out_and_gone_on_with() -> None:
         ({"batch_size": 0}, "batch_size=0: give a whole number, 1 or more"),
     ],
 )
-def test_numbers_that_cannot_be_are_told_with_those_that_can(options: dict[str, Any], told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_invalid_numbers_are_refused_with_the_valid_range(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         GarmentLoader(garments(), **{"batch_size": 4, **options})
 
 
-def test_what_a_stream_cannot_do_is_refused() -> None:
-    for options, told in (
+def test_options_that_a_stream_lacks_are_refused() -> None:
+    for options, message in (
         ({}, "a stream has its own order"),
         ({"shuffle": False, "num_workers": 2}, "each worker would read the whole stream"),
         ({"shuffle": False, "pad": "repeat"}, "cannot repeat its first items"),
     ):
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=message):
             GarmentLoader(Count(), 3, **options)
     with pytest.raises(TypeError, match="no length"):
         len(stream())

@@ -1,4 +1,4 @@
-"""Several data sets in one order: shares, seeds, and where a run goes on."""
+"""``MixedDataset``: shares, seeds, and resuming."""
 
 from collections.abc import Sequence
 from itertools import accumulate, islice
@@ -32,7 +32,7 @@ def mixed(weights: list[float], lengths: list[int], seed: int = 0) -> MixedDatas
 
 
 def worst(ds: MixedDataset, weights: list[float], places: int) -> float:
-    """How far any stretch of the first places is from its shares [garments]."""
+    """Largest deviation of any stretch of the order from its shares [garments]."""
     parts = [ds.source(i)[0] for i in range(places)]
     furthest = 0.0
     for part, weight in enumerate(weights):
@@ -51,7 +51,7 @@ def test_three_are_within_two(weights: list[float]) -> None:
     assert worst(mixed(weights, [3, 5, 2]), weights, 300) < 2 + 1e-9
 
 
-def test_shares_are_exact_where_they_come_out() -> None:
+def test_whole_shares_are_exact() -> None:
     ds = mixed([0.8, 0.2], [90, 10])
     parts = [ds.source(i)[0] for i in range(1000)]
     assert all(sum(parts[i : i + 5]) == 1 for i in range(996))
@@ -60,7 +60,7 @@ def test_shares_are_exact_where_they_come_out() -> None:
 
 
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(1, 9), st.integers(0, 99))
-def test_an_epoch_ends_when_each_has_come_through(a: int, b: int, c: int, seed: int) -> None:
+def test_an_epoch_ends_when_each_data_set_is_exhausted(a: int, b: int, c: int, seed: int) -> None:
     ds = mixed([3, 1, 0.5], [a, b, c], seed)
     there = {(part, number) for part, n in enumerate((a, b, c)) for number in range(n)}
     epoch = [ds.source(i) for i in range(len(ds))]
@@ -68,7 +68,7 @@ def test_an_epoch_ends_when_each_has_come_through(a: int, b: int, c: int, seed: 
     assert len(set(epoch[:-1])) < len(there)
 
 
-def test_a_data_set_comes_through_before_it_comes_again_in_another_order() -> None:
+def test_a_data_set_is_exhausted_before_it_is_reshuffled() -> None:
     ds = mixed([1, 1], [20, 200])
     small = [number for i in range(402) for part, number in [ds.source(i)] if part == 0]
     passes = [tuple(small[k : k + 20]) for k in range(0, 200, 20)]
@@ -94,7 +94,7 @@ def test_it_is_a_data_set_like_its_parts(tmp_path: Path) -> None:
         ds[-41]
 
 
-def test_transforms_come_one_after_the_other() -> None:
+def test_the_mix_transforms_after_its_parts() -> None:
     parts = [FakeGarments(4, seed, fields=["meta"], transform=lambda item: [item["meta"]["seed"]]) for seed in (0, 1)]
     ds = MixedDataset(parts, [1, 1], transform=lambda item: [*item, "mixed"])
     assert {tuple(ds[i]) for i in range(8)} == {(0, "mixed"), (1, "mixed")}
@@ -115,7 +115,7 @@ def numbers(items: list[Any]) -> list[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_a_loader_keeps_the_shares_and_goes_on_over_epochs(workers: int) -> None:
+def test_a_loader_keeps_the_shares_over_epochs(workers: int) -> None:
     def loader(batch_size: int, **options: Any) -> GarmentLoader:
         return GarmentLoader(mixed([0.75, 0.25], [6, 12]), batch_size, collate_fn=numbers, **options)
 
@@ -133,7 +133,7 @@ def test_a_loader_keeps_the_shares_and_goes_on_over_epochs(workers: int) -> None
         GarmentLoader(mixed([0.75, 0.25], [6, 12], seed=1), 4).load_state_dict(first.state_dict())
 
 
-def test_a_plain_loader_asks_for_batches_at_once() -> None:
+def test_a_plain_loader_requests_whole_batches() -> None:
     asked: list[list[int]] = []
 
     class AtOnce(FakeGarments):
@@ -147,8 +147,8 @@ def test_a_plain_loader_asks_for_batches_at_once() -> None:
     assert [len(numbers) for numbers in asked] == [2, 2, 2, 2]
 
 
-def test_generated_and_published_go_together(tmp_path: Path) -> None:
-    """Garments made on the spot, kept in a cache, beside others."""
+def test_generated_and_stored_garments_mix(tmp_path: Path) -> None:
+    """Generated garments with a cache, mixed with stored ones."""
     fresh = GeneratedGarments(2, drape=None, resolution=4.0, cache_dir=tmp_path, fields=["meta", "box", "faces"])
     ds = MixedDataset([fresh, FakeGarments(2, fields=["meta", "box", "faces"])], [1, 1])
     [batch] = GarmentLoader(ds, 4)
@@ -156,8 +156,8 @@ def test_generated_and_published_go_together(tmp_path: Path) -> None:
     assert torch.equal(batch["box"][batch["faces"]].isfinite(), torch.ones_like(batch["box"][batch["faces"]]) > 0)
 
 
-def test_what_does_not_go_together_is_refused() -> None:
-    for datasets, weights, told in (
+def test_data_sets_that_do_not_fit_together_are_refused() -> None:
+    for datasets, weights, message in (
         ([fake(2)], [1, 1], "1 data sets and 2 weights"),
         ([], [], r"weights=\[\]"),
         ([fake(2)], [0], r"weights=\[0\]: give a positive number"),
@@ -165,5 +165,5 @@ def test_what_does_not_go_together_is_refused() -> None:
         ([fake(2), fake(0)], [1, 1], "data set 1 has no garments"),
         ([fake(2), FakeGarments(2, fields=["meta", "verts"])], [1, 1], "0 and 1 has verts: give both the same fields"),
     ):
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=message):
             MixedDataset(datasets, weights)

@@ -1,4 +1,4 @@
-"""The published layout through the door that users take: items as from shards, whatever the layout does to them."""
+"""``PublishedGarmentCodeData``: items equal those of shards; faults of files."""
 
 import json
 import pickle
@@ -48,7 +48,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def own(folders: Path, tmp_path: Path) -> Path:
-    """A copy to be spoiled."""
+    """A copy that the test may damage."""
     return Path(shutil.copytree(folders, tmp_path / "own"))
 
 
@@ -74,7 +74,7 @@ def numbers(published: PublishedGarmentCodeData) -> list[int]:
 # ------------------------------------------------------------------------------------------------------------ garments
 
 
-def test_items_are_those_of_the_shards_that_were_exported(folders: Path) -> None:
+def test_items_equal_those_of_the_exported_shards(folders: Path) -> None:
     ours = GarmentDataset(folders.parent / "shards")
     published = PublishedGarmentCodeData(folders)
     assert len(ours) == len(published) == 4
@@ -82,7 +82,7 @@ def test_items_are_those_of_the_shards_that_were_exported(folders: Path) -> None
         assert before.keys() == after.keys()
         for field in EXACT:
             assert before[field].dtype == after[field].dtype
-            # The corners of the mesh are numbered anew; what they join is not.
+            # Corners are renumbered; the faces they form are the same.
             same = before["uv_vertex"][before["corners"]] if field == "corners" else before[field]
             there = after["uv_vertex"][after["corners"]] if field == "corners" else after[field]
             if field != "uv_vertex":
@@ -92,16 +92,16 @@ def test_items_are_those_of_the_shards_that_were_exported(folders: Path) -> None
         for field in ("panels", "edges"):
             assert torch.allclose(before[field], after[field], atol=NEAR[field])
         assert before["measures"] == pytest.approx({key: after["measures"][key] for key in MEASURES}, rel=1e-12)
-        # What GarmentCode derives from the measures is kept too: from the floor to the hip line.
-        told = after["measures"]
-        legs = told["height"] - told["head_l"] - told["waist_line"] - told["hips_line"]
-        assert told["_leg_length"] == pytest.approx(legs)
+        # GarmentCode's derived measures are kept too: floor to hip line.
+        measures = after["measures"]
+        legs = measures["height"] - measures["head_l"] - measures["waist_line"] - measures["hips_line"]
+        assert measures["_leg_length"] == pytest.approx(legs)
         assert before["design"] == after["design"]
         for name in ("body", "pattern", "source", "panel_names", "vertex_labels"):
             assert before["meta"][name] == after["meta"][name]
 
 
-def test_archives_give_what_folders_give(folders: Path, packed: Path) -> None:
+def test_archives_and_folders_give_the_same_items(folders: Path, packed: Path) -> None:
     for split in ("train", "test"):
         extracted, archived = PublishedGarmentCodeData(folders, split), PublishedGarmentCodeData(packed, split)
         assert extracted.names == archived.names
@@ -109,7 +109,7 @@ def test_archives_give_what_folders_give(folders: Path, packed: Path) -> None:
             assert_same(item, other)
 
 
-def test_the_two_garments_of_a_design_follow_each_other(folders: Path) -> None:
+def test_the_two_garments_of_a_design_are_adjacent(folders: Path) -> None:
     both = PublishedGarmentCodeData(folders)
     assert both.names == tuple(f"{BATCH}/{body}/{name}" for name in TRAIN for body in BODIES)
     assert numbers(both) == [0, 1, 2, 3]
@@ -145,14 +145,14 @@ def test_failed_garments_are_left_out(own: Path) -> None:
     assert numbers(published) == [0, 2, 3]
 
 
-def test_without_properties_nothing_is_known_to_have_failed(own: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_without_properties_no_garment_counts_as_failed(own: Path, caplog: pytest.LogCaptureFixture) -> None:
     (own / BATCH / BODIES[1] / properties_name(BODIES[1])).unlink()
     published = PublishedGarmentCodeData(own, bodies="random", fields=("meta",))
     assert "failed garments are not known" in caplog.text
     assert published[0]["meta"]["drape"]["frames"] == -1
 
 
-def test_version_1_has_no_folder_data(own: Path, folders: Path) -> None:
+def test_version_1_has_no_folder_named_data(own: Path, folders: Path) -> None:
     for data in own.glob("*/*/data"):
         for folder in data.iterdir():
             folder.rename(data.parent / folder.name)
@@ -161,7 +161,7 @@ def test_version_1_has_no_folder_data(own: Path, folders: Path) -> None:
     assert_same(PublishedGarmentCodeData(own)[0], PublishedGarmentCodeData(folders)[0])
 
 
-def test_only_what_the_fields_ask_for_is_read(own: Path, folders: Path) -> None:
+def test_only_the_files_of_the_fields_are_read(own: Path, folders: Path) -> None:
     kept = {"verts": ("sim", "segmentation"), "panels": ("spec",), "measures": ("measures",), "front": ("front",)}
     for field, kinds in kept.items():
         for kind in ENDINGS:
@@ -176,14 +176,14 @@ def test_only_what_the_fields_ask_for_is_read(own: Path, folders: Path) -> None:
 def test_workers_read_archives(packed: Path) -> None:
     published = PublishedGarmentCodeData(packed, fields=("verts", "spec"))
     loader = DataLoader(published, 1, num_workers=2, collate_fn=collate_list, multiprocessing_context="fork")
-    sent = pickle.loads(pickle.dumps(published))  # as to a spawned one
+    sent = pickle.loads(pickle.dumps(published))  # as for a spawned worker
     for item, (other,), third in zip(published, loader, sent, strict=True):
         assert_same(item, other)
         assert_same(item, third)
 
 
-def test_vertices_that_touch_in_the_drape_are_told_apart(folders: Path) -> None:
-    """Two vertices at the very same place weld to one, unless they lay apart before."""
+def test_vertices_that_touch_in_the_drape_stay_distinct(folders: Path) -> None:
+    """Two vertices at one position stay distinct if their box mesh positions differ."""
     sample = touch_vertex(garment(TRAIN[0], 0, BODIES[0]))
     files = {kind: file_of(folders, TRAIN[0], kind).read_bytes() for kind in ENDINGS}
     assert sample.drape is not None
@@ -197,7 +197,7 @@ def test_vertices_that_touch_in_the_drape_are_told_apart(folders: Path) -> None:
     assert np.array_equal(opened.faces, sample.box_mesh.faces)  # type: ignore[union-attr]
 
 
-def test_verify_finds_files_that_do_not_fit_each_other(own: Path) -> None:
+def test_verify_finds_files_that_disagree(own: Path) -> None:
     published = PublishedGarmentCodeData(own, fields=())
     published.verify(0)
     file_of(own, TRAIN[0], "box").write_bytes(file_of(own, TRAIN[1], "box").read_bytes())
@@ -234,7 +234,7 @@ FAULTS: tuple[tuple[str, Callable[[bytes], bytes], str], ...] = (
 
 
 @pytest.mark.parametrize(("kind", "spoil", "message"), FAULTS, ids=[f"{kind}: {text}" for kind, _, text in FAULTS])
-def test_a_broken_file_is_named_with_the_way_out(
+def test_a_broken_file_is_named_with_a_remedy(
     own: Path, kind: str, spoil: Callable[[bytes], bytes], message: str
 ) -> None:
     path = file_of(own, TRAIN[0], kind)
@@ -253,13 +253,13 @@ def test_a_missing_file_is_named(own: Path, kind: str) -> None:
         PublishedGarmentCodeData(own)[0]
 
 
-def test_a_garment_in_the_split_that_is_nowhere_is_told(own: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_garment_of_the_split_without_files_is_logged(own: Path, caplog: pytest.LogCaptureFixture) -> None:
     remove(file_of(own, TRAIN[0], "spec").parent)
     assert numbers(PublishedGarmentCodeData(own)) == [1, 2, 3]
-    assert "1 garments of the split are neither there nor noted as failed" in caplog.text
+    assert "1 garments of the split are neither there nor recorded as failed" in caplog.text
 
 
-def test_batches_that_are_not_there_are_passed_over(own: Path) -> None:
+def test_missing_batches_are_skipped(own: Path) -> None:
     lists = split_lists(own)
     lists["training"].insert(0, "garments_5000_1/default_body/rand_BBBBBBBBBB")
     lists["validation"] = ["garments_5000_1/default_body/rand_BBBBBBBBBC"]
@@ -270,7 +270,7 @@ def test_batches_that_are_not_there_are_passed_over(own: Path) -> None:
         PublishedGarmentCodeData(own, "validation")
 
 
-def test_wrong_arguments_are_told_with_what_there_is(folders: Path, tmp_path: Path) -> None:
+def test_invalid_arguments_are_refused_with_the_choices(folders: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="split='val': there is train, validation, test, and all"):
         PublishedGarmentCodeData(folders, "val")
     with pytest.raises(ConfigError, match="bodies='neutral': there is default, random, and both"):
@@ -284,7 +284,7 @@ def test_wrong_arguments_are_told_with_what_there_is(folders: Path, tmp_path: Pa
             PublishedGarmentCodeData(path)
 
 
-def test_shards_asked_for_in_a_published_folder_are_told_the_way(folders: Path) -> None:
+def test_opening_a_published_folder_as_shards_names_the_right_class(folders: Path) -> None:
     for folder in (folders.parent, folders, folders / BATCH, folders / BATCH / BODIES[0]):
         with pytest.raises(ShardError, match="PublishedGarmentCodeData, or make shards of it with gcd convert"):
             GarmentDataset(folder)
@@ -346,8 +346,8 @@ def check_garment(item: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
     assert item["front"].shape == (3, 800, 800)
 
 
-def test_the_reference_systems_files_are_written_again(examples: Path, tmp_path: Path) -> None:
-    """What we write of a garment that the reference system wrote says the same as its files."""
+def test_files_of_the_reference_system_survive_a_round_trip(examples: Path, tmp_path: Path) -> None:
+    """Exporting a garment of the reference system reproduces its files."""
     from gcd_dataset.verbs.release_folders import _drawn
 
     root = examples / "published" / "GarmentCodeData_v2_unpacked"
@@ -370,16 +370,16 @@ def test_the_reference_systems_files_are_written_again(examples: Path, tmp_path:
 
 
 def _pickled_lengths(content: bytes) -> dict[tuple[int, int], float]:
-    """What such a pickle holds; of the reference system's files, made for these tests, and of ours alone."""
+    """The content of such a pickle; only for files of the reference system made for these tests, and our own."""
     return {(int(a), int(b)): float(length) for (a, b), length in pickle.loads(content).items()}
 
 
-def test_garments_are_read_beside_the_training_loop(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And changed in it: a transform may draw from the model's random numbers."""
+def test_garments_are_read_in_a_thread(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And transformed in the training thread: a transform may draw from the model's random stream."""
     readers, changers = set[int](), set[int]()
     members = PublishedGarmentCodeData._members
 
-    def noted(ds: PublishedGarmentCodeData, *asked: Any) -> Any:
+    def recorded(ds: PublishedGarmentCodeData, *asked: Any) -> Any:
         readers.add(threading.get_ident())
         return members(ds, *asked)
 
@@ -387,7 +387,7 @@ def test_garments_are_read_beside_the_training_loop(folders: Path, monkeypatch: 
         changers.add(threading.get_ident())
         return item
 
-    monkeypatch.setattr(PublishedGarmentCodeData, "_members", noted)
+    monkeypatch.setattr(PublishedGarmentCodeData, "_members", recorded)
     ds = PublishedGarmentCodeData(folders, fields=["verts"], transform=changed)
     assert sum(len(batch.verts_ptr) - 1 for batch in GarmentLoader(ds, 3)) == len(ds)
     assert readers

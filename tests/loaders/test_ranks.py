@@ -1,4 +1,4 @@
-"""Each rank has garments draped on a GPU of its own; a program without ranks on all of them."""
+"""GPUs of ranks: one each under torchrun, all of them without ranks."""
 
 import subprocess
 import sys
@@ -14,20 +14,20 @@ GPUS = 4
 
 @pytest.fixture(autouse=True)
 def machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One with four GPUs, none of which is touched, and no rank."""
+    """A machine with four GPUs, none used by another rank, and no rank set."""
     monkeypatch.setattr("torch.cuda.device_count", lambda: GPUS)
     for name in ("LOCAL_RANK", "LOCAL_WORLD_SIZE"):
         monkeypatch.delenv(name, raising=False)
 
 
 def become(monkeypatch: pytest.MonkeyPatch, rank: int, count: int) -> None:
-    """Have this process be one that ``torchrun`` has started."""
+    """Set the environment of a rank started by ``torchrun``."""
     monkeypatch.setenv("LOCAL_RANK", str(rank))
     monkeypatch.setenv("LOCAL_WORLD_SIZE", str(count))
 
 
 def device(name: str = "auto") -> str:
-    """Where garments are draped."""
+    """The resolved device."""
     return GeneratedGarments(1, device=name).config.device
 
 
@@ -35,7 +35,7 @@ def device(name: str = "auto") -> str:
     ("name", "devices"),
     [("auto", "cuda:0,1,2,3"), ("cuda:0,2", "cuda:0,2"), ("cuda", "cuda:0"), ("cuda:3", "cuda:3"), ("cpu", "cpu")],
 )
-def test_without_ranks_all_that_are_named_are_used(name: str, devices: str) -> None:
+def test_without_ranks_all_named_devices_are_used(name: str, devices: str) -> None:
     assert device(name) == devices
 
 
@@ -48,8 +48,8 @@ def test_each_rank_has_a_gpu_of_its_own(name: str, monkeypatch: pytest.MonkeyPat
     assert taken == ["cuda:0", "cuda:1", "cuda:2", "cuda:3", "cuda:0", "cuda:1"]
 
 
-def test_the_gpu_that_a_rank_has_chosen_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that has chosen none stands on the first, as torch does."""
+def test_the_current_device_of_a_rank_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rank that has set no device has the first as current device."""
     become(monkeypatch, 1, 2)
     monkeypatch.setattr("torch.cuda.is_initialized", lambda: True)
     for current, taken in ((3, "cuda:3"), (0, "cuda:1")):
@@ -57,13 +57,13 @@ def test_the_gpu_that_a_rank_has_chosen_is_used(monkeypatch: pytest.MonkeyPatch)
         assert device() == taken
 
 
-def test_a_group_that_a_program_has_begun_itself_has_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_group_without_torchrun_has_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("is_initialized", True), ("get_rank", 2), ("get_world_size", 4)):
         monkeypatch.setattr(f"torch.distributed.{name}", lambda value=value: value)
     assert device() == "cuda:2"
 
 
-def test_ranks_share_the_gpus_of_a_list(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ranks_divide_a_list_of_gpus(monkeypatch: pytest.MonkeyPatch) -> None:
     taken = []
     for rank in range(2):
         become(monkeypatch, rank, 2)
@@ -71,13 +71,13 @@ def test_ranks_share_the_gpus_of_a_list(monkeypatch: pytest.MonkeyPatch) -> None
     assert taken == ["cuda:0,3", "cuda:1"]
     monkeypatch.delenv("LOCAL_WORLD_SIZE")
     assert device("cuda:0,1,3") == "cuda:1"
-    assert device("cuda:2") == "cuda:2"  # named alone, it may be each rank's: the only one that it is shown
+    assert device("cuda:2") == "cuda:2"  # a single GPU may be used by all ranks: it may be the only visible one
     become(monkeypatch, 0, 3)
     with pytest.raises(ConfigError, match="3 ranks on this machine share 2 GPUs, cuda:0, cuda:1: give device='auto'"):
         device("cuda:0,1")
 
 
-def test_an_environment_that_names_no_rank_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_rank_environment_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     for rank, count in (("two", "4"), ("4", "4"), ("-1", "4"), ("1", "")):
         monkeypatch.setenv("LOCAL_RANK", rank)
         monkeypatch.setenv("LOCAL_WORLD_SIZE", count)
@@ -86,8 +86,8 @@ def test_an_environment_that_names_no_rank_is_refused(monkeypatch: pytest.Monkey
     assert device("cpu") == "cpu"
 
 
-def test_the_recipe_does_not_tell_which_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So that all ranks, and those who made garments before, share a cache."""
+def test_the_recipe_is_independent_of_the_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So all ranks, and earlier runs, share one cache."""
     recipes = [GeneratedGarments(1, device=name).recipe(0)["recipe"] for name in ("auto", "cuda:0", "cuda:1,3")]
     become(monkeypatch, 3, 4)
     recipes.append(GeneratedGarments(1).recipe(0)["recipe"])
@@ -95,7 +95,7 @@ def test_the_recipe_does_not_tell_which_gpu(monkeypatch: pytest.MonkeyPatch) -> 
     assert len({recipe_hash(recipe) for recipe in recipes}) == 1
 
 
-def test_no_gpu_is_started_by_a_process_that_forks_workers() -> None:
+def test_the_main_process_does_not_initialise_cuda() -> None:
     code = (
         "import sys, torch; torch.cuda.device_count = lambda: 2\n"
         "from gcd_dataset.loaders import GeneratedGarments\n"

@@ -1,4 +1,4 @@
-"""Garments from a folder, through the door that users take."""
+"""``GarmentDataset`` on a folder of shards: by index and as a stream."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -27,7 +27,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two items, or parts of them, agree in every value and data type."""
+    """Whether two values agree recursively in every element and data type."""
     if isinstance(a, torch.Tensor):
         return isinstance(b, torch.Tensor) and a.dtype == b.dtype and torch.equal(a, b)
     if isinstance(a, Mapping):
@@ -41,7 +41,7 @@ def assert_all_same(items: Iterable[Any], others: Iterable[Any]) -> None:
     assert all(same(a, b) for a, b in zip(items, others, strict=True))
 
 
-def test_a_shard_gives_what_was_put_in(folder: Path) -> None:
+def test_a_shard_returns_the_written_samples(folder: Path) -> None:
     ds = GarmentDataset(folder)
     assert len(ds) == COUNT
     assert_all_same([ds[i] for i in range(COUNT)], [FakeGarments(COUNT)[i] for i in range(COUNT)])
@@ -54,7 +54,7 @@ def test_random_access_equals_reading_in_order(folder: Path) -> None:
         assert same(ds[i], in_order[i])
 
 
-def test_only_the_fields_asked_for_come(folder: Path) -> None:
+def test_an_item_holds_the_selected_fields_only(folder: Path) -> None:
     ds = GarmentDataset(folder, fields=("verts", "faces"))
     assert set(ds[0]) == {"verts", "faces"}
     assert ds[0]["verts"].dtype == torch.float32
@@ -76,7 +76,7 @@ def test_a_transform_sees_every_item(folder: Path) -> None:
     assert ds[3] == len(FakeGarments(COUNT)[3]["verts"])
 
 
-def test_the_recipe_tells_how_to_make_it_again(folder: Path) -> None:
+def test_the_recipe_suffices_to_make_the_garment_again(folder: Path) -> None:
     recipe = GarmentDataset(folder).recipe(7)
     assert (recipe["seed"], recipe["index"], recipe["recipe"]) == (0, 7, RECIPE)
     assert recipe == FakeGarments(COUNT).recipe(7)
@@ -102,7 +102,7 @@ def test_a_stream_holds_the_same_garments(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [COUNT, 3])  # three shards for two workers, and one
-def test_workers_share_a_stream_out(tmp_path: Path, count: int) -> None:
+def test_workers_split_a_stream(tmp_path: Path, count: int) -> None:
     stream = GarmentDataset(fill(tmp_path, range(count)), fields=("meta", "faces"), streaming=True)
     loader = DataLoader(stream, batch_size=None, num_workers=2)
     assert sorted(item["meta"]["index"] for item in loader) == list(range(count))
@@ -110,7 +110,7 @@ def test_workers_share_a_stream_out(tmp_path: Path, count: int) -> None:
 
 @pytest.mark.parametrize("streaming", [False, True])
 def test_a_shard_may_grow_while_it_is_read(tmp_path: Path, streaming: bool) -> None:
-    """A run of ``gcd generate`` that was stopped goes on beside the training."""
+    """A resumed ``gcd generate`` may write during the training."""
     ds = GarmentDataset(fill(tmp_path, range(2)), streaming=streaming)
     fill(tmp_path, range(2, COUNT))
     assert_all_same(ds, [FakeGarments(COUNT)[i] for i in range(2)])
@@ -131,7 +131,7 @@ def test_damage_in_a_stream_is_named(tmp_path: Path) -> None:
         list(GarmentDataset(folder, fields=["faces"], streaming=True))
 
 
-def test_a_stream_that_breaks_off_is_named(tmp_path: Path) -> None:
+def test_a_truncated_stream_is_named(tmp_path: Path) -> None:
     stream = GarmentDataset(fill(tmp_path, range(3)), fields=["meta"], streaming=True)
     shard = tmp_path / "train-00000.tar"
     content = shard.read_bytes()
@@ -142,21 +142,21 @@ def test_a_stream_that_breaks_off_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("verify", ["lazy", "off"])
-def test_a_stream_of_no_fields_has_an_item_for_each_garment(folder: Path, verify: Verify) -> None:
+def test_a_stream_without_fields_has_an_item_for_each_garment(folder: Path, verify: Verify) -> None:
     assert list(GarmentDataset(folder, fields=[], streaming=True, verify=verify)) == COUNT * [{}]
 
 
-def test_a_folder_that_may_not_be_read_is_named() -> None:
-    told = r"data: cannot be read \(Permission denied\)"
+def test_an_unreadable_folder_is_named() -> None:
+    message = r"data: cannot be read \(Permission denied\)"
     with public_folder() as place:
         folder = fill(place / "data", range(3))
         for streaming in (False, True):
-            with forbidden(place, 0), pytest.raises(ShardError, match=told):
+            with forbidden(place, 0), pytest.raises(ShardError, match=message):
                 GarmentDataset(folder, streaming=streaming)
 
 
 @pytest.mark.parametrize("indexed", [True, False])
-def test_garments_that_did_not_settle_can_be_left_out(tmp_path: Path, indexed: bool) -> None:
+def test_settled_only_leaves_out_the_others(tmp_path: Path, indexed: bool) -> None:
     outcomes = [Outcome.NOT_SETTLED, Outcome.SETTLED, None, Outcome.DIVERGED, Outcome.SETTLED, Outcome.SLID_OFF]
     with open_writer(tmp_path) as writer:
         for index, outcome in enumerate(outcomes):
@@ -175,7 +175,7 @@ def ended(sample: Sample, outcome: Outcome | None) -> Sample:
     return replace(sample, drape=None if outcome is None else replace(sample.drape, outcome=outcome))
 
 
-def test_a_folder_where_nothing_settled_is_told(tmp_path: Path) -> None:
+def test_a_folder_without_settled_garments_is_refused(tmp_path: Path) -> None:
     with open_writer(tmp_path) as writer:
         writer.write(ended(fake_sample(0, 0), None))
     assert len(GarmentDataset(tmp_path)) == 1
@@ -204,7 +204,7 @@ def test_options_for_servers_are_refused_for_a_folder(folder: Path, tmp_path: Pa
         GarmentDataset(tmp_path / "nowhere")
 
 
-def test_collate_list_leaves_items_alone() -> None:
+def test_collate_list_leaves_items_unchanged() -> None:
     ds = FakeGarments(3)
     (batch,) = DataLoader(ds, batch_size=3, collate_fn=collate_list)
     assert_all_same(batch, [ds[i] for i in range(3)])

@@ -1,4 +1,4 @@
-"""Parts of data sets: slices, selections, splits and parts of splits."""
+"""Slices, selections, and sums of splits."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -22,7 +22,7 @@ COUNT, TESTED = 10, 3
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten garments in ``train``, three others in ``test``."""
+    """Ten garments in ``train``, three different ones in ``test``."""
     place = tmp_path_factory.mktemp("splits")
     for split, indices in (("train", range(COUNT)), ("test", range(20, 20 + TESTED))):
         with open_writer(place, split=split) as writer:
@@ -49,24 +49,24 @@ def ids(folder: Path, split: str, *, streaming: bool = False) -> list[int]:
         ("train[90:]+test[:1]", [20]),
     ],
 )
-def test_a_split_may_name_parts(folder: Path, split: str, expected: list[int], streaming: bool) -> None:
+def test_a_split_may_be_sliced_and_added(folder: Path, split: str, expected: list[int], streaming: bool) -> None:
     assert ids(folder, split, streaming=streaming) == list(expected)
 
 
 @pytest.mark.parametrize("split", ["train[", "train[1]", "train[:1:2]", "train++test", "train[:200%]", "", "../train"])
-def test_what_names_no_split_is_refused(folder: Path, split: str) -> None:
+def test_invalid_splits_are_refused(folder: Path, split: str) -> None:
     with pytest.raises(ConfigError, match=r"write train|give -100%"):
         GarmentDataset(folder, split)
 
 
 @given(st.integers(0, 10_000), st.lists(st.integers(0, 100), max_size=5))
-def test_neighbouring_shares_make_a_whole(count: int, cuts: list[int]) -> None:
+def test_adjacent_slices_cover_the_split_once(count: int, cuts: list[int]) -> None:
     ends = [0, *sorted(cuts), 100]
     parts = [SplitPart("train", f"{a}%", f"{b}%").range_of(count) for a, b in pairwise(ends)]
     assert [position for part in parts for position in part] == list(range(count))
 
 
-def test_parts_are_told_apart() -> None:
+def test_names_with_dots_and_negative_bounds_are_parsed() -> None:
     assert parse_splits("a.b[1:-1]+c") == (SplitPart("a.b", "1", "-1"), SplitPart("c"))
 
 
@@ -87,14 +87,14 @@ def test_slices_and_selections_are_data_sets(folder: Path) -> None:
     assert_all_same(FakeGarments(5)[3:], [FakeGarments(5)[3], FakeGarments(5)[4]])
 
 
-def test_a_stream_cannot_be_chosen_from(folder: Path) -> None:
+def test_a_stream_has_no_selections(folder: Path) -> None:
     stream = GarmentDataset(folder, streaming=True)
     for choose in (lambda: stream[0], lambda: stream[1:], lambda: stream.select([1])):
         with pytest.raises(ConfigError, match="a stream has no indices"):
             choose()
 
 
-def test_a_sample_is_found_in_any_part(folder: Path) -> None:
+def test_a_sample_is_found_in_every_part(folder: Path) -> None:
     ds = GarmentDataset(folder, "test+train[4:]", fields=["body"])
     assert [ds.recipe(i)["index"] for i in (0, 2, 3, -1)] == [20, 22, 4, 9]
     ds.verify(4)
@@ -102,7 +102,7 @@ def test_a_sample_is_found_in_any_part(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("text", [f"train[:{5000 * '9'}]", f"train[-{20 * '9'}%:]", 3, None, ["train"]])
-def test_what_names_no_split_is_told_on_one_short_line(text: Any) -> None:
-    with pytest.raises(ConfigError, match="write train, ") as told:
+def test_the_error_for_an_invalid_split_is_one_short_line(text: Any) -> None:
+    with pytest.raises(ConfigError, match="write train, ") as raised:
         parse_splits(text)
-    assert len(str(told.value)) < 200
+    assert len(str(raised.value)) < 200

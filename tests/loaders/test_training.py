@@ -1,4 +1,4 @@
-"""Trainings on real patterns: what a model draws and sees depends on its seeds, not on how garments are loaded."""
+"""Training on generated patterns: random draws and order depend on seeds, not on the way of loading."""
 
 import multiprocessing
 import os
@@ -29,7 +29,7 @@ from gcd_dataset.loaders import (
     collate_packed,
 )
 from gcd_dataset.loaders.batch_plan import BatchIndices, BatchMaker
-from tests.loaders.patterns import sewn
+from tests.loaders.patterns import pattern_shards
 
 N = 12
 
@@ -37,18 +37,18 @@ N = 12
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One shard."""
-    return sewn(tmp_path_factory.mktemp("patterns"), N)
+    return pattern_shards(tmp_path_factory.mktemp("patterns"), N)
 
 
 @pytest.fixture(scope="module")
 def three(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Shards of 5, 5 and 2 garments."""
-    return sewn(tmp_path_factory.mktemp("three"), N, shard_size=5)
+    return pattern_shards(tmp_path_factory.mktemp("three"), N, shard_size=5)
 
 
 @pytest.fixture
 def ranks(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], None]:
-    """Has this process be one that ``torchrun`` has started."""
+    """Sets the environment of a rank started by ``torchrun``."""
 
     def become(rank: int, world_size: int) -> None:
         monkeypatch.setenv("RANK", str(rank))
@@ -62,7 +62,7 @@ def ids(batch: Any) -> list[int]:
 
 
 def every(loader: Any) -> list[int]:
-    """All garments of an epoch."""
+    """Indices of all garments of an epoch."""
     return [number for batch in loader for number in ids(batch)]
 
 
@@ -70,7 +70,7 @@ def every(loader: Any) -> list[int]:
 
 
 def jittered(item: dict[str, Any]) -> dict[str, Any]:
-    """A user's transform, which draws from wherever users draw."""
+    """A user's transform that draws from all three global streams."""
     noise = torch.rand(()) + np.random.rand() + random.random()  # noqa: NPY002
     return {**item, "noise": noise}
 
@@ -81,7 +81,7 @@ def jittered_batch(items: list[Any]) -> Any:
 
 
 def trained(loader: Any) -> tuple[list[float], list[float]]:
-    """What a model with dropout has computed, and what it has been given by chance."""
+    """Outputs of a model with dropout, and the random part of its inputs."""
     torch.manual_seed(3)
     sums, given = [], []
     for batch in loader:
@@ -90,7 +90,7 @@ def trained(loader: Any) -> tuple[list[float], list[float]]:
     return sums, given
 
 
-def test_a_model_draws_the_same_whatever_is_loaded(folder: Path) -> None:
+def test_loading_does_not_change_the_models_random_draws(folder: Path) -> None:
     plain = GarmentDataset(folder, fields=["panels", "meta"])
     changed = GarmentDataset(folder, fields=["panels", "meta"], transform=jittered)
     alone, _ = trained(GarmentLoader(plain, 2))
@@ -101,8 +101,8 @@ def test_a_model_draws_the_same_whatever_is_loaded(folder: Path) -> None:
     assert trained(GarmentLoader(plain, 2, collate_fn=jittered_batch))[0] == alone
 
 
-def test_what_is_drawn_for_a_garment_is_of_seed_and_epoch(folder: Path) -> None:
-    """The same in other batches and after a stop; other in the next epoch, and with another seed."""
+def test_draws_of_a_transform_depend_on_seed_epoch_and_garment(folder: Path) -> None:
+    """Equal in other batches and after a resume; different in the next epoch and with another seed."""
 
     def noise(loader: Any) -> dict[int, float]:
         drawn = [zip(ids(batch), batch["noise"], strict=True) for batch in loader]
@@ -131,8 +131,8 @@ def test_what_is_drawn_for_a_garment_is_of_seed_and_epoch(folder: Path) -> None:
         lambda ds: Subset(ds, range(8)),
     ],
 )
-def test_items_are_those_of_the_data_set(folder: Path, wrapped: Any) -> None:
-    """Read in a thread, and changed where the training runs."""
+def test_loaded_items_equal_those_of_the_data_set(folder: Path, wrapped: Any) -> None:
+    """Read in a thread, transformed in the training thread."""
     fields = ["panels", "edges", "meta"]
     plain = wrapped(GarmentDataset(folder, fields=fields))
     marked = wrapped(
@@ -157,15 +157,15 @@ def test_items_are_those_of_the_data_set(folder: Path, wrapped: Any) -> None:
         lambda ds: MixedDataset([ds, ds[::2]], [2, 1], transform=jittered),
     ],
 )
-def test_what_workers_are_sent_can_be_pickled(folder: Path, wrapped: Any) -> None:
-    """Spawned ones are."""
+def test_the_batch_maker_can_be_pickled(folder: Path, wrapped: Any) -> None:
+    """Spawned workers receive it pickled."""
     making = BatchMaker(wrapped(GarmentDataset(folder, fields=["meta"], transform=jittered)), collate_packed, 0)
     sent, turn = pickle.loads(pickle.dumps(making)), BatchIndices(1, [3, 0])
     assert torch.equal(making.__getitems__(turn)["noise"], sent.__getitems__(turn)["noise"])
 
 
-class Theirs(Dataset):
-    """A data set of a user's own, which draws from the model's random numbers."""
+class UsersDataset(Dataset):
+    """A user's data set that draws from the model's random stream."""
 
     def __len__(self) -> int:
         return 8
@@ -174,25 +174,25 @@ class Theirs(Dataset):
         return index + float(torch.rand(()))
 
 
-class TheirStream(IterableDataset):
+class UsersStream(IterableDataset):
     def __iter__(self) -> Iterator[int]:
         return iter(torch.randperm(8).tolist())
 
 
-def test_data_sets_of_others_leave_the_model_alone_too() -> None:
+def test_users_data_sets_do_not_change_the_models_random_draws() -> None:
     for workers in (0, 1):
-        assert list(GarmentLoader(Theirs(), 4, num_workers=workers, collate_fn=collate_list)) == list(
-            GarmentLoader(Theirs(), 4, collate_fn=collate_list)
+        assert list(GarmentLoader(UsersDataset(), 4, num_workers=workers, collate_fn=collate_list)) == list(
+            GarmentLoader(UsersDataset(), 4, collate_fn=collate_list)
         )
     torch.manual_seed(0)
     before = torch.get_rng_state()
-    list(GarmentLoader(Theirs(), 4, collate_fn=collate_list))
-    loader = GarmentLoader(TheirStream(), 4, shuffle=False, collate_fn=collate_list)
+    list(GarmentLoader(UsersDataset(), 4, collate_fn=collate_list))
+    loader = GarmentLoader(UsersStream(), 4, shuffle=False, collate_fn=collate_list)
     first, second = ([number for batch in loader for number in batch] for _ in range(2))
     assert torch.equal(torch.get_rng_state(), before)
     assert first != second
     assert sorted(first) == sorted(second) == list(range(8))
-    resumed = GarmentLoader(TheirStream(), 4, shuffle=False, collate_fn=collate_list)
+    resumed = GarmentLoader(UsersStream(), 4, shuffle=False, collate_fn=collate_list)
     resumed.load_state_dict({**loader.state_dict(), "epoch": 1, "position": 4})
     assert list(resumed) == [second[4:]]
 
@@ -203,7 +203,7 @@ def test_data_sets_of_others_leave_the_model_alone_too() -> None:
 @pytest.mark.parametrize("world_size", [1, 2, 3])
 @pytest.mark.parametrize("workers", [0, 1, 2])
 def test_ranks_share_an_epoch(folder: Path, ranks: Callable, world_size: int, workers: int) -> None:
-    """Seven garments a rank would be more than there are: every way to end an epoch."""
+    """World sizes for every way that an epoch can end."""
     ds = GarmentDataset(folder, fields=["meta"]).select(range(11))
     whole = 11 // world_size * world_size
     for drop_last, count in ((False, whole), (True, 11 // world_size // 2 * 2 * world_size)):
@@ -225,8 +225,8 @@ def test_ranks_share_an_epoch(folder: Path, ranks: Callable, world_size: int, wo
     assert real == Counter(range(11))
 
 
-def test_the_rank_is_that_of_the_pass(folder: Path, ranks: Callable) -> None:
-    """A loader built before ``torchrun``'s environment, or a framework, has told the rank."""
+def test_the_rank_is_looked_up_at_each_pass(folder: Path, ranks: Callable) -> None:
+    """A loader may be built before ``torchrun``'s environment or a framework sets the rank."""
     ds = GarmentDataset(folder, fields=["meta"])
     loaders = [GarmentLoader(ds, 2) for _ in range(2)]
     samplers = [ElasticSampler(ds) for _ in range(2)]
@@ -242,7 +242,7 @@ def test_the_rank_is_that_of_the_pass(folder: Path, ranks: Callable) -> None:
     assert sorted(every(fixed)) == list(range(N))
 
 
-def test_an_environment_without_a_rank_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_rank_environment_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2)
     for rank, world_size in (("2", "2"), ("", "2"), ("-1", "2"), ("x", "y")):
         monkeypatch.setenv("RANK", rank)
@@ -262,7 +262,7 @@ def test_an_environment_without_a_rank_is_told(folder: Path, monkeypatch: pytest
 
 
 def gloo(rank: int, place: Path, folder: Path, tell: Connection) -> None:
-    """A rank that builds its loaders before it joins the others."""
+    """A rank that builds its loaders before it joins the process group."""
     for name in ("RANK", "WORLD_SIZE"):
         os.environ.pop(name, None)
     torch.set_num_threads(1)
@@ -278,7 +278,7 @@ def gloo(rank: int, place: Path, folder: Path, tell: Connection) -> None:
     tell.send((seen, loader.state_dict()["position"], sampler.state_dict(received=6)["position"]))
 
 
-def test_two_processes_that_meet_after_their_loaders_were_built(folder: Path, tmp_path: Path) -> None:
+def test_ranks_may_join_after_their_loaders_were_built(folder: Path, tmp_path: Path) -> None:
     fork = multiprocessing.get_context("fork")
     pipes = [fork.Pipe(duplex=False) for _ in range(2)]
     children = [
@@ -296,7 +296,7 @@ def test_two_processes_that_meet_after_their_loaders_were_built(folder: Path, tm
     assert states == others == [2 * N, N]
 
 
-def test_lightning_takes_the_sampler_for_its_own(folder: Path) -> None:
+def test_the_sampler_is_a_distributed_sampler(folder: Path) -> None:
     assert isinstance(ElasticSampler(range(4)), DistributedSampler)
 
 
@@ -307,7 +307,7 @@ def test_a_framework_sets_the_epoch(folder: Path) -> None:
     for epoch in (2, 0, 3, 3):
         again.set_epoch(epoch)
         assert list(again) == epochs[epoch]
-    # Loaded in the midst of epoch 1, by somebody who counts from 0.
+    # Loaded within epoch 1 by a framework that counts from 0.
     resumed = ElasticSampler(range(N))
     resumed.load_state_dict({**again.state_dict(), "position": N + 5})
     for epoch, expected in enumerate((epochs[1][5:], epochs[2], epochs[3])):
@@ -322,8 +322,8 @@ def test_a_framework_sets_the_epoch(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("workers", [0, 1])
-def test_a_pass_that_broke_off_is_over(folder: Path, workers: int) -> None:
-    """As a framework tries out a validation on two batches: the first whole one covers everything."""
+def test_a_broken_off_pass_is_not_continued(folder: Path, workers: int) -> None:
+    """Like Lightning's sanity check of two batches: the first full pass covers everything."""
     ds = GarmentDataset(folder, fields=["meta"])
     loader = GarmentLoader(ds, 2, shuffle=False, num_workers=workers)
     for _, _ in zip(range(2), loader, strict=False):
@@ -333,33 +333,33 @@ def test_a_pass_that_broke_off_is_over(folder: Path, workers: int) -> None:
     epochs = [every(trained) for _ in range(3)]
     broken = GarmentLoader(ds, 2)
     starts = [ids(next(iter(broken))) for _ in range(3)]
-    assert starts == [epoch[:2] for epoch in epochs]  # not the same garments for ever
+    assert starts == [epoch[:2] for epoch in epochs]  # not the same garments each time
     unused = GarmentLoader(ds, 2)
     iter(unused), iter(unused)
     assert every(unused) == epochs[0]
 
 
-def test_a_pass_goes_on_from_a_state(folder: Path) -> None:
+def test_a_pass_resumes_from_a_state(folder: Path) -> None:
     loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2)
     whole = every(GarmentLoader(loader.dataset, 2))
     seen = [number for _, batch in zip(range(2), loader, strict=False) for number in ids(batch)]
     loader.load_state_dict(loader.state_dict())
-    iter(loader)  # takes nothing
+    iter(loader)  # receives nothing
     assert seen + every(loader) == whole
     sampler = ElasticSampler(range(N))
     first = [number for _, number in zip(range(5), sampler, strict=False)]
     again = ElasticSampler(range(N))
     again.load_state_dict(sampler.state_dict())
     assert first + list(again) == list(ElasticSampler(range(N)))
-    assert list(sampler) == list(again)  # epoch 1, here after a break
+    assert list(sampler) == list(again)  # epoch 1, after a break
 
 
 # --------------------------------------------------------------------------------------------------------------- states
 
 
-def test_the_state_of_other_garments_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_the_state_of_another_data_set_is_refused(folder: Path, tmp_path: Path) -> None:
     ds = GarmentDataset(folder, fields=["meta"])
-    other = GarmentDataset(sewn(tmp_path, N, seed=1), fields=["meta"])
+    other = GarmentDataset(pattern_shards(tmp_path, N, seed=1), fields=["meta"])
     named = (
         r"its dataset is GarmentDataset of 12, seed 0, numbers 0 to 11 \('\w{16}'\), here it is GarmentDataset of "
         r"12, seed 1, numbers 0 to 11 \('\w{16}'\): load it with the same data set"
@@ -399,19 +399,19 @@ def test_the_state_of_other_garments_is_refused(folder: Path, tmp_path: Path) ->
         {"position": [1, 2]},
     ],
 )
-def test_a_state_that_is_none_is_told_on_one_line(folder: Path, entry: dict[str, Any]) -> None:
+def test_the_error_for_an_invalid_state_is_one_line(folder: Path, entry: dict[str, Any]) -> None:
     loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2)
-    with pytest.raises(ConfigError, match=next(iter(entry))) as told:
+    with pytest.raises(ConfigError, match=next(iter(entry))) as raised:
         loader.load_state_dict({**loader.state_dict(), **entry})
-    assert "\n" not in str(told.value)
-    assert len(str(told.value)) < 400
+    assert "\n" not in str(raised.value)
+    assert len(str(raised.value)) < 400
     none: tuple[Any, ...] = (None, [], 3, "state")
     for nothing in none:
         with pytest.raises(ConfigError, match=r"state .* is not a dict"):
             loader.load_state_dict(nothing)
 
 
-def test_whole_numbers_of_any_kind_make_a_state(folder: Path) -> None:
+def test_integers_of_any_type_are_valid_in_a_state(folder: Path) -> None:
     loader = GarmentLoader(GarmentDataset(folder, fields=["meta"]), 2, seed=2**70)
     loader.load_state_dict({**loader.state_dict(), "position": np.int64(4), "length": torch.tensor(N)})
     assert len(every(loader)) == N - 4
@@ -422,7 +422,7 @@ def test_whole_numbers_of_any_kind_make_a_state(folder: Path) -> None:
 
 @pytest.mark.parametrize("workers", [0, 1, 2, 3])
 @pytest.mark.parametrize("world_size", [1, 2, 3])
-def test_a_stream_is_shared_out_by_garments(
+def test_ranks_and_workers_split_a_stream_evenly(
     folder: Path, three: Path, ranks: Callable, world_size: int, workers: int
 ) -> None:
     for where in (folder, three):
@@ -438,7 +438,7 @@ def test_a_stream_is_shared_out_by_garments(
         assert workers or seen == list(range(N))
 
 
-def test_parts_of_splits_are_shared_out_too(three: Path, ranks: Callable) -> None:
+def test_ranks_and_workers_split_slices_evenly(three: Path, ranks: Callable) -> None:
     stream = GarmentDataset(three, "train[1:4]+train[9:11]+train[-1:]", fields=["meta"], streaming=True)
     seen = []
     for rank in range(4):
@@ -447,8 +447,8 @@ def test_parts_of_splits_are_shared_out_too(three: Path, ranks: Callable) -> Non
     assert seen == [[1], [2, 3], [9], [10, 11]]
 
 
-def test_a_name_that_comes_twice_in_a_stream_is_told(tmp_path: Path) -> None:
-    shard = sewn(tmp_path, 2) / "train-00000.tar"
+def test_a_duplicate_name_in_a_stream_is_named(tmp_path: Path) -> None:
+    shard = pattern_shards(tmp_path, 2) / "train-00000.tar"
     stream = GarmentDataset(tmp_path, streaming=True)
     content = bytearray(shard.read_bytes())
     second = 512 + -(-int(content[124:135], 8) // 512) * 512
@@ -473,18 +473,18 @@ def fails_at_7(item: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("streaming", [False, True])
 def test_an_error_of_a_transform_names_the_garment(folder: Path, streaming: bool) -> None:
-    """The original is its cause; where a worker process sends it, what it says."""
+    """The original error is the cause; from a worker process its message."""
     ds = GarmentDataset(folder, "train[2:]", fields=["meta"], transform=fails_at_7, streaming=streaming)
-    told = rf"the transform of gcd_000000007, number 5 of \w+\(train of {folder}\): ZeroDivisionError: not this one"
+    message = rf"the transform of gcd_000000007, number 5 of \w+\(train of {folder}\): ZeroDivisionError: not this one"
     ways: list[Any] = [ds, GarmentLoader(ds, 3)]
     if not streaming:
         ways += [ds.select([1, 5]), Augmented(ds, Yaw()), MixedDataset([ds], [1])]
     for way in ways:
-        with pytest.raises(TransformError, match=told) as raised:
+        with pytest.raises(TransformError, match=message) as raised:
             for _ in way:
                 pass
         assert isinstance(raised.value.__cause__, ZeroDivisionError)
-    with pytest.raises(TransformError, match=told):
+    with pytest.raises(TransformError, match=message):
         list(DataLoader(ds, 3, num_workers=1, collate_fn=collate_list))
 
 
@@ -494,7 +494,7 @@ def test_an_error_of_an_augment_names_the_garment(folder: Path) -> None:
         list(GarmentLoader(ds, 3))
 
 
-def test_what_cannot_be_called_is_refused(folder: Path) -> None:
+def test_functions_that_are_not_callable_are_refused(folder: Path) -> None:
     ds, three = GarmentDataset(folder), cast(Any, 3)
     ways: dict[str, list[Callable[[], Any]]] = {
         "transform": [

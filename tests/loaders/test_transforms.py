@@ -1,4 +1,4 @@
-"""Changes by chance: what they do to a garment, and that seed, number and epoch decide them."""
+"""Augmentations: geometry, and draws by seed, index and epoch."""
 
 import numpy as np
 import pytest
@@ -22,20 +22,20 @@ from gcd_dataset.loaders.base import Item
 from tests.loaders.test_shards import assert_all_same, same
 
 
-def chance(seed: int = 0) -> np.random.Generator:
+def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
 def ball(radius: float = 40.0) -> Item:
-    """Points of a ball with its middle 100 cm above the ground."""
+    """Points of a sphere centred 100 cm above the ground."""
     shape = trimesh.creation.icosphere(subdivisions=4)
     points = np.concatenate([radius * shape.vertices + [0, 100, 0], shape.vertices], axis=1)
     return {"points": torch.from_numpy(points.astype(np.float16))}
 
 
-def test_a_turn_keeps_heights_and_distances() -> None:
+def test_yaw_keeps_heights_and_distances() -> None:
     item = FakeGarments(1)[0]
-    turned = Yaw()(item, chance())
+    turned = Yaw()(item, rng())
     for field in ("verts", "box", "points"):
         before, after = item[field].float(), turned[field].float()
         assert not torch.allclose(before, after, atol=0.1)
@@ -46,29 +46,29 @@ def test_a_turn_keeps_heights_and_distances() -> None:
     assert same(item, FakeGarments(1)[0])
 
 
-def test_normals_turn_with_the_surface() -> None:
-    points = Yaw()(ball(), chance())["points"].float()
+def test_yaw_rotates_normals_with_the_surface() -> None:
+    points = Yaw()(ball(), rng())["points"].float()
     assert torch.allclose((points[:, :3] - torch.tensor([0.0, 100.0, 0.0])) / 40, points[:, 3:], atol=2e-3)
 
 
-def test_no_turn_beyond_the_greatest() -> None:
+def test_yaw_stays_within_its_limit() -> None:
     angles = []
     for seed in range(50):
         front = {"verts": torch.tensor([[0.0, 0.0, 1.0]])}
-        x, _, z = Yaw(0.5)(front, chance(seed))["verts"][0].tolist()
+        x, _, z = Yaw(0.5)(front, rng(seed))["verts"][0].tolist()
         angles.append(np.arctan2(x, z))
     assert 0.4 < max(angles) <= 0.5
     assert -0.5 <= min(angles) < -0.4
 
 
-def test_noise_has_the_size_asked_for() -> None:
-    before, after = ball()["points"].float(), PointNoise(2.0)(ball(), chance())["points"].float()
+def test_noise_has_the_given_standard_deviation() -> None:
+    before, after = ball()["points"].float(), PointNoise(2.0)(ball(), rng())["points"].float()
     assert (after - before)[:, :3].std().item() == pytest.approx(2.0, rel=0.05)
     assert torch.equal(after[:, 3:], before[:, 3:])
 
 
 def test_a_view_shows_the_half_that_faces_the_camera() -> None:
-    view = PartialView(distance=4000.0)(ball(), chance())["points"]
+    view = PartialView(distance=4000.0)(ball(), rng())["points"]
     assert view.shape == ball()["points"].shape
     seen = view.float().unique(dim=0)
     assert 0.4 < len(seen) / len(ball()["points"]) < 0.55
@@ -78,12 +78,12 @@ def test_a_view_shows_the_half_that_faces_the_camera() -> None:
     assert abs(toward[1]) < 0.05
 
 
-def test_what_is_not_there_is_passed_over() -> None:
+def test_absent_fields_are_skipped() -> None:
     item = FakeGarments(1, fields=["meta"])[0]
-    assert Chain(Yaw(), PointNoise(1.0), PartialView())(item, chance()) == item
+    assert Chain(Yaw(), PointNoise(1.0), PartialView())(item, rng()) == item
 
 
-def test_seed_number_and_epoch_decide() -> None:
+def test_draws_depend_on_seed_index_and_epoch() -> None:
     def changed(seed: int = 0, epoch: int = 0) -> Augmented:
         ds = Augmented(FakeGarments(4, fields=["points"]), PointNoise(1.0), seed=seed)
         ds.set_epoch(epoch)
@@ -97,7 +97,7 @@ def test_seed_number_and_epoch_decide() -> None:
 
 
 @pytest.mark.parametrize("context", ["fork", "spawn"])
-def test_the_epoch_reaches_workers_that_stay(context: str) -> None:
+def test_set_epoch_reaches_persistent_workers(context: str) -> None:
     ds = Augmented(FakeGarments(2, fields=["points"]), PointNoise(1.0))
     loader = DataLoader(
         ds,
@@ -114,7 +114,7 @@ def test_the_epoch_reaches_workers_that_stay(context: str) -> None:
     assert same(second, list(ds))
 
 
-def test_they_take_the_place_of_their_garments() -> None:
+def test_augmented_garments_keep_state_recipe_and_slices() -> None:
     plain = FakeGarments(6, fields=["points"])
     ds = Augmented(plain, Yaw())
     state = GarmentLoader(plain, 2).state_dict()
