@@ -21,10 +21,10 @@ class Difference:
     """One difference between two patterns."""
 
     panel: str
-    what: str
+    message: str
 
     def __str__(self) -> str:
-        return f"panel {self.panel}: {self.what}" if self.panel else self.what
+        return f"panel {self.panel}: {self.message}" if self.panel else self.message
 
 
 @dataclass(frozen=True)

@@ -271,7 +271,7 @@ class note_items:  # noqa: N801 -- a context manager, named as functions are
 class as_transform_error:  # noqa: N801 -- a context manager, named as functions are
     """Context manager: turns an error of a transform into a ``TransformError`` that names the garment."""
 
-    # A class: entered for every garment, as ``naming`` is.
+    # A class for speed, as ``note_items``.
     __slots__ = ("_dataset", "_position")
 
     def __init__(self, dataset: Garments, position: int) -> None:

@@ -44,11 +44,13 @@ class GeneratedGarments(Garments):
 
     ``options`` are those of ``MakeConfig``: ``bodies="both"``, ``resolution=2.0`` [cm], ``fabric="denim"`` and so on;
     ``design`` is an overlay from ``read_overlay``, or the content of such a file as a dict: ``{"meta": {"bottom":
-    "none"}}``. The same ``seed`` with another fabric or another arm pose gives the same patterns, draped differently.
-    ``drape``: ``warp``, or ``None`` to stop at the box mesh; ``stage="pattern"`` stops before that. ``fields``:
-    ``None`` for all fields of the stage; ``dtype``: the type of floating fields, float32 by default, ``None`` for the
-    type stored in shards. Pictures are rendered for a cache, or if ``fields`` include ``front``, ``back`` or ``meta``,
-    which holds the checksums of all members.
+    "none"}}``.
+    The same ``seed`` with another fabric or another arm pose gives the same patterns, draped differently.
+    ``drape``: ``warp``, or ``None`` to stop at the box mesh; ``stage="pattern"`` stops before that.
+    ``fields``: ``None`` for all fields of the stage; ``dtype``: the type of floating fields, float32 by default,
+    ``None`` for the type stored in shards.
+    Pictures are rendered for a cache, or if ``fields`` include ``front``, ``back`` or ``meta``, which holds the
+    checksums of all members.
 
     ``device``: where cloth is draped: ``cpu``, ``cuda:0``, ``cuda:0,1``; ``auto`` is every GPU that torch sees, or the
     CPU. Under ``torchrun``, or with ``torch.distributed`` initialised, ``auto`` is this rank's own GPU, and several

@@ -59,9 +59,10 @@ class PublishedGarmentCodeData(Garments):
 
     ``root``: the folder that holds ``garments_5000_0`` and the other batches, or its parent; missing batches are left
     out. Or a ``PublishedBatches``, opened once for several splits; then ``bodies`` and ``cache_dir`` are its own.
-    ``split``: ``train``, ``validation`` or ``test`` of the official split, or ``all`` garments on disk. ``bodies``:
-    ``default``, ``random``, or ``both``: then a design's two garments are adjacent. ``fields``: the fields to read;
-    other files are not opened. ``cache_dir``: folder for the indices of archives, by default beside them.
+    ``split``: ``train``, ``validation`` or ``test`` of the official split, or ``all`` garments on disk.
+    ``bodies``: ``default``, ``random``, or ``both``: then a design's two garments are adjacent.
+    ``fields``: the fields to read; other files are not opened.
+    ``cache_dir``: folder for the indices of archives, by default beside them.
 
     An archive of 5 GB is scanned once, in a minute or two; from then on a garment in it is found in about 50 ms. For
     long trainings, extract the archives or convert them with ``gcd convert``.

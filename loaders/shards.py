@@ -50,20 +50,26 @@ class GarmentDataset(Garments):
 
     ``source``: a folder, ``http://…``, ``https://…``, ``file://…``, ``s3://BUCKET/PREFIX`` or any other URL of
     ``fsspec``, or ``ORG/NAME`` (also ``hf://…``, ``…@REVISION``); or ``recipe:NAME`` or ``recipe:FILE.toml``: the data
-    set of a recipe, made on first use. ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
+    set of a recipe, made on first use.
+    ``split``: ``train``, ``train[:10%]``, ``train[100:200]``, ``train+test``.
     ``fields``: the fields to read, ``None`` for all that the garments hold (those of stage ``pattern`` or ``mesh`` lack
     some); other members are neither read nor downloaded. ``dtype``: the type of floating fields, float32 by default,
-    ``None`` for the stored types. ``root``: download the split, or its selected fields, to this folder first, and read
-    it there. A recipe's data set is made in its subfolder NAME, by default in the cache. ``download``: ``False`` asks
-    no server and makes nothing: ``root`` or the cache must hold the data. ``revision``: branch, tag or commit of a
-    repository; resolved once, see the attribute ``revision``. ``cache_dir``, ``max_cache_size``: the cache of remote
-    data and its limit, such as ``"20GB"``; any number of processes may share it. By default ``~/.cache/gcd_dataset``,
-    without limit. ``patience``: seconds to wait for an unreachable or busy server before a read fails; by default 30,
-    ``math.inf`` for no limit. ``endpoint``, ``token``: of the Hub; by default from ``HF_ENDPOINT`` and ``hf auth
-    login``. ``transform``: called with each item. ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it
-    for the first time, ``full`` checks everything on opening, ``off`` nothing; remote data is checked in any case.
-    ``settled_only``: only garments whose drape has settled. ``streaming``: an iterable data set instead, which reads
-    shards sequentially with ``webdataset`` and splits the garments over ranks and workers; remote data is not cached.
+    ``None`` for the stored types.
+    ``root``: download the split, or its selected fields, to this folder first, and read it there. A recipe's data set
+    is made in its subfolder NAME, by default in the cache.
+    ``download``: ``False`` asks no server and makes nothing: ``root`` or the cache must hold the data.
+    ``revision``: branch, tag or commit of a repository; resolved once, see the attribute ``revision``.
+    ``cache_dir``, ``max_cache_size``: the cache of remote data and its limit, such as ``"20GB"``; any number of
+    processes may share it. By default ``~/.cache/gcd_dataset``, without limit.
+    ``patience``: seconds to wait for an unreachable or busy server before a read fails; by default 30, ``math.inf`` for
+    no limit.
+    ``endpoint``, ``token``: of the Hub; by default from ``HF_ENDPOINT`` and ``hf auth login``.
+    ``transform``: called with each item.
+    ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks everything
+    on opening, ``off`` nothing; remote data is checked in any case.
+    ``settled_only``: only garments whose drape has settled.
+    ``streaming``: an iterable data set instead, which reads shards sequentially with ``webdataset`` and splits the
+    garments over ranks and workers; remote data is not cached.
 
     Foreign tars for ``webdataset`` are read too: their fields are the extensions of their files, such as ``seg.png``,
     decoded by the last one, and ``None`` for a sample without such a file.

@@ -79,16 +79,16 @@ def run(options: argparse.Namespace) -> Measured:
     names = sorted(path.stem for path in options.folder.glob("*.obj") if path.with_suffix(".yaml").is_file())
     if not names:
         raise ConfigError(f"{options.folder}: no body NAME.obj with its measures NAME.yaml in it")
-    off = {name: _off_published(options.folder / name) for name in names}
-    own = [_off_own(options.seed, index) for index in range(options.own)]
-    broken = Counter(_fate(options.seed, index) for index in range(options.broken))
+    differences = {name: _published_differences(options.folder / name) for name in names}
+    own = [_own_differences(options.seed, index) for index in range(options.own)]
+    broken = Counter(_outcome(options.seed, index) for index in range(options.broken))
     figures = [
-        Figure("published", float(np.mean([_within(one) for one in off.values()])), "of measures"),
+        Figure("published", float(np.mean([_within(one) for one in differences.values()])), "of measures"),
         Figure("own", float(np.mean([_within(one) for one in own])) if own else np.nan, "of measures"),
         Figure("speed", _speed(options.seed), "CPU-ms"),
-        *(Figure(f"broken_{fate}", broken[fate], "files") for fate in ("right", "stated", "error", "wrong")),
+        *(Figure(f"broken_{outcome}", broken[outcome], "files") for outcome in ("right", "stated", "error", "wrong")),
     ]
-    return Measured(figures, [_row(key, off, own) for key in MEASURES])
+    return Measured(figures, [_row(key, differences, own) for key in MEASURES])
 
 
 def tolerance(key: str) -> float:
@@ -98,28 +98,28 @@ def tolerance(key: str) -> float:
     return CLOSE if key in GIRTHS_AND_HEIGHTS else NEAR
 
 
-def _within(off: Mapping[str, float]) -> float:
-    return float(np.mean([abs(by) <= tolerance(key) for key, by in off.items()]))
+def _within(differences: Mapping[str, float]) -> float:
+    return float(np.mean([abs(difference) <= tolerance(key) for key, difference in differences.items()]))
 
 
-def _row(key: str, off: Mapping[str, Mapping[str, float]], own: list[dict[str, float]]) -> dict[str, object]:
+def _row(key: str, differences: Mapping[str, Mapping[str, float]], own: list[dict[str, float]]) -> dict[str, object]:
     row: dict[str, object] = {"measure": key, "within": tolerance(key)}
-    row |= {name: f"{one[key]:+.2f}" for name, one in off.items()}
+    row |= {name: f"{one[key]:+.2f}" for name, one in differences.items()}
     return row | {"ours, worst": max((one[key] for one in own), key=abs, default=np.nan), "cause": CAUSES[key]}
 
 
-def _off_published(path: Path) -> dict[str, float]:
-    taken, _ = measure_file(path.with_suffix(".obj"))
-    return _off(taken.measurements, read_measurements(path.with_suffix(".yaml")))
+def _published_differences(path: Path) -> dict[str, float]:
+    found, _ = measure_file(path.with_suffix(".obj"))
+    return _differences(found.measurements, read_measurements(path.with_suffix(".yaml")))
 
 
-def _off_own(seed: int, index: int) -> dict[str, float]:
+def _own_differences(seed: int, index: int) -> dict[str, float]:
     body = build_body(draw_shape(rng(seed, index, Stage.BODY)))
     unknown = replace(body, faces=np.roll(body.faces, 1, axis=0))
-    return _off(measure(unknown), measure(body))
+    return _differences(measure(unknown), measure(body))
 
 
-def _off(found: Measurements, known: Measurements) -> dict[str, float]:
+def _differences(found: Measurements, known: Measurements) -> dict[str, float]:
     values, expected = found.to_file_values(), known.to_file_values()
     return {key: values[key] - expected[key] for key in MEASURES if key in expected}
 
@@ -133,19 +133,20 @@ def _speed(seed: int) -> float:
     return 1000 * (time.process_time() - start) / SPEED_BODIES
 
 
-def _fate(seed: int, index: int) -> str:
+def _outcome(seed: int, index: int) -> str:
     """Outcome of a damaged file: ``right``, ``stated`` (measured, with a remark of doubt), ``error`` or ``wrong``."""
     kind = list(KINDS)[index % len(KINDS)]
     made = broken_body(kind, rng(seed, index, Stage.BODY, 1))
     with tempfile.TemporaryDirectory() as folder:
         try:
-            taken, remarks = measure_file(made.write(Path(folder)))
+            found, remarks = measure_file(made.write(Path(folder)))
         except GcdError as error:
             print(f"{kind}: {str(error).replace(folder, '')}")
             return "error"
-    off = {} if made.truth is None else _off(taken.measurements, made.truth)
-    far = {key: round(by, 2) for key, by in off.items() if abs(by) > LOOSE.get(kind, 1.0) * tolerance(key)}
-    stated = any(remark.startswith(STATED) for remark in remarks) or set(far) == {"leg_circ"} <= taken.at_border.keys()
+    differences = {} if made.truth is None else _differences(found.measurements, made.truth)
+    limits = {key: LOOSE.get(kind, 1.0) * tolerance(key) for key in differences}
+    far = {key: round(difference, 2) for key, difference in differences.items() if abs(difference) > limits[key]}
+    stated = any(remark.startswith(STATED) for remark in remarks) or set(far) == {"leg_circ"} <= found.at_border.keys()
     if made.truth is not None and not far:
         return "right"
     print(f"{kind} {index}: {far or 'measured, although no truth is known'}{' (stated)' if stated else ''}")

@@ -63,8 +63,8 @@ def _at_once(jobs: Sequence[DrapeJob], device: str) -> int:
 
 
 def _theirs(jobs: Sequence[DrapeJob], device: str) -> dict[str, Any]:
-    made = drape_with_newton(jobs, device=device)
-    return _row("newton", _judged(jobs, made, device), made.setup_seconds, made.solve_seconds)
+    peer = drape_with_newton(jobs, device=device)
+    return _row("newton", _judged(jobs, peer, device), peer.setup_seconds, peer.solve_seconds)
 
 
 def _row(solver: str, drapes: Sequence[Drape], setup: float, solve: float) -> dict[str, Any]:
@@ -80,28 +80,28 @@ def _row(solver: str, drapes: Sequence[Drape], setup: float, solve: float) -> di
     }
 
 
-def _judged(jobs: Sequence[DrapeJob], made: PeerDrapes, device: str) -> list[Drape]:
+def _judged(jobs: Sequence[DrapeJob], peer: PeerDrapes, device: str) -> list[Drape]:
     """Newton's drapes with outcomes by our criteria and counters."""
     config = DrapeConfig()
     solver = Solver(build_model(jobs, config, device), config)
-    solver.state.x.assign(wp.array(np.concatenate(made.vertices), dtype=wp.vec3, device=device))
+    solver.state.x.assign(wp.array(np.concatenate(peer.vertices), dtype=wp.vec3, device=device))
     own, body, through = solver.self_crossings(), solver.body_crossings(), solver.body_through()
     stretches = solver.stretches()
     parts = np.split(stretches, solver.model.topology.edge_offset[1:-1])
     drapes = []
-    for k, (job, vertices) in enumerate(zip(jobs, made.vertices, strict=True)):
+    for k, (job, vertices) in enumerate(zip(jobs, peer.vertices, strict=True)):
         median, p99 = np.percentile(parts[k], [50, 99])
         drape = Drape(
             vertices=vertices,
             outcome=Outcome.SETTLED,
-            frames=int(made.frames[k]),
+            frames=int(peer.frames[k]),
             self_crossings=int(own[k]),
             body_crossings=int(body[k]),
             stretch_median=float(median),
             stretch_p99=float(p99),
             body_through=int(through[k]),
         )
-        outcome = _outcome(job, drape, config, rested=bool(made.rested[k]))
+        outcome = _outcome(job, drape, config, rested=bool(peer.rested[k]))
         drapes.append(replace(drape, outcome=outcome))
     return drapes
 

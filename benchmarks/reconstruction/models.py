@@ -74,7 +74,7 @@ class PatternNet(nn.Module):
         width = config.width
         options: dict[str, Any] = {"activation": "gelu", "batch_first": True, "norm_first": True, "dropout": 0.0}
         self.region = nn.Sequential(nn.Linear(6, width // 2), nn.GELU(), nn.Linear(width // 2, width))
-        self.place = nn.Linear(6 * FREQUENCIES + 6, width)
+        self.position = nn.Linear(6 * FREQUENCIES + 6, width)
         self.merge = nn.Sequential(nn.GELU(), nn.Linear(width, width))
         layer = nn.TransformerEncoderLayer(width, config.heads, 4 * width, **options)
         self.encoder = nn.TransformerEncoder(layer, config.layers, nn.LayerNorm(width), enable_nested_tensor=False)
@@ -94,23 +94,23 @@ class PatternNet(nn.Module):
         predicted = []
         for layer in self.decoder:
             panels = layer(panels, tokens)
-            predicted.append(self._read(panels))
+            predicted.append(self._predicted(panels))
         return predicted
 
     def _tokens(self, points: Float[Tensor, "b n 6"]) -> Float[Tensor, "b t w"]:
         """Tokens of the regions around the first points of each garment; points are in random order."""
         centres = points[:, : self.config.tokens]
         with torch.no_grad():
-            apart = torch.cdist(centres[..., :3], points[..., :3])
-            nearest = apart.topk(min(self.config.neighbours, points.shape[1]), largest=False).indices
+            distances = torch.cdist(centres[..., :3], points[..., :3])
+            nearest = distances.topk(min(self.config.neighbours, points.shape[1]), largest=False).indices
         region = points[torch.arange(len(points), device=points.device)[:, None, None], nearest]
         offsets = (region[..., :3] - centres[:, :, None, :3]) * REGION_SCALE
-        around = self.region(torch.cat([offsets, region[..., 3:]], dim=-1)).amax(dim=2)
+        features = self.region(torch.cat([offsets, region[..., 3:]], dim=-1)).amax(dim=2)
         octaves = centres[..., :3, None] * 2.0 ** torch.arange(FREQUENCIES, device=points.device)
         waves = torch.cat([octaves.sin(), octaves.cos()], dim=-1).flatten(2)
-        return self.merge(around + self.place(torch.cat([waves, centres], dim=-1)))
+        return self.merge(features + self.position(torch.cat([waves, centres], dim=-1)))
 
-    def _read(self, panels: Float[Tensor, "b q w"]) -> Predicted:
+    def _predicted(self, panels: Float[Tensor, "b q w"]) -> Predicted:
         # In float32: bfloat16 would round a metre to half a centimetre.
         with torch.autocast(panels.device.type, enabled=False):
             exists, outline, centres, rotations, edges = (head(self.norm(panels.float())) for head in self.heads)

@@ -234,12 +234,12 @@ def _clocks() -> tuple[float, float]:
     return time.perf_counter(), sum(times()[:4])
 
 
-def _spent(what: str, start: tuple[float, float], *, per: int, unit: str) -> list[Figure]:
+def _spent(step: str, start: tuple[float, float], *, per: int, unit: str) -> list[Figure]:
     if torch.cuda.is_available():
         torch.cuda.synchronize()
     wall, cpu = (now - then for now, then in zip(_clocks(), start, strict=True))
-    rate = Figure(f"{what}_rate", per / wall, f"{unit}/s")
-    return [Figure(f"{what}_s", wall, "s"), Figure(f"{what}_cpu_s", cpu, "s"), rate]
+    rate = Figure(f"{step}_rate", per / wall, f"{unit}/s")
+    return [Figure(f"{step}_s", wall, "s"), Figure(f"{step}_cpu_s", cpu, "s"), rate]
 
 
 def _listed(parts: dict[str, torch.Tensor]) -> str:

@@ -275,7 +275,7 @@ def test_varlen_attention_equals_attention_per_garment(
 
 def test_varlen_of_a_field_that_is_not_ragged_is_refused(batch: PackedBatch) -> None:
     for field in ("points", "sleeves"):
-        with pytest.raises(ConfigError, match=rf"{field} is not a field .* there are panels"):
+        with pytest.raises(ConfigError, match=rf"{field} is not a ragged field .* choose among panels"):
             batch.varlen(field)
 
 

@@ -256,7 +256,7 @@ def test_a_missing_file_is_named(own: Path, kind: str) -> None:
 def test_a_garment_of_the_split_without_files_is_logged(own: Path, caplog: pytest.LogCaptureFixture) -> None:
     remove(file_of(own, TRAIN[0], "spec").parent)
     assert numbers(PublishedGarmentCodeData(own)) == [1, 2, 3]
-    assert "1 garments of the split are neither there nor recorded as failed" in caplog.text
+    assert "1 garments of the split are neither there nor noted as failed" in caplog.text
 
 
 def test_missing_batches_are_skipped(own: Path) -> None:
