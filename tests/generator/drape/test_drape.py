@@ -9,12 +9,12 @@ import trimesh
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch
-from gcd_dataset.generator.drape.coarse_start import go_on_from
-from gcd_dataset.generator.drape.holds import held_from_below, holds
+from gcd_dataset.generator.drape.coarse_start import start_from_coarse
+from gcd_dataset.generator.drape.holds import find_keepers, holds
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect, slid_off
-from gcd_dataset.generator.drape.queue import drape_in_turn
+from gcd_dataset.generator.drape.queue import drape_unordered
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import coarsen
 from gcd_dataset.records import BoxMesh, Drape, Outcome
@@ -84,8 +84,8 @@ def test_a_garment_drapes_alike_whoever_leaves_and_joins_its_batch(few: int, mon
     monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", few)
     jobs = [on_a_ball(columns) for columns in (9, 5, 8, 6, 7)]
     config = DrapeConfig(max_frames=60)
-    alone = [drape for job in jobs for _, drape in drape_in_turn([job], config, device="cpu", at_once=1)]
-    in_turn = dict(drape_in_turn(iter(jobs), config, device="cpu", at_once=3))
+    alone = [drape for job in jobs for _, drape in drape_unordered([job], config, device="cpu", at_once=1)]
+    in_turn = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=3))
     assert [in_turn[number] for number in range(len(jobs))] == alone
     assert len({drape.frames for drape in alone}) > 2  # they did not end together
     assert drape_batch(jobs, config, device="cpu", at_once=2) == alone
@@ -104,7 +104,7 @@ def test_what_is_wrong_with_a_job_is_told_after_those_before_it(at_once: int) ->
     assert len(drapes) == 3
     in_turn = []
     with pytest.raises(OSError, match="the disk is gone"):
-        for number, _ in drape_in_turn(jobs(), config, device="cpu", at_once=at_once):
+        for number, _ in drape_unordered(jobs(), config, device="cpu", at_once=at_once):
             in_turn.append(number)
     assert sorted(in_turn) == [0, 1, 2]
 
@@ -138,14 +138,14 @@ def test_what_slides_is_not_at_rest_where_it_hangs_at_the_very_limit() -> None:
     """Heights are added up in 1/256 cm: by that the kernel may find a garment too low, and its vertices not."""
     job = on_a_ball(4, labels={"lower_interface": np.arange(25)})
     job = replace(job, measurements=replace(SIZE, hips_line=20.0 - 1.0 / 512))
-    lowest = held_from_below(job)[1]
+    lowest = find_keepers(job)[1]
     solver = Solver(build_model([job], DrapeConfig(), "cpu"), DrapeConfig())
     x = solver.state.x.numpy()
     x[:] = x + [60.0, 0.0, 0.0]
     x[:, 1] = lowest + 1e-4
     solver.state.held.zero_()
     solver.state.time.fill_(1.0)
-    solver._record_end()
+    solver._end_frame()
     assert solver.state.status.numpy()[0] != RUNNING
     assert not slid_off(job, x)
     [drape] = collect(solver, [job], [0])
@@ -180,7 +180,7 @@ def test_contacts_without_room_in_a_coarse_start_are_reported() -> None:
     first = Solver(build_model([replace(job, box_mesh=coarse.mesh)], config, "cpu", coarse=[0]), config)
     first.state.contacts.overfull.fill_(1)
     then = Solver(build_model([job], config, "cpu"), config)
-    go_on_from(first, then, [(0, 0, coarse)])
+    start_from_coarse(first, then, [(0, 0, coarse)])
     [drape] = collect(then, [job], [0])
     assert drape.outcome is Outcome.OVERFULL
 

@@ -17,9 +17,9 @@ from gcd_dataset.generator.drape import (
     DrapeJob,
     drape_all,
     kernels_compiled,
+    log_drape_time,
     seconds_per_garment,
     seconds_to_drape,
-    tell_wait,
 )
 from gcd_dataset.generator.drape import device as devices
 from gcd_dataset.generator.drape.kernels import refine
@@ -54,10 +54,10 @@ def test_kernels_are_kept_elsewhere_where_the_home_cannot_be_written(tmp_path: P
 def test_a_folder_that_others_may_write_keeps_no_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What lies in it is run."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    own = devices._own_folder()
-    assert devices._own_folder() == own
+    own = devices._private_folder()
+    assert devices._private_folder() == own
     own.chmod(0o777)
-    assert devices._own_folder() != own
+    assert devices._private_folder() != own
 
 
 def test_kernels_that_are_compiled_are_told_of_once(
@@ -87,9 +87,9 @@ def test_waits_grow_with_garments_and_finer_meshes(
     assert seconds_to_drape(5, "cpu", 1.0) == 3 * seconds_per_garment("cpu", 1.0)
     assert seconds_per_garment("cpu", 2.0) < seconds_per_garment("cpu", 1.0) / 2.5
     with caplog.at_level("INFO", logger="gcd_dataset"):
-        tell_wait(1, "cpu", 5.0)
+        log_drape_time(1, "cpu", 5.0)
         assert not caplog.records
-        tell_wait(40, "cpu", 1.0)
+        log_drape_time(40, "cpu", 1.0)
     assert "40 garments at 1 cm on this CPU takes about 2 min" in caplog.text
 
 
