@@ -83,7 +83,7 @@ def _checked(jobs: Iterable[DrapeJob], device: str) -> Iterator[DrapeJob]:
 
 
 class _Cancelled(Exception):  # noqa: N818 - no error: never leaves this module
-    """Ends a drape whose caller has stopped iterating."""
+    """Ends a drape after its caller has closed the iterator."""
 
 
 def _by_threads(jobs: Iterable[DrapeJob], config: DrapeConfig, threads: int) -> Iterator[Drape]:

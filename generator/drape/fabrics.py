@@ -14,9 +14,10 @@ from gcd_dataset.generator.drape.fabric import Bending, Fabric, Tensile, bias_st
 __all__ = ["DEFAULT_FABRIC", "FABRICS", "fabric_named"]
 
 DEFAULT_FABRIC = "default"
+# ``Fabric.source`` is stored in samples: rewording a source changes their bytes.
 GARMENTCODE = (
-    "GarmentCodeData (Korosteleva et al., ECCV 2024): the effective stiffness of its springs and hinges, over a "
-    "density of 0.2 kg/m²; hinge stiffness {}"
+    "GarmentCodeData (Korosteleva et al., ECCV 2024): the stiffness that its springs and hinges have in effect, over a "
+    "weight of 0.2 kg/m²; hinge stiffness {}"
 )
 # Warp: their v axis, the stiffer direction of their denim. Stretch: their matrix at small strain without the cross
 # term; shear stiffness is half of their c33, which multiplies the tensor shear strain. Bending: at small curvature;
@@ -25,8 +26,8 @@ WANG = (
     "Wang, O'Brien and Ramamoorthi, Data-driven elastic models for cloth, ACM Trans. Graph. 30(4), 2011: {}; "
     "thickness: {}"
 )
-PENAVA = "of its class: Penava et al., Fibres & Textiles in Eastern Europe 22(2), 2014, Table 1, {}"
-UNKNOWN = "not published, the default"
+PENAVA = "of the class: Penava et al., Fibres & Textiles in Eastern Europe 22(2), 2014, Table 1, {}"
+UNKNOWN = "not published, left at what the solver keeps between layers"
 
 
 def _measured(warp: float, weft: float, shear: float) -> Tensile:
@@ -47,8 +48,8 @@ FABRICS: Mapping[str, Fabric] = MappingProxyType(
             thickness=0.107,
             source=WANG.format(
                 "11 oz black denim, 99 % cotton, 1 % spandex",
-                "of its class: Kumari and Khurana, J. Textiles 2016, 4614168, Table 5, A; their bending rigidity "
-                "by KES, 0.172 gf cm²/cm = 1.7e-5 N·m, agrees",
+                "of the class: Kumari and Khurana, J. Textiles 2016, 4614168, Table 5, A, whose bending rigidity "
+                "by KES, 0.172 gf cm²/cm = 1.7e-5 N·m, is alike",
             ),
         ),
         "drill": Fabric(

@@ -41,8 +41,6 @@ class ClothModel:
     topology: Topology
     face_world: wp.array
     """(f) world of each face."""
-    median_length: tuple[float, ...]
-    """(w) median flat length of each garment's edges [cm]."""
     bodies: tuple[BodyField, ...]
     """(w) fields of the bodies; ``cloth`` holds handles to their meshes."""
 
@@ -105,7 +103,6 @@ def build_model(
         rows=topology.rows,
         topology=topology,
         face_world=wp.array(face_world, dtype=int, device=device),
-        median_length=tuple(lengths),
         bodies=bodies,
     )
 

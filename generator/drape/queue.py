@@ -119,7 +119,7 @@ class _Pass:
 
     @property
     def job(self) -> DrapeJob:
-        """What is draped in this pass."""
+        """The job of this pass: with the coarse mesh, or with the fine mesh."""
         return _job(self.fine, self.coarse)
 
     def continued(self, world: int) -> Self:

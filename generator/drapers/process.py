@@ -117,7 +117,7 @@ class ClientConnection:
 
 
 class RequestQueue:
-    """Requests that wait, and requests whose garments are being draped."""
+    """Waiting requests, and the requests of the garments in the batch."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[Client, DrapeRequest, DrapeJob | PreparedJob]] = deque()
