@@ -36,15 +36,15 @@ def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pi
     with SharedDraper(address_for(devices_of(config)[0])) as draper:
         requests = (DrapeRequest(number, _on_new_body(job, number), picture) for number, job in enumerate(cycle(jobs)))
         for request in islice(requests, QUEUED):
-            draper.ask(request)
+            draper.send(request)
         for request in islice(requests, warm):
-            draper.answer()
-            draper.ask(request)
+            draper.receive()
+            draper.send(request)
         begun = time.perf_counter()
         while time.perf_counter() - begun < seconds:
-            draper.answer()
+            draper.receive()
             counted += 1
-            draper.ask(next(requests))
+            draper.send(next(requests))
         return counted / (time.perf_counter() - begun)
 
 
