@@ -8,14 +8,14 @@ import warp as wp
 from gcd_dataset.generator.drape.kernels.refine import refine
 from gcd_dataset.generator.drape.kernels.world import DIVERGED
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.generator.mesh.coarse import Coarse
+from gcd_dataset.generator.mesh.coarse import CoarseMesh
 
 __all__ = ["go_on_from"]
 
 AGAIN_LOOSE = 4  # frames after which a fine garment that goes on may be found at rest
 
 
-def go_on_from(coarse: Solver, fine: Solver, places: Sequence[tuple[int, int, Coarse]]) -> None:
+def go_on_from(coarse: Solver, fine: Solver, places: Sequence[tuple[int, int, CoarseMesh]]) -> None:
     """Have garments of ``fine`` start from the end of their coarse drapes, whose worlds in ``coarse`` stand first.
 
     One whose coarse drape has diverged starts as it is. Where there was no room for contacts, that is told of the fine

@@ -23,7 +23,7 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect
 from gcd_dataset.generator.drape.solver import Solver, nothing
-from gcd_dataset.generator.mesh import Coarse, coarse_start
+from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
 from gcd_dataset.records import Drape
 
 __all__ = ["Readied", "drape_in_turn"]
@@ -94,12 +94,12 @@ class _Turn:
 
     number: int
     whole: DrapeJob
-    coarse: Coarse | None
+    coarse: CoarseMesh | None
     frames_before: int = 0
     """Those of the coarse mesh, once it is done."""
     old_place: int | None = None
     """Its world in the batch before."""
-    start_from: Coarse | None = None
+    start_from: CoarseMesh | None = None
     """The coarse mesh in that place, whose shape this turn starts from."""
     known: Readied | None = None
     """What was worked out ahead of its first turn."""

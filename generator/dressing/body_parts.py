@@ -11,7 +11,7 @@ from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern
 from gcd_dataset.spec import role_by_name
 
-__all__ = ["covered_part", "label_panels", "label_sentences", "trunk_part"]
+__all__ = ["covered_part", "describe_labels", "label_panels", "trunk_part"]
 
 ASIDE = 0.1  # of half the trunk's width: what comes nearer to the middle is on no arm
 BESIDE = 20.0  # cm from an arm's axis to the middle of a panel, at most, for the panel to be on that arm
@@ -31,12 +31,12 @@ WHERE = {
 def label_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
     """The pattern with a label on every panel, and a sentence for each kind of label that was added."""
     found = {panel.name: covered_part(panel, wearer) for panel in pattern.panels if not panel.label}
-    found = _off_skirts(found, pattern)
+    found = _relabel_skirts(found, pattern)
     panels = tuple(replace(panel, label=found.get(panel.name, panel.label)) for panel in pattern.panels)
-    return replace(pattern, panels=panels), tuple(label_sentences(found))
+    return replace(pattern, panels=panels), tuple(describe_labels(found))
 
 
-def _off_skirts(found: Mapping[str, PanelRole], pattern: Pattern) -> dict[str, PanelRole]:
+def _relabel_skirts(found: Mapping[str, PanelRole], pattern: Pattern) -> dict[str, PanelRole]:
     """The labels, where no panel on an arm is sewn to one on legs: a wide skirt hangs where the arms are."""
     parts = {panel.name: found.get(panel.name, panel.label) for panel in pattern.panels}
     while True:
@@ -76,7 +76,7 @@ def _is_on_arm(panel: Panel, wearer: Wearer) -> bool:
     return bool(across < BESIDE and along < half + BEYOND and forward < BEFORE)
 
 
-def label_sentences(found: Mapping[str, PanelRole | str]) -> Iterator[str]:
+def describe_labels(found: Mapping[str, PanelRole | str]) -> Iterator[str]:
     """A sentence for each part that panels without a label were taken to cover."""
     for part in WHERE:
         names = [name for name, label in found.items() if label == part]

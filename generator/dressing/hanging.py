@@ -16,13 +16,13 @@ from jaxtyping import Complex, Float
 
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.dressing.body_parts import label_sentences, trunk_part
-from gcd_dataset.generator.dressing.openings import Opening, edge_line, openings_of, panel_outline
+from gcd_dataset.generator.dressing.body_parts import describe_labels, trunk_part
+from gcd_dataset.generator.dressing.openings import Opening, edge_points, openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern, Placement, Seam
 from gcd_dataset.spec import is_bodice, role_by_name
 
-__all__ = ["height_for", "lay_on_body"]
+__all__ = ["hang_from_lay_plan", "height_for"]
 
 ON_SEAM = 9  # points of a seam that are laid on each other
 CLOSED = 12.0  # cm between the sides of a seam on the table, at most, for it to count as closed
@@ -63,7 +63,7 @@ class _Laid:
         return shapely.make_valid(shapely.Polygon(np.stack([points.real, points.imag], axis=1)))
 
 
-def lay_on_body(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
+def hang_from_lay_plan(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
     """The pattern hung round the wearer, and a sentence on how sure its places are.
 
     Raises ``PatternError`` for panels that no seams join to the rest, and where the seams do not close.
@@ -80,7 +80,7 @@ def lay_on_body(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, .
     return hung, (
         f"the panels lay in one plane: hung by their seams, {', '.join(backs) or 'none'} behind the body, the others "
         f"before it; {closed:.0%} of the seams' length closes so",
-        *label_sentences({p.name: hung.panel(p.name).label for p in pattern.panels if not p.label}),
+        *describe_labels({p.name: hung.panel(p.name).label for p in pattern.panels if not p.label}),
     )
 
 
@@ -266,7 +266,7 @@ def _sleeves(flat: Pattern, middle: float, wearer: Wearer) -> tuple[dict[str, fl
     holes: dict[float, np.ndarray] = {}
     for side in set(aside.values()):
         lines = [
-            edge_line(flat.panel(ref.panel), ref.edge)
+            edge_points(flat.panel(ref.panel), ref.edge)
             for seam in flat.seams
             for ref, other in ((seam.left, seam.right), (seam.right, seam.left))
             if aside.get(ref.panel) == side and aside.get(other.panel) != side

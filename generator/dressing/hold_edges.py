@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.generator.dressing.openings import Opening, edge_line, openings_of, panel_outline
+from gcd_dataset.generator.dressing.openings import Opening, edge_points, openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
@@ -91,7 +91,7 @@ def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) ->
             ends += [ref for ref in opening.edges if ref.panel not in necks]
     found = {}
     for ref in ends:
-        line = edge_line(pattern.panel(ref.panel), ref.edge)
+        line = edge_points(pattern.panel(ref.panel), ref.edge)
         if pattern.panel(ref.panel).label != PanelRole.BODY or line[:, 1].max() < wearer.waist + OVER_WAIST:
             continue
         middle = _side(line[:, 0]) or _side(_points(pattern.panel(ref.panel))[:, 0])

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["Opening", "edge_line", "openings_of", "panel_outline"]
+__all__ = ["Opening", "edge_points", "openings_of", "panel_outline"]
 
 POINTS = 9  # on an edge
 
@@ -35,7 +35,7 @@ def openings_of(pattern: Pattern) -> tuple[Opening, ...]:
     return tuple(sorted(found, key=lambda opening: (-opening.centre[1], opening.edges[0].panel, opening.edges[0].edge)))
 
 
-def edge_line(panel: Panel, index: int, points: int = POINTS) -> Float[np.ndarray, "n 3"]:
+def edge_points(panel: Panel, index: int, points: int = POINTS) -> Float[np.ndarray, "n 3"]:
     """Points along an edge where its panel hangs, from its start to its end [cm]."""
     return panel.placement.apply(sample_curve(*panel.edge_ends(index), panel.edges[index].curve, points))
 
@@ -47,12 +47,12 @@ def panel_outline(panel: Panel) -> Float[np.ndarray, "n 2"]:
 
 
 def _measured(pattern: Pattern, edges: tuple[EdgeRef, ...]) -> Opening:
-    lines = [edge_line(pattern.panel(ref.panel), ref.edge) for ref in edges]
+    lines = [edge_points(pattern.panel(ref.panel), ref.edge) for ref in edges]
     lengths = [float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in lines]
-    middles = np.array([line.mean(axis=0) for line in lines])
+    mean_positions = np.array([line.mean(axis=0) for line in lines])
     points = np.concatenate(lines)
     return Opening(
-        edges, sum(lengths), np.average(middles, axis=0, weights=lengths), points.min(axis=0), points.max(axis=0)
+        edges, sum(lengths), np.average(mean_positions, axis=0, weights=lengths), points.min(axis=0), points.max(axis=0)
     )
 
 

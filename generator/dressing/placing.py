@@ -6,8 +6,8 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 
-from gcd_dataset.generator.drape.inside import InsideTest
-from gcd_dataset.generator.dressing.hanging import height_for, lay_on_body
+from gcd_dataset.generator.body.inside import InsideTest
+from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan, height_for
 from gcd_dataset.generator.dressing.openings import openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, Pattern, Placement
@@ -29,7 +29,7 @@ def place_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, 
     told from their seams.
     """
     if len(pattern.panels) > 1 and lie_in_one_plane(pattern):
-        pattern, assumed = lay_on_body(pattern, wearer)
+        pattern, assumed = hang_from_lay_plan(pattern, wearer)
     else:
         pattern, assumed = _beside_body(pattern, wearer)
     pattern, moved = _outside(pattern, wearer)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from gcd_dataset.generator.drape.limbs import Limb, limbs_of
+from gcd_dataset.generator.body.limbs import Limb, limbs_of
 from gcd_dataset.records import Body, BodyPart, Measurements
 
 __all__ = ["Wearer", "wearer_of"]

@@ -78,5 +78,5 @@ CAPE = SimpleUpper(
     weight=0,
     carries=False,
     cut=cape,
-    long=lambda size, design: design.length * size.waist_line,
+    length_of=lambda size, design: design.length * size.waist_line,
 )

@@ -7,7 +7,7 @@ from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, HemCutDesign, flare_skirt_length
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
-from gcd_dataset.generator.garments.ring import sector
+from gcd_dataset.generator.garments.panel_shapes import sector
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, waist_ring
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, cut_end, cut_into, notch
@@ -27,7 +27,7 @@ def circle_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting)
     """
     length = max(cutting.length, SHORTEST)
     half = sector("skirt", 0.5 * girth_at_rise(size, cutting.rise), pi * design.suns, length)
-    return _sewn(size, half, half, design.cut, length, cutting.tag)
+    return _sewn(size, half, half, design.cut, length, cutting.suffix)
 
 
 def asymmetric_circle_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
@@ -38,16 +38,16 @@ def asymmetric_circle_skirt(size: Measurements, design: FlareSkirtDesign, cuttin
     length = max(cutting.length, SHORTEST)
     radius, before = girth_at_rise(size, cutting.rise) / (2 * pi), design.asymm.front_length * length
     front, back = _half_ring(radius, before, length), _half_ring(radius, length, before)
-    skirt = _sewn(size, front, back, design.cut, length, cutting.tag)
+    skirt = _sewn(size, front, back, design.cut, length, cutting.suffix)
     for piece in skirt.pieces if design.cut.add else ():
         _require_uncut_waist(piece, radius)
     return skirt
 
 
-def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, length: float, tag: str) -> Component:
+def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, length: float, suffix: str) -> Component:
     """Front and back hung, cut and sewn at the sides."""
-    front = replace(front, name=f"skirt_front{tag}").at(0, size.waist_level, FRONT)
-    back = replace(back, name=f"skirt_back{tag}").at(0, size.waist_level, BACK)
+    front = replace(front, name=f"skirt_front{suffix}").at(0, size.waist_level, FRONT)
+    back = replace(back, name=f"skirt_back{suffix}").at(0, size.waist_level, BACK)
     if cut.add:
         front, back = _with_hem_cut(front, back, cut, length)
     return (
@@ -58,18 +58,18 @@ def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, leng
     )
 
 
-def _half_ring(radius: float, own: float, other: float) -> Piece:
-    """Half of a disk with a round hole off its centre: ``own`` cm of cloth in the middle, ``other`` in the other half.
+def _half_ring(radius: float, near: float, far: float) -> Piece:
+    """Half of a disk with a round hole off its centre: ``near`` cm of cloth in its middle, ``far`` in that of the other half.
 
     Hangs from the origin, the middle between the ends of its ``top``; its sides are named as on a ``band``.
     """
-    outer = radius + 0.5 * (own + other)
-    centre = 0.5 * (other - own)  # of the disk, over that of the hole
+    outer = radius + 0.5 * (near + far)
+    centre = 0.5 * (far - near)  # of the disk, over that of the hole
     side = sqrt(outer**2 - centre**2)
     outline = (
         Outline.start(-radius, 0)
         .line(-side, 0, name="right")
-        .curve(side, 0, Arc(outer, large=own > other, right=True), name="bottom")
+        .curve(side, 0, Arc(outer, large=near > far, right=True), name="bottom")
         .line(radius, 0, name="left")
         .curve(-radius, 0, Arc(radius, large=False, right=False), name="top")
     )
@@ -114,11 +114,11 @@ CIRCLE_SKIRT = SimpleBottom(
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=circle_skirt,
-    long=flare_skirt_length,
-    closed=_uncut,
+    length_of=flare_skirt_length,
+    without_slits=_uncut,
     flared=True,
-    fullness="suns",
-    always_whole=lambda design: not design.cut.add,
+    fullness_parameter="suns",
+    always_sewable=lambda design: not design.cut.add,
 )
 
 ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
@@ -126,7 +126,7 @@ ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=asymmetric_circle_skirt,
-    long=flare_skirt_length,
-    closed=_uncut,
+    length_of=flare_skirt_length,
+    without_slits=_uncut,
     flared=True,
 )

@@ -7,10 +7,10 @@ from math import atan2, hypot, pi, sin
 
 from gcd_dataset.curves import Quadratic
 from gcd_dataset.generator.garments.hood import with_hood
-from gcd_dataset.generator.garments.ring import band, sector
+from gcd_dataset.generator.garments.panel_shapes import band, sector
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, real
 from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece
-from gcd_dataset.generator.pattern.panel import Vector
+from gcd_dataset.generator.pattern.piece import Vector
 from gcd_dataset.records import Measurements
 
 __all__ = ["Collar", "CollarDesign", "with_collar"]

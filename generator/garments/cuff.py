@@ -13,7 +13,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.ring import band, skirt_panel
+from gcd_dataset.generator.garments.panel_shapes import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements, PanelRole
@@ -22,7 +22,7 @@ __all__ = [
     "Cuff",
     "PantsCuffDesign",
     "SleeveCuffDesign",
-    "arm_in_cuff",
+    "arm_girth_in_cuff",
     "cuff",
     "sleeve_cuff_length",
     "with_sleeve_cuff",
@@ -82,7 +82,7 @@ class PantsCuffDesign(Design):
 CuffDesign: TypeAlias = SleeveCuffDesign | PantsCuffDesign
 
 
-def arm_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
+def arm_girth_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
     """Girth of the arm where it is widest inside the band at the end of a sleeve [cm]; 0 without a band."""
     if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
         return 0.0

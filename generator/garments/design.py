@@ -49,7 +49,7 @@ class OutfitDesign(Design):
     """A design without a body: what is not a choice is a fraction of a measure, an angle, or centimetres.
 
     The fields are the sections of GarmentCode's designs. Garments that GarmentCode has not add their sections behind
-    them: ``garment.own(design)`` gives the section of a garment.
+    them: ``garment.section_design(design)`` gives the section of a garment.
     """
 
     meta: MetaDesign = part(MetaDesign)
@@ -83,7 +83,7 @@ class OutfitDesign(Design):
             worn += [self.meta.bottom.garment, *self.meta.bottom.garment.parts(self)]
         return frozenset({Mend.EXPORT_PIVOT}.union(*(garment.mends for garment in worn)))
 
-    def writes(self, name: str) -> bool:
+    def includes(self, name: str) -> bool:
         return name in self.sections_used()
 
     def halves(self) -> tuple[UpperHalf, ...]:

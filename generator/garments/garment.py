@@ -21,11 +21,11 @@ __all__ = [
     "BottomGarment",
     "CombinedBottom",
     "Cutting",
+    "DesignedBottom",
     "Garment",
     "GarmentChoice",
     "SimpleBottom",
     "SimpleUpper",
-    "Sized",
     "UpperGarment",
     "one_of",
     "section_of",
@@ -54,7 +54,7 @@ class Garment(ABC, Generic[D]):
         """The section as a field of ``OutfitDesign``."""
         return self.section.replace("-", "_")
 
-    def own(self, design: "OutfitDesign") -> D:
+    def section_design(self, design: "OutfitDesign") -> D:
         """The garment's section of an outfit's design."""
         section: D = getattr(design, self.field)
         return section
@@ -112,13 +112,13 @@ class SimpleUpper(UpperGarment[D]):
     """An upper that is drawn from one section: anything but a shirt."""
 
     cut: Callable[[Measurements, D], Component]
-    long: Callable[[Measurements, D], float]
+    length_of: Callable[[Measurements, D], float]
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
-        return self.cut(size, self.own(design)).labelled(PanelRole.BODY)
+        return self.cut(size, self.section_design(design)).labelled(PanelRole.BODY)
 
     def length(self, size: Measurements, design: "OutfitDesign") -> float:
-        return self.long(size, self.own(design))
+        return self.length_of(size, self.section_design(design))
 
 
 # ------------------------------------------------------------------------------------------------------------- bottoms
@@ -133,7 +133,7 @@ class Cutting:
     length: float
     """From the top to the hem [cm]."""
     mends: frozenset[Mend]
-    tag: str = ""
+    suffix: str = ""
     """What the names of its panels end in."""
 
 
@@ -143,17 +143,17 @@ class BottomGarment(Garment[D]):
 
     legs: bool = False
     """Whether the legs go through it one by one."""
-    gathers: str = ""
+    gather_parameter: str = ""
     """The parameter of its section that gathers its top; empty where the top is never gathered."""
     flared: bool = False
     """Whether it is heavy where it is long or wide, so that a firm band must hold it."""
-    fullness: str = ""
+    fullness_parameter: str = ""
     """The parameter of its section that makes a flared one wide; empty where all are as wide."""
     cuffs: Callable[[Measurements, D, float], tuple[float, float]] | None = None
     """Girth of a band at the end of its legs and of the leg inside the band, for a rise [cm]; ``None``: has no legs."""
-    always_whole: Callable[[D], bool] = field(default=lambda design: False)
+    always_sewable: Callable[[D], bool] = field(default=lambda design: False)
     """Whether nothing is cut into the panels of such a design that could run into anything else."""
-    length_told_by: str = ""
+    statistics_length_section: str = ""
     """The section whose ``length`` the statistics of GarmentCodeData's authors give; empty for its own."""
 
     @abstractmethod
@@ -176,7 +176,7 @@ class BottomGarment(Garment[D]):
         """The bottom whose top is that of the whole: itself, where it is one piece."""
         return next(iter(self.parts(design)), self)
 
-    def lengthened(self, design: "OutfitDesign") -> "BottomGarment[Any]":
+    def length_garment(self, design: "OutfitDesign") -> "BottomGarment[Any]":
         """The bottom whose section holds the ``length`` of the whole: itself, unless it borrows that of a part."""
         return self
 
@@ -187,29 +187,29 @@ class SimpleBottom(BottomGarment[D]):
 
     cut: Callable[[Measurements, D, Cutting], Component]
     """The component; it offers ``top``, and ``bottom`` if levels may hang under it [rings]."""
-    long: Callable[[Measurements, D, float], float]
+    length_of: Callable[[Measurements, D, float], float]
     """From the top, at a rise, to the hem [cm]."""
-    closed: Callable[[D], D] = field(default=lambda design: design)
+    without_slits: Callable[[D], D] = field(default=lambda design: design)
     """The design without slits and cuts, which would be in the way of what is sewn to the hem."""
     ungathered: Callable[[D], D] = field(default=lambda design: design)
     """The design without gathers at the top."""
-    tilt: Callable[[D], float] = field(default=lambda design: 0.0)
+    hem_tilt: Callable[[D], float] = field(default=lambda design: 0.0)
     """Of the hem [degrees]."""
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
-        own = self.own(design)
-        return self.cut(size, own, Cutting(rise, self.long(size, own, rise), mends))
+        own = self.section_design(design)
+        return self.cut(size, own, Cutting(rise, self.length_of(size, own, rise), mends))
 
     def rise(self, design: "OutfitDesign") -> float:
-        rise: float = self.own(design).rise  # type: ignore[attr-defined]
+        rise: float = self.section_design(design).rise  # type: ignore[attr-defined]
         return rise
 
     def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
-        return self.long(size, self.own(design), rise)
+        return self.length_of(size, self.section_design(design), rise)
 
 
 @dataclass(frozen=True, slots=True)
-class Sized(Generic[D]):
+class DesignedBottom(Generic[D]):
     """A simple bottom and the design it is to be drawn from, for a bottom made of several."""
 
     garment: SimpleBottom[D]
@@ -223,51 +223,51 @@ class Sized(Generic[D]):
 
     def length(self, size: Measurements, rise: float) -> float:
         """By its own section [cm]."""
-        return self.garment.long(size, self.design, rise)
+        return self.garment.length_of(size, self.design, rise)
 
     def cut(self, size: Measurements, cutting: Cutting) -> Component:
         """Without slits and cuts."""
-        return self.garment.cut(size, self.garment.closed(self.design), cutting)
+        return self.garment.cut(size, self.garment.without_slits(self.design), cutting)
 
-    def ungathered(self) -> "Sized[D]":
+    def ungathered(self) -> "DesignedBottom[D]":
         """The same without gathers at its top."""
-        return Sized(self.garment, self.garment.ungathered(self.design))
+        return DesignedBottom(self.garment, self.garment.ungathered(self.design))
 
     @property
-    def tilt(self) -> float:
+    def hem_tilt(self) -> float:
         """Of its hem [degrees]."""
-        return self.garment.tilt(self.design)
+        return self.garment.hem_tilt(self.design)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CombinedBottom(BottomGarment[D]):
     """A bottom that is made of simple ones, which have sections of their own."""
 
-    made_of: Callable[[D], tuple[SimpleBottom[Any], ...]]
+    parts_of: Callable[[D], tuple[SimpleBottom[Any], ...]]
     """Its parts by its section, from the top down."""
-    combine: Callable[[Measurements, D, tuple[Sized[Any], ...], float, frozenset[Mend]], Component]
+    combine: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float, frozenset[Mend]], Component]
     """The component, its top at a rise; it offers ``top`` [ring]."""
-    sits: Callable[[D, tuple[Sized[Any], ...]], float]
+    rise_of: Callable[[D, tuple[DesignedBottom[Any], ...]], float]
     """Where its top sits: 0 at the hips, 1 at the waist."""
-    long: Callable[[Measurements, D, tuple[Sized[Any], ...], float], float]
+    length_of: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float], float]
     """From the top, at a rise, to the hem [cm]."""
-    long_as_top: bool = False
+    inherits_length: bool = False
     """Whether it has no length of its own, but that of its first part."""
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
-        return self.combine(size, self.own(design), self._sized(design), rise, mends)
+        return self.combine(size, self.section_design(design), self._designed_parts(design), rise, mends)
 
     def rise(self, design: "OutfitDesign") -> float:
-        return self.sits(self.own(design), self._sized(design))
+        return self.rise_of(self.section_design(design), self._designed_parts(design))
 
     def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
-        return self.long(size, self.own(design), self._sized(design), rise)
+        return self.length_of(size, self.section_design(design), self._designed_parts(design), rise)
 
     def parts(self, design: "OutfitDesign") -> tuple[SimpleBottom[Any], ...]:
-        return self.made_of(self.own(design))
+        return self.parts_of(self.section_design(design))
 
-    def lengthened(self, design: "OutfitDesign") -> BottomGarment[Any]:
-        return self.top(design) if self.long_as_top else self
+    def length_garment(self, design: "OutfitDesign") -> BottomGarment[Any]:
+        return self.top(design) if self.inherits_length else self
 
-    def _sized(self, design: "OutfitDesign") -> tuple[Sized[Any], ...]:
-        return tuple(Sized(part, part.own(design)) for part in self.parts(design))
+    def _designed_parts(self, design: "OutfitDesign") -> tuple[DesignedBottom[Any], ...]:
+        return tuple(DesignedBottom(part, part.section_design(design)) for part in self.parts(design))

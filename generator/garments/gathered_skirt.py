@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.mends import Mend
-from gcd_dataset.generator.garments.ring import skirt_panel
+from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, integer, real
 from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
@@ -40,8 +40,8 @@ def gathered_skirt(size: Measurements, design: GatheredSkirtDesign, cutting: Cut
     def panel(name: str, width: float) -> Piece:
         return skirt_panel(name, width, length, flare=design.flare, ruffle=design.ruffle, bottom_cut=slit)
 
-    front = panel(f"skirt_front{cutting.tag}", girth_at_rise(size, rise) - back_width).at(0, size.waist_level, FRONT)
-    back = panel(f"skirt_back{cutting.tag}", back_width).at(0, size.waist_level, BACK)
+    front = panel(f"skirt_front{cutting.suffix}", girth_at_rise(size, rise) - back_width).at(0, size.waist_level, FRONT)
+    back = panel(f"skirt_back{cutting.suffix}", back_width).at(0, size.waist_level, BACK)
     return (
         Component.of(front, back)
         .sewn(front.along("right"), back.along("right"))
@@ -67,9 +67,9 @@ GATHERED_SKIRT = SimpleBottom(
     mends=frozenset({Mend.SLIT_LENGTH}),
     design=GatheredSkirtDesign,
     cut=gathered_skirt,
-    long=_length,
-    closed=lambda design: replace(design, bottom_cut=0.0),
+    length_of=_length,
+    without_slits=lambda design: replace(design, bottom_cut=0.0),
     ungathered=lambda design: replace(design, ruffle=1.0),
-    gathers="ruffle",
-    always_whole=lambda design: True,
+    gather_parameter="ruffle",
+    always_sewable=lambda design: True,
 )

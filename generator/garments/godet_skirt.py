@@ -5,7 +5,7 @@ from math import atan2, hypot, sqrt
 from typing import Any
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, GarmentChoice, SimpleBottom, Sized
+from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, DesignedBottom, GarmentChoice, SimpleBottom
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
@@ -137,7 +137,11 @@ def _starts(hem: float, count: int, cut: _Cut) -> list[float]:
 
 
 def _combined(
-    size: Measurements, design: GodetSkirtDesign, parts: tuple[Sized[Any], ...], rise: float, mends: frozenset[Mend]
+    size: Measurements,
+    design: GodetSkirtDesign,
+    parts: tuple[DesignedBottom[Any], ...],
+    rise: float,
+    mends: frozenset[Mend],
 ) -> Component:
     (base,) = parts
     return with_godets(base.cut(size, Cutting(rise, base.length(size, rise), mends)), design)
@@ -147,10 +151,10 @@ GODET_SKIRT = CombinedBottom(
     name="GodetSkirt",
     section="godet-skirt",
     design=GodetSkirtDesign,
-    made_of=lambda design: (design.base.garment,),
+    parts_of=lambda design: (design.base.garment,),
     combine=_combined,
-    sits=lambda design, parts: parts[0].rise,
-    long=lambda size, design, parts, rise: parts[0].length(size, rise),
-    long_as_top=True,
-    length_told_by="skirt",
+    rise_of=lambda design, parts: parts[0].rise,
+    length_of=lambda size, design, parts, rise: parts[0].length(size, rise),
+    inherits_length=True,
+    statistics_length_section="skirt",
 )

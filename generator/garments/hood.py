@@ -3,7 +3,7 @@
 from math import pi
 
 from gcd_dataset.curves import Point, Quadratic
-from gcd_dataset.generator.pattern import Component, Outline, Piece, swayed_cubic
+from gcd_dataset.generator.pattern import Component, Outline, Piece, s_shaped_cubic
 from gcd_dataset.records import Measurements
 
 __all__ = ["hood_outline", "with_hood"]
@@ -53,8 +53,8 @@ def hood_outline(
     the neckline leave and arrive about level. The shoulder is the origin, but for the slide of the back's end.
     """
     half_width = back[0]
-    back_neck = swayed_cubic((-back[0], -back[1]), (0.0, 0.0), tangent=LEVEL, length=back_length)
-    front_neck = swayed_cubic(back_neck.end, (front[0], -front[1]), tangent=LEVEL, length=front_length)
+    back_neck = s_shaped_cubic((-back[0], -back[1]), (0.0, 0.0), tangent=LEVEL, length=back_length)
+    front_neck = s_shaped_cubic(back_neck.end, (front[0], -front[1]), tangent=LEVEL, length=front_length)
     opening, crown = FORWARD * half_width, height + OVER_CROWN * half_width
     return (
         Outline.start(*back_neck.start)

@@ -8,7 +8,7 @@ from gcd_dataset.generator.garments.design import MetaDesign, Upper
 from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.generator.garments.space import DesignSpace
 
-__all__ = ["NEEDS", "Kind", "choice_of", "kinds_left", "upper_choice"]
+__all__ = ["HAS_UPPER_AND_BOTTOM", "Kind", "choice_of", "possible_kinds", "upper_choice"]
 
 
 class Kind(Enum):
@@ -19,7 +19,7 @@ class Kind(Enum):
     FULL = "full-body"
 
 
-NEEDS: Mapping[Kind, tuple[bool, bool]] = {
+HAS_UPPER_AND_BOTTOM: Mapping[Kind, tuple[bool, bool]] = {
     Kind.UPPER: (True, False),
     Kind.LOWER: (False, True),
     Kind.FULL: (True, True),
@@ -32,12 +32,12 @@ def choice_of(space: DesignSpace[Any], name: str) -> Choice:
     return next(entry.space for entry in space.entries if entry.name == name and isinstance(entry.space, Choice))
 
 
-def kinds_left(meta: DesignSpace[MetaDesign]) -> list[Kind]:
+def possible_kinds(meta: DesignSpace[MetaDesign]) -> list[Kind]:
     """The kinds of garment that this section of a design space leaves."""
-    bottoms = choice_of(meta, "bottom").lot
+    bottoms = choice_of(meta, "bottom").weighted_options
     return [
         kind
-        for kind, (_, has_bottom) in NEEDS.items()
+        for kind, (_, has_bottom) in HAS_UPPER_AND_BOTTOM.items()
         if _uppers(meta, kind) and any((bottom is not None) == has_bottom for bottom in bottoms)
     ]
 
@@ -49,10 +49,10 @@ def upper_choice(meta: DesignSpace[MetaDesign], kind: Kind) -> Choice:
 
 
 def _uppers(meta: DesignSpace[MetaDesign], kind: Kind) -> list[Upper | None]:
-    has_upper, has_bottom = NEEDS[kind]
-    hangs_alone = not has_bottom and None in choice_of(meta, "wb").lot
+    has_upper, has_bottom = HAS_UPPER_AND_BOTTOM[kind]
+    hangs_alone = not has_bottom and None in choice_of(meta, "wb").weighted_options
     return [
         upper
-        for upper in choice_of(meta, "upper").lot
+        for upper in choice_of(meta, "upper").weighted_options
         if (upper is not None) == has_upper and (upper is None or upper.garment.carries or hangs_alone)
     ]

@@ -7,7 +7,7 @@ from math import radians
 from typing import Any, TypeAlias
 
 from gcd_dataset.generator.garments.circle_skirt import ASYMMETRIC_CIRCLE_SKIRT, CIRCLE_SKIRT
-from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, GarmentChoice, SimpleBottom, Sized
+from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, DesignedBottom, GarmentChoice, SimpleBottom
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
@@ -42,7 +42,7 @@ class Level(GarmentChoice):
 
 
 DrawLevel: TypeAlias = Callable[[Measurements, str], Component]
-"""Draws a level for a wearer whose waist is as wide as the level's top; its panels' names end in a tag."""
+"""Draws a level for a wearer whose waist is as wide as the level's top; its panels' names end in a suffix."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +74,17 @@ def _lengths(
 
 
 def with_levels(
-    base: Component, level: DrawLevel, design: LevelsSkirtDesign, *, size: Measurements, tilt: float
+    base: Component, level: DrawLevel, design: LevelsSkirtDesign, *, size: Measurements, hem_tilt: float
 ) -> Component:
     """The base with levels hung one under the other, each gathered to the hem above; offers ``top`` [ring].
 
-    ``tilt`` is that of the base's hem [degrees].
+    ``hem_tilt`` is that of the base's hem [degrees].
     """
     skirts = [base]
     for number in range(design.num_levels):
         front, back = (design.level_ruffle * hem for hem in _hems(skirts[-1]))
         wearer = replace(size, waist=front + back, waist_back_width=back)
-        below = level(wearer, f"_{number}").turned(-radians(tilt))
+        below = level(wearer, f"_{number}").turned(-radians(hem_tilt))
         skirts.append(below.placed_by("top", skirts[-1], "bottom", gap=GAP))
     whole = Component.of(*skirts)
     for above, below in pairwise(skirts):
@@ -99,7 +99,11 @@ def _hems(skirt: Component) -> tuple[float, float]:
 
 
 def _combined(
-    size: Measurements, design: LevelsSkirtDesign, parts: tuple[Sized[Any], ...], rise: float, mends: frozenset[Mend]
+    size: Measurements,
+    design: LevelsSkirtDesign,
+    parts: tuple[DesignedBottom[Any], ...],
+    rise: float,
+    mends: frozenset[Mend],
 ) -> Component:
     """A base and levels, none with slits; the levels have no gathers but those of ``level_ruffle``."""
     base, level = parts[0], parts[1].ungathered()
@@ -107,10 +111,10 @@ def _combined(
     level_rise = 1.0 if Mend.LEVEL_GIRTH in mends else level.rise
     return with_levels(
         base.cut(size, Cutting(rise, base_length, mends)),
-        lambda wearer, tag: level.cut(wearer, Cutting(level_rise, level_length, mends, tag)),
+        lambda wearer, suffix: level.cut(wearer, Cutting(level_rise, level_length, mends, suffix)),
         design,
         size=size,
-        tilt=base.tilt,
+        hem_tilt=base.hem_tilt,
     )
 
 
@@ -124,8 +128,8 @@ LEVELS_SKIRT = CombinedBottom(
     section="levels-skirt",
     mends=frozenset({Mend.LEVEL_GIRTH}),
     design=LevelsSkirtDesign,
-    made_of=lambda design: (design.base.garment, design.level.garment),
+    parts_of=lambda design: (design.base.garment, design.level.garment),
     combine=_combined,
-    sits=lambda design, parts: design.rise,
-    long=lambda size, design, parts, rise: _length(size, design, rise),
+    rise_of=lambda design, parts: design.rise,
+    length_of=lambda size, design, parts, rise: _length(size, design, rise),
 )

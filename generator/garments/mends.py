@@ -11,7 +11,7 @@ Mended without a switch, since no outline or place hangs on them:
 
 In the curves that GarmentCode leaves to a minimiser with too few conditions (one end tangent of a quadratic, the cap of
 a sleeve, the seam of a hood), ours meets length and tangents exactly, and follows what the minimiser prefers elsewhere
-(``pattern/tangent.py``, ``pattern/fit.py``).
+(``pattern/tangent.py``, ``pattern/cubic_fit.py``).
 """
 
 from enum import Enum

@@ -28,7 +28,7 @@ from typing import Any, Self
 
 from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
-from gcd_dataset.generator.garments.kind import choice_of, kinds_left
+from gcd_dataset.generator.garments.kind import choice_of, possible_kinds
 from gcd_dataset.generator.garments.parameter import Choice, Space
 from gcd_dataset.generator.garments.space import DesignSpace, Leaf, require_known
 from gcd_dataset.tomlfile import read_toml
@@ -60,7 +60,7 @@ class Overlay:
         declared = DesignSpace.declared(OutfitDesign)
         require_known(declared, values)
         overlay = cls(tuple(_changes(declared, values, "")))
-        if not kinds_left(overlay.space.of(MetaDesign)):
+        if not possible_kinds(overlay.space.of(MetaDesign)):
             raise ConfigError(_no_garment(overlay.space.of(MetaDesign)))
         return overlay
 
@@ -125,7 +125,7 @@ def _changed(space: Space, said: Any) -> Space:
         if not isinstance(said[word], list):
             raise ConfigError(f"has {word} = {said[word]!r}, not a list: write {word} = [{said[word]!r}]")
         space = space.narrowed([_null(space, value) for value in said[word]])
-    return space.favouring(_probability(said["keep"])) if "keep" in said else space
+    return space.with_keep(_probability(said["keep"])) if "keep" in said else space
 
 
 def _said(space: Space) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def _word(space: Space) -> str:
 
 
 def _null(space: Space, value: Any) -> Any:
-    empty = isinstance(space, Choice) and space.holds(None) and isinstance(value, str) and value.lower() == NONE
+    empty = isinstance(space, Choice) and space.accepts(None) and isinstance(value, str) and value.lower() == NONE
     return None if empty else value
 
 

@@ -8,7 +8,7 @@ from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, flare_skirt_length
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
-from gcd_dataset.generator.garments.ring import skirt_panel
+from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, across
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
@@ -72,7 +72,7 @@ PANEL_SKIRT = SimpleBottom(
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=panel_skirt,
-    long=flare_skirt_length,
+    length_of=flare_skirt_length,
     flared=True,
-    fullness="suns",
+    fullness_parameter="suns",
 )

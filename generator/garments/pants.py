@@ -20,7 +20,7 @@ from gcd_dataset.generator.garments.trunk import blend, girth_at_rise, waist_bac
 from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
 from gcd_dataset.records import Measurements
 
-__all__ = ["PANTS", "PantsDesign", "cuff_and_leg", "pants"]
+__all__ = ["PANTS", "PantsDesign", "cuff_and_leg_girth", "pants"]
 
 CROTCH_EASE = 5.0  # cm on top of what the legs are wider than the hips, GarmentCode
 FRONT_CROTCH = 0.25  # of the front's hip: how far the crotch reaches beyond the centre, GarmentCode
@@ -98,7 +98,7 @@ def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:
     )
 
 
-def cuff_and_leg(size: Measurements, design: PantsDesign, rise: float) -> tuple[float, float]:
+def cuff_and_leg_girth(size: Measurements, design: PantsDesign, rise: float) -> tuple[float, float]:
     """Girth of a band at the end of the legs, and of the leg where it is widest inside the band [cm]; 0 without one."""
     if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
         return 0.0, 0.0
@@ -248,8 +248,8 @@ PANTS = SimpleBottom(
     section="pants",
     design=PantsDesign,
     cut=lambda size, design, cutting: pants(size, design, rise=cutting.rise),
-    long=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     legs=True,
-    cuffs=cuff_and_leg,
-    always_whole=lambda design: True,
+    cuffs=cuff_and_leg_girth,
+    always_sewable=lambda design: True,
 )

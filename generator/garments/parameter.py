@@ -34,7 +34,7 @@ class Space(ABC):
         """Its range in a design file, as plain values: both ends of a number's, all options of a choice."""
 
     @abstractmethod
-    def holds(self, value: Any) -> bool:
+    def accepts(self, value: Any) -> bool:
         """Whether the parameter can take this value."""
 
     @abstractmethod
@@ -57,7 +57,7 @@ class Space(ABC):
         """
 
     @abstractmethod
-    def favouring(self, keep: float) -> Self:
+    def with_keep(self, keep: float) -> Self:
         """The same parameter with another probability of its default. Raises ``ConfigError`` where nothing is left.
 
         In place of a default that a narrowed range has left out stands the nearer end of that range.
@@ -68,8 +68,8 @@ class Space(ABC):
         kept = self.keep is not None and rng.random() < self.keep
         return self.default if kept and self.within(self.default, low, high) else self.pick(rng, low, high)
 
-    def _held(self, value: Any) -> Any:
-        if not self.holds(value):
+    def _checked(self, value: Any) -> Any:
+        if not self.accepts(value):
             raise ConfigError(f"is {plain(value)!r}, not {self}")
         return value
 
@@ -89,11 +89,11 @@ class Real(Space):
     def range(self) -> list[Any]:
         return [self.low, self.high]
 
-    def holds(self, value: Any) -> bool:
+    def accepts(self, value: Any) -> bool:
         return isinstance(value, int | float) and not isinstance(value, bool) and self.low <= value <= self.high
 
     def read(self, value: Any) -> float:
-        return float(self._held(value))
+        return float(self._checked(value))
 
     def within(self, value: Any, low: float, high: float) -> bool:
         return bool(low <= value <= high)
@@ -109,7 +109,7 @@ class Real(Space):
             raise ConfigError(f"has its range turned round: write [{high:g}, {low:g}]")
         return replace(self, low=low, high=high, keep=self.keep if low <= self.default <= high else None)
 
-    def favouring(self, keep: float) -> Self:
+    def with_keep(self, keep: float) -> Self:
         nearest = min(max(self.default, self.low), self.high)
         if keep == 0 and nearest != self.default:
             return self
@@ -133,11 +133,11 @@ class Integer(Real):
     def kind(self) -> str:
         return "int"
 
-    def holds(self, value: Any) -> bool:
-        return super().holds(value) and float(value).is_integer()
+    def accepts(self, value: Any) -> bool:
+        return super().accepts(value) and float(value).is_integer()
 
     def read(self, value: Any) -> int:
-        return int(self._held(value))
+        return int(self._checked(value))
 
     def pick(self, rng: np.random.Generator, low: float, high: float) -> int:
         low, high = self._clipped(low, high)
@@ -158,7 +158,7 @@ class Choice(Space):
     """How often each option is in the lot that chance picks from, 0 for never; empty where all are in it once."""
 
     @property
-    def lot(self) -> tuple[Any, ...]:
+    def weighted_options(self) -> tuple[Any, ...]:
         """What chance picks from."""
         return (
             tuple(option for option, weight in self._weighed() for _ in range(weight)) if self.weights else self.options
@@ -172,18 +172,18 @@ class Choice(Space):
     def range(self) -> list[Any]:
         return [plain(option) for option, weight in self._weighed() if weight]
 
-    def holds(self, value: Any) -> bool:
+    def accepts(self, value: Any) -> bool:
         return any(_same(value, option) for option in self.options)
 
     def read(self, value: Any) -> Any:
-        return self._held(next((option for option in self.options if _same(plain(option), value)), value))
+        return self._checked(next((option for option in self.options if _same(plain(option), value)), value))
 
     def within(self, value: Any, low: float, high: float) -> bool:
         return True
 
     def pick(self, rng: np.random.Generator, low: float, high: float) -> Any:
-        lot = self.lot
-        others = [option for option in lot if self.keep is None or not _same(option, self.default)] or lot
+        options = self.weighted_options
+        others = [option for option in options if self.keep is None or not _same(option, self.default)] or options
         return others[int(rng.integers(len(others)))]
 
     def narrowed(self, values: Sequence[Any]) -> Self:
@@ -196,9 +196,9 @@ class Choice(Space):
         weights = tuple(max(weight, 1) for _, weight in kept) if self.weights else ()
         return replace(self, options=options, weights=weights, keep=self.keep if left_in else None)
 
-    def favouring(self, keep: float) -> Self:
+    def with_keep(self, keep: float) -> Self:
         drawn = self.narrowed(self.range)
-        left_in = drawn.holds(self.default)
+        left_in = drawn.accepts(self.default)
         if keep == 0 and left_in and len(drawn.options) == 1:
             raise ConfigError(f"has no option left: keep is 0, and {plain(self.default)} is all there is")
         if keep > 0 and not left_in:

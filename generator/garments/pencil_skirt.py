@@ -98,11 +98,11 @@ def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting
         raise PatternError(
             f"no ornament is drawn: set pencil-skirt.style_side_cut, {design.style_side_cut.value}, to null"
         )
-    rise, tag = cutting.rise, cutting.tag
+    rise, suffix = cutting.rise, cutting.suffix
     below = cutting.length - rise * size.require(*MEASURES_USED).hips_line
     if below <= 0:
         raise PatternError(f"a pencil skirt ends {-below:.1f} cm above the hips: lengthen it, or choose another skirt")
-    shapes = (_front(size, rise, tag), _back(size, rise, tag))
+    shapes = (_front(size, rise, suffix), _back(size, rise, suffix))
     front, back = (_panel(size, design, shape, below) for shape in shapes)
     front = _slit(front, design.front_slit * below).at(0, size.waist_level, FRONT)
     back = _slit(back, design.back_slit * below).at(0, size.waist_level, BACK)
@@ -114,16 +114,16 @@ def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting
     )
 
 
-def _front(size: Measurements, rise: float, tag: str) -> _Shape:
+def _front(size: Measurements, rise: float, suffix: str) -> _Shape:
     """The front: one dart a side, beside the point of the bust."""
     hips, waist = 0.5 * (size.hips - size.hip_back_width), 0.5 * (girth_at_rise(size, rise) - back_at_rise(size, rise))
     height = rise * size.hips_line
     lean, taken = _sides_and_darts(size, hips - waist, height)
     single = _Dart(0.5 * (size.bust_points + taken), taken, FRONT_DART * height)
-    return _Shape(f"skirt_front{tag}", hips, height, lean, (single,) if taken else ())
+    return _Shape(f"skirt_front{suffix}", hips, height, lean, (single,) if taken else ())
 
 
-def _back(size: Measurements, rise: float, tag: str) -> _Shape:
+def _back(size: Measurements, rise: float, suffix: str) -> _Shape:
     """The back: two darts a side, on both sides of the fullest point."""
     hips, waist = 0.5 * size.hip_back_width, 0.5 * back_at_rise(size, rise)
     height = BACK_EASE * rise * size.hips_line
@@ -132,7 +132,7 @@ def _back(size: Measurements, rise: float, tag: str) -> _Shape:
     point = 0.5 * size.bum_points
     inner = _Dart(0.75 * point + 0.25 * taken, 0.5 * taken, leg)
     outer = _Dart(1.25 * point + 0.75 * taken, 0.5 * taken, OUTER_DART * leg)
-    return _Shape(f"skirt_back{tag}", hips, height, lean, (inner, outer) if taken else ())
+    return _Shape(f"skirt_back{suffix}", hips, height, lean, (inner, outer) if taken else ())
 
 
 def _sides_and_darts(size: Measurements, excess: float, height: float) -> tuple[float, float]:
@@ -212,7 +212,7 @@ PENCIL_SKIRT = SimpleBottom(
     section="pencil-skirt",
     design=PencilSkirtDesign,
     cut=pencil_skirt,
-    long=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
-    closed=lambda design: replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0),
-    tilt=lambda design: design.low_angle,
+    length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    without_slits=lambda design: replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0),
+    hem_tilt=lambda design: design.low_angle,
 )

@@ -76,5 +76,5 @@ PONCHO = SimpleUpper(
     weight=0,
     carries=False,
     cut=poncho,
-    long=lambda size, design: design.length * size.waist_line,
+    length_of=lambda size, design: design.length * size.waist_line,
 )

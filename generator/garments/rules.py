@@ -12,16 +12,16 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
-from gcd_dataset.generator.garments.trunk import girth_at_rise
-from gcd_dataset.generator.garments.waistband import band_rise
-from gcd_dataset.generator.garments.wholeness import (
+from gcd_dataset.generator.garments.sewable import (
     CLOTH_GIVES,
     SHARPEST_CORNER,
-    band_and_arm,
     corner_angles,
+    cuff_and_arm_girth,
     is_mismatched,
 )
-from gcd_dataset.generator.pattern import SewnJoin, sew
+from gcd_dataset.generator.garments.trunk import girth_at_rise
+from gcd_dataset.generator.garments.waistband import band_rise
+from gcd_dataset.generator.pattern import MeasuredJoin, sew
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.validate import Fault, Rule, Severity, check_pattern
 
@@ -30,7 +30,7 @@ __all__ = [
     "DrawnOutfit",
     "Reject",
     "check_outfit",
-    "cuff_and_leg",
+    "cuff_and_leg_girth",
     "garment_length",
     "has_firm_band",
     "has_snug_band",
@@ -69,7 +69,7 @@ class DrawnOutfit:
     size: Measurements
     design: OutfitDesign
     pattern: Pattern
-    joins: tuple[SewnJoin, ...]
+    joins: tuple[MeasuredJoin, ...]
     faults: tuple[Fault, ...]
     """What ``validate`` finds."""
 
@@ -123,7 +123,7 @@ def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
     design = outfit.design
     if not _alone(design) or not is_gathered(design) or has_snug_band(design):
         return None
-    gathers = top_parameter(design, "gathers")
+    gathers = top_parameter(design, "gather_parameter")
     if gathers <= 1:
         return None
     return Reject("loose_gathers", f"gathers of {gathers:.2f} hang from no snug waistband", {"gathers": gathers})
@@ -134,7 +134,7 @@ def too_heavy(outfit: DrawnOutfit) -> Reject | None:
     design = outfit.design
     if not _alone(design) or not is_flared(design) or has_firm_band(design):
         return None
-    length, suns = bottom_length(design), top_parameter(design, "fullness")
+    length, suns = bottom_length(design), top_parameter(design, "fullness_parameter")
     if length <= LIGHT_LENGTH and suns <= LIGHT_SUNS:
         return None
     figures = f"length {length:.2f} and {suns:.2f} suns hang from no firm waistband"
@@ -145,11 +145,11 @@ def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
     """A band at the end of trousers or sleeves is narrower than the limb in it, by more than cloth gives."""
     size, design = outfit.size, outfit.design
     if has_tight_cuffs(size, design):
-        cuff, leg = cuff_and_leg(size, design)
+        cuff, leg = cuff_and_leg_girth(size, design)
         figures = f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
         return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": leg})
     for half in design.halves():
-        cuff, arm = band_and_arm(size, design, half)
+        cuff, arm = cuff_and_arm_girth(size, design, half)
         if 0.0 < cuff * CLOTH_GIVES < arm:
             figures = f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle"
             return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": arm})
@@ -249,7 +249,7 @@ def top_of_bottom(design: OutfitDesign) -> BottomGarment[Any] | None:
 def is_gathered(design: OutfitDesign) -> bool:
     """Whether the bottom is a gathered skirt, or begins with one."""
     top = top_of_bottom(design)
-    return top is not None and bool(top.gathers)
+    return top is not None and bool(top.gather_parameter)
 
 
 def is_flared(design: OutfitDesign) -> bool:
@@ -258,20 +258,20 @@ def is_flared(design: OutfitDesign) -> bool:
     return top is not None and top.flared
 
 
-def top_parameter(design: OutfitDesign, role: Literal["gathers", "fullness"]) -> float:
+def top_parameter(design: OutfitDesign, role: Literal["gather_parameter", "fullness_parameter"]) -> float:
     """The parameter that gathers the top of the bottom, or makes it wide; 0 where it has none."""
     top = top_of_bottom(design)
     name = "" if top is None else getattr(top, role)
-    return float(getattr(top.own(design), name)) if top is not None and name else 0.0
+    return float(getattr(top.section_design(design), name)) if top is not None and name else 0.0
 
 
 def bottom_length(design: OutfitDesign) -> float:
     """The ``length`` of a bottom by its section."""
     assert design.meta.bottom is not None
-    return float(design.meta.bottom.garment.lengthened(design).own(design).length)
+    return float(design.meta.bottom.garment.length_garment(design).section_design(design).length)
 
 
-def cuff_and_leg(size: Measurements, design: OutfitDesign) -> tuple[float, float]:
+def cuff_and_leg_girth(size: Measurements, design: OutfitDesign) -> tuple[float, float]:
     """Girth of a band at the end of the legs, and of the leg where it is widest inside the band [cm]; 0 without one.
 
     Raises ``PatternError`` where legs cannot be drawn.
@@ -279,13 +279,13 @@ def cuff_and_leg(size: Measurements, design: OutfitDesign) -> tuple[float, float
     garment = design.meta.bottom.garment if design.meta.bottom else None
     if garment is None or garment.cuffs is None:
         return 0.0, 0.0
-    return garment.cuffs(size, garment.own(design), bottom_rise(design))
+    return garment.cuffs(size, garment.section_design(design), bottom_rise(design))
 
 
 def has_tight_cuffs(size: Measurements, design: OutfitDesign) -> bool:
     """Whether the legs do not go through the cuffs of trousers."""
     try:
-        cuff, leg = cuff_and_leg(size, design)
+        cuff, leg = cuff_and_leg_girth(size, design)
     except PatternError:  # which the drawing tells
         return False
     return cuff * CLOTH_GIVES < leg

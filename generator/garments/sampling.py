@@ -23,7 +23,7 @@ import numpy as np
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments.design import LeftDesign, MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.garment import UpperGarment
-from gcd_dataset.generator.garments.kind import NEEDS, Kind, choice_of, kinds_left, upper_choice
+from gcd_dataset.generator.garments.kind import HAS_UPPER_AND_BOTTOM, Kind, choice_of, possible_kinds, upper_choice
 from gcd_dataset.generator.garments.neckline import LeftNecklineDesign
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice, Space
@@ -40,22 +40,22 @@ from gcd_dataset.generator.garments.rules import (
     top_girth,
     top_of_bottom,
 )
+from gcd_dataset.generator.garments.sewable import bottom_is_sewable, half_is_sewable, sleeve_is_tight, upper_is_sewable
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.space import DesignSpace, draw, from_dict, to_dict
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf
-from gcd_dataset.generator.garments.wholeness import bottom_is_whole, half_is_whole, sleeve_is_tight, upper_is_whole
 from gcd_dataset.records import Measurements
 
 __all__ = ["design_from_dict", "design_to_dict", "sample_design", "sample_kind"]
 
 JOINED_SHIRT = (0.8, 1.3)  # shirt.length at which a band or bottom is sewn on: near the waist, where it is as wide
-NECKLINES_TRIED, UPPERS_TRIED, BOTTOMS_TRIED = 10, 5, 10
+NECKLINE_TRIES, UPPER_TRIES, BOTTOM_TRIES = 10, 5, 10
 
 
 def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind:
     """One of the kinds of garment that the overlay leaves, all equally likely."""
-    kinds = kinds_left(_sections(overlay)["meta"])
+    kinds = possible_kinds(_sections(overlay)["meta"])
     return kinds[int(rng.integers(len(kinds)))]
 
 
@@ -117,7 +117,7 @@ class _Draft:
 
     def with_parts(self, kind: Kind) -> OutfitDesign:
         """Which upper, band and bottom there are."""
-        space, (_, has_bottom) = self.sections["meta"], NEEDS[kind]
+        space, (_, has_bottom) = self.sections["meta"], HAS_UPPER_AND_BOTTOM[kind]
         upper = upper_choice(space, kind).draw(self.rng)
         bottom = _chosen(choice_of(space, "bottom"), has_bottom).draw(self.rng)
         bands = choice_of(space, "wb")
@@ -140,19 +140,19 @@ class _Draft:
         return self._with_shirt(design, garment) if isinstance(garment, Shirt) else self._with_other(design, garment)
 
     def _with_other(self, design: OutfitDesign, garment: UpperGarment[Any]) -> OutfitDesign:
-        for _ in range(UPPERS_TRIED):
+        for _ in range(UPPER_TRIES):
             design = replace(design, **{garment.field: self.drawn(garment.field)})
-            if all(upper_is_whole(size, design) for size in self.sizes):
+            if all(upper_is_sewable(size, design) for size in self.sizes):
                 break
         return design
 
     def _with_shirt(self, design: OutfitDesign, garment: Shirt) -> OutfitDesign:
         """With a shirt, its neckline and sleeves."""
-        for _ in range(UPPERS_TRIED):
+        for _ in range(UPPER_TRIES):
             trial = replace(design, shirt=self._shirt(design, garment), sleeve=self.drawn("sleeve"), left=self._left())
             if self._has_tight_sleeves(trial):
                 continue
-            for _ in range(NECKLINES_TRIED):
+            for _ in range(NECKLINE_TRIES):
                 trial = replace(trial, collar=self.drawn("collar"))
                 if self._is_whole(trial, trial.right_half()):
                     break
@@ -164,7 +164,7 @@ class _Draft:
 
     def _with_left_neckline(self, design: OutfitDesign) -> OutfitDesign | None:
         """With a left half whose panels are whole too; none, if no neckline was found for it."""
-        for _ in range(NECKLINES_TRIED):
+        for _ in range(NECKLINE_TRIES):
             half = design.left_half()
             if half is None or self._is_whole(design, half):
                 return design
@@ -176,16 +176,18 @@ class _Draft:
         return any(sleeve_is_tight(size, design, half) for half in design.halves() for size in self.sizes)
 
     def _is_whole(self, design: OutfitDesign, half: UpperHalf) -> bool:
-        return all(half_is_whole(size, design, half) for size in self.sizes)
+        return all(half_is_sewable(size, design, half) for size in self.sizes)
 
     def with_bottom(self, design: OutfitDesign) -> OutfitDesign:
         """With the sections of its bottom, as long and wide as the floor and what holds it allow: the first of some
         whose panels are whole."""
-        for _ in range(BOTTOMS_TRIED):
-            trial = self._light_enough(self._off_the_floor(self._held_up(self._with_bottom_drawn(design))))
+        for _ in range(BOTTOM_TRIES):
+            trial = self._without_heavy_flare(
+                self._shortened_to_floor(self._with_snug_band(self._with_bottom_drawn(design)))
+            )
             if any(has_tight_cuffs(size, trial) for size in self.sizes):
                 continue
-            if _is_plain(trial) or all(bottom_is_whole(size, trial) for size in self.sizes):
+            if _is_plain(trial) or all(bottom_is_sewable(size, trial) for size in self.sizes):
                 break
         return trial
 
@@ -209,7 +211,7 @@ class _Draft:
         left: LeftDesign = self.drawn("left")
         return left if left.enable_asym else LeftDesign()
 
-    def _off_the_floor(self, design: OutfitDesign) -> OutfitDesign:
+    def _shortened_to_floor(self, design: OutfitDesign) -> OutfitDesign:
         """The bottom no longer than from the hem above it to the floor; lengths are fractions of hips to floor."""
         section = _length_section(design)
         drawn: Any = getattr(design, section)
@@ -218,36 +220,36 @@ class _Draft:
             return design
         return replace(design, **{section: self.within(section, drawn, length=(-np.inf, drawn.length - excess))})
 
-    def _held_up(self, design: OutfitDesign) -> OutfitDesign:
+    def _with_snug_band(self, design: OutfitDesign) -> OutfitDesign:
         """A gathered bottom alone on a band at the body's own girth; where no band may be drawn, without gathers."""
         if design.meta.upper or not is_gathered(design) or has_snug_band(design):
             return design
         bands = choice_of(self.sections["meta"], "wb")
-        if all(option is None for option in bands.lot):
-            return self._with_top_within(design, "gathers", (1.0, 1.0))
+        if all(option is None for option in bands.weighted_options):
+            return self._with_top_within(design, "gather_parameter", (1.0, 1.0))
         meta = replace(design.meta, wb=design.meta.wb or _chosen(bands, True).draw(self.rng))
         band = self.within("waistband", self.drawn("waistband"), waist=(1.0, 1.0))
         return replace(design, meta=meta, waistband=band)
 
-    def _light_enough(self, design: OutfitDesign) -> OutfitDesign:
+    def _without_heavy_flare(self, design: OutfitDesign) -> OutfitDesign:
         """A bottom alone not heavy where no firm band holds it."""
         if design.meta.upper:
             return design
         if is_flared(design) and not has_firm_band(design):
             section, limits = _length_section(design), {"length": (-np.inf, LIGHT_LENGTH)}
             design = replace(design, **{section: self.within(section, getattr(design, section), **limits)})
-            design = self._with_top_within(design, "fullness", (-np.inf, LIGHT_SUNS))
+            design = self._with_top_within(design, "fullness_parameter", (-np.inf, LIGHT_SUNS))
         return design
 
     def _with_top_within(
-        self, design: OutfitDesign, role: Literal["gathers", "fullness"], limits: tuple[float, float]
+        self, design: OutfitDesign, role: Literal["gather_parameter", "fullness_parameter"], limits: tuple[float, float]
     ) -> OutfitDesign:
         """The bottom, the parameter that gathers its top or makes it wide drawn anew where it is outside its limits."""
         top = top_of_bottom(design)
         name = "" if top is None else getattr(top, role)
         if top is None or not name:
             return design
-        return replace(design, **{top.field: self.within(top.field, top.own(design), **{name: limits})})
+        return replace(design, **{top.field: self.within(top.field, top.section_design(design), **{name: limits})})
 
 
 @cache
@@ -276,10 +278,10 @@ def _is_plain(design: OutfitDesign) -> bool:
     """Whether nothing is cut into the bottom that could run into anything else."""
     assert design.meta.bottom is not None
     garment = design.meta.bottom.garment
-    return garment.always_whole(garment.own(design))
+    return garment.always_sewable(garment.section_design(design))
 
 
 def _length_section(design: OutfitDesign) -> str:
     """The section whose ``length`` says how far down the bottom reaches."""
     assert design.meta.bottom is not None
-    return design.meta.bottom.garment.lengthened(design).field
+    return design.meta.bottom.garment.length_garment(design).field

@@ -58,10 +58,10 @@ class Design:
     def __post_init__(self) -> None:
         for entry in fields(self):
             space, value = entry.metadata.get("space"), getattr(self, entry.name)
-            if space is not None and not space.holds(value):
+            if space is not None and not space.accepts(value):
                 raise ConfigError(f"{type(self).__name__}: {entry.name} is {plain(value)}, not {space}")
 
-    def writes(self, name: str) -> bool:
+    def includes(self, name: str) -> bool:
         """Whether a design file holds this part of the design, one that ``with_parts`` has added."""
         return True
 
@@ -101,7 +101,7 @@ def with_parts(kinds: Mapping[str, type[Design]]) -> Callable[[type[P]], type[P]
     """A decorator, to be applied before ``dataclass``, for a design with more parts: names in design files to kinds.
 
     Names that the design declares itself are left as they are. The other parts come after its own; ``draw`` and
-    ``leaves`` pass them over, and design files hold them where ``Design.writes`` says so.
+    ``leaves`` pass them over, and design files hold them where ``Design.includes`` says so.
     """
 
     def extend(design: type[P]) -> type[P]:
@@ -234,7 +234,7 @@ def _key(entry: Any) -> str:
 
 def to_dict(design: Design) -> dict[str, Any]:
     """The design as nested plain values, under the names of a design file."""
-    written = (entry for entry in fields(design) if "added" not in entry.metadata or design.writes(entry.name))
+    written = (entry for entry in fields(design) if "added" not in entry.metadata or design.includes(entry.name))
     values = {_key(entry): getattr(design, entry.name) for entry in written}
     return {key: to_dict(value) if isinstance(value, Design) else plain(value) for key, value in values.items()}
 

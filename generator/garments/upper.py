@@ -47,7 +47,7 @@ class Shirt(UpperGarment[ShirtDesign]):
         return shirt(size, design, fitted=self.fitted, mends=mends)
 
     def length(self, size: Measurements, design: "OutfitDesign") -> float:
-        return size.waist_line if self.at_waist else self.own(design).length * size.waist_line
+        return size.waist_line if self.at_waist else self.section_design(design).length * size.waist_line
 
     def sections_used(self, design: "OutfitDesign") -> tuple[str, ...]:
         left = design.left_half() is not None

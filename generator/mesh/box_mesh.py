@@ -9,9 +9,9 @@ import shapely
 from jaxtyping import Float, Int
 
 from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.mesh.border import MOST_POINTS, Border, edge_counts, sample_border
 from gcd_dataset.generator.mesh.lattice import lattice_size
-from gcd_dataset.generator.mesh.sample import MOST_POINTS, Border, edge_counts, sample_border
-from gcd_dataset.generator.mesh.stitch import merge_points, middles, seam_name, stitch_points
+from gcd_dataset.generator.mesh.stitch import mean_positions, merge_points, seam_name, stitch_points
 from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline
 from gcd_dataset.generator.mesh.turned_panels import flat_areas, turned_over
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern
@@ -44,12 +44,12 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
     edges = cut.edges(pattern)
     sewn = stitch_points(pattern.seams, [(edges[seam.left], edges[seam.right]) for seam in pattern.seams])
     vertex = merge_points(sewn, cut.panel_of_point, pattern.seams)
-    corners = _wound_alike(cut, pattern)
+    corners = _consistent_corners(cut, pattern)
     faces = vertex[corners]
     whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)  # a seam may close a triangle on itself
     _require_faces(faces[whole], vertex, cut, pattern)
     return BoxMesh(
-        vertices=middles(cut.placed, vertex),
+        vertices=mean_positions(cut.placed, vertex),
         faces=faces[whole],
         uv=cut.flat,
         corners=corners[whole],
@@ -102,7 +102,7 @@ def _cut(pattern: Pattern, spacing: float) -> _Cut:
     )
 
 
-def _wound_alike(cut: _Cut, pattern: Pattern) -> Int[np.ndarray, "f 3"]:
+def _consistent_corners(cut: _Cut, pattern: Pattern) -> Int[np.ndarray, "f 3"]:
     """The corners of all faces, those of panels that are sewn in wrong side out the other way round."""
     panel = cut.panel_of_point[cut.corners[:, 0]]
     areas = np.bincount(panel, np.abs(flat_areas(cut.flat[cut.corners])), minlength=len(pattern.panels))

@@ -16,14 +16,14 @@ from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.triangulate import Fillings, fill_outline
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["Coarse", "coarse_start", "coarsen"]
+__all__ = ["CoarseMesh", "coarse_start", "coarsen"]
 
 STRAIGHT = np.cos(np.radians(25.0))  # a border point that turns the outline further than this is kept
 FEW = 1000  # vertices that are draped as fast without
 
 
 @dataclass(frozen=True)
-class Coarse:
+class CoarseMesh:
     """A coarse mesh of the same panels and seams."""
 
     mesh: BoxMesh
@@ -37,7 +37,7 @@ class Coarse:
         return np.einsum("vk,vkd->vd", self.weights, values[self.corners])
 
 
-def coarse_start(mesh: BoxMesh) -> Coarse | None:
+def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
     """What a drape of the mesh starts with; None for one that is small, or too narrow somewhere."""
     if len(mesh.vertices) < FEW:
         return None
@@ -47,7 +47,7 @@ def coarse_start(mesh: BoxMesh) -> Coarse | None:
         return None
 
 
-def coarsen(mesh: BoxMesh) -> Coarse:
+def coarsen(mesh: BoxMesh) -> CoarseMesh:
     """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow for that."""
     border = _Border.of(mesh)
     thinned = _thin(mesh, border)
@@ -197,7 +197,7 @@ def _panel(mesh: BoxMesh, number: int, rows: Int[np.ndarray, " n"], known: Filli
     return _Panel(number, rows, *fill_outline(border, spacing, known))
 
 
-def _join(mesh: BoxMesh, thinned: _Thinned, panels: list[_Panel]) -> Coarse:
+def _join(mesh: BoxMesh, thinned: _Thinned, panels: list[_Panel]) -> CoarseMesh:
     """All panels sewn as the fine ones are: kept vertices first, in their order, then the seeds."""
     number = np.cumsum(thinned.kept) - 1
     count = int(thinned.kept.sum())
@@ -213,11 +213,11 @@ def _join(mesh: BoxMesh, thinned: _Thinned, panels: list[_Panel]) -> Coarse:
         first += len(ids)
         points.append(panel.points)
         vertex_of.append(ids)
-        fine = _own_rows(mesh, panel)
+        fine = _panel_rows(mesh, panel)
         vertices.append(_place(mesh, fine, panel.points[len(panel.rows) :]))
         triangle, shares = _locate(panel.points, panel.faces, mesh.uv[fine])
         corners[mesh.uv_vertex[fine]], weights[mesh.uv_vertex[fine]] = ids[panel.faces[triangle]], shares
-    _hold_border(thinned, number, corners, weights)
+    _set_border_weights(thinned, number, corners, weights)
     vertex = np.concatenate(vertex_of)
     rows = np.concatenate(faces)
     whole = (vertex[rows] != np.roll(vertex[rows], 1, axis=1)).all(axis=1)
@@ -233,7 +233,7 @@ def _join(mesh: BoxMesh, thinned: _Thinned, panels: list[_Panel]) -> Coarse:
         seams=_renumbered(mesh.seams, thinned.kept, number),
         labels={name: number[ids[thinned.kept[ids]]] for name, ids in mesh.labels.items()},
     )
-    return Coarse(coarse, corners, weights)
+    return CoarseMesh(coarse, corners, weights)
 
 
 def _renumbered(
@@ -243,7 +243,7 @@ def _renumbered(
     return np.stack([number[left[:, 0]], left[:, 1]], axis=1)
 
 
-def _own_rows(mesh: BoxMesh, panel: _Panel) -> Int[np.ndarray, " n"]:
+def _panel_rows(mesh: BoxMesh, panel: _Panel) -> Int[np.ndarray, " n"]:
     """The rows of ``uv`` of a panel."""
     own = np.zeros(len(mesh.uv), bool)
     own[mesh.corners[mesh.panel_id == panel.number]] = True
@@ -265,7 +265,7 @@ def _locate(
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """The triangle round the nearest corner that each wanted point lies in, or is least outside of, and the shares of
     its corners, none below zero."""
-    round_corner = _faces_round(faces, len(points))
+    round_corner = _faces_around(faces, len(points))
     _, nearest = cKDTree(points, balanced_tree=False, compact_nodes=False).query(wanted)
     a, b, c = points[faces].transpose(1, 0, 2)
     ab, ac = b - a, c - a
@@ -287,7 +287,7 @@ def _locate(
     return best, shares / shares.sum(axis=1, keepdims=True)
 
 
-def _faces_round(faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "n most"]:
+def _faces_around(faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "n most"]:
     """The faces round each point, the last one again and again where there are fewer."""
     owner = faces.ravel()
     order = np.argsort(owner, kind="stable")
@@ -297,7 +297,7 @@ def _faces_round(faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "n mo
     return order[np.minimum(first[:, None] + place, len(order) - 1)] // 3
 
 
-def _hold_border(
+def _set_border_weights(
     thinned: _Thinned,
     number: Int[np.ndarray, " v"],
     corners: Int[np.ndarray, "v 3"],

@@ -20,26 +20,26 @@ def restore_segments(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f
     missing: the sides of a slit that is narrower than their points are apart.
     Raises ``MeshError`` where the loop touches itself.
     """
-    missing = np.flatnonzero(~_present(faces, n))
+    missing = np.flatnonzero(~_present_segments(faces, n))
     if not len(missing):
         return faces
     faces = faces.copy()
     for start in missing:
         _restore(points, faces, int(start), int(start + 1) % n)
-    while _turn_illegal(points, faces, n):
+    while _flip_illegal(points, faces, n):
         pass
-    lost = np.flatnonzero(~_present(faces, n))  # a corner stands on a segment, or two segments cross
+    lost = np.flatnonzero(~_present_segments(faces, n))  # a corner stands on a segment, or two segments cross
     if len(lost):
-        raise _touches(points[lost[0]])
+        raise _touch_error(points[lost[0]])
     return faces
 
 
 def has_segments(faces: Int[np.ndarray, "f 3"], n: int) -> bool:
     """Whether every segment (i, i+1) of the loop 0 … n-1 is an edge of some triangle."""
-    return bool(_present(faces, n).all())
+    return bool(_present_segments(faces, n).all())
 
 
-def _present(faces: Int[np.ndarray, "f 3"], n: int) -> Bool[np.ndarray, " n"]:
+def _present_segments(faces: Int[np.ndarray, "f 3"], n: int) -> Bool[np.ndarray, " n"]:
     """Which segments of the loop are edges, in either direction."""
     after = np.roll(faces, -1, axis=1)
     present = np.zeros(n, bool)
@@ -50,39 +50,41 @@ def _present(faces: Int[np.ndarray, "f 3"], n: int) -> Bool[np.ndarray, " n"]:
 
 def _restore(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a: int, b: int) -> None:
     """Turn edges in place until (a, b) is one of them."""
-    crossing = deque(_crossing(points, faces, a, b))
+    crossing = deque(_crossing_edges(points, faces, a, b))
     for _ in range(len(crossing) ** 2 + len(crossing) + 1):  # Sloan's queue empties well before
         if not crossing:
             return
         u, v = crossing.popleft()
-        (f, g), (p, q) = _sides(faces, u, v)
-        if _turn(points[p], points[q], points[u]) * _turn(points[p], points[q], points[v]) >= 0:
+        (f, g), (p, q) = _adjacent_faces(faces, u, v)
+        if _orientation(points[p], points[q], points[u]) * _orientation(points[p], points[q], points[v]) >= 0:
             crossing.append((u, v))  # turned, it would leave its quadrilateral
             continue
         faces[f], faces[g] = (p, u, q), (q, v, p)
-        if {p, q} != {a, b} and _cross(points, (p, q), (a, b)):
+        if {p, q} != {a, b} and _segments_cross(points, (p, q), (a, b)):
             crossing.append((p, q))
-    raise _touches(points[a])
+    raise _touch_error(points[a])
 
 
-def _touches(point: Float[np.ndarray, "2"]) -> MeshError:
+def _touch_error(point: Float[np.ndarray, "2"]) -> MeshError:
     x, y = point
     return MeshError(f"the outline touches itself near ({x:.2f}, {y:.2f}) cm: move its edges apart")
 
 
-def _crossing(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a: int, b: int) -> list[tuple[int, int]]:
+def _crossing_edges(
+    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a: int, b: int
+) -> list[tuple[int, int]]:
     """Edges that cross the segment (a, b), each once."""
     u, v = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     once = u < v
     u, v = u[once], v[once]
-    side_u, side_v = (_turn(points[a], points[b], points[end].T) for end in (u, v))
-    side_a, side_b = (_turn(points[u].T, points[v].T, points[end]) for end in (a, b))
+    side_u, side_v = (_orientation(points[a], points[b], points[end].T) for end in (u, v))
+    side_a, side_b = (_orientation(points[u].T, points[v].T, points[end]) for end in (a, b))
     apart = (u != a) & (u != b) & (v != a) & (v != b)
     crossing = apart & (side_u * side_v < 0) & (side_a * side_b < 0)
     return list(zip(u[crossing].tolist(), v[crossing].tolist(), strict=True))
 
 
-def _turn_illegal(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> bool:
+def _flip_illegal(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> bool:
     """Turn in place edges with a corner of one face in the circle of the other, at most one of each face.
 
     Returns whether there were any; edges of the loop stay.
@@ -118,7 +120,7 @@ def _angle(
     return np.arctan2(np.abs(to_a[:, 0] * to_b[:, 1] - to_a[:, 1] * to_b[:, 0]), (to_a * to_b).sum(axis=1))
 
 
-def _sides(faces: Int[np.ndarray, "f 3"], u: int, v: int) -> tuple[tuple[int, int], tuple[int, int]]:
+def _adjacent_faces(faces: Int[np.ndarray, "f 3"], u: int, v: int) -> tuple[tuple[int, int], tuple[int, int]]:
     """The faces left and right of the edge (u, v), and their third corners."""
     after = np.roll(faces, -1, axis=1)
     f, i = (int(x[0]) for x in np.nonzero((faces == u) & (after == v)))
@@ -126,15 +128,17 @@ def _sides(faces: Int[np.ndarray, "f 3"], u: int, v: int) -> tuple[tuple[int, in
     return (f, g), (int(faces[f, i - 1]), int(faces[g, j - 1]))
 
 
-def _cross(points: Float[np.ndarray, "m 2"], first: tuple[int, int], second: tuple[int, int]) -> bool:
+def _segments_cross(points: Float[np.ndarray, "m 2"], first: tuple[int, int], second: tuple[int, int]) -> bool:
     (u, v), (a, b) = first, second
     if len({u, v, a, b}) < 4:
         return False
-    apart = _turn(points[a], points[b], points[u]) * _turn(points[a], points[b], points[v]) < 0
-    return bool(apart and _turn(points[u], points[v], points[a]) * _turn(points[u], points[v], points[b]) < 0)
+    apart = _orientation(points[a], points[b], points[u]) * _orientation(points[a], points[b], points[v]) < 0
+    return bool(
+        apart and _orientation(points[u], points[v], points[a]) * _orientation(points[u], points[v], points[b]) < 0
+    )
 
 
-def _turn(
+def _orientation(
     a: Float[np.ndarray, "2 *n"], b: Float[np.ndarray, "2 *n"], c: Float[np.ndarray, "2 *n"]
 ) -> Float[np.ndarray, " *n"]:
     """Twice the signed area of (a, b, c): positive for a left turn."""

@@ -15,7 +15,7 @@ __all__ = ["Lattice", "build_lattice", "lattice_size"]
 
 PITCH = 0.97  # of the border's spacing: the median edge of GarmentCode's meshes
 CLEAR_OF_POINT = 0.60  # pitches a seed keeps away from the border's points
-CLEAR_OF_MIDDLE = 0.60  # and from the middles between them
+CLEAR_OF_MIDDLE = 0.60  # and from the mean_positions between them
 FAR = 1.27  # pitches from the border at which all six triangles are certain: see _certain
 CIRCLE = (1 + 1e-6) / 3  # square pitches: the square of the circumradius
 ROW = np.sqrt(0.75)  # pitches from row to row
@@ -132,8 +132,8 @@ def _clearances(
     border: Float[np.ndarray, "n 2"], origin: Float[np.ndarray, "2"], pitch: float, shape: tuple[int, int]
 ) -> tuple[Bool[np.ndarray, "row column"], Bool[np.ndarray, "row column"]]:
     """Which lattice points keep their distance from the border, and which are far from it."""
-    middles = 0.5 * (border + np.roll(border, -1, axis=0))
-    row, column = _coordinates(np.concatenate([border, middles]), origin, pitch)
+    mean_positions = 0.5 * (border + np.roll(border, -1, axis=0))
+    row, column = _coordinates(np.concatenate([border, mean_positions]), origin, pitch)
     radius = np.repeat([CLEAR_OF_POINT, CLEAR_OF_MIDDLE], len(border))
     # The nearest row and column and their neighbours: nothing beyond them is nearer than 1.299 pitches.
     j = np.rint(row).astype(int)[:, None, None] + np.arange(-1, 2)[:, None]

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from gcd_dataset.errors import MeshError
 from gcd_dataset.records import Seam
 
-__all__ = ["SewnPoints", "merge_points", "middles", "seam_name", "stitch_points"]
+__all__ = ["SewnPoints", "mean_positions", "merge_points", "seam_name", "stitch_points"]
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def merge_points(sewn: SewnPoints, panel: Int[np.ndarray, " c"], seams: tuple[Se
     return vertex[group]
 
 
-def middles(positions: Float[np.ndarray, "c 3"], vertex: Int[np.ndarray, " c"]) -> Float[np.ndarray, "v 3"]:
+def mean_positions(positions: Float[np.ndarray, "c 3"], vertex: Int[np.ndarray, " c"]) -> Float[np.ndarray, "v 3"]:
     """The mean of the points of each vertex."""
     members = np.bincount(vertex)
     return np.stack([np.bincount(vertex, column) / members for column in positions.T], axis=1)

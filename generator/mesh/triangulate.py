@@ -27,7 +27,7 @@ ROUNDS = 10  # a seam gathered to a third of the spacing takes four
 EMPTY = 0.99  # of a circumradius without another point
 APART = 0.8  # circumradii that the new seeds of one round keep from each other
 SAME_AREA = 1e-9  # relative: triangles of which none is missing or covers another
-NUDGE = 1e-6  # spacings by which points stand aside while Qhull looks at them
+JITTER = 1e-6  # spacings by which points stand aside while Qhull looks at them
 
 
 Filling: TypeAlias = tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]
@@ -63,7 +63,7 @@ def triangulate(border: Float[np.ndarray, "n 2"], spacing: float) -> Filling:
     strip = _Strip(border, spacing, build_lattice(border, spacing), np.zeros((0, 2)))
     faces = fresh = strip.faces()
     for _ in range(ROUNDS):
-        seeds = strip.missing_seeds(fresh)  # where no seed has changed anything there is no more room than before
+        seeds = strip.refinement_seeds(fresh)  # where no seed has changed anything there is no more room than before
         if not len(seeds):
             break
         strip, before = strip.with_seeds(seeds), strip
@@ -87,13 +87,13 @@ class _Strip:
         return np.concatenate([self.border, self.lattice.points, self.added])
 
     @cached_property
-    def nudged(self) -> Float[np.ndarray, "m 2"]:
+    def jittered(self) -> Float[np.ndarray, "m 2"]:
         """The points as Qhull sees them: all that asks which side of what a point is on asks these."""
-        return _nudged(self.points, NUDGE * self.spacing)
+        return _jittered(self.points, JITTER * self.spacing)
 
     @cached_property
     def outline(self) -> shapely.Polygon:
-        outline = shapely.Polygon(self.nudged[: len(self.border)])
+        outline = shapely.Polygon(self.jittered[: len(self.border)])
         shapely.prepare(outline)
         return outline
 
@@ -120,13 +120,13 @@ class _Strip:
         first_seed = len(self.points) - (len(self.added) - len(before.added))
         opened = replace(before.lattice, filled=before.lattice.filled & ~self.lattice.filled).faces
         old = np.concatenate([faces, len(self.border) + opened])
-        centres, radii, _, _ = _circumcircles(self.nudged[old])
-        goes = (cdist(self.nudged[first_seed:], centres) < radii).any(axis=0)
+        centres, radii, _, _ = _circumcircles(self.jittered[old])
+        goes = (cdist(self.jittered[first_seed:], centres) < radii).any(axis=0)
         corners = np.append(np.unique(old[goes]), np.arange(first_seed, len(self.points)))
-        fresh = _counter_clockwise(self.nudged, corners[Delaunay(self.nudged[corners]).simplices])
+        fresh = _counter_clockwise(self.jittered, corners[Delaunay(self.jittered[corners]).simplices])
         fresh = fresh[fresh.max(axis=1) >= first_seed]
         whole = np.concatenate([old[~goes], fresh])
-        same_area = np.isclose(_area(self.nudged[fresh]), _area(self.nudged[old[goes]]), rtol=SAME_AREA, atol=0.0)
+        same_area = np.isclose(_area(self.jittered[fresh]), _area(self.jittered[old[goes]]), rtol=SAME_AREA, atol=0.0)
         if same_area and has_segments(whole, len(self.border)):
             return whole, fresh
         again = self.faces()
@@ -134,9 +134,9 @@ class _Strip:
 
     def faces(self) -> Int[np.ndarray, "f 3"]:
         """The constrained Delaunay triangles of the strip, counter-clockwise."""
-        faces = _counter_clockwise(self.nudged, self.members[Delaunay(self.nudged[self.members]).simplices])
-        faces = faces[~self.lattice.covers(self.nudged[faces].mean(axis=1))]
-        faces = restore_segments(self.nudged, faces, len(self.border))
+        faces = _counter_clockwise(self.jittered, self.members[Delaunay(self.jittered[self.members]).simplices])
+        faces = faces[~self.lattice.covers(self.jittered[faces].mean(axis=1))]
+        faces = restore_segments(self.jittered, faces, len(self.border))
         return faces[self._inside(faces)]
 
     def _inside(self, faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
@@ -148,12 +148,12 @@ class _Strip:
         along, against = (step == 1).any(axis=1), (step == n - 1).any(axis=1)
         inside[bare] = along
         unsure = bare[~along & ~against]
-        inside[unsure] = shapely.contains_xy(self.outline, *self.nudged[faces[unsure]].mean(axis=1).T)
+        inside[unsure] = shapely.contains_xy(self.outline, *self.jittered[faces[unsure]].mean(axis=1).T)
         return inside
 
-    def missing_seeds(self, faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "k 2"]:
+    def refinement_seeds(self, faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "k 2"]:
         """Circumcentres of triangles that are too long or too sharp, where there is room for them."""
-        centres, radii, shortest, longest = _circumcircles(self.nudged[faces])
+        centres, radii, shortest, longest = _circumcircles(self.jittered[faces])
         poor = (longest > LONGEST * self.spacing) | (2 * np.sin(SHARPEST) * radii > shortest)
         if not poor.any():
             return centres[:0]
@@ -170,7 +170,7 @@ class _Strip:
         return clear & (nearest > EMPTY * radii)
 
 
-def _nudged(points: Float[np.ndarray, "m 2"], by: float) -> Float[np.ndarray, "m 2"]:
+def _jittered(points: Float[np.ndarray, "m 2"], by: float) -> Float[np.ndarray, "m 2"]:
     """The points, each aside by a different trifle, so that no three are in line and no four on a circle.
 
     Ties between rows of equal triangles cost Qhull three times the rest of its work (measured), and the triangles that

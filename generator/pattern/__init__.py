@@ -15,22 +15,22 @@ A bag, with a slit of 10 cm in the front's hem and open at the top:
 4
 """
 
-from gcd_dataset.generator.pattern.assemble import SewnJoin, assemble, measure_joins, panel_of, sew
+from gcd_dataset.generator.pattern.assemble import MeasuredJoin, assemble, measure_joins, panel_of, sew
 from gcd_dataset.generator.pattern.component import Component
+from gcd_dataset.generator.pattern.cubic_fit import s_shaped_cubic, smooth_cubic
 from gcd_dataset.generator.pattern.dart import cut_corner, cut_end, cut_into, dart, notch
-from gcd_dataset.generator.pattern.edge import Stroke, chain_from, rotate
-from gcd_dataset.generator.pattern.fit import smooth_cubic, swayed_cubic
 from gcd_dataset.generator.pattern.outline import Outline
-from gcd_dataset.generator.pattern.panel import Piece
+from gcd_dataset.generator.pattern.piece import Piece
 from gcd_dataset.generator.pattern.seam import Interface, backwards
+from gcd_dataset.generator.pattern.stroke import Stroke, chain_from, rotate
 from gcd_dataset.generator.pattern.tangent import tangent_quadratic
 
 __all__ = [
     "Component",
     "Interface",
+    "MeasuredJoin",
     "Outline",
     "Piece",
-    "SewnJoin",
     "Stroke",
     "assemble",
     "backwards",
@@ -43,8 +43,8 @@ __all__ = [
     "notch",
     "panel_of",
     "rotate",
+    "s_shaped_cubic",
     "sew",
     "smooth_cubic",
-    "swayed_cubic",
     "tangent_quadratic",
 ]

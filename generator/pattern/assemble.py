@@ -7,17 +7,17 @@ import numpy as np
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.component import Component
-from gcd_dataset.generator.pattern.edge import Stroke
-from gcd_dataset.generator.pattern.panel import Piece
+from gcd_dataset.generator.pattern.piece import Piece
 from gcd_dataset.generator.pattern.seam import Interface, Join, shared_breaks
+from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import panel_order
 
-__all__ = ["SewnJoin", "assemble", "measure_joins", "panel_of", "sew"]
+__all__ = ["MeasuredJoin", "assemble", "measure_joins", "panel_of", "sew"]
 
 
 @dataclass(frozen=True, slots=True)
-class _Stretch:
+class _WalkedStroke:
     """A stroke of a piece as an interface walks it."""
 
     panel: str
@@ -38,7 +38,7 @@ class _Part:
 
 
 @dataclass(frozen=True, slots=True)
-class SewnJoin:
+class MeasuredJoin:
     """A seam between two interfaces, and how long its sides are without their gathers."""
 
     join: Join
@@ -53,7 +53,7 @@ def assemble(component: Component, name: str) -> Pattern:
     return sew(component, name)[0]
 
 
-def sew(component: Component, name: str) -> tuple[Pattern, tuple[SewnJoin, ...]]:
+def sew(component: Component, name: str) -> tuple[Pattern, tuple[MeasuredJoin, ...]]:
     """The finished pattern, and the lengths of all that is sewn together in it. Raises as ``assemble`` does."""
     walks = [(_walk(component, join.left), _walk(component, join.right)) for join in component.joins]
     _require_sewn_once(component, walks)
@@ -61,7 +61,7 @@ def sew(component: Component, name: str) -> tuple[Pattern, tuple[SewnJoin, ...]]
     outward = {piece.name: piece.faces_out for piece in component.pieces}
     strokes = {piece.name: _divided(piece, divisions) for piece in component.pieces}
     panels = {piece.name: _panel(piece, strokes[piece.name], outward[piece.name]) for piece in component.pieces}
-    places = {panel: _edge_places(parts, outward[panel]) for panel, parts in strokes.items()}
+    places = {panel: _edge_numbers(parts, outward[panel]) for panel, parts in strokes.items()}
     seams = [
         _seam(left, right, places, outward)
         for walk_left, walk_right in walks
@@ -71,16 +71,18 @@ def sew(component: Component, name: str) -> tuple[Pattern, tuple[SewnJoin, ...]]
     return Pattern(name, tuple(panels[panel] for panel in order), tuple(seams)), _lengths(component, walks)
 
 
-def measure_joins(component: Component) -> tuple[SewnJoin, ...]:
+def measure_joins(component: Component) -> tuple[MeasuredJoin, ...]:
     """The lengths of all that is to be sewn. Raises ``PatternError`` for a seam of an edge that is not there."""
     return _lengths(
         component, [(_walk(component, join.left), _walk(component, join.right)) for join in component.joins]
     )
 
 
-def _lengths(component: Component, walks: Sequence[tuple[list[_Stretch], list[_Stretch]]]) -> tuple[SewnJoin, ...]:
+def _lengths(
+    component: Component, walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]]
+) -> tuple[MeasuredJoin, ...]:
     return tuple(
-        SewnJoin(join, *(sum(stretch.length for stretch in side) for side in walk))
+        MeasuredJoin(join, *(sum(stretch.length for stretch in side) for side in walk))
         for join, walk in zip(component.joins, walks, strict=True)
     )
 
@@ -90,14 +92,14 @@ def panel_of(piece: Piece) -> Panel:
     return _panel(piece, [(stroke,) for stroke in piece.outline.strokes], piece.faces_out)
 
 
-def _walk(component: Component, interface: Interface) -> list[_Stretch]:
+def _walk(component: Component, interface: Interface) -> list[_WalkedStroke]:
     """The strokes of an interface in the order of its walk."""
-    walk: list[_Stretch] = []
+    walk: list[_WalkedStroke] = []
     for section in interface:
         outline = component.piece(section.panel).outline
         outline.run(section.edge)  # so that a wrong name is an error
         found = [
-            _Stretch(section.panel, index, section.backward, stroke.length / section.ruffle)
+            _WalkedStroke(section.panel, index, section.backward, stroke.length / section.ruffle)
             for index, stroke in enumerate(outline.strokes)
             if stroke.name == section.edge
         ]
@@ -105,7 +107,7 @@ def _walk(component: Component, interface: Interface) -> list[_Stretch]:
     return walk
 
 
-def _require_sewn_once(component: Component, walks: Sequence[tuple[list[_Stretch], list[_Stretch]]]) -> None:
+def _require_sewn_once(component: Component, walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]]) -> None:
     seen: set[tuple[str, int]] = set()
     for stretch in (stretch for sides in walks for side in sides for stretch in side):
         if (stretch.panel, stretch.stroke) in seen:
@@ -114,7 +116,7 @@ def _require_sewn_once(component: Component, walks: Sequence[tuple[list[_Stretch
         seen.add((stretch.panel, stretch.stroke))
 
 
-def _divisions(walks: Sequence[tuple[list[_Stretch], list[_Stretch]]]) -> dict[tuple[str, int], list[float]]:
+def _divisions(walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]]) -> dict[tuple[str, int], list[float]]:
     """Shares of their length, in drawing order, at which strokes are divided."""
     divisions: dict[tuple[str, int], list[float]] = {}
     for left, right in walks:
@@ -131,7 +133,7 @@ def _divided(piece: Piece, divisions: Mapping[tuple[str, int], list[float]]) -> 
     return [stroke.split(s) if s else (stroke,) for stroke, s in zip(piece.outline.strokes, shares, strict=True)]
 
 
-def _parts(walk: Sequence[_Stretch], divisions: Mapping[tuple[str, int], list[float]]) -> list[_Part]:
+def _parts(walk: Sequence[_WalkedStroke], divisions: Mapping[tuple[str, int], list[float]]) -> list[_Part]:
     """The parts that an interface's strokes were divided into, in the order of its walk."""
     parts = []
     for stretch in walk:
@@ -141,7 +143,7 @@ def _parts(walk: Sequence[_Stretch], divisions: Mapping[tuple[str, int], list[fl
     return parts
 
 
-def _edge_places(parts: Sequence[tuple[Stroke, ...]], outward: bool) -> dict[tuple[int, int], int]:
+def _edge_numbers(parts: Sequence[tuple[Stroke, ...]], outward: bool) -> dict[tuple[int, int], int]:
     """Place in the panel's loop of each part of each stroke."""
     keys = [(stroke, part) for stroke, pieces in enumerate(parts) for part in range(len(pieces))]
     return {key: place if outward else len(keys) - 1 - place for place, key in enumerate(keys)}

@@ -11,8 +11,8 @@ from math import atan2, hypot, pi, sqrt
 
 from gcd_dataset.curves import Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.pattern.edge import Stroke, chain_from
 from gcd_dataset.generator.pattern.outline import Outline
+from gcd_dataset.generator.pattern.stroke import Stroke, chain_from
 
 __all__ = ["cut_corner", "cut_end", "cut_into", "dart", "notch"]
 

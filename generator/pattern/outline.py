@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import LINE, Curve, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.pattern.edge import Stroke
+from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import EdgeRole
 
 __all__ = ["Outline"]

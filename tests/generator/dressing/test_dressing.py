@@ -10,7 +10,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.dressing import dress, has_legs
-from gcd_dataset.generator.dressing.hanging import lay_on_body
+from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
 from gcd_dataset.generator.dressing.openings import openings_of
 from gcd_dataset.generator.dressing.wearer import wearer_of
 from gcd_dataset.generator.fitting import drape_patterns
@@ -196,7 +196,7 @@ def test_a_net_of_hundreds_of_openings_hangs_in_the_middle(wearer: tuple[Body, M
         for right, left in ((1, 7), (3, 5))
     )
     net = Pattern("net", panels, seams)
-    hung, _ = lay_on_body(net, wearer_of(*wearer))
+    hung, _ = hang_from_lay_plan(net, wearer_of(*wearer))
     assert len(openings_of(hung)) > 190
     places = np.concatenate([panel.placement.apply(panel.vertices) for panel in hung.panels])
     assert np.isfinite(places).all()

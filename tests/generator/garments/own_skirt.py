@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
-from gcd_dataset.generator.garments.ring import skirt_panel
+from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, real
 from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
@@ -44,5 +44,5 @@ OWN_SKIRT = SimpleBottom(
     section="own-skirt",
     design=OwnSkirtDesign,
     cut=own_skirt,
-    long=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
 )

@@ -17,7 +17,7 @@ from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.collar import Collar
 from gcd_dataset.generator.garments.design_file import read_design
 from gcd_dataset.generator.garments.hood import RAISED, hood_outline
-from gcd_dataset.generator.pattern import swayed_cubic
+from gcd_dataset.generator.pattern import s_shaped_cubic
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
 from gcd_dataset.spec import read_pattern
 
@@ -248,7 +248,7 @@ def contour(panel: Panel) -> Float[np.ndarray, "n 2"]:
 )
 def test_a_swayed_curve_is_its_own_image_under_a_half_turn(width: float, depth: float) -> None:
     length = round_length(width, depth)
-    curve = swayed_cubic((0.0, 0.0), (width, -depth), tangent=(1.0, 0.0), length=length)
+    curve = s_shaped_cubic((0.0, 0.0), (width, -depth), tangent=(1.0, 0.0), length=length)
     points = curve_points(curve.start, curve.end, curve.curve, np.linspace(0, 1, 51))
     assert points + points[::-1] == pytest.approx(np.broadcast_to(curve.end, points.shape))
     assert curve.length == pytest.approx(length, abs=1e-3)

@@ -151,7 +151,7 @@ def test_a_cuff_comes_off_the_leg_and_leaves_a_fifth(cuff_len: float, woman: Mea
     leg = drawn.piece("pant_f_r").outline.length("outside")
     assert leg == pytest.approx(max(0.7 - cuff_len, 0.2) * woman.leg_length)
     assert leg + drawn.piece("pant_r_cuff_f").outline.length("left") == pytest.approx(0.7 * woman.leg_length)
-    assert PANTS.long(woman, design, 1.0) == pytest.approx(woman.hips_line + 0.7 * woman.leg_length)
+    assert PANTS.length_of(woman, design, 1.0) == pytest.approx(woman.hips_line + 0.7 * woman.leg_length)
 
 
 def test_a_cuff_is_the_hem_without_its_gathers(woman: Measurements) -> None:

@@ -10,8 +10,8 @@ import pytest
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.curves import LINE
 from gcd_dataset.generator.garments import DrawnOutfit, Reject, check_outfit, design_from_dict, outfit, try_on
-from gcd_dataset.generator.garments.pants import cuff_and_leg
-from gcd_dataset.generator.garments.wholeness import corner_angles
+from gcd_dataset.generator.garments.pants import cuff_and_leg_girth
+from gcd_dataset.generator.garments.sewable import corner_angles
 from gcd_dataset.records import Edge, Measurements, Panel, Placement
 
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}
@@ -126,4 +126,4 @@ def test_legs_go_through_cuffs(woman: Measurements, top_ruffle: float, tight: bo
     pattern = outfit(woman, design_from_dict(design))
     drawn = [panel for panel in pattern.panels if panel.name in ("pant_r_cuff_f", "pant_r_cuff_b")]
     tops = [panel.edge_lengths()[i] for panel in drawn for i, e in enumerate(panel.edges) if e.name == "top"]
-    assert cuff_and_leg(woman, design_from_dict(design).pants, 1.0)[0] == pytest.approx(sum(tops))
+    assert cuff_and_leg_girth(woman, design_from_dict(design).pants, 1.0)[0] == pytest.approx(sum(tops))

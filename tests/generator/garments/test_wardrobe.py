@@ -67,7 +67,7 @@ def test_every_garment_has_a_name_and_every_section_a_kind_of_its_own() -> None:
     assert len({garment.name for garment in GARMENTS}) == len(GARMENTS) == len(Upper) + len(Bottom)
     kinds = {(garment.section, garment.design) for garment in GARMENTS}
     assert len({section for section, _ in kinds}) == len(kinds)
-    assert all(isinstance(garment.own(OutfitDesign()), garment.design) for garment in GARMENTS)
+    assert all(isinstance(garment.section_design(OutfitDesign()), garment.design) for garment in GARMENTS)
 
 
 MEASURE = """    torso: float = measure(lambda tape: tape.above("nape_of_neck", "crotch_point"))

@@ -7,7 +7,7 @@ import pytest
 
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.mesh.coarse import Coarse, coarsen
+from gcd_dataset.generator.mesh.coarse import CoarseMesh, coarsen
 from gcd_dataset.records import BoxMesh, Pattern
 from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, tube
 from tests.generator.mesh.test_box_mesh import DART, darted, patchwork
@@ -59,7 +59,7 @@ def test_kept_points_stay_and_others_lie_between(pattern: Pattern) -> None:
         assert found[inside] == pytest.approx(_linear(fine.uv[rows[free]][inside]), abs=1e-6)
 
 
-def _beside_a_dart(coarse: Coarse, own: np.ndarray) -> np.ndarray:
+def _beside_a_dart(coarse: CoarseMesh, own: np.ndarray) -> np.ndarray:
     """Which vertices lie between some that stand in two places of the plane, as the legs of a dart do."""
     rows = np.bincount(coarse.mesh.uv_vertex, minlength=len(coarse.mesh.vertices))
     return (rows[coarse.corners[own]] > 1).any(axis=1)

@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.pattern.edge import rotate
 from gcd_dataset.generator.pattern.outline import Outline
 from gcd_dataset.generator.pattern.seam import Interface, Section
+from gcd_dataset.generator.pattern.stroke import rotate
 from gcd_dataset.records import PanelRole, Placement
 
 __all__ = ["Piece", "Vector"]

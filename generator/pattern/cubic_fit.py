@@ -9,16 +9,16 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import QUADRATURE_NODES, QUADRATURE_WEIGHTS, Point
 from gcd_dataset.errors import FitError
-from gcd_dataset.generator.pattern.edge import Stroke
+from gcd_dataset.generator.pattern.stroke import Stroke
 
-__all__ = ["smooth_cubic", "swayed_cubic"]
+__all__ = ["s_shaped_cubic", "smooth_cubic"]
 
 SLIDE_WEIGHT = 1e-3  # cm⁻⁴: squared slide of the end against squared curvature, GarmentCode
 FIRM_SLIDE_WEIGHT = 8e-4  # the same where tangents hold exactly: GarmentCode's give way, and its curves slide further
 CURVATURE_NORM = 16  # the mean of this power stands for the peak, and has derivatives
-SWAYED_NORM = 48  # the same for an S, whose peaks are narrower
+S_SHAPED_NORM = 48  # the same for an S, whose peaks are narrower
 FIRST_GUESS = (0.5, 0.35, 0.08)  # arms and slide of a usual armhole's sleeve, in chords
-SWAYED_GUESS = (0.45, 0.0, 0.03)  # arm, departure and slide of a usual hood's neckline
+S_SHAPED_GUESS = (0.45, 0.0, 0.03)  # arm, departure and slide of a usual hood's neckline
 SHORTEST_ARM = 0.02  # of the chord
 NEWTON_STEPS = 40
 STEP_TOLERANCE = 1e-4  # of the chord
@@ -46,10 +46,10 @@ def smooth_cubic(start: Point, end: Point, *, start_tangent: Point, end_tangent:
 
     Raises ``FitError`` with the residual where no such curve is found.
     """
-    return _fitted(_Fit(start, end, start_tangent, end_tangent, length), FIRST_GUESS)
+    return _fitted(_CubicFit(start, end, start_tangent, end_tangent, length), FIRST_GUESS)
 
 
-def swayed_cubic(start: Point, end: Point, *, tangent: Point, length: float) -> Stroke:
+def s_shaped_cubic(start: Point, end: Point, *, tangent: Point, length: float) -> Stroke:
     """The smoothest cubic S of this length [cm] that leaves and arrives nearly along a unit tangent.
 
     It is its own image under a half turn, and its end is free to slide along the chord. Smoothest: least
@@ -59,10 +59,10 @@ def swayed_cubic(start: Point, end: Point, *, tangent: Point, length: float) -> 
 
     Raises ``FitError`` with the residual where no such curve is found.
     """
-    return _fitted(_SwayedFit(start, end, tangent, tangent, length), SWAYED_GUESS)
+    return _fitted(_SShapedFit(start, end, tangent, tangent, length), S_SHAPED_GUESS)
 
 
-def _fitted(fit: "_Fit", guess: tuple[float, float, float]) -> Stroke:
+def _fitted(fit: "_CubicFit", guess: tuple[float, float, float]) -> Stroke:
     """The curve of least cost that has the length: damped Newton steps from a guess."""
     unknowns, multiplier = np.array(guess), 0.0
     for _ in range(NEWTON_STEPS):
@@ -82,7 +82,7 @@ def _fitted(fit: "_Fit", guess: tuple[float, float, float]) -> Stroke:
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
+class _CubicFit:
     """The problem in units of the chord, for batches of unknowns (start arm, end arm, slide)."""
 
     start: Point
@@ -146,11 +146,11 @@ class _Fit:
 
 
 @dataclass(frozen=True, slots=True)
-class _SwayedFit(_Fit):
+class _SShapedFit(_CubicFit):
     """The same problem for unknowns (arm, departure, slide), the departure as a tangent."""
 
     least: ClassVar[tuple[float, float, float]] = (SHORTEST_ARM, -np.inf, -np.inf)
-    norm: ClassVar[int] = SWAYED_NORM
+    norm: ClassVar[int] = S_SHAPED_NORM
     slide_weight: ClassVar[float] = SLIDE_WEIGHT
 
     def controls(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Batch, Batch, Batch]:
@@ -162,7 +162,7 @@ class _SwayedFit(_Fit):
 
     def evaluate(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Cost with both departures [chord⁻²] and excess of length [chords]."""
-        cost, excess = _Fit.evaluate(self, unknowns)
+        cost, excess = _CubicFit.evaluate(self, unknowns)
         return cost + 4 * self.chord**2 * (1 - 1 / np.sqrt(1 + unknowns[:, 1] ** 2)), excess
 
 
