@@ -49,10 +49,10 @@ def panel_outline(panel: Panel) -> Float[np.ndarray, "n 2"]:
 def _measured(pattern: Pattern, edges: tuple[EdgeRef, ...]) -> Opening:
     lines = [edge_points(pattern.panel(ref.panel), ref.edge) for ref in edges]
     lengths = [float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in lines]
-    mean_positions = np.array([line.mean(axis=0) for line in lines])
+    middles = np.array([line.mean(axis=0) for line in lines])
     points = np.concatenate(lines)
     return Opening(
-        edges, sum(lengths), np.average(mean_positions, axis=0, weights=lengths), points.min(axis=0), points.max(axis=0)
+        edges, sum(lengths), np.average(middles, axis=0, weights=lengths), points.min(axis=0), points.max(axis=0)
     )
 
 

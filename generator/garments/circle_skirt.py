@@ -59,9 +59,9 @@ def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, leng
 
 
 def _half_ring(radius: float, near: float, far: float) -> Piece:
-    """Half of a disk with a round hole off its centre: ``near`` cm of cloth in its middle, ``far`` in that of the other half.
+    """Half of a disk with a round hole off its centre, ``near`` cm wide in its middle; the other half is ``far`` cm wide.
 
-    Hangs from the origin, the middle between the ends of its ``top``; its sides are named as on a ``band``.
+    Hangs from the origin, the middle between the ends of its ``top``; its sides have the names of a ``band``'s.
     """
     outer = radius + 0.5 * (near + far)
     centre = 0.5 * (far - near)  # of the disk, over that of the hole

@@ -1,4 +1,4 @@
-"""Patterns as triangle meshes: sampled edges, meshed panels, merged seams; and the same made coarser."""
+"""Patterns as triangle meshes: sample the edges, triangulate the panels, merge the seams; and coarsen the result."""
 
 from gcd_dataset.generator.mesh.box_mesh import build_box_mesh
 from gcd_dataset.generator.mesh.coarse import CoarseMesh, coarse_start, coarsen

@@ -1,4 +1,4 @@
-"""Border segments that a Delaunay triangulation has missed, put back by turning edges."""
+"""Constrained Delaunay triangulation: recover missing border segments by edge flips."""
 
 from collections import deque
 
@@ -9,15 +9,15 @@ from gcd_dataset.errors import MeshError
 
 __all__ = ["has_segments", "restore_segments"]
 
-ROUNDING = 1e-9  # rad: four points of one circle are legal either way
+ROUNDING = 1e-9  # rad: of four points on one circle, either diagonal is legal
 
 
 def restore_segments(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "f 3"]:
-    """The constrained Delaunay triangles: every segment (i, i+1) of the loop 0 … n-1 is among their edges.
+    """The constrained Delaunay triangles: every segment (i, i+1) of the loop 0 … n-1 is one of their edges.
 
-    Edges that cross a missing segment are turned one after the other (Sloan, A fast algorithm for generating
-    constrained Delaunay triangulations, 1993), then those that Delaunay's criterion asks to turn. Segments are rarely
-    missing: the sides of a slit that is narrower than their points are apart.
+    Flips the edges that cross a missing segment (Sloan, A fast algorithm for generating constrained Delaunay
+    triangulations, 1993), then the edges that violate Delaunay's criterion. Segments are rarely missing: only along
+    slits narrower than the spacing of their points.
     Raises ``MeshError`` where the loop touches itself.
     """
     missing = np.flatnonzero(~_present_segments(faces, n))
@@ -28,19 +28,19 @@ def restore_segments(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f
         _restore(points, faces, int(start), int(start + 1) % n)
     while _flip_illegal(points, faces, n):
         pass
-    lost = np.flatnonzero(~_present_segments(faces, n))  # a corner stands on a segment, or two segments cross
+    lost = np.flatnonzero(~_present_segments(faces, n))  # a corner lies on a segment, or two segments cross
     if len(lost):
         raise _touch_error(points[lost[0]])
     return faces
 
 
 def has_segments(faces: Int[np.ndarray, "f 3"], n: int) -> bool:
-    """Whether every segment (i, i+1) of the loop 0 … n-1 is an edge of some triangle."""
+    """Whether every segment (i, i+1) of the loop 0 … n-1 is an edge of a triangle."""
     return bool(_present_segments(faces, n).all())
 
 
 def _present_segments(faces: Int[np.ndarray, "f 3"], n: int) -> Bool[np.ndarray, " n"]:
-    """Which segments of the loop are edges, in either direction."""
+    """Flags of the loop's segments that are edges of triangles, in either direction."""
     after = np.roll(faces, -1, axis=1)
     present = np.zeros(n, bool)
     present[faces[(faces < n) & (after == (faces + 1) % n)]] = True
@@ -49,7 +49,7 @@ def _present_segments(faces: Int[np.ndarray, "f 3"], n: int) -> Bool[np.ndarray,
 
 
 def _restore(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a: int, b: int) -> None:
-    """Turn edges in place until (a, b) is one of them."""
+    """Flip edges in place until (a, b) is an edge."""
     crossing = deque(_crossing_edges(points, faces, a, b))
     for _ in range(len(crossing) ** 2 + len(crossing) + 1):  # Sloan's queue empties well before
         if not crossing:
@@ -57,7 +57,7 @@ def _restore(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a:
         u, v = crossing.popleft()
         (f, g), (p, q) = _adjacent_faces(faces, u, v)
         if _orientation(points[p], points[q], points[u]) * _orientation(points[p], points[q], points[v]) >= 0:
-            crossing.append((u, v))  # turned, it would leave its quadrilateral
+            crossing.append((u, v))  # the quadrilateral is not convex: no flip yet
             continue
         faces[f], faces[g] = (p, u, q), (q, v, p)
         if {p, q} != {a, b} and _segments_cross(points, (p, q), (a, b)):
@@ -73,7 +73,7 @@ def _touch_error(point: Float[np.ndarray, "2"]) -> MeshError:
 def _crossing_edges(
     points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a: int, b: int
 ) -> list[tuple[int, int]]:
-    """Edges that cross the segment (a, b), each once."""
+    """The edges that cross the segment (a, b), each once."""
     u, v = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     once = u < v
     u, v = u[once], v[once]
@@ -85,9 +85,9 @@ def _crossing_edges(
 
 
 def _flip_illegal(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> bool:
-    """Turn in place edges with a corner of one face in the circle of the other, at most one of each face.
+    """Flip, in place, edges with a corner of one face in the circumcircle of the other, at most one edge of each face.
 
-    Returns whether there were any; edges of the loop stay.
+    Leaves the loop's segments. Returns whether any edge was illegal.
     """
     f, i, g, j = _inner_edges(faces)
     u, v, p, q = faces[f, i], faces[f, (i + 1) % 3], faces[f, i - 1], faces[g, j - 1]
@@ -105,7 +105,7 @@ def _flip_illegal(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"
 
 
 def _inner_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, " e"], ...]:
-    """Face and corner at which each inner edge starts, on its one side and on its other."""
+    """Face and corner where each inner edge starts: ``(face, corner)`` of one side, then of the other."""
     ends = np.sort(np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()]), axis=0)
     order = np.lexsort(ends)
     twins = np.flatnonzero((np.diff(ends[:, order], axis=1) == 0).all(axis=0))
@@ -121,7 +121,7 @@ def _angle(
 
 
 def _adjacent_faces(faces: Int[np.ndarray, "f 3"], u: int, v: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """The faces left and right of the edge (u, v), and their third corners."""
+    """The faces left and right of the edge (u, v), and the third corner of each."""
     after = np.roll(faces, -1, axis=1)
     f, i = (int(x[0]) for x in np.nonzero((faces == u) & (after == v)))
     g, j = (int(x[0]) for x in np.nonzero((faces == v) & (after == u)))

@@ -103,9 +103,9 @@ class Component:
     def placed_by(self, own: str, other: "Component", theirs: str, *, gap: float, top: bool = False) -> Self:
         """Moved so that its interface ``own`` lies before the interface ``theirs`` of another, ``gap`` cm off.
 
-        The mean_positions of the two bounding boxes meet (with ``top``, at the height of their upper sides); the gap points
+        The middles of the two bounding boxes meet (with ``top``, at the height of their upper sides); the gap points
         from the middle of the whole component to its interface, so the component stands off on its own side.
-        Raises ``PatternError`` where those two mean_positions coincide, which leaves no side.
+        Raises ``PatternError`` where those two middles coincide, which leaves no side.
         """
         edge = self.points(own)
         mine, target = _middle(edge, top), _middle(other.points(theirs), top)

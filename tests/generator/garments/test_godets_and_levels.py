@@ -57,8 +57,8 @@ def test_godets_share_the_hem_and_stand_from_right_to_left(woman: Measurements) 
     assert 2 * sqrt(length(front, "cut_0_left") ** 2 - cut**2 / 4) > 0
     for panel in (front, back):
         tips = [min(ends(panel, f"cut_{i}_right"), key=lambda point: -point[1])[0] for i in range(2)]
-        mean_positions = [pattern.panel(f"ins_{panel.name}_{i}") for i in range(2)]
-        places = [float(p.placement.apply(p.vertices)[:, 0].mean()) for p in mean_positions]
+        godets = [pattern.panel(f"ins_{panel.name}_{i}") for i in range(2)]
+        places = [float(p.placement.apply(p.vertices)[:, 0].mean()) for p in godets]
         assert tips == sorted(tips)
         assert places == sorted(places)
 

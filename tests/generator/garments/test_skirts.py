@@ -239,14 +239,14 @@ def test_panels_share_the_waist_and_widen_as_a_circle_skirt_does(woman: Measurem
 
 def test_panels_stand_in_a_ring_that_begins_at_the_right_and_each_is_sewn_to_the_next(woman: Measurements) -> None:
     pattern = skirt(woman, Bottom.PANELS, {"flare-skirt": {"skirt-many-panels": {"n_panels": 6}}})
-    mean_positions = [pattern.panel(f"skirt_panel_{i}") for i in range(6)]
-    places = np.array([panel.placement.apply(panel.vertices).mean(axis=0) for panel in mean_positions])
+    panels = [pattern.panel(f"skirt_panel_{i}") for i in range(6)]
+    places = np.array([panel.placement.apply(panel.vertices).mean(axis=0) for panel in panels])
     around = np.unwrap(np.arctan2(places[:, 2], places[:, 0]))
     assert places[0, 0] < 0 and abs(places[0, 2]) < -places[0, 0]
     assert np.diff(around) == pytest.approx(np.full(5, -pi / 3))  # over the front, which is +z, to the left
     joined = {frozenset((seam.left.panel, seam.right.panel)) for seam in pattern.seams}
     assert joined == {frozenset((f"skirt_panel_{i}", f"skirt_panel_{(i + 1) % 6}")) for i in range(6)}
-    for panel, place in zip(mean_positions, places, strict=True):
+    for panel, place in zip(panels, places, strict=True):
         assert float(panel.placement.matrix[:, 2] @ place) > 0
 
 

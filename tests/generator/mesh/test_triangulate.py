@@ -138,8 +138,8 @@ def test_a_gathered_edge_is_graded(gathered: float) -> None:
 def test_a_slit_is_not_meshed_over() -> None:
     border = loop(NARROW_SLIT, 1.0)
     seeds, faces = triangulate(border, 1.0)
-    mean_positions = np.concatenate([border, seeds])[faces].mean(axis=1)
-    assert shapely.contains_xy(shapely.Polygon(border), *mean_positions.T).all()
+    centroids = np.concatenate([border, seeds])[faces].mean(axis=1)
+    assert shapely.contains_xy(shapely.Polygon(border), *centroids.T).all()
 
 
 def test_the_mesh_grows_with_the_outline() -> None:
