@@ -59,7 +59,7 @@ def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, leng
 
 
 def _half_ring(radius: float, near: float, far: float) -> Piece:
-    """Half of a disk with a round hole off its centre, ``near`` cm wide in its middle; the other half is ``far`` cm wide.
+    """Half of a disk with a round hole off its centre, ``near`` cm wide in the middle; the other half: ``far`` cm.
 
     Hangs from the origin, the middle between the ends of its ``top``; its sides have the names of a ``band``'s.
     """

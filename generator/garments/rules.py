@@ -21,7 +21,7 @@ from gcd_dataset.generator.garments.sewable import (
 )
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.waistband import band_rise
-from gcd_dataset.generator.pattern import MeasuredJoin, sew
+from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.validate import Fault, Rule, Severity, check_pattern
 
@@ -76,7 +76,7 @@ class DrawnOutfit:
     @classmethod
     def of(cls, size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Self:
         """The outfit drawn. Raises ``PatternError`` where it cannot be drawn for this wearer."""
-        pattern, joins = sew(pieces(size, design), name)
+        pattern, joins = assemble_and_measure(pieces(size, design), name)
         return cls(size, design, pattern, joins, check_pattern(pattern))
 
 
@@ -161,8 +161,8 @@ def mismatched_seam(outfit: DrawnOutfit) -> Reject | None:
     for sewn in outfit.joins:
         if is_mismatched(sewn):
             one, other = (f"{side[0].panel} {side[0].edge}" for side in (sewn.join.left, sewn.join.right))
-            figures = f"{sewn.left:.1f} cm of {one} on {sewn.right:.1f} cm of {other}"
-            return Reject("mismatched_seam", figures, {"left_cm": sewn.left, "right_cm": sewn.right})
+            figures = f"{sewn.left_length:.1f} cm of {one} on {sewn.right_length:.1f} cm of {other}"
+            return Reject("mismatched_seam", figures, {"left_cm": sewn.left_length, "right_cm": sewn.right_length})
     return None
 
 

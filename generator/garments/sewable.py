@@ -102,7 +102,7 @@ def panels_are_sewable(panels: Sequence[Panel]) -> bool:
 
 def is_mismatched(sewn: MeasuredJoin) -> bool:
     """Whether the sides of a seam differ too much in length."""
-    shorter, longer = sorted((sewn.left, sewn.right))
+    shorter, longer = sorted((sewn.left_length, sewn.right_length))
     return longer - shorter > max(SEAM_SLACK, (TIGHTEST_GATHERS - 1 if sewn.join.gathered else SEAM_SHARE) * shorter)
 
 
