@@ -1,4 +1,4 @@
-"""Circle skirts: two sectors of a ring, or halves of a ring cut off centre, ``skirt_front`` and ``skirt_back``."""
+"""Circle skirts: two ring sectors, or halves of an off-centre ring. Panels ``skirt_front`` and ``skirt_back``."""
 
 from dataclasses import replace
 from math import hypot, pi, sqrt
@@ -15,15 +15,15 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["ASYMMETRIC_CIRCLE_SKIRT", "CIRCLE_SKIRT", "asymmetric_circle_skirt", "circle_skirt"]
 
-LEAST_HEM = 0.01  # of the hem: a cut that leaves less beside it begins at the side seam, GarmentCode
+LEAST_HEM = 0.01  # of the hem: a cut that leaves less beside it is moved to the side seam, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the axis, GarmentCode
 
 
 def circle_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
-    """Front and back of equal size, at least 5 cm long; offers ``top``, ``bottom`` [rings].
+    """Front and back of equal size, at least 5 cm long; offers the rings ``top`` and ``bottom``.
 
-    The tops are equal although front and back of the waist are not: their gathers shift the seams to where the
-    waist's sides are.
+    Both tops have the same length although the front and the back of the waist differ: gathers shift the side seams to
+    the sides of the waist.
     """
     length = max(cutting.length, SHORTEST)
     half = sector("skirt", 0.5 * girth_at_rise(size, cutting.rise), pi * design.suns, length)
@@ -31,13 +31,13 @@ def circle_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting)
 
 
 def asymmetric_circle_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
-    """A full circle of cloth whose waist is cut off centre, as long behind as it is cut, at least 5 cm.
+    """A full circle of cloth with the waist cut off centre; the back is ``cutting.length`` long, at least 5 cm.
 
-    Offers ``top`` and ``bottom`` [rings]. Raises ``PatternError`` for a hem cut that opens the waist or a side.
+    Offers the rings ``top`` and ``bottom``. Raises ``PatternError`` for a hem cut into the waist or a side.
     """
     length = max(cutting.length, SHORTEST)
-    radius, before = girth_at_rise(size, cutting.rise) / (2 * pi), design.asymm.front_length * length
-    front, back = _half_ring(radius, before, length), _half_ring(radius, length, before)
+    radius, front_length = girth_at_rise(size, cutting.rise) / (2 * pi), design.asymm.front_length * length
+    front, back = _half_ring(radius, front_length, length), _half_ring(radius, length, front_length)
     skirt = _sewn(size, front, back, design.cut, length, cutting.suffix)
     for piece in skirt.pieces if design.cut.add else ():
         _require_uncut_waist(piece, radius)
@@ -45,7 +45,7 @@ def asymmetric_circle_skirt(size: Measurements, design: FlareSkirtDesign, cuttin
 
 
 def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, length: float, suffix: str) -> Component:
-    """Front and back hung, cut and sewn at the sides."""
+    """Front and back, placed, with their hem cut, and sewn at the sides."""
     front = replace(front, name=f"skirt_front{suffix}").at(0, size.waist_level, FRONT)
     back = replace(back, name=f"skirt_back{suffix}").at(0, size.waist_level, BACK)
     if cut.add:
@@ -59,12 +59,12 @@ def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, leng
 
 
 def _half_ring(radius: float, near: float, far: float) -> Piece:
-    """Half of a disk with a round hole off its centre, ``near`` cm wide in the middle; the other half: ``far`` cm.
+    """Half of a disk with a round hole off its centre; the ring is ``near`` cm wide here, ``far`` cm in the other half.
 
-    Hangs from the origin, the middle between the ends of its ``top``; its sides have the names of a ``band``'s.
+    The origin is the middle between the ends of its ``top``; its edges have the names of a ``band``'s.
     """
     outer = radius + 0.5 * (near + far)
-    centre = 0.5 * (far - near)  # of the disk, over that of the hole
+    centre = 0.5 * (far - near)  # height of the disk's centre over that of the hole
     side = sqrt(outer**2 - centre**2)
     outline = (
         Outline.start(-radius, 0)
@@ -77,27 +77,27 @@ def _half_ring(radius: float, near: float, far: float) -> Piece:
 
 
 def _require_uncut_waist(piece: Piece, hole: float) -> None:
-    """Raise ``PatternError`` where the tip of a cut lies in the hole of a half ring, or over its sides."""
+    """Raise ``PatternError`` for a cut whose tip lies in the hole of a half ring, or over its sides."""
     for x, y in (stroke.end for stroke in piece.outline.strokes if stroke.name == "hem_cut.0"):
         if y >= 0 or hypot(x, y) <= hole:
-            ways = "lower flare-skirt.cut.depth, or raise flare-skirt.asymm.front_length"
+            remedy = "lower flare-skirt.cut.depth, or raise flare-skirt.asymm.front_length"
             raise PatternError(
-                f"{piece.name}: the tip of the hem cut, at ({x:.1f}, {y:.1f}) cm, is off the cloth: {ways}"
+                f"{piece.name}: the tip of the hem cut, at ({x:.1f}, {y:.1f}) cm, is off the cloth: {remedy}"
             )
 
 
 def _with_hem_cut(front: Piece, back: Piece, cut: HemCutDesign, length: float) -> tuple[Piece, Piece]:
-    """Front and back, the cut in one of them, moved inwards where it would run over the end of the hem."""
+    """Front and back with the cut in one of them, moved inwards if it would run over the end of the hem."""
     shape = notch(cut.width * length, cut.depth * length, name="hem_cut")
     if cut.place > 0:
         return _with_cut(front, shape, cut.width * length, cut.place), back
     return front, _with_cut(back, shape, cut.width * length, 1 + cut.place)
 
 
-def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, place: float) -> Piece:
-    """The piece with a shape cut into its hem, centred at a fraction of its length from the wearer's right."""
+def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, share: float) -> Piece:
+    """The piece with a shape cut into its hem, centred at a share of the hem's length from the wearer's right."""
     hem = piece.outline.length("bottom")
-    at, least = place * hem, 0.5 * width + LEAST_HEM * hem
+    at, least = share * hem, 0.5 * width + LEAST_HEM * hem
     if at < least:
         return replace(piece, outline=cut_end(piece.outline, "bottom", shape, last=False))
     if at > hem - least:

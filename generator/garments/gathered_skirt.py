@@ -1,4 +1,4 @@
-"""The gathered skirt (GarmentCode's ``Skirt2``): two trapezes, ``skirt_front`` and ``skirt_back``."""
+"""The gathered skirt (GarmentCode's ``Skirt2``): two trapezoids. Panels ``skirt_front`` and ``skirt_back``."""
 
 from dataclasses import dataclass, replace
 
@@ -18,7 +18,7 @@ FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
 
 @dataclass(frozen=True)
 class GatheredSkirtDesign(Design):
-    """A skirt of straight pieces, gathered at the top."""
+    """A skirt of trapezoids, gathered at the top."""
 
     length: float = real(0.2, -0.2, 0.95)
     """Below the hips, as a fraction of hips to floor."""
@@ -29,11 +29,11 @@ class GatheredSkirtDesign(Design):
     bottom_cut: float = real(0.0, 0.0, 0.9, keep=0.3)
     """Slits at both sides, as a fraction of the part below the hips."""
     flare: int = integer(0, 0, 20, keep=0.5)
-    """By how much each side of the hem stands out [cm]."""
+    """Width added to each side of the hem [cm]."""
 
 
 def gathered_skirt(size: Measurements, design: GatheredSkirtDesign, cutting: Cutting) -> Component:
-    """Front and back, at least 5 cm long; offers ``top`` and ``bottom`` [rings]."""
+    """Front and back, at least 5 cm long; offers the rings ``top`` and ``bottom``."""
     rise, length = cutting.rise, max(cutting.length, SHORTEST)
     back_width, slit = back_at_rise(size, rise), _slit(design, length - rise * size.hips_line, cutting.mends)
 
@@ -51,14 +51,14 @@ def gathered_skirt(size: Measurements, design: GatheredSkirtDesign, cutting: Cut
 
 
 def _length(size: Measurements, design: GatheredSkirtDesign, rise: float) -> float:
-    """From the top to the hem [cm]."""
+    """Length from the top to the hem [cm]."""
     return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
 
 
 def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]) -> float:
-    """Height of the side slits [cm]; none in a skirt that ends above the hips."""
-    whole = below_hips if Mend.SLIT_LENGTH in mends else design.length
-    return design.bottom_cut * max(whole, 0.0)
+    """Height of the side slits [cm]; 0 for a skirt that ends above the hips."""
+    length = below_hips if Mend.SLIT_LENGTH in mends else design.length
+    return design.bottom_cut * max(length, 0.0)
 
 
 GATHERED_SKIRT = SimpleBottom(

@@ -1,4 +1,4 @@
-"""Kinds of garments by what they cover, and which of them a design space leaves."""
+"""Kinds of garments: upper, lower and full-body; and the kinds that a design space allows."""
 
 from collections.abc import Mapping
 from enum import Enum
@@ -12,7 +12,7 @@ __all__ = ["HAS_UPPER_AND_BOTTOM", "Kind", "choice_of", "possible_kinds", "upper
 
 
 class Kind(Enum):
-    """What of the body a garment covers."""
+    """Kind of a garment by the part of the body that it covers."""
 
     UPPER = "upper"
     LOWER = "lower"
@@ -24,16 +24,16 @@ HAS_UPPER_AND_BOTTOM: Mapping[Kind, tuple[bool, bool]] = {
     Kind.LOWER: (False, True),
     Kind.FULL: (True, True),
 }
-"""Whether a garment of that kind has an upper, and a bottom."""
+"""Whether a garment of each kind has an upper, and whether it has a bottom."""
 
 
 def choice_of(space: DesignSpace[Any], name: str) -> Choice:
-    """The space of a parameter that is a choice."""
+    """The space of a parameter, by name, that is a choice."""
     return next(entry.space for entry in space.entries if entry.name == name and isinstance(entry.space, Choice))
 
 
 def possible_kinds(meta: DesignSpace[MetaDesign]) -> list[Kind]:
-    """The kinds of garment that this section of a design space leaves."""
+    """The kinds of garment that the ``meta`` section of a design space allows."""
     bottoms = choice_of(meta, "bottom").weighted_options
     return [
         kind
@@ -43,7 +43,7 @@ def possible_kinds(meta: DesignSpace[MetaDesign]) -> list[Kind]:
 
 
 def upper_choice(meta: DesignSpace[MetaDesign], kind: Kind) -> Choice:
-    """The uppers that a garment of a kind may have: nothing is sewn to one that carries nothing."""
+    """The uppers of a kind of garment, without uppers that cannot carry its bottom or waistband."""
     space = choice_of(meta, "upper")
     return space.narrowed([plain(upper) for upper in _uppers(meta, kind)])
 

@@ -21,7 +21,7 @@ GAP = 5.0  # cm between a hem and the level under it before sewing, GarmentCode
 
 
 class LevelsBase(GarmentChoice):
-    """Skirts for the top."""
+    """Skirts for the base."""
 
     garment: SimpleBottom[Any]
 
@@ -42,7 +42,7 @@ class Level(GarmentChoice):
 
 
 DrawLevel: TypeAlias = Callable[[Measurements, str], Component]
-"""Draws a level for a wearer whose waist is as wide as the level's top; its panels' names end in a suffix."""
+"""Draws a level from measures and a suffix of its panels' names; the waist of the measures is the level's top."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class LevelsSkirtDesign(Design):
     base: LevelsBase = choice(LevelsBase.PENCIL, *LevelsBase)
     level: Level = choice(Level.GATHERED, *Level)
     num_levels: int = integer(1, 1, 5)
-    """How many levels hang under the base."""
+    """Number of levels under the base."""
     level_ruffle: float = real(1.0, 1.0, 1.7)
     """Gathers at the top of a level: level over the hem above."""
     length: float = real(0.5, 0.2, 0.95)
-    """Of all, below the hips, as a fraction of hips to floor."""
+    """Length of the whole skirt below the hips, as a fraction of hips to floor."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
-    """Where the top sits: 0 at the hips, 1 at the waist."""
+    """Position of the top: 0 at the hips, 1 at the waist."""
     base_length_frac: float = real(0.5, 0.2, 0.8)
     """The base's share of the length."""
 
@@ -66,26 +66,26 @@ class LevelsSkirtDesign(Design):
 def _lengths(
     size: Measurements, design: LevelsSkirtDesign, *, rise: float, mends: frozenset[Mend]
 ) -> tuple[float, float]:
-    """Of the base, from a top at ``rise``, and of each level [cm]."""
-    whole = design.length * size.leg_length
-    base, levels = design.base_length_frac * whole, (1 - design.base_length_frac) * whole
-    above = rise if Mend.LEVEL_GIRTH in mends else design.rise
-    return base + above * size.hips_line, levels / design.num_levels
+    """Lengths of the base, from a top at ``rise``, and of each level [cm]."""
+    below_hips = design.length * size.leg_length
+    base, levels = design.base_length_frac * below_hips, (1 - design.base_length_frac) * below_hips
+    base_rise = rise if Mend.LEVEL_GIRTH in mends else design.rise
+    return base + base_rise * size.hips_line, levels / design.num_levels
 
 
 def with_levels(
     base: Component, level: DrawLevel, design: LevelsSkirtDesign, *, size: Measurements, hem_tilt: float
 ) -> Component:
-    """The base with levels hung one under the other, each gathered to the hem above; offers ``top`` [ring].
+    """The base with levels one under the other, each gathered to the hem above; offers the ring ``top``.
 
-    ``hem_tilt`` is that of the base's hem [degrees].
+    ``hem_tilt``: tilt of the base's hem [degrees].
     """
     skirts = [base]
     for number in range(design.num_levels):
         front, back = (design.level_ruffle * hem for hem in _hems(skirts[-1]))
         wearer = replace(size, waist=front + back, waist_back_width=back)
-        below = level(wearer, f"_{number}").turned(-radians(hem_tilt))
-        skirts.append(below.placed_by("top", skirts[-1], "bottom", gap=GAP))
+        next_level = level(wearer, f"_{number}").turned(-radians(hem_tilt))
+        skirts.append(next_level.placed_by("top", skirts[-1], "bottom", gap=GAP))
     whole = Component.of(*skirts)
     for above, below in pairwise(skirts):
         whole = whole.sewn(above.interface("bottom"), below.interface("top"), gathered=True)
@@ -93,7 +93,7 @@ def with_levels(
 
 
 def _hems(skirt: Component) -> tuple[float, float]:
-    """Lengths of the hem before and behind [cm]."""
+    """Lengths of the hem in front and behind [cm]."""
     front, back = (skirt.piece(section.panel).outline.length(section.edge) for section in skirt.interface("bottom"))
     return front, back
 
@@ -105,7 +105,7 @@ def _combined(
     rise: float,
     mends: frozenset[Mend],
 ) -> Component:
-    """A base and levels, none with slits; the levels have no gathers but those of ``level_ruffle``."""
+    """A base and levels without slits; only ``level_ruffle`` gathers the levels."""
     base, level = parts[0], parts[1].ungathered()
     base_length, level_length = _lengths(size, design, rise=rise, mends=mends)
     level_rise = 1.0 if Mend.LEVEL_GIRTH in mends else level.rise

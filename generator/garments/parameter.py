@@ -1,4 +1,4 @@
-"""What one parameter of a design may be: a number, a whole number, one of several options, yes or no."""
+"""Parameter spaces: the values of one design parameter, a number, an integer, a choice or a flag."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
@@ -17,11 +17,11 @@ __all__ = ["Choice", "Flag", "Integer", "Real", "Space", "plain"]
 
 @dataclass(frozen=True)
 class Space(ABC):
-    """The values one parameter may take, and the probability with which a draw keeps its default."""
+    """The allowed values of one parameter, and the probability that a draw keeps its default."""
 
     default: Any
     keep: float | None
-    """None: the default is not favoured, and may be drawn like any other value."""
+    """Probability of the default; ``None``: the default is drawn like any other value."""
 
     @property
     @abstractmethod
@@ -31,7 +31,7 @@ class Space(ABC):
     @property
     @abstractmethod
     def range(self) -> list[Any]:
-        """Its range in a design file, as plain values: both ends of a number's, all options of a choice."""
+        """Its range in a design file, as plain values: both ends for a number, all options for a choice."""
 
     @abstractmethod
     def accepts(self, value: Any) -> bool:
@@ -39,32 +39,32 @@ class Space(ABC):
 
     @abstractmethod
     def read(self, value: Any) -> Any:
-        """The value for which a plain one stands. Raises ``ConfigError`` where the parameter cannot take it."""
+        """The value of a plain value, such as an enum's member by name. Raises ``ConfigError`` outside the space."""
 
     @abstractmethod
     def within(self, value: Any, low: float, high: float) -> bool:
-        """Whether a value lies between two numbers; a choice always does."""
+        """Whether a value lies between two numbers; always true for a choice."""
 
     @abstractmethod
     def pick(self, rng: np.random.Generator, low: float, high: float) -> Any:
-        """A value between two numbers, all equally likely, without a default that ``keep`` already favours."""
+        """A uniform value between two numbers; an integer or choice with a ``keep`` excludes its default."""
 
     @abstractmethod
     def narrowed(self, values: Sequence[Any]) -> Self:
-        """The same parameter kept to two ends, or to some of its options; a default left out is favoured no more.
+        """The space restricted to a range, given by its two ends, or to some of its options.
 
-        Raises ``ConfigError`` for what the parameter could not be before.
+        ``keep`` becomes ``None`` if the default is excluded. Raises ``ConfigError`` for values outside this space.
         """
 
     @abstractmethod
     def with_keep(self, keep: float) -> Self:
-        """The same parameter with another probability of its default. Raises ``ConfigError`` where nothing is left.
+        """The space with another probability of its default. Raises ``ConfigError`` for a space left empty.
 
-        In place of a default that a narrowed range has left out stands the nearer end of that range.
+        If a narrowed range excludes the default, the nearer end of the range becomes the default.
         """
 
     def draw(self, rng: np.random.Generator, low: float = -np.inf, high: float = np.inf) -> Any:
-        """A value between ``low`` and ``high``: the default with probability ``keep``, else uniform over the others."""
+        """A value between ``low`` and ``high``: the default with probability ``keep``, otherwise ``pick``."""
         kept = self.keep is not None and rng.random() < self.keep
         return self.default if kept and self.within(self.default, low, high) else self.pick(rng, low, high)
 
@@ -76,7 +76,7 @@ class Space(ABC):
 
 @dataclass(frozen=True)
 class Real(Space):
-    """A number."""
+    """A real number from ``low`` to ``high``."""
 
     low: float
     high: float
@@ -127,7 +127,7 @@ class Real(Space):
 
 @dataclass(frozen=True)
 class Integer(Real):
-    """A whole number, both ends included."""
+    """An integer from ``low`` to ``high``, both included."""
 
     @property
     def kind(self) -> str:
@@ -155,11 +155,11 @@ class Choice(Space):
 
     options: tuple[Any, ...]
     weights: tuple[int, ...] = ()
-    """How often each option is in the lot that chance picks from, 0 for never; empty where all are in it once."""
+    """Sampling weight of each option; empty if all weigh 1."""
 
     @property
     def weighted_options(self) -> tuple[Any, ...]:
-        """What chance picks from."""
+        """The options, each repeated by its weight; ``pick`` draws from them uniformly."""
         return (
             tuple(option for option, weight in self._weighed() for _ in range(weight)) if self.weights else self.options
         )
@@ -222,10 +222,10 @@ class Flag(Choice):
 
 
 def plain(value: Any) -> Any:
-    """The value as a design file holds it."""
+    """The value in a design file: an enum's member as its value, any other value itself."""
     return value.value if isinstance(value, Enum) else value
 
 
 def _same(value: Any, option: Any) -> bool:
-    """Whether they are one option: 0 and 0.0 are, 0 and ``False`` are not."""
+    """Whether both are the same option: 0 and 0.0 are, 0 and ``False`` are not."""
     return value is option or (value == option and isinstance(value, bool) == isinstance(option, bool))

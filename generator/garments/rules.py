@@ -108,7 +108,7 @@ def reaches_floor(outfit: DrawnOutfit) -> Reject | None:
 
 def slides_off(outfit: DrawnOutfit) -> Reject | None:
     """A bottom alone is wider at its top than the trunk is anywhere."""
-    if not _alone(outfit.design):
+    if not _is_bottom_alone(outfit.design):
         return None
     size = outfit.size
     girth, trunk = top_girth(size, outfit.design), max(size.waist, size.hips)
@@ -121,7 +121,7 @@ def slides_off(outfit: DrawnOutfit) -> Reject | None:
 def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
     """A gathered skirt alone hangs from no band, or from one wider than the body."""
     design = outfit.design
-    if not _alone(design) or not is_gathered(design) or has_snug_band(design):
+    if not _is_bottom_alone(design) or not is_gathered(design) or has_snug_band(design):
         return None
     gathers = top_parameter(design, "gather_parameter")
     if gathers <= 1:
@@ -132,7 +132,7 @@ def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
 def too_heavy(outfit: DrawnOutfit) -> Reject | None:
     """A flared skirt alone is long or wide, and no firm band holds it."""
     design = outfit.design
-    if not _alone(design) or not is_flared(design) or has_firm_band(design):
+    if not _is_bottom_alone(design) or not is_flared(design) or has_firm_band(design):
         return None
     length, suns = bottom_length(design), top_parameter(design, "fullness_parameter")
     if length <= LIGHT_LENGTH and suns <= LIGHT_SUNS:
@@ -298,5 +298,5 @@ def _fault(outfit: DrawnOutfit, name: str, concerns: Callable[[Rule], bool]) -> 
     return None
 
 
-def _alone(design: OutfitDesign) -> bool:
+def _is_bottom_alone(design: OutfitDesign) -> bool:
     return design.meta.upper is None and design.meta.bottom is not None

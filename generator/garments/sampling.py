@@ -103,11 +103,11 @@ class _Draft:
     sections: Mapping[str, DesignSpace[Any]]
     sizes: tuple[Measurements, ...]
 
-    def drawn(self, section: str) -> Any:
+    def draw_section(self, section: str) -> Any:
         """A section of the design by GarmentCode's rule."""
         return draw(self.sections[section], self.rng)
 
-    def within(self, section: str, design: Any, **limits: tuple[float, float]) -> Any:
+    def redrawn_within(self, section: str, design: Any, **limits: tuple[float, float]) -> Any:
         """The section, what lies outside its limits drawn anew within them."""
         changed = {}
         for name, (low, high) in limits.items():
@@ -119,19 +119,19 @@ class _Draft:
         """Which upper, band and bottom there are."""
         space, (_, has_bottom) = self.sections["meta"], HAS_UPPER_AND_BOTTOM[kind]
         upper = upper_choice(space, kind).draw(self.rng)
-        bottom = _chosen(choice_of(space, "bottom"), has_bottom).draw(self.rng)
+        bottom = _only(choice_of(space, "bottom"), has_bottom).draw(self.rng)
         bands = choice_of(space, "wb")
-        bands = bands if upper is None or upper.garment.carries else _chosen(bands, False)
+        bands = bands if upper is None or upper.garment.carries else _only(bands, False)
         return OutfitDesign(meta=MetaDesign(upper, bands.draw(self.rng), bottom))
 
     def with_band(self, design: OutfitDesign) -> OutfitDesign:
         """With a waistband; one under nothing is no wider than the trunk."""
-        design = replace(design, waistband=self.drawn("waistband"))
+        design = replace(design, waistband=self.draw_section("waistband"))
         if design.meta.upper:
             return design
         snug = replace(design, waistband=replace(design.waistband, waist=1.0))
         widest = min(max(size.waist, size.hips) / top_girth(size, snug) for size in self.sizes)
-        return replace(design, waistband=self.within("waistband", design.waistband, waist=(1.0, widest)))
+        return replace(design, waistband=self.redrawn_within("waistband", design.waistband, waist=(1.0, widest)))
 
     def with_upper(self, design: OutfitDesign) -> OutfitDesign:
         """With the sections of its upper: the first of some whose panels are whole."""
@@ -141,7 +141,7 @@ class _Draft:
 
     def _with_other(self, design: OutfitDesign, garment: UpperGarment[Any]) -> OutfitDesign:
         for _ in range(UPPER_TRIES):
-            design = replace(design, **{garment.field: self.drawn(garment.field)})
+            design = replace(design, **{garment.field: self.draw_section(garment.field)})
             if all(upper_is_sewable(size, design) for size in self.sizes):
                 break
         return design
@@ -149,11 +149,13 @@ class _Draft:
     def _with_shirt(self, design: OutfitDesign, garment: Shirt) -> OutfitDesign:
         """With a shirt, its neckline and sleeves."""
         for _ in range(UPPER_TRIES):
-            trial = replace(design, shirt=self._shirt(design, garment), sleeve=self.drawn("sleeve"), left=self._left())
+            trial = replace(
+                design, shirt=self._shirt(design, garment), sleeve=self.draw_section("sleeve"), left=self._left()
+            )
             if self._has_tight_sleeves(trial):
                 continue
             for _ in range(NECKLINE_TRIES):
-                trial = replace(trial, collar=self.drawn("collar"))
+                trial = replace(trial, collar=self.draw_section("collar"))
                 if self._is_whole(trial, trial.right_half()):
                     break
             else:
@@ -194,21 +196,21 @@ class _Draft:
     def _with_bottom_drawn(self, design: OutfitDesign) -> OutfitDesign:
         assert design.meta.bottom is not None
         garment = design.meta.bottom.garment
-        design = replace(design, **{garment.field: self.drawn(garment.field)})
+        design = replace(design, **{garment.field: self.draw_section(garment.field)})
         for section in dict.fromkeys(part.field for part in garment.parts(design)):
-            design = replace(design, **{section: self.drawn(section)})
+            design = replace(design, **{section: self.draw_section(section)})
         return design
 
     def _shirt(self, design: OutfitDesign, garment: Shirt) -> ShirtDesign:
-        shirt: ShirtDesign = self.drawn("shirt")
+        shirt: ShirtDesign = self.draw_section("shirt")
         joined = not garment.at_waist and (design.meta.wb or design.meta.bottom)
         longest = min(room_to_floor(size, design) / size.waist_line for size in self.sizes)
         limits = JOINED_SHIRT if joined else (-np.inf, longest)
-        kept: ShirtDesign = self.within("shirt", shirt, length=limits)
-        return kept
+        in_limits: ShirtDesign = self.redrawn_within("shirt", shirt, length=limits)
+        return in_limits
 
     def _left(self) -> LeftDesign:
-        left: LeftDesign = self.drawn("left")
+        left: LeftDesign = self.draw_section("left")
         return left if left.enable_asym else LeftDesign()
 
     def _shortened_to_floor(self, design: OutfitDesign) -> OutfitDesign:
@@ -218,7 +220,9 @@ class _Draft:
         excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
         if excess <= 0:
             return design
-        return replace(design, **{section: self.within(section, drawn, length=(-np.inf, drawn.length - excess))})
+        return replace(
+            design, **{section: self.redrawn_within(section, drawn, length=(-np.inf, drawn.length - excess))}
+        )
 
     def _with_snug_band(self, design: OutfitDesign) -> OutfitDesign:
         """A gathered bottom alone on a band at the body's own girth; where no band may be drawn, without gathers."""
@@ -227,8 +231,8 @@ class _Draft:
         bands = choice_of(self.sections["meta"], "wb")
         if all(option is None for option in bands.weighted_options):
             return self._with_top_within(design, "gather_parameter", (1.0, 1.0))
-        meta = replace(design.meta, wb=design.meta.wb or _chosen(bands, True).draw(self.rng))
-        band = self.within("waistband", self.drawn("waistband"), waist=(1.0, 1.0))
+        meta = replace(design.meta, wb=design.meta.wb or _only(bands, True).draw(self.rng))
+        band = self.redrawn_within("waistband", self.draw_section("waistband"), waist=(1.0, 1.0))
         return replace(design, meta=meta, waistband=band)
 
     def _without_heavy_flare(self, design: OutfitDesign) -> OutfitDesign:
@@ -237,7 +241,7 @@ class _Draft:
             return design
         if is_flared(design) and not has_firm_band(design):
             section, limits = _length_section(design), {"length": (-np.inf, LIGHT_LENGTH)}
-            design = replace(design, **{section: self.within(section, getattr(design, section), **limits)})
+            design = replace(design, **{section: self.redrawn_within(section, getattr(design, section), **limits)})
             design = self._with_top_within(design, "fullness_parameter", (-np.inf, LIGHT_SUNS))
         return design
 
@@ -249,7 +253,9 @@ class _Draft:
         name = "" if top is None else getattr(top, role)
         if top is None or not name:
             return design
-        return replace(design, **{top.field: self.within(top.field, top.section_design(design), **{name: limits})})
+        return replace(
+            design, **{top.field: self.redrawn_within(top.field, top.section_design(design), **{name: limits})}
+        )
 
 
 @cache
@@ -268,7 +274,7 @@ def _leaf(section: DesignSpace[Any], name: str) -> Space:
     return next(entry.space for entry in section.entries if entry.name == name and isinstance(entry.space, Space))
 
 
-def _chosen(space: Choice, wanted: bool) -> Choice:
+def _only(space: Choice, wanted: bool) -> Choice:
     """The choice between something, or nothing at all."""
     options = [option for option in space.range if (option is not None) == wanted]
     return space.narrowed([space.read(option) for option in options])

@@ -166,10 +166,10 @@ class DesignSpace(Generic[D]):
             raise ConfigError(f"no design parameter is called {min(unknown)}: make the overlay again from its file")
         return self._changed(spaces, "")
 
-    def _changed(self, spaces: Mapping[str, Space], above: str) -> "DesignSpace[D]":
+    def _changed(self, spaces: Mapping[str, Space], prefix: str) -> "DesignSpace[D]":
         entries = []
         for entry in self.entries:
-            path, space = above + entry.key, entry.space
+            path, space = prefix + entry.key, entry.space
             new = space._changed(spaces, f"{path}.") if isinstance(space, DesignSpace) else spaces.get(path, space)
             entries.append(entry._replace(space=new))
         return replace(self, entries=tuple(entries))
@@ -263,24 +263,24 @@ def require_known(space: DesignSpace[Any], values: Mapping[str, Any]) -> None:
     raise ConfigError(f"no design parameter is called {shown(path)}: {remedy}")
 
 
-def _unknown(space: DesignSpace[Any], values: Mapping[str, Any], above: str) -> Iterator[tuple[str, list[str]]]:
+def _unknown(space: DesignSpace[Any], values: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, list[str]]]:
     """Paths that lead nowhere, each with the names there are in its place."""
     entries = {entry.key: entry.space for entry in space.entries}
     for key, value in values.items():
         if key not in entries:
-            yield f"{above}{key}", list(entries)
+            yield f"{prefix}{key}", list(entries)
         elif isinstance(inner := entries[key], DesignSpace):
             if not isinstance(value, Mapping):
-                raise ConfigError(f"{above}{key} is {value!r}, not a table of parameters")
-            yield from _unknown(inner, value, f"{above}{key}.")
+                raise ConfigError(f"{prefix}{key} is {value!r}, not a table of parameters")
+            yield from _unknown(inner, value, f"{prefix}{key}.")
 
 
-def _read(space: DesignSpace[D], values: Mapping[str, Any], above: str) -> D:
+def _read(space: DesignSpace[D], values: Mapping[str, Any], prefix: str) -> D:
     read = {}
     for entry in space.entries:
         if entry.key not in values:
             continue
-        value, path = values[entry.key], above + entry.key
+        value, path = values[entry.key], prefix + entry.key
         if isinstance(entry.space, DesignSpace):
             read[entry.name] = _read(entry.space, value, f"{path}.")
             continue

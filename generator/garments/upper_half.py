@@ -68,13 +68,13 @@ def right_torso(
     depth = _armhole_depth(size, arm, front, back, mends=mends)
     front = _with_neckline(size, worn, _with_armhole(size, arm, front, depth), front=True)
     back = _with_neckline(size, worn, _with_armhole(size, arm, back, depth), front=False)
-    half = _sewn_at_the_sides(size, front, back)
+    half = _with_sides_sewn(size, front, back)
     return half.sewn(half.piece(FRONT_NAME).along("shoulder"), half.piece(BACK_NAME).along("shoulder"))
 
 
-def _sewn_at_the_sides(size: Measurements, front: TorsoHalf, back: TorsoHalf) -> Component:
+def _with_sides_sewn(size: Measurements, front: TorsoHalf, back: TorsoHalf) -> Component:
     """Front and back hung by the bases of their necks, their darts and sides sewn."""
-    before, behind = _hung(size, FRONT_NAME, front, FRONT), _hung(size, BACK_NAME, back, BACK)
+    before, behind = _placed(size, FRONT_NAME, front, FRONT), _placed(size, BACK_NAME, back, BACK)
     half = Component.of(before, behind).sewn(before.along("side"), behind.along("side"))
     for piece, torso in ((before, front), (behind, back)):
         for name in torso.darts:
@@ -87,7 +87,7 @@ def _sewn_at_the_sides(size: Measurements, front: TorsoHalf, back: TorsoHalf) ->
     )
 
 
-def _hung(size: Measurements, name: str, half: TorsoHalf, z: float) -> Piece:
+def _placed(size: Measurements, name: str, half: TorsoHalf, z: float) -> Piece:
     return Piece(name, half.outline).at(0, size.height - size.head_l - half.neck_base, z)
 
 
@@ -137,7 +137,7 @@ def _strapless(size: Measurements, neck: NecklineDesign, arm: SleeveDesign, *, m
     kept = back.armhole_room(0.5 * size.sleeve_balance) - _armhole_depth(size, arm, front, back, mends=mends)
     behind = _cropped(size, neck, back, kept, front=False)
     kept = behind.outline.length("side") - (front.outline.length("side") - front.upper_side)
-    return _sewn_at_the_sides(size, _cropped(size, neck, front, kept, front=True), behind)
+    return _with_sides_sewn(size, _cropped(size, neck, front, kept, front=True), behind)
 
 
 def _cropped(size: Measurements, neck: NecklineDesign, half: TorsoHalf, kept: float, *, front: bool) -> TorsoHalf:
