@@ -47,7 +47,7 @@ def pieces(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend] =
 
 
 def bottom_rise(design: OutfitDesign) -> float:
-    """Position of the bottom's top: 0 at the hips, 1 at the waist; 1 without a bottom or under an upper ``at_waist``."""
+    """Position of the bottom's top: 0 at the hips, 1 at the waist, as for no bottom or under an ``at_waist`` upper."""
     upper, bottom = design.meta.upper, design.meta.bottom
     if bottom is None or (upper is not None and upper.garment.at_waist):
         return 1.0

@@ -1,4 +1,4 @@
-"""Whether what has been drawn is whole: no crossing, no spike, no sliver, and seams whose sides fit each other."""
+"""Sewability of drawn parts: no crossing, no spike, no short edge, seams with sides of fitting lengths, wide cuffs."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -31,30 +31,30 @@ __all__ = [
     "upper_is_sewable",
 ]
 
-CLOTH_GIVES = 1.2  # times its length, before it is pulled out of shape
-SHARPEST_CORNER = 10.0  # degrees: a spike of cloth that no mesh and no seamstress turns
-SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and share of the seam, by which its sides may differ without gathers
-TIGHTEST_GATHERS = 3.2  # of cloth, over the length it is gathered to: a little more than any design asks for
+CLOTH_GIVES = 1.2  # times its length: the most that cloth stretches without losing its shape
+SHARPEST_CORNER = 10.0  # degrees: a sharper corner can be neither meshed nor sewn
+SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and share of the seam: sides may differ by the larger without gathers
+TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
 
 
 def half_is_sewable(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
-    """Whether armhole and neckline can be cut into front and back of one half, and a flared cuff be sewn."""
+    """Whether one half can be sewn: armhole and neckline fit into front and back, and a flared cuff fits its sleeve."""
     drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
     fitted = _is_fitted(design)
     return all(_can_be_sewn(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
 
 
 def sleeve_is_tight(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
-    """Whether the arm does not go through the band at the end of the sleeve of one half."""
+    """Whether the band at the end of the sleeve of one half is too tight for the arm."""
     try:
         band, arm = cuff_and_arm_girth(size, design, half)
-    except PatternError:  # which is told elsewhere
+    except PatternError:  # drawing the outfit reports it
         return False
     return band * CLOTH_GIVES < arm
 
 
 def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf) -> tuple[float, float]:
-    """Girth of the band at the end of the sleeve of one half, and of the arm in it [cm]; 0 where there is none.
+    """Girth of the band at the end of a half's sleeve, and of the arm inside it [cm]; 0 without a band.
 
     Raises ``PatternError`` for a half that cannot be drawn.
     """
@@ -66,12 +66,12 @@ def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf
 
 
 def bottom_is_sewable(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether the bottom can be drawn, slits and darts and godets cut into it, and be sewn."""
+    """Whether the bottom, with its slits, darts and godets, can be drawn and sewn."""
     return _can_be_sewn(partial(bottom, size, design, ALL_MENDS))
 
 
 def upper_is_sewable(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether an upper other than a shirt can be drawn and be sewn."""
+    """Whether an upper other than a shirt can be drawn and sewn."""
     assert design.meta.upper is not None
     return _can_be_sewn(partial(design.meta.upper.garment.draw, size, design, mends=ALL_MENDS))
 
@@ -82,7 +82,7 @@ def _is_fitted(design: OutfitDesign) -> bool:
 
 
 def _can_be_sewn(part: Callable[[], Component]) -> bool:
-    """Whether a part of an outfit can be drawn, and its panels are whole."""
+    """Whether a part of an outfit can be drawn, its panels be sewn, and its seams match."""
     try:
         drawn = part()
         panels = [panel_of(piece) for piece in drawn.pieces]
@@ -92,7 +92,7 @@ def _can_be_sewn(part: Callable[[], Component]) -> bool:
 
 
 def panels_are_sewable(panels: Sequence[Panel]) -> bool:
-    """Whether all panels have the size to be sewn, cross nowhere, and have no short edge and no sharp corner."""
+    """Whether all panels have edges of valid lengths, no sharp corner, and no crossing."""
     hulls = [edge_hulls(panel) for panel in panels]
     lengths = [panel.edge_lengths() for panel in panels]
     if any(min(edges) < SHORTEST_EDGE or max(edges) > LARGEST for edges in lengths):
@@ -101,13 +101,13 @@ def panels_are_sewable(panels: Sequence[Panel]) -> bool:
 
 
 def is_mismatched(sewn: MeasuredJoin) -> bool:
-    """Whether the sides of a seam differ too much in length."""
+    """Whether the sides of a join differ too much in length."""
     shorter, longer = sorted((sewn.left_length, sewn.right_length))
     return longer - shorter > max(SEAM_SLACK, (TIGHTEST_GATHERS - 1 if sewn.join.gathered else SEAM_SHARE) * shorter)
 
 
 def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarray, " corners"]:
-    """The angles inside panels where their edges start, panel after panel, 0 to 360 [degrees], from ``edge_hulls``."""
+    """Interior angles at the starts of all edges, panel after panel, 0 to 360 [degrees], from ``edge_hulls``."""
     edges, sizes = np.concatenate(hulls), np.array([len(panel) for panel in hulls])
     first = np.cumsum(sizes) - sizes
     before, after = np.arange(len(edges)) - 1, np.arange(len(edges)) + 1
