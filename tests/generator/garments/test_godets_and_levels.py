@@ -1,4 +1,4 @@
-"""Skirts let out by godets, and skirts in levels."""
+"""Skirts with godets, and skirts in levels."""
 
 from math import hypot, isclose, sqrt
 
@@ -25,7 +25,7 @@ GODETS = [
 
 @pytest.mark.parametrize("godets", GODETS)
 @pytest.mark.parametrize("base", ["Skirt2", "PencilSkirt"])
-def test_godets_are_as_long_at_the_sides_as_the_cuts_they_are_let_into(
+def test_the_sides_of_a_godet_are_as_long_as_those_of_its_cut(
     wearer: Measurements, base: str, godets: dict[str, int]
 ) -> None:
     design = {"godet-skirt": godets | {"base": base}, "skirt": {"length": 0.6, "bottom_cut": 0.5}}
@@ -47,7 +47,7 @@ def test_godets_are_as_long_at_the_sides_as_the_cuts_they_are_let_into(
     assert not {"left_slit", "right_slit", "slit.0"} & names
 
 
-def test_godets_share_the_hem_and_stand_from_right_to_left(woman: Measurements) -> None:
+def test_godets_divide_the_hem_and_are_numbered_from_the_right(woman: Measurements) -> None:
     pattern = skirt(woman, Bottom.GODET, {"godet-skirt": GODETS[0], "pencil-skirt": {"length": 0.6}})
     hem = woman.hips - woman.hip_back_width
     front, back = (pattern.panel(name) for name in BOTH)

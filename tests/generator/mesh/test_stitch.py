@@ -1,4 +1,4 @@
-"""Points joined along seams."""
+"""Points merged along seams."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_a_chain_of_seams_is_one_vertex() -> None:
     assert vertex.max() + 1 == 12 - 6
 
 
-def test_a_vertex_stands_in_the_middle_of_its_points() -> None:
+def test_a_vertex_is_the_mean_of_its_points() -> None:
     positions = np.array([(0, 0, 0), (4, 2, 0), (2, 1, 9), (7, 7, 7)], float)
     assert mean_positions(positions, points(0, 0, 0, 1)) == pytest.approx(np.array([(2, 1, 3), (7, 7, 7)]))
 
