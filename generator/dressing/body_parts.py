@@ -18,9 +18,9 @@ BESIDE = 20.0  # cm from an arm's axis to the centroid of a panel on that arm, a
 BEFORE = 28.0  # cm before or behind the arm, at most: lapels hang further out
 BEYOND = 25.0  # cm from the end of an arm to the centroid of its panel, at most: cuffs hang there before sewing
 ABOVE_WAIST = 15.0  # cm: a skirt's panel may reach this far above the waist
-ABOVE_CROTCH = 4.0  # cm above the crotch: a panel that ends higher is a band
-BAND = 24.0  # cm: a panel no taller than this is a band even if it ends
-UNDER_CROTCH = 2.0  # cm below the crotch
+ABOVE_CROTCH = 4.0  # cm: a panel that ends higher above the crotch is a band
+BAND = 24.0  # cm: the tallest panel for which ``UNDER_CROTCH`` applies instead
+UNDER_CROTCH = 2.0  # cm: a short panel that ends no further below the crotch is a band
 POSITIONS = {
     PanelRole.ARM: "beside an arm",
     PanelRole.LEG: "round hips and legs",

@@ -59,8 +59,9 @@ def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, leng
 
 
 def _half_ring(radius: float, near: float, far: float) -> Piece:
-    """Half of a disk with a round hole off its centre; the ring is ``near`` cm wide here, ``far`` cm in the other half.
+    """Half of a disk with a round hole off its centre.
 
+    ``near`` and ``far``: width of the ring in the middle of this half and of the other half [cm].
     The origin is the middle between the ends of its ``top``; its edges have the names of a ``band``'s.
     """
     outer = radius + 0.5 * (near + far)

@@ -39,7 +39,7 @@ class Space(ABC):
 
     @abstractmethod
     def read(self, value: Any) -> Any:
-        """The value of a plain value, such as an enum's member by name. Raises ``ConfigError`` outside the space."""
+        """The value for a plain value, such as an enum member. Raises ``ConfigError`` for a value outside the space."""
 
     @abstractmethod
     def within(self, value: Any, low: float, high: float) -> bool:

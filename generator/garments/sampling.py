@@ -49,10 +49,8 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["design_from_dict", "design_to_dict", "sample_design", "sample_kind"]
 
-JOINED_SHIRT = (
-    0.8,
-    1.3,
-)  # limits of shirt.length with a band or bottom sewn to it: near the waist, whose girth they have
+# With a band or bottom sewn to it, a shirt ends near the waist, where its hem has about their girth.
+JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length
 NECKLINE_TRIES, UPPER_TRIES, BOTTOM_TRIES = 10, 5, 10
 
 

@@ -121,10 +121,10 @@ def _thin(mesh: BoxMesh, border: _Border) -> _Thinned:
     for chain, steps in _chains(neighbours, ends):
         closed = chain[0] == chain[-1]
         pieces = min(max((len(chain)) // 2, 3 if closed else 2), len(chain) - 1)
-        places = np.round(np.linspace(0, len(chain) - 1, pieces + 1)).astype(int)
-        kept[np.asarray(chain)[places]] = True
+        stops = np.round(np.linspace(0, len(chain) - 1, pieces + 1)).astype(int)
+        kept[np.asarray(chain)[stops]] = True
         along = np.concatenate([[0.0], np.cumsum(steps)])
-        for low, high in pairwise(places):
+        for low, high in pairwise(stops):
             for at in range(low + 1, high):
                 between.append((chain[low], chain[high]))
                 dropped.append(chain[at])
