@@ -41,8 +41,6 @@ class ClothModel:
     topology: Topology
     face_world: wp.array
     """(f) the garment of each face."""
-    usual_length: tuple[float, ...]
-    """(w) median flat length of each garment's edges [cm]."""
     bodies: tuple[BodyField, ...]
     """Kept alive for the handles in ``cloth``."""
 
@@ -104,7 +102,6 @@ def build_model(
         rows=topology.rows,
         topology=topology,
         face_world=wp.array(face_world, dtype=int, device=device),
-        usual_length=tuple(lengths),
         bodies=bodies,
     )
 

@@ -103,11 +103,13 @@ class _Turn:
     """The coarse mesh in that place, whose shape this turn starts from."""
     known: Readied | None = None
     """What was worked out ahead of its first turn."""
+    wear_before: Wear | None = None
+    """That of this turn in the batch before."""
 
     @cached_property
     def wear(self) -> Wear:
-        known = None
-        if self.known is not None:
+        known = self.wear_before
+        if known is None and self.known is not None:
             known = self.known.wear if self.coarse is None else self.known.coarse_wear
         return known or Wear.of(self.job)
 
@@ -130,13 +132,13 @@ class _Turn:
 
     def goes_on(self, place: int) -> Self:
         """The same turn in the next batch."""
-        same = replace(self, old_place=place, start_from=None)
-        same.__dict__["wear"] = self.wear
-        return same
+        return replace(self, old_place=place, start_from=None, wear_before=self.wear)
 
     def refined(self, place: int, frames: int) -> Self:
         """The turn after that of the coarse mesh."""
-        return replace(self, coarse=None, frames_before=frames, old_place=place, start_from=self.coarse)
+        return replace(
+            self, coarse=None, frames_before=frames, old_place=place, start_from=self.coarse, wear_before=None
+        )
 
 
 def _as_fit(arrived: Callable[[], int], room: int) -> int:

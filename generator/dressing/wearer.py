@@ -10,22 +10,20 @@ __all__ = ["Wearer", "wearer_of"]
 
 @dataclass(frozen=True, eq=False)
 class Wearer:
-    """Heights over the floor [cm], girths [cm], trunk and arms."""
+    """Heights over the floor [cm], trunk and arms."""
 
     nape: float
     armpit: float
     waist: float
     hips: float
     crotch: float
-    waist_girth: float
-    neck_width: float
     limbs: dict[BodyPart, Limb]
     body: Body
 
 
 def wearer_of(body: Body, size: Measurements) -> Wearer:
     """The wearer of that body. Raises ``BodyError`` where a measure is missing, or the body has no trunk."""
-    size.require("height", "head_l", "waist_line", "hips_line", "armscye_depth", "crotch_hip_diff", "waist", "neck_w")
+    size.require("height", "head_l", "waist_line", "hips_line", "armscye_depth", "crotch_hip_diff")
     nape, hips = size.height - size.head_l, size.waist_level - size.hips_line
     return Wearer(
         nape=nape,
@@ -33,8 +31,6 @@ def wearer_of(body: Body, size: Measurements) -> Wearer:
         waist=size.waist_level,
         hips=hips,
         crotch=hips - size.crotch_hip_diff,
-        waist_girth=size.waist,
-        neck_width=size.neck_w,
         limbs=limbs_of(body),
         body=body,
     )

@@ -21,7 +21,7 @@ from gcd_dataset.generator.garments.upper_half import UpperHalf
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 
-__all__ = ["T_SHIRT", "Bottom", "LeftDesign", "MetaDesign", "OutfitDesign", "Upper"]
+__all__ = ["Bottom", "LeftDesign", "MetaDesign", "OutfitDesign", "Upper"]
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,3 @@ class OutfitDesign(Design):
         if not self.left.enable_asym:
             return None
         return self.left.shirt.beside(self.shirt), self.left.collar.beside(self.collar), self.left.sleeve
-
-
-T_SHIRT = OutfitDesign(meta=MetaDesign(upper=Upper.SHIRT), sleeve=SleeveDesign(sleeveless=False))
-"""GarmentCode's other default."""

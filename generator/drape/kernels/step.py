@@ -13,7 +13,7 @@ HOLDING_SPEED = 60.0  # cm/s at which a held edge returns to its half-space
 
 
 @wp.func
-def accelerate(i: int, w: int, world: World, time: float, cloth: Cloth, v: wp.vec3, elastic: wp.vec3) -> wp.vec3:
+def accelerate(i: int, world: World, time: float, cloth: Cloth, v: wp.vec3, elastic: wp.vec3) -> wp.vec3:
     """Velocity after a step under elastic forces, weight and drag [cm/s].
 
     A vertex that forces slow down is braked harder: so what swings or rings comes to rest in a cycle or two, and what
@@ -79,7 +79,7 @@ def step(
     world = worlds[w]
     before = x[i]
     elastic = elastic_force(i, sewn_share(world, time[w]), rows, ahead_in)
-    speed = accelerate(i, w, world, time[w], cloth, v[i], elastic)
+    speed = accelerate(i, world, time[w], cloth, v[i], elastic)
     moved = wp.vec3(0.0)
     if search.listed[i] != 0:
         moved = take_push(push, i)
