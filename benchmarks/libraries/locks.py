@@ -11,14 +11,16 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from filelock import FileLock
 
 from gcd_dataset.shards.access import locked
 
 __all__ = ["LOCKS", "LockCost", "lock_cost"]
 
-USES = 2000
-TURNS = 200
+ROUNDS = 5
+USES = 1000
+TURNS = 100
 HELD = 0.002  # s
 FORK = multiprocessing.get_context("fork")
 
@@ -38,12 +40,16 @@ class LockCost(NamedTuple):
     """The longest wait while two processes take turns, each holding it for 2 ms [ms]."""
     freed: float
     """From the kill (SIGKILL) of the holder to the hold of one that waits [ms]."""
-    left: int
+    left: float
     """Files left behind in the folder."""
 
 
 def lock_cost(lock: Lock) -> LockCost:
-    """Measure a kind of lock."""
+    """The median of some rounds."""
+    return LockCost(*np.median([_round(lock) for _ in range(ROUNDS)], axis=0))
+
+
+def _round(lock: Lock) -> LockCost:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / ".lock"
         return LockCost(
