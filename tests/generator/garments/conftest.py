@@ -75,6 +75,12 @@ def woman() -> Measurements:
     return WOMAN
 
 
+@pytest.fixture
+def giant() -> Measurements:
+    """A man three times as tall."""
+    return WEARERS["giant"]
+
+
 @pytest.fixture(params=OUTFITS)
 def design(request: pytest.FixtureRequest) -> OutfitDesign:
     """Each garment of the battery in turn."""
