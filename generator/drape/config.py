@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape.fabric import STIFFEST, Fabric
-from gcd_dataset.generator.mesh import Coarse
+from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import Body, BoxMesh, Measurements
 
 __all__ = ["DrapeConfig", "DrapeJob"]
@@ -108,5 +108,5 @@ class DrapeJob:
     body: Body
     measurements: Measurements
     fabric: Fabric = USUAL_FABRIC
-    coarse: Coarse | None = None
+    coarse: CoarseMesh | None = None
     """The coarse mesh of ``coarse_start``. Without it the drape makes one, in the time a GPU takes for two drapes."""
