@@ -42,6 +42,8 @@ class DrapeConfig:
     """Move cloth that is inside the body out to the skin."""
     part_filters: bool = True
     """Collision filter: skirts and trousers pass through the arms, bodices above them through the forearms."""
+    untangling_steps: int = 60
+    """Implicit steps at most for a garment that crosses itself at rest; 0 leaves it as it is."""
     exact_finish: bool = True
     """Finally move cloth off the skin's triangles themselves, where the distance field is too coarse."""
     coarse_start: bool = True
