@@ -1,4 +1,4 @@
-"""Where a library could stand in for code of ours: what each costs, and which one is used.
+"""Libraries beside our own caches and locks: CPU time, bytes, limits, behaviour after a kill, verdict.
 
 Caches: six shards of 64 samples; a sample has ten members, of which three are read, 28 % of the bytes. ``hit`` and
 ``miss``: CPU time of a member with one process. ``sent``: bytes fetched over bytes asked for. ``again``: the same for
@@ -73,13 +73,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Measure caches and locks; rows of what was decided once, with the figures of then, follow."""
+    """Measure locks and caches; add the rows of earlier decisions with their figures."""
     figures, rows = [], []
     for piece, name, measured in _measured():
         slug = name.replace(" ", "_")
         figures += [Figure(f"{slug}.{metric}", value, UNITS[metric]) for metric, value in measured.items()]
-        told = ", ".join(f"{metric} {value:.3g} {UNITS[metric]}" for metric, value in measured.items())
-        rows.append({"piece": piece, "by": _versioned(name), "figures": told, "verdict": VERDICTS[name]})
+        summary = ", ".join(f"{metric} {value:.3g} {UNITS[metric]}" for metric, value in measured.items())
+        rows.append({"piece": piece, "by": _versioned(name), "figures": summary, "verdict": VERDICTS[name]})
     return Measured(figures, [*rows, *DECIDED])
 
 

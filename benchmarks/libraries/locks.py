@@ -35,11 +35,11 @@ class LockCost(NamedTuple):
     """Of one kind of lock."""
 
     alone: float
-    """CPU time of taking and releasing it with nobody else there [µs]."""
+    """CPU time of acquiring and releasing it, uncontended [µs]."""
     wait: float
     """The longest wait while two processes take turns, each holding it for 2 ms [ms]."""
     freed: float
-    """From the kill (SIGKILL) of the holder to the hold of one that waits [ms]."""
+    """From the kill (SIGKILL) of the holder to the acquisition by a waiter [ms]."""
     left: float
     """Files left behind in the folder."""
 
@@ -104,12 +104,12 @@ def _freed(lock: Lock, path: Path) -> float:
     return 1e3 * (freed - begun)
 
 
-def _hold(name: str, path: Path, told: Connection) -> None:
+def _hold(name: str, path: Path, pipe: Connection) -> None:
     with LOCKS[name](path):
-        told.send(0.0)
+        pipe.send(0.0)
         time.sleep(60)
 
 
-def _wait(name: str, path: Path, told: Connection) -> None:
+def _wait(name: str, path: Path, pipe: Connection) -> None:
     with LOCKS[name](path):
-        told.send(time.monotonic())
+        pipe.send(time.monotonic())

@@ -1,4 +1,4 @@
-"""What is asked of a cache: cost of a hit and of a miss, several processes, a limit, a process that is killed."""
+"""Trials of a cache: cost of a hit and of a miss, several processes, a size limit, killed processes."""
 
 import multiprocessing
 import os
