@@ -278,7 +278,7 @@ def _crossings(
     numbers = list(hulls)
     drawn = [panels[number] for number in numbers]
     for place, crossing in find_crossings(drawn, list(hulls.values()), [lengths[number] for number in numbers]):
-        x, y = crossing.place
+        x, y = crossing.point
         figure = f"it meets edge {crossing.other} at ({x:.2f}, {y:.2f}) cm: part them"
         if crossing.edge == crossing.other:
             figure = "it crosses itself: bend it less"

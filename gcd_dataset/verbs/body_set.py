@@ -18,7 +18,7 @@ from gcd_dataset.verbs.log import logged
 from gcd_dataset.verbs.making_plan import MakingPlan, check_count
 from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
 from gcd_dataset.verbs.target import require_folder
-from gcd_dataset.waits import WRITER, taken, waited_for
+from gcd_dataset.waits import WRITER, take_waits, timed
 from gcd_dataset.workers import side_by_side_in_parts
 
 __all__ = ["PeoplePlan", "generate_people", "plan_people", "stored_people", "workers_for"]
@@ -71,7 +71,7 @@ def generate_people(
         progress, pace = Progress(count, task.there), Pace()
         told(progress)
         for _ in stored_people(task, workers=workers_for(task, cores()) if workers is None else workers):
-            progress = pace.of(progress.with_sample(), taken())
+            progress = pace.of(progress.with_sample(), take_waits())
             told(progress)
     return progress
 
@@ -91,7 +91,7 @@ def stored_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, No
         if not plan.missing:
             return
         with _writer(plan.out, plan.seed) as writer:
-            made = waited_for(_made(plan, workers), WRITER)
+            made = timed(_made(plan, workers), WRITER)
             for index, person in zip(plan.missing, made, strict=True):
                 writer.write(index, person)
                 yield person

@@ -20,7 +20,7 @@ from gcd_dataset.verbs.making_plan import MakingPlan, check_count
 from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
 from gcd_dataset.verbs.seal import seal
 from gcd_dataset.verbs.target import Target, require_folder, target_of
-from gcd_dataset.waits import WRITER, Waits, added, taken, waited_for
+from gcd_dataset.waits import WRITER, Waits, sum_waits, take_waits, timed
 
 if TYPE_CHECKING:
     from gcd_dataset.verbs.ray_engine import RayCluster
@@ -155,7 +155,7 @@ def generate(
             for made in samples:
                 rejects = made.rejects if made.index % config.wearers == 0 else ()  # once for each design
                 progress = progress.with_sample(rejects=rejects, outcome=made.outcome and made.outcome.name)
-                progress = pace.of(progress, added(made.waits, taken()))
+                progress = pace.of(progress, sum_waits(made.waits, take_waits()))
                 told(progress)
     return progress
 
@@ -183,7 +183,7 @@ def stored(
     written, ``GcdError`` where a process is killed.
     """
     with plan.target.filling(is_missing=bool(plan.missing)) as writer:
-        for stored, members in waited_for(_made(plan, workers, cluster), WRITER):
+        for stored, members in timed(_made(plan, workers, cluster), WRITER):
             writer.add(stored.index, members, stored.outcome, stored.turned_down)
             yield stored
 
@@ -256,4 +256,4 @@ def _cpu_seconds(config: MakeConfig) -> float:
 def _encoded(sample: Sample) -> tuple[Stored, Mapping[str, Bytes]]:
     made, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
     members = encode_sample(sample)
-    return Stored(made.index, made.body_name, made.turned_down, outcome, taken()), members
+    return Stored(made.index, made.body_name, made.turned_down, outcome, take_waits()), members

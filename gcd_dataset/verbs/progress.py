@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
-from gcd_dataset.waits import Wait, Waits, added, shares
+from gcd_dataset.waits import Wait, Waits, sum_waits, wait_shares
 
 __all__ = ["SETTLED", "Pace", "Progress", "Told", "unheard"]
 
@@ -85,7 +85,7 @@ class Pace:
     def of(self, progress: Progress, waits: Waits) -> Progress:
         """The progress with its pace; ``waits``: those since the last call."""
         now, marks = self._clock(), self._marks
-        self._waits = added(self._waits, waits)
+        self._waits = sum_waits(self._waits, waits)
         while len(marks) > 1 and now - marks[1].time >= WINDOW:
             marks.popleft()
         first = marks[0]
@@ -93,8 +93,8 @@ class Pace:
             marks.append(_Mark(now, progress.made, self._waits))
         if now <= first.time:
             return progress
-        minute = added(self._waits, {name: Wait(-wait.idle, -wait.over) for name, wait in first.waits.items()})
-        return replace(progress, rate=(progress.made - first.made) / (now - first.time), waits=shares(minute))
+        minute = sum_waits(self._waits, {name: Wait(-wait.idle, -wait.over) for name, wait in first.waits.items()})
+        return replace(progress, rate=(progress.made - first.made) / (now - first.time), waits=wait_shares(minute))
 
 
 Told = Callable[[Progress], None]

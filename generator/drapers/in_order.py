@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar, Union
 
 from gcd_dataset.generator.drapers.draper import Draper, DrapeReply, DrapeRequest
-from gcd_dataset.waits import noted
+from gcd_dataset.waits import record_wait
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -99,7 +99,7 @@ class _Desk:
         assert self._draper is not None  # work without jobs is never waited for
         answer = self._draper.answer()
         for name, wait in answer.waits.items():
-            noted(name, wait)
+            record_wait(name, wait)
         place, part = self._part_of.pop(answer.number)
         place.drapes[part] = answer
         try:

@@ -152,7 +152,7 @@ class Inbox:
         begun = time.perf_counter()
         with self._some:
             self._some.wait_for(lambda: bool(self._waiting))
-        self._clock.idle(time.perf_counter() - begun)
+        self._clock.add_idle(time.perf_counter() - begun)
         at_once, arrived, studio = places_on(device, sharers=DRAPERS), self._waiting.__len__, Studio(device)
         drapes = drape_in_turn(
             self._jobs(), CONFIG, device=device, at_once=at_once, arrived=arrived, between=studio.go_on
@@ -166,7 +166,7 @@ class Inbox:
 
     def _answer(self, asker: Caller, device: str, answer: DrapeReply) -> None:
         """Send an answer, and how long this process has waited since the one before."""
-        asker.tell(replace(answer, waits={device: self._clock.taken()}))
+        asker.tell(replace(answer, waits={device: self._clock.lap()}))
 
     def _jobs(self) -> Iterator[DrapeJob | Readied | None]:
         """Those that wait, whenever asked; ``None`` where there is none at this moment."""
