@@ -18,9 +18,9 @@ from gcd_dataset.records import BodyPart, Measurements
 from gcd_dataset.yamlfile import LARGEST_YAML, strict_yaml
 
 __all__ = [
-    "read_body_file",
     "measurements_text",
     "parse_measurements",
+    "read_body_file",
     "read_body_parts",
     "read_measurements",
     "write_measurements",

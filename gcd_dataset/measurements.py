@@ -26,7 +26,7 @@ Unit: TypeAlias = Literal["cm", "degrees"]
 
 
 class Tape(Protocol):
-    """A measuring tape on one body. Landmarks, rings and level sections are given by name; results in cm and radians."""
+    """A measuring tape on one body. Landmarks, rings and level sections have names; results in cm and radians."""
 
     def height(self) -> float:
         """Soles to the top of the head, vertically."""
@@ -44,7 +44,7 @@ class Tape(Protocol):
         """Angle of the line from ``start`` to ``end`` below the horizontal."""
 
     def leaning(self, upper: str, lower: str) -> float:
-        """Angle of the line from ``upper`` down to ``lower`` from the vertical; positive outwards, on the right side."""
+        """Angle between the line from ``upper`` to ``lower`` and the vertical; positive outwards, on the right side."""
 
     def along(self, ring: str) -> float:
         """Along the points of an open ring."""

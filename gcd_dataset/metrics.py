@@ -45,7 +45,7 @@ class PatternScore:
     edge_count_acc: float
     """Matched panels with the right number of edges, divided by the larger number of panels."""
     iou: float
-    """Intersection over union of matched outlines, centroids aligned; summed, divided by the larger number of panels."""
+    """Sum of the IoU of matched outlines, centroids aligned, divided by the larger number of panels."""
     panel_l2: float
     """Mean distance of matched outlines, centroids aligned, at equal shares of their length [cm]."""
     panel_l2_pen: float
@@ -240,9 +240,7 @@ def _matches(predicted: Sequence[PanelShape | None], true: Sequence[PanelShape])
 def _angle(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> float:
     """Angle of the rotation from one to the other [rad]; by atan2, since arccos loses all digits near 0."""
     rotation = one.T @ other
-    axis = np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
+    axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     return float(np.arctan2(np.linalg.norm(axis), np.trace(rotation) - 1))
 
 

@@ -91,7 +91,7 @@ class PatternHash:
         return f"{self.value:064x}"
 
     def agrees(self, text: str) -> bool:
-        """Whether ``text`` is the hash of the same patterns, with the ties of up to two patterns rounded differently."""
+        """Whether ``text`` is the hash of the same patterns; ties of up to two patterns may be rounded differently."""
         try:
             missing = (int(text, 16) - self.value) % MODULUS
         except ValueError:

@@ -98,7 +98,7 @@ def test_two_patterns_and_mirrored_numbers_may_be_rounded_otherwise() -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e300])
 def test_what_cannot_be_rounded_is_refused(wrong: float) -> None:
-    with pytest.raises(PatternError, match="holds a number that is none"):
+    with pytest.raises(PatternError, match="a number is NaN"):
         hash_pattern(0, changed("edges", 0, EdgeColumn.START_X, wrong))
 
 

@@ -19,11 +19,11 @@ from gcd_dataset.verbs.making_plan import MakingPlan, check_count
 from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
 from gcd_dataset.verbs.target import require_folder
 from gcd_dataset.waits import WRITER, take_waits, timed
-from gcd_dataset.workers import side_by_side_in_parts
+from gcd_dataset.workers import parallel_map_chunks
 
 __all__ = ["PeoplePlan", "generate_people", "plan_people", "stored_people", "workers_for"]
 
-AT_ONCE = 16  # people a task: a quarter of a second of work, 10 MB to be sent back
+CHUNK = 16  # people a task: a quarter of a second of work, 10 MB to be sent back
 MADE = 0.016  # CPU-s of a person
 BEGUN = 4.0  # s that a worker takes to start
 
@@ -102,7 +102,7 @@ def _writer(out: Path | str, seed: int) -> BodyWriter:
 
 
 def _made(plan: PeoplePlan, workers: int) -> Iterator[Person]:
-    return side_by_side_in_parts(partial(_make, plan.seed), plan.missing, workers, at_once=AT_ONCE)
+    return parallel_map_chunks(partial(_make, plan.seed), plan.missing, workers, chunk=CHUNK)
 
 
 def _make(seed: int, indices: Sequence[int]) -> list[Person]:

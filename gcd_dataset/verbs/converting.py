@@ -16,11 +16,11 @@ from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.verbs.making_plan import MakingPlan
 from gcd_dataset.verbs.progress import Progress, Told, unheard
-from gcd_dataset.workers import side_by_side_in_parts
+from gcd_dataset.workers import parallel_map_chunks
 
 __all__ = ["ConvertPlan", "Converted", "convert", "converted", "plan_convert"]
 
-AT_ONCE = 8  # garments a task: a second of work, 12 MB to be sent back
+CHUNK = 8  # garments a task: a second of work, 12 MB to be sent back
 SEED = 0  # of what nobody drew here
 
 
@@ -146,7 +146,7 @@ def _dataset(source: Source) -> PublishedGarmentCodeData:
 
 
 def _converted(plan: ConvertPlan, workers: int) -> Iterator[Converted]:
-    return side_by_side_in_parts(functools.partial(_convert, plan.source), plan.missing, workers, at_once=AT_ONCE)
+    return parallel_map_chunks(functools.partial(_convert, plan.source), plan.missing, workers, chunk=CHUNK)
 
 
 def _convert(source: Source, positions: Sequence[int]) -> list[Converted]:

@@ -24,7 +24,7 @@ from gcd_dataset.shards.reader import ShardReader
 from gcd_dataset.verbs.making import MADE, generate_recipe
 from gcd_dataset.verbs.progress import Progress
 from gcd_dataset.verbs.seal import is_sealed
-from gcd_dataset.workers import without_program
+from gcd_dataset.workers import without_main_module
 
 __all__ = ["have_recipe", "recipe_faults", "recipe_lines"]
 
@@ -161,7 +161,7 @@ def _make(recipe: Recipe, folder: Path) -> None:
         def told(progress: Progress) -> None:
             bar.update(progress.done - bar.n)
 
-        with without_program():
+        with without_main_module():
             generate_recipe(folder, recipe, workers=workers, told=told)
 
 
