@@ -124,7 +124,7 @@ def test_ctrl_c_while_options_are_read_is_told(
     def pressed(arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gcd_dataset.cli._parsed", pressed)
+    monkeypatch.setattr("gcd_dataset.cli._parse", pressed)
     assert main(["generate", "data", "--count", "1"]) == 130
     assert "stopped" in one_line(capsys.readouterr().err)
 

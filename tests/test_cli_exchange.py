@@ -25,7 +25,7 @@ from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.layout import GARMENTS
-from gcd_dataset.verbs.converting import converted, plan_convert
+from gcd_dataset.verbs.converting import convert_missing, plan_conversion
 from gcd_dataset.verbs.release_folders import export_published, exported_splits
 from gcd_dataset.verbs.statistics import garment_type
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
@@ -69,11 +69,11 @@ def test_converted_shards_hold_what_was_published(
 
 def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, tmp_path: Path) -> None:
     assert run("convert", published, tmp_path / "whole", "--quiet") == 0
-    plan = plan_convert(published, tmp_path / "pieces")[0]
-    stopped = converted(plan)
+    plan = plan_conversion(published, tmp_path / "pieces")[0]
+    stopped = convert_missing(plan)
     list(itertools.islice(stopped, 3))
     stopped.close()
-    (again,) = (p for p in plan_convert(published, tmp_path / "pieces") if p.source.split == "train")
+    (again,) = (p for p in plan_conversion(published, tmp_path / "pieces") if p.source.split == "train")
     assert (again.count, again.missing) == (4, (3,))
     assert run("convert", published, tmp_path / "pieces", "--quiet") == 0
     assert contents(tmp_path / "pieces") == contents(tmp_path / "whole")
@@ -383,7 +383,7 @@ def test_types_follow_the_rules_of_the_authors_sampler(design: dict[str, object]
 
 def test_nothing_published_is_nothing_to_convert(published: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="bodies='neutral'"):
-        plan_convert(published, tmp_path, bodies="neutral")
+        plan_conversion(published, tmp_path, bodies="neutral")
 
 
 @pytest.mark.parametrize(

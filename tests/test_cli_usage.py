@@ -154,7 +154,7 @@ def test_generate_tells_the_wait_before_it_starts(
         said_before.append(caplog.text)
         yield from ()
 
-    monkeypatch.setattr("gcd_dataset.verbs.making.stored", made)
+    monkeypatch.setattr("gcd_dataset.verbs.making.store_samples", made)
     command = ["generate", str(tmp_path), "--device", "cpu", "--quiet"]
     assert main([*command, "--count", "500"]) == 0
     assert "draping 500 garments at 1 cm on this CPU takes about " in said_before[0]

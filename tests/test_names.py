@@ -29,7 +29,7 @@ from gcd_dataset.release.draft import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.index import ShardIndex, empty_table
 from gcd_dataset.shards.layout import index_name, lock_name, mesh_name, shard_name
-from gcd_dataset.verbs.release_folders import _place_in_release, export_published
+from gcd_dataset.verbs.release_folders import _name_in_release, export_published
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, read_folder, running_hub
 from tests.shards.folders import RECIPE
@@ -260,7 +260,7 @@ def test_the_folder_that_a_download_makes(
 def test_the_place_of_a_garment_that_came_from_a_release(name: str, part: int) -> None:
     source = ["GarmentCodeData_v2", "garments_5000_0", "default_body", "rand_ABCDEFGHIJ"]
     source[part] = name
-    place = _place_in_release("gcd_000000000", "/".join(source), "mean_all")
+    place = _name_in_release("gcd_000000000", "/".join(source), "mean_all")
     for component in (place.batch, place.body_folder, place.name):
         assert require_name(component, "here") == component
 

@@ -18,8 +18,8 @@ from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
 from gcd_dataset.shards import ShardReader, read_manifest
 from gcd_dataset.shards.access import locked
 from gcd_dataset.verbs import generate, generate_recipe
-from gcd_dataset.verbs.making import plan, stored
-from gcd_dataset.verbs.recipes import LOCK, have_recipe, recipe_faults
+from gcd_dataset.verbs.making import plan_garments, store_samples
+from gcd_dataset.verbs.recipes import LOCK, ensure_recipe, recipe_faults
 from tests.generator.test_recipes import TINY, written
 from tests.shards.folders import contents
 
@@ -78,8 +78,8 @@ def test_the_manifest_names_recipe_and_patterns(made: Path, recipe: Recipe) -> N
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(made: Path, recipe: Recipe, tmp_path: Path) -> None:
     folder = tmp_path / "stopped"
-    task = plan(folder, recipe.count, seed=recipe.seed, config=recipe.config, recipe=recipe)
-    run = stored(task, workers=0)
+    task = plan_garments(folder, recipe.count, seed=recipe.seed, config=recipe.config, recipe=recipe)
+    run = store_samples(task, workers=0)
     for _ in range(7):
         next(run)
     run.close()
@@ -135,7 +135,7 @@ def test_other_patterns_are_told(copy: Path, recipe: Recipe, tmp_path: Path) -> 
     manifest_with(renamed, sha256=recipe.sha256)
     told = list(recipe_faults(renamed, recipe))
     assert any("is not of seed 3" in line for line in told)
-    # Told of another hash, the same patterns are others.
+    # ProgressCallback of another hash, the same patterns are others.
     manifest_with(copy, patterns="0" * 64)
     assert "and manifest.json tells of 0000" in next(recipe_faults(copy, recipe))
 
@@ -154,7 +154,7 @@ def test_patterns_are_made_again_where_their_hash_is_not_known(tmp_path: Path) -
     told = list(recipe_faults(folder, asked))
     assert "no hash of the patterns yet" in told[0]
     assert len(told) == 21
-    assert all("has another pattern when it is made again" in line for line in told[1:])
+    assert all("has another pattern when made again" in line for line in told[1:])
 
 
 def test_a_split_that_is_missing_or_another_is_told(copy: Path, recipe: Recipe) -> None:
@@ -288,7 +288,7 @@ def test_the_data_set_of_another_version_is_not_taken_for_it(made: Path, tmp_pat
 SCRIPT = """
 import sys
 import gcd_dataset.verbs.making as making
-making.BEGUN = 0.1  # s: begin workers for little
+making.STARTUP = 0.1  # s: start workers for few samples, too
 from gcd_dataset.loaders import GarmentDataset
 print(len(GarmentDataset("recipe:" + sys.argv[1], "test", root=sys.argv[2], fields=["panels"])), flush=True)
 """
@@ -331,6 +331,6 @@ def test_an_interrupted_making_goes_on(
     with monkeypatch.context() as patched:
         patched.setattr("gcd_dataset.verbs.making.seal", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            have_recipe(recipe, folder)
-    have_recipe(recipe, folder)
+            ensure_recipe(recipe, folder)
+    ensure_recipe(recipe, folder)
     assert contents(folder) == contents(made)

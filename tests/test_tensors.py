@@ -178,7 +178,10 @@ def test_broken_patterns_are_named() -> None:
     open_loop = replace(panel, edges=panel.edges[:3])
     for pattern, message in (
         (Pattern("p", (open_loop,), ()), "panel square, edge 0: does not start where the edge before ends"),
-        (Pattern("p", (panel,), (Seam(EdgeRef("square", 0), EdgeRef("square", 9)),)), "seam 0 joins square, edge 9"),
+        (
+            Pattern("p", (panel,), (Seam(EdgeRef("square", 0), EdgeRef("square", 9)),)),
+            "square has no edge 9",
+        ),
         (Pattern("p", (square(20.0, Arc(9.0, False, True)),), ()), "cannot span"),
     ):
         with pytest.raises(PatternError, match=message):
@@ -197,7 +200,7 @@ def test_broken_arrays_are_named() -> None:
         (replace(tensor, edges=tensor.edges[:, :5]), "edges has shape"),
         (replace(tensor, edges=tensor.edges[:3]), "mend N_EDGES"),
         (replace(tensor, panel_names=()), "0 panel names for 1 panels"),
-        (replace(tensor, stitches=np.array([[0, 7, 0]])), "stitches name edges 0 to 7, of 4"),
+        (replace(tensor, stitches=np.array([[0, 7, 0]])), "stitches name edges 0 to 7, there are 4"),
         (with_edge(EdgeColumn.KIND, 9), "edges name kinds"),
         (with_edge(EdgeColumn.LABEL, 40), "edges name labels"),
     ):

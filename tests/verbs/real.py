@@ -56,14 +56,14 @@ def killed(work: Callable[..., Any], *, after: int) -> None:
     if child == 0:
         steps = 0
 
-        def told(progress: Progress) -> None:
+        def report(progress: Progress) -> None:
             nonlocal steps
             if steps == after:
                 os.kill(os.getpid(), signal.SIGKILL)
             steps += 1
 
         try:
-            work(told=told)
+            work(on_progress=report)
         finally:
             os._exit(1)
     assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL

@@ -36,7 +36,7 @@ from gcd_dataset.verbs import (
     storing,
 )
 from gcd_dataset.verbs.seal import claim
-from gcd_dataset.verbs.storing import GarmentWriter, division_of
+from gcd_dataset.verbs.storing import GarmentWriter, split_rule
 from tests.verbs.real import COUNT, CUFFED, contents, killed, made_once
 
 SHARD_SIZE = 4
@@ -294,7 +294,7 @@ def test_two_merges_at_once_keep_out_of_each_others_way(tmp_path: Path, whole: d
 def test_a_part_that_is_being_made_is_not_merged(tmp_path: Path, whole: dict[str, bytes]) -> None:
     out = parts_in(tmp_path / "parts", 2)
     with (
-        GarmentWriter(part_folder(out, 1, 2), 0, CUFFED, division_of(CUFFED)),
+        GarmentWriter(part_folder(out, 1, 2), 0, CUFFED, split_rule(CUFFED)),
         pytest.raises(OutputError, match="00001-of-00002: another process is making this part"),
     ):
         merge(out)
@@ -435,7 +435,7 @@ def test_a_folder_without_parts_is_told(tmp_path: Path, whole: dict[str, bytes])
 def test_shards_beside_the_parts_are_not_replaced(tmp_path: Path, whole: dict[str, bytes]) -> None:
     out = parts_in(tmp_path / "parts", 2)
     (out / "train-00000.tar").write_bytes(b"something else")
-    with pytest.raises(ConfigError, match=r"holds train-00000\.tar, which is of none of its parts"):
+    with pytest.raises(ConfigError, match=r"holds train-00000\.tar, which is in none of its parts"):
         merge(out)
     (out / "train-00000.tar").unlink()
     merge(out)
@@ -521,7 +521,7 @@ def test_a_damaged_part_is_made_again_though_a_stopped_merge_has_moved_others(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        merge(out, told=stop)
+        merge(out, on_progress=stop)
     assert (out / "train-00000.tar").exists()
     shard = part_folder(out, 1, 3) / "train-00003.tar"
     os.truncate(shard, 5000)

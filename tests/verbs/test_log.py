@@ -15,7 +15,7 @@ from gcd_dataset.errors import GcdError, OutputError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.shards.layout import recipe_hash
 from gcd_dataset.verbs import generate, generate_people, log
-from gcd_dataset.verbs.progress import Progress, unheard
+from gcd_dataset.verbs.progress import Progress, ignore_progress
 from tests.verbs.real import contents
 
 FLAT = MakeConfig(stage="pattern")
@@ -121,7 +121,7 @@ def test_a_full_disk_ends_the_log_and_not_the_run(tmp_path: Path, caplog: pytest
 def test_a_line_for_which_there_is_half_the_room_is_not_begun(tmp_path: Path) -> None:
     path = tmp_path / "run.jsonl"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with log.logged(path, unheard, options={}, recipe={}) as told:
+    with log.run_log(path, ignore_progress, options={}, recipe={}) as told:
         size = path.stat().st_size
         resource.setrlimit(resource.RLIMIT_FSIZE, (size + 40, before[1]))
         try:
@@ -136,8 +136,8 @@ def test_a_line_for_which_there_is_half_the_room_is_not_begun(tmp_path: Path) ->
 def test_two_runs_may_share_a_log(tmp_path: Path) -> None:
     path = tmp_path / "run.jsonl"
     with (
-        log.logged(path, unheard, options={"part": 0}, recipe={}),
-        log.logged(path, unheard, options={"part": 1}, recipe={}),
+        log.run_log(path, ignore_progress, options={"part": 0}, recipe={}),
+        log.run_log(path, ignore_progress, options={"part": 1}, recipe={}),
     ):
         pass
     assert [line["event"] for line in lines(path)] == ["begin", "begin", "end", "end"]
@@ -146,7 +146,10 @@ def test_two_runs_may_share_a_log(tmp_path: Path) -> None:
 def test_a_torn_line_of_another_program_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "notes"
     path.write_text("bread")
-    with pytest.raises(OutputError, match="choose another file"), log.logged(path, unheard, options={}, recipe={}):
+    with (
+        pytest.raises(OutputError, match="choose another file"),
+        log.run_log(path, ignore_progress, options={}, recipe={}),
+    ):
         pass
     assert path.read_text() == "bread"
 
