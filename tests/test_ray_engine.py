@@ -1,4 +1,4 @@
-"""What the Ray engine decides before it meets Ray."""
+"""The parts of the Ray engine that run without Ray."""
 
 import itertools
 import sys
@@ -62,17 +62,17 @@ def test_the_cluster_decides_the_device(asked: str, gpus: int, device: str) -> N
     assert recipe_of(config) == recipe_of(MakeConfig(device=device))
 
 
-@pytest.mark.parametrize(("asked", "told"), [("cuda", "has no GPU"), ("cuda:1", "give auto, cpu or cuda")])
-def test_gpus_that_ray_cannot_give_are_told(asked: str, told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+@pytest.mark.parametrize(("asked", "message"), [("cuda", "has no GPU"), ("cuda:1", "give auto, cpu or cuda")])
+def test_gpus_that_ray_cannot_give_are_reported(asked: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         with_cluster_device(MakeConfig(device=asked), 0)
 
 
 def test_versions_that_differ_are_named_with_both() -> None:
     theirs = versions() | {"numpy": "1.0"}
-    told = mismatch(versions(), theirs)
-    assert told is not None
-    assert told.startswith(f"numpy 1.0 instead of {versions()['numpy']}: install the same")
+    message = mismatch(versions(), theirs)
+    assert message is not None
+    assert message.startswith(f"numpy 1.0 instead of {versions()['numpy']}: install the same")
     assert mismatch(versions(), dict(versions())) is None
     assert "gcd_dataset missing instead of" in str(mismatch(versions(), {}))
 

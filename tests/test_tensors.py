@@ -1,4 +1,4 @@
-"""A pattern as arrays is the pattern it was."""
+"""Patterns as arrays: a pattern survives encoding and decoding."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +39,7 @@ def square(side: float = 20.0, curve: Curve = LINE) -> Panel:
 
 
 def outline(panel: Panel) -> np.ndarray:
-    """Points of every edge as it hangs in space [cm]."""
+    """Points of the placed edges in space [cm]."""
     flat = [sample_curve(*panel.edge_ends(i), edge.curve, 9) for i, edge in enumerate(panel.edges)]
     return panel.placement.apply(np.concatenate(flat))
 
@@ -104,7 +104,7 @@ def test_real_patterns_survive(examples: Path) -> None:
 
 @pytest.mark.parametrize("chord", [1.0, 1e-2, 1e-4, 1e-6])
 def test_a_circle_that_all_but_closes_survives(chord: float) -> None:
-    """The ends of a circular skirt's hem nearly touch, far from the origin; the far side hangs on their direction."""
+    """The ends of a circular skirt's hem nearly touch, far from the origin; their direction fixes the far side."""
     corners = np.array([[0.0, 0.0], [chord, 0.0], [chord, 12.0], [0.0, 12.0]]) + [173.0, -91.0]
     hem = loop("skirt", corners, [Arc(80.0, large=True, right=True), LINE, LINE, LINE])
     assert_same(again(Pattern("skirt", (hem,), ())), Pattern("skirt", (hem,), ()))

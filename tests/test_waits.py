@@ -1,4 +1,4 @@
-"""What each part of the making of samples waits is counted once, and reaches the writer."""
+"""Waits of all stages are counted once and reach the writer."""
 
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ DRAPED = MakeConfig(resolution=10.0, points=16, picture=0, device="cpu", on_fail
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """A clock that stands still until it is set; the account is empty."""
+    """A manual clock; empties the account."""
     clock = SimpleNamespace(now=0.0)
     monkeypatch.setattr(waits, "time", SimpleNamespace(perf_counter=lambda: clock.now))
     take_waits()
@@ -37,7 +37,7 @@ def test_a_writer_that_waits_three_seconds_of_four(clock: SimpleNamespace) -> No
     for _ in timed(made(), WRITER):
         clock.now += 1.0
     waited = take_waits()
-    assert waited[WRITER] == Wait(15.0, 19.0)  # what it does with the last item is not followed by a question
+    assert waited[WRITER] == Wait(15.0, 19.0)  # the work on the last item is not counted
     assert wait_shares(waited)[WRITER] == 15 / 19
     assert take_waits() == {}
 
@@ -68,7 +68,7 @@ def test_a_maker_whose_samples_are_not_taken_waits() -> None:
 def test_the_waits_of_a_draping_process_come_with_its_drapes_and_change_no_byte() -> None:
     alone = [encode_sample(sample) for sample in produce(5, [0], DRAPED)]
     place = address_for("cpu")
-    with SharedDraper(place):  # started: what it waits from here on is counted
+    with SharedDraper(place):  # starts it: waits count from here on
         share = _Share(5, (0,), DRAPED, place, finished=_encoded, pictured=True)
         made = list(share.made())
     assert [members for _, members in made] == alone
