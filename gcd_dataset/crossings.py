@@ -129,7 +129,7 @@ def _broad_phase(
 def _near_pairs(
     hulls: Complex[np.ndarray, "e 4"], sizes: Sequence[int], first: Sequence[int]
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """All pairs of edges of one panel whose bounding boxes touch, in order; panels begin at ``first``."""
+    """All pairs of edges of one panel with touching bounding boxes, in order; panels begin at ``first``."""
     found, few, count = [], [np.empty((2, 0), int)], 0
     for size, start in zip(sizes, first, strict=True):
         if size > FEW:
@@ -180,7 +180,7 @@ def _cuts(counts: Int[np.ndarray, " e"]) -> Int[np.ndarray, " c"]:
 
 
 def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
-    """Edges whose hull advances along the chord throughout, so that they cannot meet themselves."""
+    """Edges that advance along their chord throughout, by their hulls, and so cannot meet themselves."""
     legs = np.diff(hulls, axis=1)
     return ((legs * (hulls[:, -1:] - hulls[:, :1]).conj()).real >= 0).all(axis=1)
 
@@ -188,7 +188,7 @@ def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
 def _boxes_apart(
     hulls: Complex[np.ndarray, "e 4"], one: Int[np.ndarray, " n"], other: Int[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Pairs of edges whose bounding boxes do not touch."""
+    """Pairs of edges with disjoint bounding boxes."""
     apart = np.zeros(len(one), bool)
     for part in (hulls.real, hulls.imag):
         low, high = part.min(axis=1), part.max(axis=1)

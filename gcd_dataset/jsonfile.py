@@ -87,12 +87,12 @@ class JsonPath:
     def within(self, part: str) -> "JsonPath":
         return replace(self, path=f"{self.path}, {part}" if self.path else part)
 
-    def error(self, what: str) -> SpecError:
-        return SpecError(f"{self.source}: {self.path + ': ' if self.path else ''}{what}")
+    def error(self, fault: str) -> SpecError:
+        return SpecError(f"{self.source}: {self.path + ': ' if self.path else ''}{fault}")
 
-    def mapping(self, value: Any, what: str) -> Mapping[str, Any]:
+    def mapping(self, value: Any, name: str) -> Mapping[str, Any]:
         if not isinstance(value, Mapping):
-            raise self.error(f"{what or 'the file'} must be a JSON object, found {found(value)}")
+            raise self.error(f"{name or 'the file'} must be a JSON object, found {found(value)}")
         return value
 
     def list_of(self, holder: Mapping[str, Any], key: str) -> Sequence[Any]:
@@ -101,24 +101,24 @@ class JsonPath:
             raise self.error(f"{key} must be a list, found {found(value)}")
         return value
 
-    def numbers(self, value: Any, count: int, what: str) -> tuple[float, ...]:
+    def numbers(self, value: Any, count: int, name: str) -> tuple[float, ...]:
         if not (isinstance(value, list | tuple) and len(value) == count and all(_is_number(n) for n in value)):
-            raise self.error(f"{what} must be {count} numbers, found {found(value)}")
+            raise self.error(f"{name} must be {count} numbers, found {found(value)}")
         return tuple(float(n) for n in value)
 
-    def number(self, value: Any, what: str) -> float:
+    def number(self, value: Any, name: str) -> float:
         if not _is_number(value):
-            raise self.error(f"{what} must be a number, found {found(value)}")
+            raise self.error(f"{name} must be a number, found {found(value)}")
         return float(value)
 
-    def index(self, value: Any, what: str) -> int:
+    def index(self, value: Any, name: str) -> int:
         if not (isinstance(value, int) and _is_number(value)):
-            raise self.error(f"{what} must be a whole number, found {found(value)}")
+            raise self.error(f"{name} must be a whole number, found {found(value)}")
         return value
 
-    def text(self, value: Any, what: str) -> str:
+    def text(self, value: Any, name: str) -> str:
         if not isinstance(value, str):
-            raise self.error(f"{what} must be a string, found {found(value)}")
+            raise self.error(f"{name} must be a string, found {found(value)}")
         return value
 
     def require_flat(self, value: Any) -> None:

@@ -168,7 +168,7 @@ def _spawn_context() -> SpawnContext:
 
 @contextmanager
 def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool whose processes ignore Ctrl-C and end with the block, or with this process however it ends."""
+    """A pool of processes that ignore Ctrl-C and end with the block, or with this process however it ends."""
     context = _spawn_context()
     lifeline, parent_end = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=(lifeline,))

@@ -31,7 +31,7 @@ def strict_yaml(content: str | bytes) -> Any:
 
 
 def require_shallow(content: bytes) -> None:
-    """Raise ``RecursionError`` for YAML whose brackets or indentation may overflow libyaml's stack.
+    """Raise ``RecursionError`` for YAML with so many brackets or columns that libyaml's stack may overflow.
 
     It scans the bytes only, faster than the depth check of ``strict_yaml``: for megabytes of machine-written YAML.
     """

@@ -50,7 +50,7 @@ WRONG_USAGE = [
     ("drape spec.json --out out --fabric denin", "fabric is 'denin': known are"),
     ("drape spec.json --out out --device cuda:99", "device cuda:99: there is"),
     ("measure --shape femael", "did you mean female?"),
-    ("measure a.obj b.obj", "more than is asked for: b.obj"),
+    ("measure a.obj b.obj", "unexpected argument b.obj"),
     ("measure --shape neutral --landmarks x.json", "are for a mesh file"),
     ("show shards --png a.jpg", "end the name in .png"),
     ("show shards", "give --png FILE or --svg FILE"),

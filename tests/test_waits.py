@@ -12,7 +12,7 @@ from gcd_dataset.generator.maker import _Share, produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.verbs.making import _encoded
+from gcd_dataset.verbs.making import _encode
 from gcd_dataset.waits import MAKERS, WRITER, Wait, WaitClock, record_wait, sum_waits, take_waits, timed, wait_shares
 
 SKIRTS = Overlay.from_dict({"meta": {"upper": None, "bottom": "PencilSkirt"}})  # they come to rest soon
@@ -69,7 +69,7 @@ def test_the_waits_of_a_draping_process_come_with_its_drapes_and_change_no_byte(
     alone = [encode_sample(sample) for sample in produce(5, [0], DRAPED)]
     place = address_for("cpu")
     with SharedDraper(place):  # starts it: waits count from here on
-        share = _Share(5, (0,), DRAPED, place, finished=_encoded, pictured=True)
+        share = _Share(5, (0,), DRAPED, place, finished=_encode, pictured=True)
         made = list(share.made())
     assert [members for _, members in made] == alone
     waited = sum_waits(*(stored.waits for stored, _ in made), take_waits())

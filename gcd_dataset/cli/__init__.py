@@ -154,10 +154,10 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
     return 0
 
 
-def _require_no_store(options: argparse.Namespace, what: str) -> None:
-    """Raise ``ConfigError`` for options of a store; ``what`` names data that is made in folders only."""
+def _require_no_store(options: argparse.Namespace, data: str) -> None:
+    """Raise ``ConfigError`` for options of a store; ``data`` names data that is made in folders only."""
     if options.spool is not None or options.patience is not None:
-        raise ConfigError(f"--spool and --patience are for URLs, and {what} are made in a folder: leave them out")
+        raise ConfigError(f"--spool and --patience are for URLs, and {data} are made in a folder: leave them out")
 
 
 def _drape(options: argparse.Namespace) -> int:
@@ -412,7 +412,7 @@ def _add_measure(verbs: Any) -> None:
 
 
 def _add_make_options(parser: Parser) -> None:
-    """Add the options of ``MakeConfig``, whose import takes a second."""
+    """Add the options of ``MakeConfig``; its import takes a second."""
     from gcd_dataset.generator.recipe import MakeConfig
 
     add_options(parser, MakeConfig, more_choices={"stage": (BODY_STAGE,)})

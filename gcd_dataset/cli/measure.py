@@ -28,9 +28,9 @@ def measured_text(body: str, landmarks: Path | None = None, segmentation: Path |
 
 
 def _border_remarks(taken: Taken) -> list[str]:
-    """One line for each girth whose level is at the border of the search range."""
+    """One line for each girth that was found at the border of its search range."""
     return [
-        f"{girth}: taken at {taken.levels[girth]:.1f} cm, {abs(by):.1f} cm {'above' if by > 0 else 'below'} where it "
-        f"was looked for, {'where the legs part' if girth == 'leg_circ' else 'at the end of the search'}"
+        f"{girth}: measured at height {taken.levels[girth]:.1f} cm, {abs(by):.1f} cm {'above' if by > 0 else 'below'} "
+        f"its landmark, {'where the legs part' if girth == 'leg_circ' else 'the end of the search range'}"
         for girth, by in taken.at_border.items()
     ]

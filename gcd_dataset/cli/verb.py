@@ -58,12 +58,12 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print a one-line message and exit 2."""
-        self.exit(WRONG_USAGE, f"{self.prog}: {message} ({self.prog} --help lists what there is)\n")
+        self.exit(WRONG_USAGE, f"{self.prog}: {message} ({self.prog} --help lists the options)\n")
 
     def unknown(self, words: Sequence[str]) -> NoReturn:
         """Exit 2 for arguments that no option or positional takes."""
         options = [option for action in self._actions for option in action.option_strings]
-        fault = "no option" if words[0].startswith("-") else "more than is asked for:"
+        fault = "no option" if words[0].startswith("-") else "unexpected argument"
         self.error(f"{fault} {shown(words[0])}{did_you_mean(words[0].partition('=')[0], options)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -84,7 +84,7 @@ class _Run:
     """Forwards progress to a callback, and writes some of it to the log."""
 
     def __init__(self, lines: "_Lines", on_progress: ProgressCallback, clock: Callable[[], float]) -> None:
-        self._lines, self._told, self._clock = lines, on_progress, clock
+        self._lines, self._on_progress, self._clock = lines, on_progress, clock
         self._begun = self._written = clock()
         self._made, self._last = 0, Progress(0, 0)
 
@@ -93,7 +93,7 @@ class _Run:
         if progress.made - self._made >= EVERY or (self._clock() - self._written >= EVERY_S and progress.made):
             self._written, self._made = self._clock(), progress.made
             self._lines.write("progress", _figures(progress))
-        self._told(progress)
+        self._on_progress(progress)
 
     def end(self, event: str, error: BaseException | None = None) -> None:
         entry: dict[str, Any] = {**_figures(self._last), "seconds": round(self._clock() - self._begun, 3)}

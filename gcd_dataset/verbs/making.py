@@ -214,9 +214,9 @@ def _make(
     if not plan.missing:
         return iter(())
     if cluster is not None:
-        return cluster.produce(plan.seed, plan.missing, finished=_encoded, seconds=_cpu_seconds(plan.config))
+        return cluster.produce(plan.seed, plan.missing, finished=_encode, seconds=_cpu_seconds(plan.config))
     workers = workers_for(plan) if workers is None else workers
-    return produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encoded)
+    return produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encode)
 
 
 def generate_recipe(
@@ -273,7 +273,7 @@ def _cpu_seconds(config: MakeConfig) -> float:
     return each
 
 
-def _encoded(sample: Sample) -> tuple[StoredSample, Mapping[str, Bytes]]:
-    made, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
+def _encode(sample: Sample) -> tuple[StoredSample, Mapping[str, Bytes]]:
+    provenance, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
     members = encode_sample(sample)
-    return StoredSample(made.index, made.body_name, made.turned_down, outcome, take_waits()), members
+    return StoredSample(provenance.index, provenance.body_name, provenance.turned_down, outcome, take_waits()), members

@@ -160,14 +160,14 @@ def _finished(folder: Path, plan: PartsPlan) -> FinishedPart | None:
         return read_finished(folder)
 
 
-def _require_none(parts: Sequence[int], what: str, out: Path, plan: PartsPlan) -> None:
-    """Raise ``ShardError`` if there are any ``parts``; ``what`` says what is wrong with them."""
+def _require_none(parts: Sequence[int], fault: str, out: Path, plan: PartsPlan) -> None:
+    """Raise ``ShardError`` if there are any ``parts``; ``fault`` completes ``part 1/4 is …``."""
     if not parts:
         return
     names = ", ".join(f"{part}/{plan.of}" for part in parts[:NAMED])
     more = f" and {len(parts) - NAMED} more" if len(parts) > NAMED else ""
     verb = "is" if len(parts) == 1 else "are"
-    raise ShardError(f"{out}: part {names}{more} {verb} {what}: run {command_of(out, plan, parts[0])}")
+    raise ShardError(f"{out}: part {names}{more} {verb} {fault}: run {command_of(out, plan, parts[0])}")
 
 
 def _sources(out: Path, plan: PartsPlan, parts: Sequence[FinishedPart]) -> dict[tuple[str, str], list[_Source]]:

@@ -95,7 +95,7 @@ class Actor(NamedTuple):
 
 @dataclass(frozen=True)
 class RayCluster:
-    """A connected cluster, whose nodes have the same package versions as this machine."""
+    """A connected cluster; its nodes have the same package versions as this machine."""
 
     config: MakeConfig
     """Options of the samples; the device is the one that the cluster drapes on."""

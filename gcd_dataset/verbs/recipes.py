@@ -92,12 +92,12 @@ def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
 
 def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[str]:
     """Samples that are missing or in the wrong split, and splits made with another seed or other options."""
-    held = splits_in(folder)
-    for split in sorted(set(held) - set(recipe.splits)):
+    stored_splits = splits_in(folder)
+    for split in sorted(set(stored_splits) - set(recipe.splits)):
         yield f"{folder}: split {split} is none of {recipe.name}: take it away"
     asked = recipe_of(recipe.config)
     for split in recipe.splits:
-        if split not in held:
+        if split not in stored_splits:
             yield f"{folder}: no split {split}: run gcd generate --recipe {recipe.name} again"
             continue
         record = manifest.splits.get(split)
@@ -111,16 +111,16 @@ def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[
             met, wanted = record.recipe.get(other[0]), asked.get(other[0])
             yield f"{folder / MANIFEST}: split {split} was made with {other[0]}={met!r}, the recipe has {wanted!r}"
         reader = ShardReader(FolderStore(folder), split)
-        there = reader.index.table.sample[reader.rows(range(len(reader)))]
+        stored = reader.index.table.sample[reader.rows(range(len(reader)))]
         wanted = recipe.indices_in(split)
-        if missing := len(np.setdiff1d(wanted, there)):
+        if missing := len(np.setdiff1d(wanted, stored)):
             yield f"{folder}: split {split} lacks {missing} of {len(wanted)} samples: run gcd generate again"
-        if foreign := len(np.setdiff1d(there, wanted)):
+        if foreign := len(np.setdiff1d(stored, wanted)):
             yield f"{folder}: split {split} holds {foreign} samples of other splits: delete it, and make it again"
 
 
 def _sampled_faults(folder: Path, readers: Iterable[ShardReader], recipe: Recipe) -> Iterator[str]:
-    """Designs whose stored patterns differ from the patterns when they are made again."""
+    """Compare the stored patterns of some designs with the patterns when made again; one line for each difference."""
     designs = np.unique(np.linspace(0, recipe.designs - 1, min(recipe.designs, SAMPLED)).astype(int)).tolist()
     log.info("%s has no hash of all its patterns: %d designs are made again", recipe.name, len(designs))
     made = dict(made_patterns(recipe, designs))

@@ -184,9 +184,9 @@ def target_of(
         folder_target = _folder_target(folder, count, seed, config, rule, part)
         claim(folder, recipe)
         return folder_target
-    for what, is_asked in (("data sets of recipes", recipe is not None), ("parts", part is not None)):
+    for data, is_asked in (("data sets of recipes", recipe is not None), ("parts", part is not None)):
         if is_asked:
-            raise _folder_needed(target, what)
+            raise _folder_needed(target, data)
     remote = Remote(patience=patience)
     spools = remote.folder / "spool" if spool is None else user_path(spool)
     asked = {split: SplitRecord(seed, recipe_of(config), size) for split, size in rule.shard_sizes.items()}
@@ -208,13 +208,13 @@ def _folder_target(
     return FolderTarget(part_folder.path, part_folder.indices, seed, config, rule, part_folder)
 
 
-def require_folder(out: Path | str, what: str) -> Path:
-    """The folder that ``out`` names. Raises ``ConfigError`` for the URL of a store; ``what`` names the data there."""
+def require_folder(out: Path | str, data: str) -> Path:
+    """The folder that ``out`` names. Raises ``ConfigError`` for the URL of a store; ``data`` is named in the error."""
     target = parse_target(out)
     if not isinstance(target, Folder):
-        raise _folder_needed(target, what)
+        raise _folder_needed(target, data)
     return target.path
 
 
-def _folder_needed(url: Url, what: str) -> ConfigError:
-    return ConfigError(f"{url}: {what} are made in a folder: give one, and copy it there")
+def _folder_needed(url: Url, data: str) -> ConfigError:
+    return ConfigError(f"{url}: {data} are made in a folder: give one, and copy it there")

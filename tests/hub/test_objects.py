@@ -434,7 +434,7 @@ def test_what_is_made_in_folders_alone_is_told(
     assert "data sets of recipes are made in a folder" in capsys.readouterr().err
     assert main(["generate", "s3://bucket/parts", "--count=8", "--stage=pattern", "--shard=0/2"]) == 2
     assert "parts are made in a folder" in capsys.readouterr().err
-    with pytest.raises(OutputError, match="the URL as text"):
+    with pytest.raises(OutputError, match="URLs takes them as str"):
         make(Path("s3://bucket/set"))
     assert not list(tmp_path.iterdir())
 
