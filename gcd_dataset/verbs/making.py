@@ -182,9 +182,9 @@ def generate(
 
 def _log_drape_estimate(plan: GarmentPlan) -> None:
     if plan.config.stage == "drape":
-        from gcd_dataset.generator.drape import tell_wait
+        from gcd_dataset.generator.drape import log_drape_time
 
-        tell_wait(len(plan.missing), plan.config.device, plan.config.resolution)
+        log_drape_time(len(plan.missing), plan.config.device, plan.config.resolution)
 
 
 def _as_json(config: MakeConfig) -> dict[str, Any]:
