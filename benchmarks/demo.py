@@ -49,7 +49,7 @@ def main() -> None:
         def on_progress(progress: Progress) -> None:
             bar.update(progress.done - bar.n)
 
-        made = generate(out / "garments", 2 * DESIGNS, seed=SEED, config=config, told=on_progress)
+        made = generate(out / "garments", 2 * DESIGNS, seed=SEED, config=config, on_progress=on_progress)
     print(", ".join(f"{count} {outcome.lower()}" for outcome, count in made.outcomes.items()) or "all made before")
 
     dataset = GarmentDataset(out / "garments")

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 import torch
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
-from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.loaders.base import Garments, load_items
 from gcd_dataset.loaders.isolated_rng import isolated_rng
@@ -17,14 +16,15 @@ from gcd_dataset.loaders.ranks import current_rank, require_rank
 from gcd_dataset.loaders.states import dataset_entries, position_in_state, require_whole
 from gcd_dataset.loaders.user_code import is_package_code, separate_user_code
 from gcd_dataset.loaders.worker import begin_worker, with_traceback
+from gcd_dataset.prefetch import prefetch
 
-__all__ = ["PREFETCH", "BatchIndices", "BatchMaker", "BatchPlan", "Collate", "Cursor", "IndexedPlan", "StreamPlan"]
+__all__ = ["BATCHES_AHEAD", "BatchIndices", "BatchMaker", "BatchPlan", "Collate", "Cursor", "IndexedPlan", "StreamPlan"]
 
 Collate: TypeAlias = Callable[[list[Any]], Any]
 Cursor: TypeAlias = Any
 """How far the training loop has come: a position for ``IndexedPlan``, a ``StreamCursor`` for ``StreamPlan``."""
 
-PREFETCH = 2  # batches
+BATCHES_AHEAD = 2  # batches
 END = object()  # of a stream
 
 
@@ -225,7 +225,7 @@ class _Pass(IterableDataset):
 
     def __iter__(self) -> Iterator[Any]:
         read = ((batch, self._maker.read(batch)) for batch in self._batches)
-        with closing(by_thread(read, PREFETCH, wait=True)) if self._read_ahead else nullcontext(read) as loaded:
+        with closing(prefetch(read, BATCHES_AHEAD, wait=True)) if self._read_ahead else nullcontext(read) as loaded:
             for batch, items in loaded:
                 yield self._maker.finish(batch, items)
 

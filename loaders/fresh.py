@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
-from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.maker import READY
 from gcd_dataset.loaders.base import (
@@ -30,6 +29,7 @@ from gcd_dataset.loaders.replay import Replay, ReplayRate, ReplayWindow
 from gcd_dataset.loaders.states import dataset_entries, position_in_state
 from gcd_dataset.loaders.transforms import Augment
 from gcd_dataset.loaders.worker import begin_worker, unwrap, with_traceback
+from gcd_dataset.prefetch import prefetch
 from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["FreshGarments"]
@@ -232,7 +232,7 @@ class _WorkerGarments(IterableDataset[list[Item] | GcdError]):
 
     def __iter__(self) -> Iterator[list[Item] | GcdError]:
         # Finished garments wait in the worker's private memory: a container's 64 MB of shared memory hold two a worker.
-        return self._made() if get_worker_info() is None else by_thread(self._made_or_error(), READY)
+        return self._made() if get_worker_info() is None else prefetch(self._made_or_error(), READY)
 
     def _made_or_error(self) -> Iterator[list[Item] | GcdError]:
         """The designs; then the error that ended them, if any, as a value."""

@@ -8,13 +8,13 @@ from typing import Any, cast
 import torch
 from torch.utils.data import Dataset, IterableDataset
 
-from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, require_integer
-from gcd_dataset.loaders.batch_plan import PREFETCH, BatchPlan, Collate, Cursor, IndexedPlan, StreamPlan
+from gcd_dataset.loaders.batch_plan import BATCHES_AHEAD, BatchPlan, Collate, Cursor, IndexedPlan, StreamPlan
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
 from gcd_dataset.loaders.worker import unwrap
+from gcd_dataset.prefetch import prefetch
 
 __all__ = ["GarmentLoader"]
 
@@ -153,4 +153,6 @@ def _prefetched(batches: Iterator[Any]) -> Generator[Any]:
     """The same batches, made by a thread while the caller works."""
     # A new thread's current device is GPU 0; pinning memory would then open a CUDA context on another rank's GPU.
     gpu = torch.cuda.current_device() if torch.cuda.is_initialized() else None  # type: ignore[no-untyped-call]
-    return by_thread(batches, PREFETCH, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True)
+    return prefetch(
+        batches, BATCHES_AHEAD, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True
+    )
