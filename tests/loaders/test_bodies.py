@@ -218,7 +218,7 @@ def test_a_missing_file_is_named(few: Path) -> None:
     assert PublishedBodies(few, fields=["straight"])[1]["straight"].shape == (4, 3)
     without = PublishedBodies(few, fields=["straight"])
     assert without.parts is None
-    with pytest.raises(BodyError, match="00000: which vertices are arms and legs is not known"):
+    with pytest.raises(BodyError, match="00000: the mesh has no labels for arms and legs"):
         without.person(0).body(without.mesh)
 
 
