@@ -9,7 +9,7 @@ from gcd_dataset import waits
 from gcd_dataset.by_thread import by_thread
 from gcd_dataset.generator.drapers import SharedDraper, address_for
 from gcd_dataset.generator.garments.overlay import Overlay
-from gcd_dataset.generator.maker import _Share, produce
+from gcd_dataset.generator.maker import _WorkerShare, produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.verbs.making import _encoded
@@ -69,8 +69,8 @@ def test_the_waits_of_a_draping_process_come_with_its_drapes_and_change_no_byte(
     alone = [encode_sample(sample) for sample in produce(5, [0], DRAPED)]
     place = address_for("cpu")
     with SharedDraper(place):  # started: what it waits from here on is counted
-        share = _Share(5, (0,), DRAPED, place, finished=_encoded, pictured=True)
-        made = list(share.made())
+        share = _WorkerShare(5, (0,), DRAPED, place, finished=_encoded, pictured=True)
+        made = list(share.run())
     assert [members for _, members in made] == alone
     waited = added(*(stored.waits for stored, _ in made), taken())
     assert set(waited) >= {"cpu", MAKERS}

@@ -8,7 +8,7 @@ from gcd_dataset.generator.body import build_body
 from gcd_dataset.generator.body.by_name import shape_by_name
 from gcd_dataset.generator.body.measuring import measure_closely
 from gcd_dataset.generator.body.mesh_bodies import measure_file
-from gcd_dataset.generator.body.tailor import Taken
+from gcd_dataset.generator.body.tailor import MeasureResult
 
 __all__ = ["measured_text"]
 
@@ -27,7 +27,7 @@ def measured_text(body: str, landmarks: Path | None = None, segmentation: Path |
     return "".join(f"# {comment}\n" for comment in comments) + measurements_text(taken.measurements)
 
 
-def _border_remarks(taken: Taken) -> list[str]:
+def _border_remarks(taken: MeasureResult) -> list[str]:
     """One line a girth whose search ended on its border."""
     return [
         f"{girth}: taken at {taken.levels[girth]:.1f} cm, {abs(by):.1f} cm {'above' if by > 0 else 'below'} where it "

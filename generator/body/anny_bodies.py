@@ -7,7 +7,7 @@ from jaxtyping import Float, Int, UInt8
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from gcd_dataset.generator.body.asset import MIRROR, mirrored_mesh, own_half, refinement
+from gcd_dataset.generator.body.asset import MIRROR, mirrored_mesh, refinement, stored_half
 from gcd_dataset.generator.body.pose import stand
 from gcd_dataset.records import BodyPart
 
@@ -58,7 +58,7 @@ class AnnyBodies:
         batches = [self._bodies(controls[start : start + BATCH]) for start in range(0, len(controls), BATCH)]
         vertices, joints = (np.concatenate(part) for part in zip(*batches, strict=True))
         ground = np.array([0.0, 1.0, 0.0]) * vertices[:, :, 1].min(axis=1)[:, None, None]
-        return (vertices - ground)[:, own_half(self.mirror)], joints - ground
+        return (vertices - ground)[:, stored_half(self.mirror)], joints - ground
 
     def whole(self, half: Float[np.ndarray, "h 3"]) -> Float[np.ndarray, "w 3"]:
         """A body as it is measured and dressed: mirrored and refined."""

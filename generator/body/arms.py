@@ -9,13 +9,13 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.register import ARMS, PIVOT, Guess, Registration, joints_of, laid_over
+from gcd_dataset.generator.body.register import ARMS, PIVOT, Alignment, Registration, joints_of, registration_at
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import Record
 
-__all__ = ["HELD_OTHERWISE", "Arms", "held_otherwise", "own_arms_laid"]
+__all__ = ["A_POSE_TOLERANCE", "Arms", "model_mesh_in_a_pose", "turn_off_a_pose"]
 
-HELD_OTHERWISE = np.radians(20.0)
+A_POSE_TOLERANCE = np.radians(20.0)
 """Turn of an arm from the A-pose beyond which it is laid back to be measured; drawn bodies have up to 15°."""
 
 A_POSE = np.radians(47.0)  # arm_pose_angle of the mean body
@@ -33,7 +33,7 @@ class Arms(Record):
     @classmethod
     def of(cls, surface: SkinSurface, held: Registration) -> Self:
         """The arms of a model as it lies on a surface."""
-        return cls(held, laid_over(surface, held.guess.with_arms_hanging()))
+        return cls(held, registration_at(surface, held.guess.in_a_pose()))
 
     @property
     def turn(self) -> float:
@@ -54,7 +54,7 @@ class Arms(Record):
         return self._placed(still + np.einsum("na,aij,naj->ni", share, self._turns(), arms))
 
     @property
-    def _guess(self) -> Guess:
+    def _guess(self) -> Alignment:
         return self.held.guess
 
     def _turns(self) -> Float[np.ndarray, "2 3 3"]:
@@ -71,13 +71,13 @@ class Arms(Record):
         return (points - PIVOT) @ self._guess.turn.T + PIVOT + self._guess.place[:3]
 
 
-def held_otherwise(arm_pose_angle: float) -> float:
+def turn_off_a_pose(arm_pose_angle: float) -> float:
     """By how much an arm is held off the A-pose, where it has to be laid there to be measured, or 0 [rad]."""
     off = abs(arm_pose_angle - A_POSE)
-    return off if off > HELD_OTHERWISE else 0.0
+    return off if off > A_POSE_TOLERANCE else 0.0
 
 
-def own_arms_laid(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
+def model_mesh_in_a_pose(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
     """A body of our own mesh with its arms in the A-pose, wherever they are.
 
     The shape is that of the trunk, which follows no joint; the turn of an arm is that of what follows it altogether.

@@ -25,13 +25,13 @@ __all__ = [
     "COARSE_PARTS",
     "MIRROR",
     "BodyModel",
-    "Landmarks",
+    "LandmarkTable",
     "body_model",
     "checked_data",
-    "landmarks",
+    "landmark_table",
     "mirrored_mesh",
-    "own_half",
     "refinement",
+    "stored_half",
 ]
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -58,7 +58,7 @@ class BodyModel(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Landmarks(Record):
+class LandmarkTable(Record):
     """Vertices with an anatomical meaning, by name."""
 
     points: Mapping[str, int]
@@ -99,11 +99,11 @@ def _model_from(half: Mapping[str, Any]) -> BodyModel:
 
 
 @functools.cache
-def landmarks() -> Landmarks:
+def landmark_table() -> LandmarkTable:
     """The landmarks of our own mesh."""
     table = json.loads(_data("landmarks.json"))
     rings = {name: np.array(ids) for name, ids in table["rings"].items()}
-    return Landmarks(
+    return LandmarkTable(
         {name: entry["vertex"] for name, entry in table["points"].items()},
         rings,
         table["levels"],
@@ -127,14 +127,14 @@ def refinement(
     return finer, fine_faces, shares.argmax(axis=1).astype(np.uint8)
 
 
-def own_half(mirror: Int[np.ndarray, " v"]) -> Int[np.ndarray, " h"]:
+def stored_half(mirror: Int[np.ndarray, " v"]) -> Int[np.ndarray, " h"]:
     """The vertices that are stored: those that come before their mirror images, or are their own."""
     return np.flatnonzero(np.arange(len(mirror)) <= mirror)
 
 
 def mirrored_mesh(half: Float[np.ndarray, "*k h 3"], mirror: Int[np.ndarray, " v"]) -> Float[np.ndarray, "*k v 3"]:
     """Both halves from the one that is stored; what is its own mirror image lies in the plane x = 0."""
-    own = own_half(mirror)
+    own = stored_half(mirror)
     whole = np.empty((*half.shape[:-2], len(mirror), 3))
     whole[..., mirror[own], :] = half * MIRROR
     whole[..., own, :] = half

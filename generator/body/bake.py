@@ -26,7 +26,7 @@ from jaxtyping import Float
 
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body.anny_bodies import LOCAL, AnnyBodies
-from gcd_dataset.generator.body.asset import landmarks
+from gcd_dataset.generator.body.asset import landmark_table
 from gcd_dataset.generator.body.tailor import find_sites, take_measures
 
 __all__ = ["bake"]
@@ -131,7 +131,7 @@ class _Tailor:
 
     def _sized(self, half: np.ndarray) -> dict[str, float]:
         vertices = self.bodies.whole(half)
-        crotch = float(vertices[landmarks().points["crotch_point"], 1])
+        crotch = float(vertices[landmark_table().points["crotch_point"], 1])
         return take_measures(vertices, self._sites).to_file_values() | {"crotch_height": crotch}
 
 

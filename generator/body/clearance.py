@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 from jaxtyping import Int
 
-from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.section import section_points
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.records import Body, BodyPart
@@ -19,7 +19,7 @@ ARMPIT = 3.0  # cm below the underarm point, where arm and trunk part: armholes 
 
 def arm_clearance(body: Body) -> float:
     """Least distance between the tapes round an arm and round the trunk, a little below the armpits [cm]."""
-    level = body.vertices[landmarks().points["underarm_right"], Y] - ARMPIT
+    level = body.vertices[landmark_table().points["underarm_right"], Y] - ARMPIT
     trunk, *arms = (_tape(body, part, level) for part in (BodyPart.TRUNK, BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM))
     return float(min(shapely.distance(trunk, arm) for arm in arms))
 

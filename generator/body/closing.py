@@ -10,8 +10,8 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.holes import Holes, sides_of
-from gcd_dataset.generator.body.scan import same_places
+from gcd_dataset.generator.body.holes import Holes, half_edges_of
+from gcd_dataset.generator.body.scan import coincident_vertices
 from gcd_dataset.records import BodyPart, Record
 
 __all__ = ["WIDEST_HOLE", "ClosedSkin"]
@@ -78,17 +78,17 @@ def _joined(vertices: np.ndarray, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarr
 
     Only rims: skins that touch elsewhere, such as closed lips, are no seam.
     """
-    sides, times = sides_of(faces)
+    sides, times = half_edges_of(faces)
     rims = np.unique(sides[times == 1])
     if not len(rims):
         return faces
-    joined = same_places(vertices, rims)[faces]
+    joined = coincident_vertices(vertices, rims)[faces]
     return joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
 
 
 def _wound(faces: Int[np.ndarray, "f 3"], name: str) -> Int[np.ndarray, "f 3"]:
     """The faces of each piece all to the same side, as most of them look. Raises ``BodyError`` where none is."""
-    sides, times = sides_of(faces)
+    sides, times = half_edges_of(faces)
     if (times > 2).any():
         raise BodyError(
             f"{name}: {int((times > 2).sum())} sides of faces are shared by three and more, so inside and outside are "

@@ -1,21 +1,21 @@
-"""Landmarks and parts of a mesh from its geometry alone: our body model is laid over it and tells where they are."""
+"""LandmarkTable and parts of a mesh from its geometry alone: our body model is laid over it and tells where they are."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.holes import VisibleSkin
-from gcd_dataset.generator.body.marks import Marks, levels_of, own_marks
+from gcd_dataset.generator.body.landmarks import Landmarks, levels_of, model_landmarks
 from gcd_dataset.generator.body.register import Registration, model_height
 from gcd_dataset.generator.body.scan import Scan
-from gcd_dataset.generator.body.section import girth, outline, section, section_points
+from gcd_dataset.generator.body.section import contour_length, girth, section, section_points
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import BodyPart
 
-__all__ = ["found_marks", "found_parts"]
+__all__ = ["find_landmarks", "find_parts"]
 
 AROUND = 6.0  # cm about a landmark, where the model's misfit tells how sure it is
 WRIST_SEARCH = np.arange(-6, 7) * 0.5  # cm along the forearm
@@ -25,12 +25,12 @@ BEHIND = 0.5  # cm behind the model's closed lips and lids, where a mouth or a s
 HALF_SURE = 1.5  # cm of misfit at which it is as likely wrong as right
 
 
-def found_marks(
+def find_landmarks(
     scan: Scan, surface: SkinSurface, registration: Registration, scale: float, shift: Float[np.ndarray, "3"]
-) -> Marks:
+) -> Landmarks:
     """The model's landmarks on the nearest skin; ``surface`` is the scan's, times ``scale`` and shifted."""
-    model = own_marks(registration.vertices)
-    beside = {name: model_height() * share for name, share in landmarks().beside.items()}
+    model = model_landmarks(registration.vertices)
+    beside = {name: model_height() * share for name, share in landmark_table().beside.items()}
     sought = {name: (at + beside.get(name, 0.0))[None] for name, at in model.points.items()} | dict(model.rings)
     near = {name: surface.nearest(at) for name, at in sought.items()}
     tree = cKDTree(registration.vertices)
@@ -46,7 +46,7 @@ def found_marks(
     rings["wrist_right"] = narrowest_ring(
         scan.vertices, scan.faces[wrist], rings["wrist_right"], WRIST_SEARCH / scale, scan.patched[wrist]
     )
-    return Marks(points, rings, levels_of(rings, float(np.ptp(scan.vertices[:, 1]))), confidence)
+    return Landmarks(points, rings, levels_of(rings, float(np.ptp(scan.vertices[:, 1]))), confidence)
 
 
 def narrowest_ring(
@@ -66,7 +66,7 @@ def narrowest_ring(
     points, level = section_points(turned, unique_edges(faces)[0], 1, offsets)
     if len(np.unique(level)) < len(offsets):
         raise BodyError("no skin is met round the right wrist: mend the mesh there")
-    if any(outline(section(turned, faces[patched], 1, offset)) > BRIDGED for offset in offsets):
+    if any(contour_length(section(turned, faces[patched], 1, offset)) > BRIDGED for offset in offsets):
         raise BodyError("the skin round the right wrist has a hole: close it, and give a whole hand")
     loops = [points[level == offset] for offset in offsets]
     narrowest = min(loops, key=lambda loop: girth(loop[:, [0, 2]]))
@@ -81,7 +81,7 @@ def _near(vertices: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray
     return cKDTree(points).query(vertices, distance_upper_bound=radius)[0] < radius
 
 
-def found_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) -> UInt8[np.ndarray, " v"]:
+def find_parts(vertices: Float[np.ndarray, "v 3"], registration: Registration) -> UInt8[np.ndarray, " v"]:
     """``BodyPart`` of each vertex: that of the nearest vertex of the model's skin, or internal well behind it."""
     model = body_model()
     internal = model.parts == BodyPart.INTERNAL.value

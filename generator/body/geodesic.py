@@ -14,14 +14,14 @@ from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import Record
 
-__all__ = ["WayNet", "net_between"]
+__all__ = ["GeodesicGraph", "graph_between"]
 
 
 WAY_BAND = 0.035  # of the way's length: how far from the rough way the shortest one is looked for
 
 
 @dataclass(frozen=True, eq=False)
-class WayNet(Record):
+class GeodesicGraph(Record):
     """A net of straight ways over some faces: between their corners and points evenly spaced on their edges.
 
     Its shortest ways are geodesics but for the spacing of the points (Lanthier, Maheshwari and Sack, 1997).
@@ -62,7 +62,7 @@ class WayNet(Record):
         ends = np.searchsorted(corners, [start, end])
         return cls(corners, edges, shares, ways, _starts(ways, count), squares, (int(ends[0]), int(ends[1])))
 
-    def leading_on(self, vertices: Float[np.ndarray, "v 3"], *, least: float) -> Self:
+    def without_detours(self, vertices: Float[np.ndarray, "v 3"], *, least: float) -> Self:
         """The net without ways that turn aside: their cosine with the straight line is under ``least``."""
         nodes = self._nodes(vertices)
         ahead = nodes[self.ends[1]] - nodes[self.ends[0]]
@@ -70,7 +70,7 @@ class WayNet(Record):
         kept = along @ ahead > least * np.linalg.norm(along, axis=1) * np.linalg.norm(ahead)
         return self._with(kept)
 
-    def direct_on(self, vertices: Float[np.ndarray, "v 3"], *, most: float) -> Self:
+    def near_shortest(self, vertices: Float[np.ndarray, "v 3"], *, most: float) -> Self:
         """The net without ways that only serve longer ones: by more than ``most`` than the shortest [their unit]."""
         graph = self._graph(vertices)
         there, back = (dijkstra(one, indices=end) for one, end in zip((graph, graph.T), self.ends, strict=True))
@@ -130,12 +130,12 @@ def _by_row(values: Float[np.ndarray, "w 3"], columns: Int[np.ndarray, "w 3"], w
     return csr_matrix((values.ravel(), columns.ravel(), np.arange(0, values.size + 1, 3)), shape=(len(values), width))
 
 
-def net_between(
+def graph_between(
     vertices: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "f 3"],
     start: Float[np.ndarray, "3"],
     end: Float[np.ndarray, "3"],
-) -> tuple[WayNet, Float[np.ndarray, "w 3"]]:
+) -> tuple[GeodesicGraph, Float[np.ndarray, "w 3"]]:
     """A net for the shortest way between two points of the skin, and the vertices with these two added.
 
     The way is sought in a tube about the straight line, which widens until the skin in it joins the points.
@@ -148,11 +148,11 @@ def net_between(
     for width in (0.15, 0.3, 0.6):
         straight = np.linspace(start, end, 100)
         tube = faces[_near(vertices, straight, width * apart)[faces].any(axis=1)]
-        rough = WayNet.over(tube, first, last, points_per_edge=1)
+        rough = GeodesicGraph.over(tube, first, last, points_per_edge=1)
         if np.isfinite(rough.length(vertices)):
             path = rough.path(vertices)
             band = tube[_near(vertices, _filled_in(path), max(WAY_BAND * apart, longest))[tube].any(axis=1)]
-            return WayNet.over(band, first, last, points_per_edge=4), vertices
+            return GeodesicGraph.over(band, first, last, points_per_edge=4), vertices
     raise BodyError("no skin leads from the shoulder to the wrist: mend the mesh of the right arm")
 
 

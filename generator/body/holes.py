@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist
 
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = ["Holes", "VisibleSkin", "sides_of"]
+__all__ = ["Holes", "VisibleSkin", "half_edges_of"]
 
 MANY = 2000  # points of a rim, of which no more are compared pair by pair
 
@@ -31,7 +31,7 @@ class Holes(Record):
     @classmethod
     def of(cls, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> "Holes":
         """The holes of a skin, one for each piece of rim that hangs together."""
-        sides, times = sides_of(faces)
+        sides, times = half_edges_of(faces)
         rims = sides[times == 1]
         if not len(rims):
             return cls(rims, np.empty(0, int), np.empty((0, 3)), np.empty(0))
@@ -75,7 +75,7 @@ class VisibleSkin(Record):
         return np.concatenate([vertices, *(vertices[rim].mean(axis=0, keepdims=True) for rim in self.rims)])
 
 
-def sides_of(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "s 2"], Int[np.ndarray, " s"]]:
+def half_edges_of(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "s 2"], Int[np.ndarray, " s"]]:
     """The three sides of each face as it runs along them, and how many faces have each, either way."""
     sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     low, high = np.sort(sides, axis=1).astype(np.int64).T

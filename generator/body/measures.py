@@ -1,6 +1,6 @@
 """Ways of a tape, one function each, on landmarks and on sections found beforehand: what measures are taken by.
 
-``gcd_dataset.measurements`` says which measure goes which way. Landmarks may come in batches, ``(*batch, 3)``; a
+``gcd_dataset.measurements`` says which measure goes which way. LandmarkTable may come in batches, ``(*batch, 3)``; a
 section is the points (n, 3) or segments (s, 2, 3) where a plane cuts one body. Everything is in cm and radians.
 """
 

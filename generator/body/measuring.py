@@ -8,21 +8,26 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.arms import HELD_OTHERWISE, Arms, held_otherwise, own_arms_laid
+from gcd_dataset.generator.body.arms import A_POSE_TOLERANCE, Arms, model_mesh_in_a_pose, turn_off_a_pose
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.doubts import require_body_alone, require_free_limbs, require_skin, underbust_doubt
-from gcd_dataset.generator.body.find import found_marks, found_parts
-from gcd_dataset.generator.body.geodesic import net_between
-from gcd_dataset.generator.body.marks import GivenMarks, Marks, own_marks
+from gcd_dataset.generator.body.find import find_landmarks, find_parts
+from gcd_dataset.generator.body.geodesic import graph_between
+from gcd_dataset.generator.body.landmarks import GivenLandmarks, Landmarks, model_landmarks
 from gcd_dataset.generator.body.measures import sinking
-from gcd_dataset.generator.body.register import Registration, laid_over, register
+from gcd_dataset.generator.body.mesh_checks import (
+    require_body_alone,
+    require_free_limbs,
+    require_skin,
+    underbust_uncertainty,
+)
+from gcd_dataset.generator.body.register import Registration, register, registration_at
 from gcd_dataset.generator.body.scan import Scan
 from gcd_dataset.generator.body.surface import SkinSurface
-from gcd_dataset.generator.body.tailor import Taken, own_sites, sites_of, take
-from gcd_dataset.generator.body.upright import Placed, Placing, placed
+from gcd_dataset.generator.body.tailor import MeasureResult, model_sites, sites_of, take
+from gcd_dataset.generator.body.upright import StandingTransform, UprightScan, placed
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
 
-__all__ = ["FoundBody", "fit_tape", "measure", "measure_closely", "take_own"]
+__all__ = ["FoundBody", "find_body", "measure", "measure_closely", "measure_model_mesh"]
 
 
 def measure(body: Body) -> Measurements:
@@ -30,29 +35,29 @@ def measure(body: Body) -> Measurements:
     return measure_closely(body).measurements
 
 
-def measure_closely(body: Body) -> Taken:
+def measure_closely(body: Body) -> MeasureResult:
     """The measures of a body, with the levels of its girths and which of them end on the border of the search."""
     vertices = np.asarray(body.vertices, float)
     own = body_model().faces
     if body.faces is own or np.array_equal(body.faces, own):
-        return take_own(vertices)
-    return fit_tape(vertices, body.faces, body.name).taken
+        return measure_model_mesh(vertices)
+    return find_body(vertices, body.faces, body.name).taken
 
 
-def take_own(vertices: Float[np.ndarray, "v 3"]) -> Taken:
+def measure_model_mesh(vertices: Float[np.ndarray, "v 3"]) -> MeasureResult:
     """The measures of a body of our own mesh, as with its arms about in the A-pose.
 
     Where they are held otherwise they are laid there first, and only ``arm_pose_angle`` tells how they are held.
     """
-    marks = own_marks(vertices)
+    marks = model_landmarks(vertices)
     angle = float(sinking(marks.points["shoulder_right"], marks.points["wrist_right"]))
-    if not held_otherwise(angle):
-        return take(vertices, marks, own_sites())
-    laid = own_arms_laid(vertices)
-    return _with_arms_at(angle, take(laid, own_marks(laid), own_sites()))
+    if not turn_off_a_pose(angle):
+        return take(vertices, marks, model_sites())
+    laid = model_mesh_in_a_pose(vertices)
+    return _with_arms_at(angle, take(laid, model_landmarks(laid), model_sites()))
 
 
-def _with_arms_at(angle: float, taken: Taken) -> Taken:
+def _with_arms_at(angle: float, taken: MeasureResult) -> MeasureResult:
     return replace(taken, measurements=replace(taken.measurements, arm_pose_angle=angle))
 
 
@@ -60,12 +65,12 @@ def _with_arms_at(angle: float, taken: Taken) -> Taken:
 class FoundBody(Record):
     """What was found out about a mesh of which nothing was known."""
 
-    taken: Taken
-    marks: Marks
+    taken: MeasureResult
+    marks: Landmarks
     """In the turned mesh's coordinates, soles at y = 0 [cm]."""
     parts: UInt8[np.ndarray, " v"]
     """``BodyPart`` of each vertex of the mesh as it came; loose pieces are internal."""
-    placing: Placing
+    placing: StandingTransform
     """What makes the mesh stand upright and face +z at y = 0."""
     misfit: float
     """Mean distance of our body model from the skin, as it was laid over it [cm of a body of 172 cm]."""
@@ -73,7 +78,7 @@ class FoundBody(Record):
     """By how much the arms were turned to the A-pose to be measured [rad]; 0 where they were near it."""
     holes: Float[np.ndarray, " h"]
     """Distance across each hole in the skin [cm]."""
-    underbust_off: float
+    underbust_error: float
     """By how much the underbust may be off, as its level is not sure [cm]."""
     edge: float
     """Mean length of the mesh's edges [cm]."""
@@ -81,12 +86,12 @@ class FoundBody(Record):
     """How far its triangles lie under a smooth skin on average [cm]."""
 
 
-def fit_tape(
+def find_body(
     vertices: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "f 3"],
     name: str = "body",
     *,
-    given: GivenMarks | None = None,
+    given: GivenLandmarks | None = None,
     parts: UInt8[np.ndarray, " v"] | None = None,
 ) -> FoundBody:
     """A mesh [cm] measured by what is found on it; ``given`` landmarks and ``parts`` take the place of those found.
@@ -99,15 +104,15 @@ def fit_tape(
     scan, scale, shift = standing.scan, standing.scale, standing.shift
     registration = register(standing.surface, standing.guess)
     require_body_alone(scan, standing.surface, registration, name)
-    labels = found_parts(scan.vertices * scale + shift, registration)
+    labels = find_parts(scan.vertices * scale + shift, registration)
     if parts is not None:
         labels[scan.source] = parts
     lowered = _Lowered.of(standing, registration)
     try:
-        marks = found_marks(lowered.scan, lowered.surface, lowered.registration, scale, shift)
+        marks = find_landmarks(lowered.scan, lowered.surface, lowered.registration, scale, shift)
         if given is not None:
             marks = given.over(marks, lowered)
-        net, mesh = net_between(
+        net, mesh = graph_between(
             lowered.scan.vertices, scan.faces, marks.points["shoulder_right"], marks.points["wrist_right"]
         )
         sites = sites_of(lowered.scan.vertices, scan.faces, labels, marks, net)
@@ -125,7 +130,7 @@ def fit_tape(
         misfit=registration.guess.misfit,
         arms=lowered.turn,
         holes=scan.holes,
-        underbust_off=underbust_doubt(lowered.scan, sites, taken, registration.guess.misfit),
+        underbust_error=underbust_uncertainty(lowered.scan, sites, taken, registration.guess.misfit),
         edge=scan.edge,
         sagitta=scan.sagitta,
     )
@@ -135,7 +140,7 @@ def fit_tape(
 class _Lowered(Record):
     """A standing scan with its arms in the A-pose: as it came, where they are nearly there."""
 
-    standing: Placed
+    standing: UprightScan
     arms: Arms | None
     """What moved them."""
     scan: Scan
@@ -143,15 +148,15 @@ class _Lowered(Record):
     registration: Registration
 
     @classmethod
-    def of(cls, standing: Placed, registration: Registration) -> Self:
+    def of(cls, standing: UprightScan, registration: Registration) -> Self:
         scan = standing.scan
-        if np.linalg.norm(registration.guess.arm_turns, axis=1).max() < HELD_OTHERWISE:
+        if np.linalg.norm(registration.guess.arm_turns, axis=1).max() < A_POSE_TOLERANCE:
             return cls(standing, None, scan, standing.surface, registration)
         arms = Arms.of(standing.surface, registration)
         scaled = arms.laid(scan.vertices * standing.scale + standing.shift)
         surface = SkinSurface.of(scaled, scan.faces, scan.patched)
         scan = replace(scan, vertices=(scaled - standing.shift) / standing.scale)
-        return cls(standing, arms, scan, surface, laid_over(surface, arms.hanging.guess))
+        return cls(standing, arms, scan, surface, registration_at(surface, arms.hanging.guess))
 
     @property
     def turn(self) -> float:
@@ -162,15 +167,15 @@ class _Lowered(Record):
         points = self.standing.placing.apply(points)
         return points if self.arms is None else self._moved(self.arms.laid, points)
 
-    def marks_as_held(self, marks: Marks) -> Marks:
-        """Landmarks where they are on the body as it stands."""
+    def marks_as_held(self, marks: Landmarks) -> Landmarks:
+        """LandmarkTable where they are on the body as it stands."""
         if self.arms is None:
             return marks
         points = {name: self._moved(self.arms.held_at, at[None])[0] for name, at in marks.points.items()}
         rings = {name: self._moved(self.arms.held_at, ring) for name, ring in marks.rings.items()}
         return replace(marks, points=points, rings=rings)
 
-    def as_held(self, taken: Taken, marks: Marks) -> Taken:
+    def as_held(self, taken: MeasureResult, marks: Landmarks) -> MeasureResult:
         """The measures with the one that tells how the arms are held."""
         points = self.marks_as_held(marks).points
         return _with_arms_at(float(sinking(points["shoulder_right"], points["wrist_right"])), taken)

@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.bodyfiles import read_body_parts, read_measurements
-from gcd_dataset.generator.body.arms import held_otherwise
-from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.arms import turn_off_a_pose
+from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.closing import ClosedSkin
-from gcd_dataset.generator.body.marks import read_marks
-from gcd_dataset.generator.body.measuring import FoundBody, fit_tape, take_own
+from gcd_dataset.generator.body.landmarks import read_landmarks
+from gcd_dataset.generator.body.measuring import FoundBody, find_body, measure_model_mesh
 from gcd_dataset.generator.body.meshfile import read_mesh
 from gcd_dataset.generator.body.pose import stand
-from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, Taken
+from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, MeasureResult
 from gcd_dataset.generator.body.upright import UNITS, unit_of
 from gcd_dataset.measurements import MEASURE
 from gcd_dataset.records import Body, Measurements, Record
@@ -48,11 +48,11 @@ class _Mesh(Record):
     """[cm]"""
 
     @property
-    def stands_as_ours(self) -> bool:
+    def is_upright_model_mesh(self) -> bool:
         """Whether it is a body of our own mesh, upright and facing +z."""
         if not np.array_equal(self.faces, body_model().faces):
             return False
-        at = {name: self.vertices[vertex] for name, vertex in landmarks().points.items()}
+        at = {name: self.vertices[vertex] for name, vertex in landmark_table().points.items()}
         tall = np.ptp(self.vertices, axis=0)[1]
         return bool(
             at["nape_of_neck"][1] - at["crotch_point"][1] > 0.25 * tall
@@ -80,32 +80,32 @@ def read_body(
     if measurements is not None and parts is not None:
         unit_of(float(np.ptp(raw.vertices[:, 1])), f"{raw.path}: along y")
         return _closed(raw, stand(raw.vertices * raw.unit), parts), read_measurements(measurements)
-    if raw.stands_as_ours:
+    if raw.is_upright_model_mesh:
         vertices = stand(raw.vertices * raw.unit)
-        taken, found_parts = take_own(vertices), body_model().parts
+        taken, find_parts = measure_model_mesh(vertices), body_model().parts
     else:
         fitted = _fitted(raw, given, parts)
         for remark in _remarks(raw, fitted):
             log.info("%s: %s", raw.path, remark)
-        vertices, taken, found_parts = fitted.placing.apply(raw.vertices * raw.unit), fitted.taken, fitted.parts
-    body = _closed(raw, vertices, found_parts if parts is None else parts)
+        vertices, taken, find_parts = fitted.placing.apply(raw.vertices * raw.unit), fitted.taken, fitted.parts
+    body = _closed(raw, vertices, find_parts if parts is None else parts)
     return body, taken.measurements if measurements is None else read_measurements(measurements)
 
 
 def measure_file(
     mesh: Path | str, given: Path | str | None = None, segmentation: Path | str | None = None
-) -> tuple[Taken, list[str]]:
+) -> tuple[MeasureResult, list[str]]:
     """The measures of the body in a mesh file, and remarks on how they were found.
 
-    The skin need not be closed: see ``measuring.fit_tape``. Raises ``BodyError`` with the file and a remedy.
+    The skin need not be closed: see ``measuring.find_body``. Raises ``BodyError`` with the file and a remedy.
     """
     raw = _read_mesh(Path(mesh))
-    if raw.stands_as_ours and given is None and segmentation is None:
+    if raw.is_upright_model_mesh and given is None and segmentation is None:
         vertices = stand(raw.vertices * raw.unit)
-        taken = take_own(vertices)
+        taken = measure_model_mesh(vertices)
         return taken, [
             "our own mesh: landmarks known by vertex",
-            *_arms(held_otherwise(taken.measurements.arm_pose_angle)),
+            *_arms(turn_off_a_pose(taken.measurements.arm_pose_angle)),
         ]
     parts = None if segmentation is None else read_body_parts(Path(segmentation), len(raw.vertices), raw.path)
     fitted = _fitted(raw, given, parts)
@@ -113,8 +113,8 @@ def measure_file(
 
 
 def _fitted(raw: _Mesh, given: Path | str | None, parts: UInt8[np.ndarray, " v"] | None) -> FoundBody:
-    marks = None if given is None else read_marks(Path(given), raw.vertices, raw.unit)
-    return fit_tape(raw.vertices * raw.unit, raw.faces, str(raw.path), given=marks, parts=parts)
+    marks = None if given is None else read_landmarks(Path(given), raw.vertices, raw.unit)
+    return find_body(raw.vertices * raw.unit, raw.faces, str(raw.path), given=marks, parts=parts)
 
 
 def _closed(raw: _Mesh, vertices: Float[np.ndarray, "v 3"], parts: UInt8[np.ndarray, " v"]) -> Body:
@@ -159,9 +159,9 @@ def _remarks(raw: _Mesh, fitted: FoundBody) -> list[str]:
     remarks.append(f"landmarks found {fitted.misfit:.2f} cm from the nearest body of our shape space on average")
     if fitted.misfit > UNLIKE:
         remarks.append("doubtful: unlike any adult of our shape space: check the measures")
-    if fitted.underbust_off > UNDERBUST_OFF:
+    if fitted.underbust_error > UNDERBUST_OFF:
         remarks.append(
-            f"doubtful: underbust may be up to {fitted.underbust_off:.1f} cm off: it changes much with its level"
+            f"doubtful: underbust may be up to {fitted.underbust_error:.1f} cm off: it changes much with its level"
         )
     unsure = [f"{name} {sure:.2f}" for name, sure in fitted.marks.confidence.items() if sure < UNSURE]
     if unsure:

@@ -21,14 +21,14 @@ from gcd_dataset.records import BodyPart, Record
 __all__ = [
     "ARMS",
     "PIVOT",
-    "Guess",
+    "Alignment",
     "Registration",
-    "coarse_guess",
+    "coarse_alignment",
     "joints_of",
-    "laid_over",
     "model_height",
-    "quick_guess",
+    "quick_alignment",
     "register",
+    "registration_at",
 ]
 
 ROUGH, FINE = 500, 1600  # points of the model that are laid on the surface
@@ -49,7 +49,7 @@ SPARSE = {BodyPart.HANDS: 0.3, BodyPart.INTERNAL: 0.0}
 
 
 @dataclass(frozen=True, eq=False)
-class Guess(Record):
+class Alignment(Record):
     """Weights and place of a model that lies on a surface."""
 
     weights: Float[np.ndarray, " k"]
@@ -67,7 +67,7 @@ class Guess(Record):
         """How each arm is turned from the A-pose, in the order of ``ARMS``: rotation vectors [rad]."""
         return self.place[6:12].reshape(2, 3)
 
-    def with_arms_hanging(self) -> "Guess":
+    def in_a_pose(self) -> "Alignment":
         """The same body in the A-pose."""
         place = self.place.copy()
         place[6:12] = 0.0
@@ -82,7 +82,7 @@ class Registration(Record):
     """[cm]"""
     distances: Float[np.ndarray, " v"]
     """Of each vertex from the surface [cm]."""
-    guess: Guess
+    guess: Alignment
 
 
 @dataclass(frozen=True)
@@ -105,34 +105,34 @@ def model_height() -> float:
     return float(np.ptp(body_model().mean[:, 1]))
 
 
-def coarse_guess(surface: SkinSurface) -> Guess:
+def coarse_alignment(surface: SkinSurface) -> Alignment:
     """The better of the guesses from raised and from lowered arms, for a surface as tall as the model."""
     return min((_fitted(surface, _start(raised), COARSE) for raised in ARM_STARTS), key=lambda guess: guess.misfit)
 
 
-def quick_guess(surface: SkinSurface) -> Guess:
+def quick_alignment(surface: SkinSurface) -> Alignment:
     """A guess that is good enough to tell one way of standing from another."""
     return _fitted(surface, _start(ARM_STARTS[-1] / 2), QUICK)
 
 
-def register(surface: SkinSurface, guess: Guess) -> Registration:
+def register(surface: SkinSurface, guess: Alignment) -> Registration:
     """The model laid closely on a surface as tall as itself, from a coarse guess."""
-    return laid_over(surface, _fitted(surface, guess, CLOSER))
+    return registration_at(surface, _fitted(surface, guess, CLOSER))
 
 
-def laid_over(surface: SkinSurface, guess: Guess) -> Registration:
+def registration_at(surface: SkinSurface, guess: Alignment) -> Registration:
     """The model where a guess puts it, with its distances from the surface."""
     vertices = _posed(guess, np.arange(len(body_model().mean)))[0]
     return Registration(vertices, surface.nearest(vertices).distances, guess)
 
 
-def _start(raised: float) -> Guess:
+def _start(raised: float) -> Alignment:
     place = np.zeros(PLACE)
     place[[8, 11]] = raised, -raised
-    return Guess(np.zeros(len(body_model().components)), place, np.inf)
+    return Alignment(np.zeros(len(body_model().components)), place, np.inf)
 
 
-def _fitted(surface: SkinSurface, guess: Guess, stages: Sequence[_Stage]) -> Guess:
+def _fitted(surface: SkinSurface, guess: Alignment, stages: Sequence[_Stage]) -> Alignment:
     for stage in stages:
         ids = _spread_points(stage.points)
         for _ in range(stage.steps):
@@ -142,7 +142,7 @@ def _fitted(surface: SkinSurface, guess: Guess, stages: Sequence[_Stage]) -> Gue
     return guess
 
 
-def _step(surface: SkinSurface, guess: Guess, ids: np.ndarray, stage: _Stage) -> tuple[Guess, float]:
+def _step(surface: SkinSurface, guess: Alignment, ids: np.ndarray, stage: _Stage) -> tuple[Alignment, float]:
     """One Gauss-Newton step, and how far it moved a point on average [cm]."""
     points, frames = _posed(guess, ids)
     near = surface.nearest(points)
@@ -163,7 +163,7 @@ def _step(surface: SkinSurface, guess: Guess, ids: np.ndarray, stage: _Stage) ->
     step = np.linalg.solve(matrix, right)
     moved = float(np.linalg.norm(slopes @ step, axis=1).mean())
     place, weights = guess.place + step[:PLACE], guess.weights + step[PLACE:]
-    return Guess(weights, place, float(near.distances.mean())), moved
+    return Alignment(weights, place, float(near.distances.mean())), moved
 
 
 def _gram(rows: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p p"]:
@@ -176,7 +176,7 @@ def _gram(rows: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "p p"]:
     return np.einsum("bpq->pq", pieces.transpose(0, 2, 1) @ pieces)
 
 
-def _place_slopes(guess: Guess, ids: np.ndarray, points: np.ndarray) -> Float[np.ndarray, "v 3 p"]:
+def _place_slopes(guess: Alignment, ids: np.ndarray, points: np.ndarray) -> Float[np.ndarray, "v 3 p"]:
     """Derivatives of the points by their place: a shift, and small turns about the pivot and each limb's joint."""
     model, turn = body_model(), guess.turn
     joints = joints_of(guess)
@@ -203,13 +203,13 @@ def _turn_axes(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
 
 
-def joints_of(guess: Guess) -> Float[np.ndarray, "n 3"]:
+def joints_of(guess: Alignment) -> Float[np.ndarray, "n 3"]:
     """The joints of the guessed body, in the A-pose [cm]."""
     model = body_model()
     return model.joints + np.einsum("k,kni->ni", guess.weights, model.joint_components)
 
 
-def _posed(guess: Guess, ids: np.ndarray) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3 3"]]:
+def _posed(guess: Alignment, ids: np.ndarray) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3 3"]]:
     """Vertices of the model where the guess puts them, and the linear map that took each there."""
     model, joints = body_model(), joints_of(guess)
     still = model.mean[ids] + np.einsum("k,kvi->vi", guess.weights, model.components[:, ids])

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.holes import Holes
-from gcd_dataset.generator.body.surface import divided
+from gcd_dataset.generator.body.surface import subdivide_long_edges
 from gcd_dataset.records import Record
 
-__all__ = ["Scan", "same_places"]
+__all__ = ["Scan", "coincident_vertices"]
 
 FEWEST_FACES = 500  # with fewer a body's girths are off by more than a centimetre: see the case `measures`
 BODY_SHARE = 0.8  # of all area: the least by which the largest piece is taken for the body
@@ -63,7 +63,7 @@ class Scan(Record):
         holes = Holes.of(welded, faces)
         patched = np.concatenate([faces, holes.patches(len(welded))])
         longest = LONGEST * float(np.ptp(welded, axis=0).max())
-        fine, pieces, owners = divided(np.concatenate([welded, holes.middles]), patched, longest)
+        fine, pieces, owners = subdivide_long_edges(np.concatenate([welded, holes.middles]), patched, longest)
         return cls(
             fine,
             pieces,
@@ -75,7 +75,7 @@ class Scan(Record):
         )
 
 
-def same_places(vertices: Float[np.ndarray, "v 3"], used: Int[np.ndarray, " u"]) -> Int[np.ndarray, " v"]:
+def coincident_vertices(vertices: Float[np.ndarray, "v 3"], used: Int[np.ndarray, " u"]) -> Int[np.ndarray, " v"]:
     """For each vertex the first of those used at its place; unused ones stay by themselves."""
     size = WELD * max(float(np.ptp(vertices[used], axis=0).max(initial=0.0)), 1e-9)
     _, first, back = np.unique(np.round(vertices[used] / size), axis=0, return_index=True, return_inverse=True)
@@ -86,7 +86,7 @@ def same_places(vertices: Float[np.ndarray, "v 3"], used: Int[np.ndarray, " u"])
 
 def _welded(vertices: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Used vertices without doubles, and which of them each vertex is; unused ones are the first."""
-    same = same_places(vertices, used)
+    same = coincident_vertices(vertices, used)
     kept = np.unique(same[used])
     source = np.zeros(len(vertices), int)
     source[used] = np.searchsorted(kept, same[used])

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["clipped", "girth", "loops", "outline", "rough_girths", "section", "section_points", "tape"]
+__all__ = ["clipped", "contour_length", "girth", "loops", "rough_girths", "section", "section_points", "tape"]
 
 TURNED = np.array(
     [[-1, -1, -1], [0, 1, 2], [1, 2, 0], [2, 1, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [-1, -1, -1]], np.int8
@@ -83,7 +83,7 @@ def _tight(points: np.ndarray) -> Float[np.ndarray, "h 2"]:
     return corners[1:] - corners[:-1]
 
 
-def outline(segments: Float[np.ndarray, "s 2 3"]) -> float:
+def contour_length(segments: Float[np.ndarray, "s 2 3"]) -> float:
     """Length of a section as it is, hollows included."""
     return float(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum())
 

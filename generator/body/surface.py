@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.records import Record
 
-__all__ = ["Nearest", "SkinSurface", "divided", "nearest_on_triangles"]
+__all__ = ["Nearest", "SkinSurface", "nearest_on_triangles", "subdivide_long_edges"]
 
 LONGEST = 6.0  # cm: longer edges are halved first, so that a near triangle has a near middle
 MOST = 300_000  # triangles that a mesh may be divided into for that; slivers of a metre would be millions
@@ -52,7 +52,7 @@ class SkinSurface(Record):
         patched: Bool[np.ndarray, " f"] | None = None,
     ) -> Self:
         """The surface of a mesh, of which some faces are patches; triangles without area are left out."""
-        fine, pieces, owners = divided(vertices, faces, LONGEST)
+        fine, pieces, owners = subdivide_long_edges(vertices, faces, LONGEST)
         corners = fine[pieces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         double_area = np.linalg.norm(across, axis=1)
@@ -74,7 +74,7 @@ class SkinSurface(Record):
         )
 
 
-def divided(
+def subdivide_long_edges(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], longest: float
 ) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], Int[np.ndarray, " g"]]:
     """The mesh with edges of at most ``longest`` [cm], halved where they were longer, and the face each piece is of.

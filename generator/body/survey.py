@@ -13,7 +13,7 @@ from importlib.resources import files
 import numpy as np
 from jaxtyping import Float, Int
 
-from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.section import girth, rough_girths, section_points, tape
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
@@ -71,8 +71,8 @@ def body_weight(body: Body) -> float:
 def survey_measures(body: Body, size: Measurements) -> dict[str, float]:
     """The survey's measures of one of our bodies [cm, kg]; ``size`` are the tailor's measures of it."""
     sites, vertices = _sites(), body.vertices
-    navel, nape, crotch = (vertices[landmarks().points[name]] for name in (NAVEL, "nape_of_neck", "crotch_point"))
-    bust = vertices[[landmarks().points[name] for name in ("bust_left", "bust_right")]].mean(axis=0)
+    navel, nape, crotch = (vertices[landmark_table().points[name]] for name in (NAVEL, "nape_of_neck", "crotch_point"))
+    bust = vertices[[landmark_table().points[name] for name in ("bust_left", "bust_right")]].mean(axis=0)
     waist, breast = (section_points(vertices, sites.trunk, Y, at[[Y]])[0] for at in (navel, bust))
     return {
         "height": size.height,

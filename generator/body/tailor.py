@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import measures as m
-from gcd_dataset.generator.body.asset import body_model, landmarks
-from gcd_dataset.generator.body.geodesic import WayNet
-from gcd_dataset.generator.body.marks import Marks, own_marks
+from gcd_dataset.generator.body.asset import body_model, landmark_table
+from gcd_dataset.generator.body.geodesic import GeodesicGraph
+from gcd_dataset.generator.body.landmarks import Landmarks, model_landmarks
 from gcd_dataset.generator.body.section import clipped, girth, rough_girths, section, section_points
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.measurements import MEASURE
@@ -26,11 +26,11 @@ from gcd_dataset.records import BodyPart, Measurements, Record
 
 __all__ = [
     "USUAL_HEIGHT",
+    "MeasureResult",
     "Sites",
-    "Taken",
-    "arm_net",
+    "arm_graph",
     "find_sites",
-    "own_sites",
+    "model_sites",
     "room",
     "sites_of",
     "take",
@@ -56,7 +56,7 @@ NECK_CLEARANCE = 1.4  # cm that the plane over the bust keeps outside the side o
 
 
 @dataclass(frozen=True)
-class Taken:
+class MeasureResult:
     """The measures of a body, and where their girths were found."""
 
     measurements: Measurements
@@ -71,10 +71,10 @@ class Taken:
 
 def take_measures(vertices: Float[np.ndarray, "v 3"], sites: "Sites") -> Measurements:
     """The measures of a body of our own mesh."""
-    return take(vertices, own_marks(vertices), sites).measurements
+    return take(vertices, model_landmarks(vertices), sites).measurements
 
 
-def take(vertices: Float[np.ndarray, "v 3"], marks: Marks, sites: "Sites") -> Taken:
+def take(vertices: Float[np.ndarray, "v 3"], marks: Landmarks, sites: "Sites") -> MeasureResult:
     """The measures of any body, with the landmarks on it and the sites on its mesh. Raises ``BodyError``."""
     upright = vertices[_ends(vertices[:, Y])]
     tall = float(m.height(upright))
@@ -97,7 +97,7 @@ def take(vertices: Float[np.ndarray, "v 3"], marks: Marks, sites: "Sites") -> Ta
     tape = _Tape(upright, at, marks.rings, found, spine, over_bust, leg_circ, sites.arm.length(vertices))
     measurements = Measurements(**{name: float(known.taken(tape)) for name, known in MEASURE.items()})
     levels = {name: float(points[0, Y]) for name, points in found.items()} | {"leg_circ": leg_level}
-    return Taken(measurements, levels, _at_border(levels, marks, wide))
+    return MeasureResult(measurements, levels, _at_border(levels, marks, wide))
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ def _ends(heights: Float[np.ndarray, " v"]) -> list[np.intp]:
     return [heights.argmin(), heights.argmax()]
 
 
-def _at_border(levels: Mapping[str, float], marks: Marks, wide: float) -> dict[str, float]:
+def _at_border(levels: Mapping[str, float], marks: Landmarks, wide: float) -> dict[str, float]:
     """Girths whose search ended on its border, and on which."""
     reach = dict.fromkeys(("bust", "waist", "hips"), SEARCH[-1] * wide - 1e-6) | {"leg_circ": LEG_LOWERED * wide}
     looked_for = {**marks.levels, "leg_circ": marks.levels["leg_right"]}
@@ -190,7 +190,7 @@ class Sites(Record):
     thighs: Int[np.ndarray, "f 3"]
     breast: Int[np.ndarray, "f 3"]
     spine: Int[np.ndarray, "f 3"]
-    arm: WayNet
+    arm: GeodesicGraph
 
     @functools.cached_property
     def cut_out(self) -> tuple[Int[np.ndarray, " n"], Self]:
@@ -212,7 +212,7 @@ class Sites(Record):
 
 
 @functools.cache
-def own_sites() -> Sites:
+def model_sites() -> Sites:
     """The sites on our own mesh."""
     model = body_model()
     return find_sites(model.mean, model.faces, model.parts)
@@ -220,17 +220,17 @@ def own_sites() -> Sites:
 
 def find_sites(mean: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]) -> Sites:
     """The sites on our own mean body, with room for bodies unlike it."""
-    points = landmarks().points
-    arm = arm_net(mean, faces, points["shoulder_right"], points["wrist_right"])
-    return sites_of(mean, faces, parts, own_marks(mean), arm)
+    points = landmark_table().points
+    arm = arm_graph(mean, faces, points["shoulder_right"], points["wrist_right"])
+    return sites_of(mean, faces, parts, model_landmarks(mean), arm)
 
 
 def sites_of(
     vertices: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "f 3"],
     parts: UInt8[np.ndarray, " v"],
-    marks: Marks,
-    arm: WayNet,
+    marks: Landmarks,
+    arm: GeodesicGraph,
 ) -> Sites:
     """The sites on any mesh, as wide as bodies of one mesh may differ; taller bodies have wider ones."""
     wide = room(vertices)
@@ -257,16 +257,16 @@ def sites_of(
     )
 
 
-def arm_net(mean: np.ndarray, faces: np.ndarray, shoulder: int, wrist: int) -> WayNet:
+def arm_graph(mean: np.ndarray, faces: np.ndarray, shoulder: int, wrist: int) -> GeodesicGraph:
     """A net over the skin near the arm's shortest way on the mean body."""
     straight = np.linspace(mean[shoulder], mean[wrist], 100)
-    rough = WayNet.over(faces[_near(mean, straight, 9.0)[faces].all(axis=1)], shoulder, wrist, points_per_edge=1)
+    rough = GeodesicGraph.over(faces[_near(mean, straight, 9.0)[faces].all(axis=1)], shoulder, wrist, points_per_edge=1)
     near = _near(mean, rough.path(mean), 1.6)[faces].all(axis=1)
     # Three points an edge make the way 0.1 cm too long; five would halve that and cost twice the time.
     return (
-        WayNet.over(faces[near], shoulder, wrist, points_per_edge=3)
-        .leading_on(mean, least=0.8)
-        .direct_on(mean, most=0.15)
+        GeodesicGraph.over(faces[near], shoulder, wrist, points_per_edge=3)
+        .without_detours(mean, least=0.8)
+        .near_shortest(mean, most=0.15)
     )
 
 
@@ -280,7 +280,7 @@ def _near(vertices: np.ndarray, path: np.ndarray, radius: float) -> np.ndarray:
 def _searched(
     vertices: np.ndarray,
     sites: Sites,
-    marks: Marks,
+    marks: Landmarks,
     name: str,
     best: Callable[[np.ndarray], np.intp],
     wide: float,
@@ -294,7 +294,7 @@ def _searched(
     return points[level == levels[best(rough)]]
 
 
-def _at_level(vertices: np.ndarray, sites: Sites, marks: Marks, name: str) -> Float[np.ndarray, "n 3"]:
+def _at_level(vertices: np.ndarray, sites: Sites, marks: Landmarks, name: str) -> Float[np.ndarray, "n 3"]:
     level = marks.levels[name]
     points = section_points(vertices, sites.rings[name], Y, np.array([level]))[0]
     if not len(points):
@@ -312,7 +312,7 @@ def _nearest_on(segments: Float[np.ndarray, "s 2 3"], points: Float[np.ndarray, 
     return nearest[np.arange(len(points)), np.einsum("nsi,nsi->ns", off, off).argmin(axis=1)]
 
 
-def _leg_girth(vertices: np.ndarray, sites: Sites, marks: Marks, wide: float) -> tuple[float, float]:
+def _leg_girth(vertices: np.ndarray, sites: Sites, marks: Landmarks, wide: float) -> tuple[float, float]:
     """Level and girth of the larger thigh at the first level below the crotch where the legs are two.
 
     Where thighs overlap all the way down, the tape round the right one's share of the lowest section.
@@ -330,7 +330,7 @@ def _leg_girth(vertices: np.ndarray, sites: Sites, marks: Marks, wide: float) ->
 
 
 def _between_legs(
-    vertices: np.ndarray, sites: Sites, marks: Marks, levels: Float[np.ndarray, " l"], wide: float
+    vertices: np.ndarray, sites: Sites, marks: Landmarks, levels: Float[np.ndarray, " l"], wide: float
 ) -> tuple[float, float]:
     """The x of an upright plane that passes between the legs at all levels, or the one that does so longest.
 
@@ -349,7 +349,7 @@ def _between_legs(
 # ---------------------------------------------------------------------------------------------------- upright sections
 
 
-def _over_bust(vertices: np.ndarray, sites: Sites, marks: Marks, wide: float) -> Float[np.ndarray, "s 2 3"]:
+def _over_bust(vertices: np.ndarray, sites: Sites, marks: Landmarks, wide: float) -> Float[np.ndarray, "s 2 3"]:
     """The upright section over the right breast, in front of the upright plane along the shoulder."""
     neck, shoulder = marks.points["neck_right"], marks.points["shoulder_right"]
     x = min(marks.rings["bust_line"][:, X].mean(), neck[X] - NECK_CLEARANCE * wide)

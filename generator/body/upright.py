@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.register import Guess, coarse_guess, model_height, quick_guess
+from gcd_dataset.generator.body.register import Alignment, coarse_alignment, model_height, quick_alignment
 from gcd_dataset.generator.body.scan import Scan
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import Record
 
-__all__ = ["Placed", "Placing", "placed", "unit_of"]
+__all__ = ["StandingTransform", "UprightScan", "placed", "unit_of"]
 
 TALLEST = 300.0  # cm; between this and SHORTEST a body's extent says its unit
 SHORTEST = 30.0
@@ -33,7 +33,7 @@ BACK_TO_FRONT = np.diag([-1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class Placing(Record):
+class StandingTransform(Record):
     """From a file's coordinates to ours: ``factor · turn · point``, then down to the floor."""
 
     factor: float
@@ -57,19 +57,19 @@ class Placing(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Placed(Record):
+class UprightScan(Record):
     """A scan turned upright and scaled to the model's height, and the guess that found it so."""
 
     scan: Scan
     """As it stands [cm]."""
-    placing: Placing
+    placing: StandingTransform
     """What turned it."""
     surface: SkinSurface
     """Of the scan times ``scale``, its middle over the origin."""
     scale: float
     shift: Float[np.ndarray, "3"]
     """Added to the scan times ``scale``."""
-    guess: Guess
+    guess: Alignment
 
 
 def unit_of(extent: float, name: str) -> tuple[str, float]:
@@ -80,12 +80,12 @@ def unit_of(extent: float, name: str) -> tuple[str, float]:
     raise BodyError(f"{name}: {extent:.4g} tall, which is a person's height in no unit: turn y up, scale it to cm")
 
 
-def placed(scan: Scan, name: str) -> Placed:
+def placed(scan: Scan, name: str) -> UprightScan:
     """The scan upright and facing +z, turned where it was not. Raises ``BodyError`` where no body is found in it."""
     turn = np.eye(3)
     found, behind = _try(scan, turn), _try(scan, BACK_TO_FRONT)
     if found.guess.misfit > LIKENESS or behind.guess.misfit < found.guess.misfit:
-        tries = [(_try(scan, quarter, quick_guess).guess.misfit, row) for row, quarter in enumerate(QUARTER_TURNS)]
+        tries = [(_try(scan, quarter, quick_alignment).guess.misfit, row) for row, quarter in enumerate(QUARTER_TURNS)]
         likely = [QUARTER_TURNS[row] for _, row in sorted(tries)[:LIKELY]]
         close = [_try(scan, quarter) for quarter in likely]
         row = int(np.argmin([one.guess.misfit for one in close]))
@@ -102,13 +102,15 @@ def placed(scan: Scan, name: str) -> Placed:
     return found
 
 
-def _try(scan: Scan, turn: Float[np.ndarray, "3 3"], guess: Callable[[SkinSurface], Guess] = coarse_guess) -> Placed:
+def _try(
+    scan: Scan, turn: Float[np.ndarray, "3 3"], guess: Callable[[SkinSurface], Alignment] = coarse_alignment
+) -> UprightScan:
     """The scan in one turn, with the model laid over it."""
-    placing = Placing.standing(scan.vertices, 1.0, turn)
+    placing = StandingTransform.standing(scan.vertices, 1.0, turn)
     standing = placing.apply(scan.vertices)
     scale = model_height() / float(np.ptp(standing[:, 1]))
     middle = (standing.max(axis=0) + standing.min(axis=0)) / 2
     shift = np.array([-middle[0], 0.0, -middle[2]]) * scale
     surface = SkinSurface.of(standing * scale + shift, scan.faces, scan.patched)
     turned = replace(scan, vertices=standing)
-    return Placed(turned, placing, surface, scale, shift, guess(surface))
+    return UprightScan(turned, placing, surface, scale, shift, guess(surface))

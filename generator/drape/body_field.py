@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Float, Int, UInt8
 
-from gcd_dataset.generator.body.holes import VisibleSkin, sides_of
+from gcd_dataset.generator.body.holes import VisibleSkin, half_edges_of
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Voxels, fill_fields, measure_blocks
 from gcd_dataset.records import Body, BodyPart
 
@@ -187,7 +187,7 @@ def _skin(digest: bytes, body: Body) -> _KnownSkin:
 
 def _edges_of_body(skin: VisibleSkin) -> Int[np.ndarray, "e 2"]:
     """Edges between vertices of the body: lids have one more vertex each, the last in the skin's numbering."""
-    sides, _ = sides_of(skin.faces)
+    sides, _ = half_edges_of(skin.faces)
     low, high = np.sort(sides, axis=1).astype(np.int64).T
     edges = np.unique((low << 32) + high)
     edges = np.stack([edges >> 32, edges & 0xFFFFFFFF], axis=1)

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
-from gcd_dataset.generator.render import painted_garment
-from gcd_dataset.generator.render_batch import Exposure, View, expose
+from gcd_dataset.generator.render import garment_scene
+from gcd_dataset.generator.render_batch import PendingRender, View, start_render
 from gcd_dataset.records import Drape
 
 __all__ = ["Studio"]
@@ -31,7 +31,7 @@ class Studio:
     def __init__(self, device: str) -> None:
         self._device = device
         self._waiting: list[_Sitter] = []
-        self._exposed: deque[tuple[Exposure, list[_Sitter]]] = deque()
+        self._exposed: deque[tuple[PendingRender, list[_Sitter]]] = deque()
 
     def take(self, order: DrapeRequest, drape: Drape, tell: Callable[[DrapeReply], None]) -> None:
         """Have pictures taken as ordered, and the answer told, by this call or a later one of any method."""
@@ -66,9 +66,9 @@ class Studio:
         while len(self._exposed) >= UNDER_WAY:
             self._hand_out()
         sitters, self._waiting = self._waiting, []
-        scenes = [painted_garment(s.drape.vertices, s.order.job.box_mesh, s.order.job.body) for s in sitters]
+        scenes = [garment_scene(s.drape.vertices, s.order.job.box_mesh, s.order.job.body) for s in sitters]
         size = sitters[0].order.picture
-        self._exposed.append((expose(scenes, VIEWS, size=size, device=self._device), sitters))
+        self._exposed.append((start_render(scenes, VIEWS, size=size, device=self._device), sitters))
 
     def _hand_out(self) -> None:
         exposure, sitters = self._exposed.popleft()

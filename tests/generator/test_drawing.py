@@ -1,4 +1,4 @@
-"""Flat drawings, sheets and their files show what is there."""
+"""Flat drawings are to scale; sheets hold their pictures; files decode to the same pixels."""
 
 import io
 from dataclasses import replace

@@ -12,7 +12,7 @@ from benchmarks.cases.measures import tolerance
 from gcd_dataset.cli import main
 from gcd_dataset.cli.measure import measured_text
 from gcd_dataset.generator.body import build_body, draw_shape, measure
-from gcd_dataset.generator.body.measuring import fit_tape
+from gcd_dataset.generator.body.measuring import find_body
 from gcd_dataset.records import ANGLES, MEASURES, Body
 from gcd_dataset.seeding import Stage, rng
 
@@ -43,7 +43,7 @@ def test_what_is_measured_is_the_surface_and_not_its_triangles() -> None:
     assert 700 < len(coarse.vertices) < 900
     fine = coarse.subdivide().subdivide()
     ours, theirs = (
-        fit_tape(np.asarray(mesh.vertices), np.asarray(mesh.faces)).taken.measurements.to_file_values()
+        find_body(np.asarray(mesh.vertices), np.asarray(mesh.faces)).taken.measurements.to_file_values()
         for mesh in (coarse, fine)
     )
     for name in MEASURES:

@@ -14,8 +14,8 @@ from benchmarks.cases.measures import tolerance
 from gcd_dataset.cli import main
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, female_shape, measure, read_body, read_measurements
-from gcd_dataset.generator.body.marks import read_marks
-from gcd_dataset.generator.body.measuring import FoundBody, fit_tape
+from gcd_dataset.generator.body.landmarks import read_landmarks
+from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, Measurements
 from gcd_dataset.seeding import Stage, rng
@@ -35,7 +35,7 @@ def woman() -> Body:
 
 @cache
 def fitted_woman() -> FoundBody:
-    return fit_tape(woman().vertices, woman().faces)
+    return find_body(woman().vertices, woman().faces)
 
 
 def off(found: Measurements, known: Measurements) -> dict[str, float]:
@@ -73,12 +73,12 @@ def test_numbering_and_subdivision_do_not_change_a_body() -> None:
     order = rng(0, 0, Stage.BODY).permutation(len(vertices))
     fine = trimesh.remesh.subdivide(vertices, faces)
     for other in ((vertices[order], np.argsort(order)[faces]), fine):
-        change = off(fit_tape(*other).taken.measurements, fitted_woman().taken.measurements)
+        change = off(find_body(*other).taken.measurements, fitted_woman().taken.measurements)
         assert max(map(abs, change.values())) < SAME
 
 
 def test_a_body_scaled_and_moved_has_scaled_measures() -> None:
-    larger = fit_tape(1.1 * woman().vertices + [250.0, -30.0, 80.0], woman().faces).taken.measurements.to_file_values()
+    larger = find_body(1.1 * woman().vertices + [250.0, -30.0, 80.0], woman().faces).taken.measurements.to_file_values()
     for key, value in fitted_woman().taken.measurements.to_file_values().items():
         assert larger[key] == pytest.approx(value if key in ANGLES else 1.1 * value, abs=SAME)
 
@@ -135,8 +135,8 @@ def test_given_landmarks_take_the_place_of_those_found(tmp_path: Path) -> None:
     nape = fitted_woman().marks.points["nape_of_neck"]
     marks = {"nape_of_neck": [0.0, float(nape[1] - 5.0), float(nape[2])], "waist": [[0.0, 100.0, 0.0]]}
     (tmp_path / "marks.json").write_text(json.dumps(marks))
-    given = read_marks(tmp_path / "marks.json", woman().vertices, 1.0)
-    size = fit_tape(woman().vertices, woman().faces, given=given)
+    given = read_landmarks(tmp_path / "marks.json", woman().vertices, 1.0)
+    size = find_body(woman().vertices, woman().faces, given=given)
     assert size.taken.measurements.head_l == pytest.approx(fitted_woman().taken.measurements.head_l + 5.0, abs=0.01)
     assert size.taken.levels["waist"] == pytest.approx(100.0, abs=2.1)
     assert size.marks.confidence["nape_of_neck"] == 1.0
@@ -163,7 +163,7 @@ def test_broken_landmark_files(content: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "marks.json"
     path.write_text(content)
     with pytest.raises(BodyError, match=said) as caught:
-        read_marks(path, np.zeros((10, 3)), 1.0)
+        read_landmarks(path, np.zeros((10, 3)), 1.0)
     assert str(caught.value).startswith(str(path))
 
 

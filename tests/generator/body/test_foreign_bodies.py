@@ -22,7 +22,7 @@ from gcd_dataset.generator.body import (
     read_body,
     read_measurements,
 )
-from gcd_dataset.generator.body.measuring import FoundBody, fit_tape
+from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.body.pose import T_POSE
 from gcd_dataset.generator.drape.body_field import body_field
@@ -60,7 +60,7 @@ def check_in_t_pose(found: Measurements, shape: BodyShape) -> None:
 def lifted_woman() -> FoundBody:
     body = build_body(replace(female_shape(), arm_angle=T_POSE))
     order = np.random.default_rng(0).permutation(len(body.vertices))
-    return fit_tape(body.vertices[order], np.argsort(order)[body.faces])
+    return find_body(body.vertices[order], np.argsort(order)[body.faces])
 
 
 def test_raised_arms_are_laid_down_to_be_measured() -> None:
@@ -90,7 +90,7 @@ def test_landmarks_of_raised_arms_lie_on_them() -> None:
 
 def test_arms_as_ours_hold_them_are_measured_as_they_are_held() -> None:
     body = build_body(BodyShape(female_shape().weights, np.radians(15.0)))
-    found = fit_tape(body.vertices, np.roll(body.faces, 1, axis=0))
+    found = find_body(body.vertices, np.roll(body.faces, 1, axis=0))
     assert found.arms == 0.0
     assert found.taken.measurements.shoulder_incl == pytest.approx(measure(body).shoulder_incl, abs=np.radians(1.0))
 
@@ -122,10 +122,10 @@ def fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
     def fit(vertices: np.ndarray, faces: np.ndarray, *place: Any, **options: Any) -> FoundBody:
         mesh = vertices.tobytes(), faces.tobytes()
         if mesh not in known:
-            known[mesh] = fit_tape(vertices, faces, *place, **options)
+            known[mesh] = find_body(vertices, faces, *place, **options)
         return known[mesh]
 
-    monkeypatch.setattr(mesh_bodies, "fit_tape", fit)
+    monkeypatch.setattr(mesh_bodies, "find_body", fit)
 
 
 @pytest.mark.usefixtures("fitted_once")

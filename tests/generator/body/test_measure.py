@@ -18,9 +18,9 @@ from gcd_dataset.generator.body import (
     read_body,
     read_measurements,
 )
-from gcd_dataset.generator.body.section import clipped, girth, outline, section, tape
+from gcd_dataset.generator.body.section import clipped, contour_length, girth, section, tape
 from gcd_dataset.generator.body.subdivide import unique_edges
-from gcd_dataset.generator.body.tailor import own_sites, take_measures
+from gcd_dataset.generator.body.tailor import model_sites, take_measures
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 from tests.helpers import body_from
@@ -47,7 +47,7 @@ def test_measures_do_not_depend_on_where_the_body_stands() -> None:
 def test_bands_of_faces_lose_nothing() -> None:
     """Girths of unusual bodies are those that the whole trunk gives."""
     arms = [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value]
-    own = own_sites()
+    own = model_sites()
     for index in range(8):
         drawn = draw_shape(rng(5, index, Stage.BODY))
         body = build_body(BodyShape(2 * drawn.weights, drawn.arm_angle))
@@ -148,7 +148,7 @@ def test_thigh_of_the_published_body(published: tuple[Body, Measurements, np.nda
     """The right thigh's outline at its published level."""
     body, size, trunk = published
     cut = section(body.vertices, trunk, 1, 76.77)
-    assert outline(cut[cut[:, :, 0].mean(axis=1) < 0]) == pytest.approx(size.leg_circ, abs=0.1)
+    assert contour_length(cut[cut[:, :, 0].mean(axis=1) < 0]) == pytest.approx(size.leg_circ, abs=0.1)
 
 
 def test_a_mesh_that_is_no_body_is_turned_down_with_a_remedy() -> None:

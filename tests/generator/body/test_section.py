@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from gcd_dataset.generator.body.section import clipped, girth, outline, rough_girths, section, section_points, tape
+from gcd_dataset.generator.body.section import (
+    clipped,
+    contour_length,
+    girth,
+    rough_girths,
+    section,
+    section_points,
+    tape,
+)
 
 XZ = [0, 2]
 
@@ -20,7 +28,7 @@ def test_girth_of_a_cylinder() -> None:
     shape = cylinder(12.0)
     cut = section(shape.vertices, shape.faces, 1, 3.0)
     assert girth(cut[:, 0][:, XZ]) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
-    assert outline(cut) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
+    assert contour_length(cut) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
 
 
 @pytest.mark.parametrize("level", [0.37, 0.0])  # 0.0 runs through vertices
@@ -50,7 +58,7 @@ def test_a_tape_bridges_hollows_and_an_outline_does_not() -> None:
     notched = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
     in_space = np.stack([notched[..., 0], np.zeros((5, 2)), notched[..., 1]], axis=-1)
     assert girth(corners) == pytest.approx(14.0)
-    assert outline(in_space) == pytest.approx(10.0 + 2 * np.sqrt(8.0))
+    assert contour_length(in_space) == pytest.approx(10.0 + 2 * np.sqrt(8.0))
 
 
 def test_tape_over_one_side_of_a_wedge() -> None:
@@ -73,4 +81,4 @@ def test_half_a_circle_is_clipped_from_a_circle() -> None:
     cut = section(shape.vertices, shape.faces, 1, 3.0)
     half = clipped(cut, (0.0, 0.0, 1.0), np.array([0.0, 0.0, 0.001]))
     assert half[:, :, 2].min() >= 0.001 - 1e-12
-    assert outline(half) == pytest.approx(np.pi * 5.0, abs=0.01)
+    assert contour_length(half) == pytest.approx(np.pi * 5.0, abs=0.01)

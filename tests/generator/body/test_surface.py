@@ -7,9 +7,9 @@ import trimesh
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import measures
 from gcd_dataset.generator.body.find import narrowest_ring
-from gcd_dataset.generator.body.geodesic import net_between
+from gcd_dataset.generator.body.geodesic import graph_between
 from gcd_dataset.generator.body.scan import Scan
-from gcd_dataset.generator.body.section import girth, loops, outline, section
+from gcd_dataset.generator.body.section import contour_length, girth, loops, section
 from gcd_dataset.generator.body.surface import SkinSurface
 
 
@@ -43,7 +43,7 @@ def test_two_loops_of_a_torus_are_told_apart() -> None:
     loop = loops(cut)
     assert len(np.unique(loop)) == 2
     for each in (0, 1):
-        assert outline(cut[loop == each]) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
+        assert contour_length(cut[loop == each]) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
     assert measures.larger_thigh(cut, 0.0) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
     assert girth(cut[:, 0][:, [0, 2]]) == pytest.approx(2 * np.pi * 5.0 + 80.0, rel=1e-3)  # one tape round both
 
@@ -70,7 +70,7 @@ def test_a_way_between_any_two_points_of_a_ball() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=10.0)
     surface = SkinSurface.of(ball.vertices, ball.faces)
     start, end = surface.nearest(np.array([(1.0, 9.0, 3.0), (9.0, 1.0, -2.0)])).points
-    net, vertices = net_between(ball.vertices, ball.faces, start, end)
+    net, vertices = graph_between(ball.vertices, ball.faces, start, end)
     angle = np.arccos(start @ end / np.linalg.norm(start) / np.linalg.norm(end))
     assert net.length(vertices) == pytest.approx(10.0 * angle, rel=0.01)
 

@@ -6,15 +6,15 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.marks import Marks
+from gcd_dataset.generator.body.landmarks import Landmarks
 from gcd_dataset.generator.body.register import Registration
 from gcd_dataset.generator.body.scan import Scan
 from gcd_dataset.generator.body.section import loops, rough_girths, section, section_points
 from gcd_dataset.generator.body.surface import SkinSurface
-from gcd_dataset.generator.body.tailor import GIRTHS, Sites, Taken, room
+from gcd_dataset.generator.body.tailor import GIRTHS, MeasureResult, Sites, room
 from gcd_dataset.records import BodyPart
 
-__all__ = ["require_body_alone", "require_free_limbs", "require_skin", "underbust_doubt"]
+__all__ = ["require_body_alone", "require_free_limbs", "require_skin", "underbust_uncertainty"]
 
 BARE = 3.0  # cm from the model within which a part's skin lies, on the middle of its points
 STRAY = 8.0  # cm from the model at which a surface is no body's
@@ -69,7 +69,7 @@ def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registrat
             raise BodyError(f"{name}: something lies {end - model:.0f} cm {words}: leave nothing but the body")
 
 
-def require_skin(scan: Scan, marks: Marks, sites: Sites, taken: Taken, name: str) -> None:
+def require_skin(scan: Scan, marks: Landmarks, sites: Sites, taken: MeasureResult, name: str) -> None:
     """Raise ``BodyError`` where a landmark or a tape lies on a patch over a hole."""
     patches = scan.faces[scan.patched]
     if not len(patches):
@@ -104,18 +104,18 @@ def _common(patches: Int[np.ndarray, "a 3"], band: Int[np.ndarray, "b 3"]) -> In
     return np.array(chosen, int).reshape(-1, 3)
 
 
-def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], taken: Taken, name: str) -> None:
+def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], taken: MeasureResult, name: str) -> None:
     """Raise ``BodyError`` where an arm has grown to the trunk at a girth's level, as in a scan with arms held down."""
     arms = np.isin(parts, [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value])
     for girth in GIRTHS:
-        if joined_arm_outline(scan, arms, taken.levels[girth]) > JOINED * room(scan.vertices):
+        if joined_arm_contour(scan, arms, taken.levels[girth]) > JOINED * room(scan.vertices):
             raise BodyError(
                 f"{name}: an arm hangs together with the trunk at the level of the {girth}, "
                 f"{taken.levels[girth]:.0f} cm: raise the arms, or part them in the mesh"
             )
 
 
-def underbust_doubt(scan: Scan, sites: Sites, taken: Taken, misfit: float) -> float:
+def underbust_uncertainty(scan: Scan, sites: Sites, taken: MeasureResult, misfit: float) -> float:
     """By how much the underbust changes over the heights at which it may have to be taken [cm].
 
     Other girths are the largest or the smallest around; this one is taken where the breast ends, as the model has it.
@@ -127,7 +127,7 @@ def underbust_doubt(scan: Scan, sites: Sites, taken: Taken, misfit: float) -> fl
     return float(np.abs(girths - girths[1]).max()) if len(girths) == 3 else np.inf
 
 
-def joined_arm_outline(scan: Scan, arms: np.ndarray, level: float) -> float:
+def joined_arm_contour(scan: Scan, arms: np.ndarray, level: float) -> float:
     """Outline of arms in those loops of a level section that are part trunk [cm]."""
     heights = scan.vertices[scan.faces, Y]
     cut = scan.faces[(heights.min(axis=1) <= level) & (heights.max(axis=1) > level)]

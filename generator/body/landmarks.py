@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import BodyError, shown
-from gcd_dataset.generator.body.asset import landmarks
+from gcd_dataset.generator.body.asset import landmark_table
 from gcd_dataset.jsonfile import found, read_json
 from gcd_dataset.records import Record
 
-__all__ = ["LEVEL_RINGS", "GivenMarks", "Marks", "levels_of", "own_marks", "read_marks"]
+__all__ = ["LEVEL_RINGS", "GivenLandmarks", "Landmarks", "levels_of", "model_landmarks", "read_landmarks"]
 
 LEVEL_RINGS = ("bust", "underbust", "waist", "hips", "leg_right")
 """Rings that only say at which height a girth is taken."""
@@ -25,8 +25,8 @@ OUTSIDE = 0.05  # of the mesh's size: as far off its box may a landmark be
 
 
 @dataclass(frozen=True, eq=False)
-class Marks(Record):
-    """Landmarks as positions on the skin, by the names in ``data/landmarks.json``."""
+class Landmarks(Record):
+    """LandmarkTable as positions on the skin, by the names in ``data/landmarks.json``."""
 
     points: Mapping[str, Float[np.ndarray, "3"]]
     """[cm]"""
@@ -47,19 +47,19 @@ class Marks(Record):
         return replace(self, points={**self.points, **points})
 
 
-def own_marks(vertices: Float[np.ndarray, "v 3"]) -> Marks:
+def model_landmarks(vertices: Float[np.ndarray, "v 3"]) -> Landmarks:
     """The landmarks of a body of our own mesh, by vertex id."""
-    table = landmarks()
+    table = landmark_table()
     points = {name: vertices[vertex] for name, vertex in table.points.items()}
     rings = {name: vertices[ring] for name, ring in table.rings.items()}
-    return Marks(
+    return Landmarks(
         points, rings, levels_of(rings, float(np.ptp(vertices[:, 1].copy()))), dict.fromkeys([*points, *rings], 1.0)
     )
 
 
 def levels_of(rings: Mapping[str, Float[np.ndarray, "n 3"]], height: float) -> dict[str, float]:
     """Heights about which the girths of a body of that height are searched [cm]: near the means of their rings."""
-    above = landmarks().levels
+    above = landmark_table().levels
     return {name: float(rings[name][:, 1].mean()) + above.get(name, 0.0) * height for name in LEVEL_RINGS}
 
 
@@ -73,13 +73,13 @@ class _Places(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class GivenMarks(Record):
-    """Landmarks that a person gave, in the mesh's coordinates."""
+class GivenLandmarks(Record):
+    """LandmarkTable that a person gave, in the mesh's coordinates."""
 
     points: Mapping[str, Float[np.ndarray, "3"]]
     rings: Mapping[str, Float[np.ndarray, "n 3"]]
 
-    def over(self, found: Marks, placing: _Places) -> Marks:
+    def over(self, found: Landmarks, placing: _Places) -> Landmarks:
         """The landmarks found, with those given in their place."""
         points = {name: placing.apply(at[None])[0] for name, at in self.points.items()}
         rings = {name: placing.apply(ring) for name, ring in self.rings.items()}
@@ -87,19 +87,19 @@ class GivenMarks(Record):
         return replace(found.moved(points).with_rings(rings), confidence={**found.confidence, **sure})
 
 
-def read_marks(path: Path, vertices: Float[np.ndarray, "v 3"], unit: float) -> GivenMarks:
+def read_landmarks(path: Path, vertices: Float[np.ndarray, "v 3"], unit: float) -> GivenLandmarks:
     """The landmarks in a JSON file; ``vertices`` and positions come out times ``unit``. Raises ``BodyError``."""
     table = read_json(path, "map from landmarks to vertex ids or positions", error=BodyError)
     if not isinstance(table, dict):
         raise BodyError(f"{path}: a {type(table).__name__}: give a map from landmarks to vertex ids or positions")
-    known = landmarks()
+    known = landmark_table()
     for name in table:
         if name not in known.points and name not in known.rings:
             names = ", ".join([*known.points, *known.rings])
             raise BodyError(f"{path}: no landmark is called {shown(name[:40])}: there are {names}")
     points = {name: _position(path, name, at, vertices) * unit for name, at in table.items() if name in known.points}
     rings = {name: _ring(path, name, at, vertices) * unit for name, at in table.items() if name in known.rings}
-    return GivenMarks(points, rings)
+    return GivenLandmarks(points, rings)
 
 
 def _ring(path: Path, name: str, value: Any, vertices: np.ndarray) -> Float[np.ndarray, "n 3"]:
