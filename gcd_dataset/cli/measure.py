@@ -22,7 +22,10 @@ def measured_text(body: str, landmarks: Path | None = None, segmentation: Path |
     if shape is None:
         taken, remarks = measure_file(body, landmarks, segmentation)
     else:
-        taken, remarks = measure_closely(build_body(shape, name=body)), ["our own mesh: landmarks known by vertex"]
+        taken, remarks = (
+            measure_closely(build_body(shape, name=body)),
+            ["mesh of the body model: landmarks known by vertex"],
+        )
     comments = [f"measures of {shown(body)} [cm, degrees]", *remarks, *_border_remarks(taken)]
     return "".join(f"# {comment}\n" for comment in comments) + measurements_text(taken.measurements)
 

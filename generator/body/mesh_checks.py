@@ -1,4 +1,4 @@
-"""What forbids to measure a mesh, although a body was found in it: parts without skin, strange things, merged limbs."""
+"""Checks of a body found in a mesh, before its measures are trusted: missing parts, other objects, merged limbs."""
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -11,19 +11,19 @@ from gcd_dataset.generator.body.register import Registration
 from gcd_dataset.generator.body.scan import Scan
 from gcd_dataset.generator.body.section import loops, rough_girths, section, section_points
 from gcd_dataset.generator.body.surface import SkinSurface
-from gcd_dataset.generator.body.tailor import GIRTHS, MeasureResult, Sites, room
+from gcd_dataset.generator.body.tailor import GIRTHS, MeasureResult, Sites, relative_height
 from gcd_dataset.records import BodyPart
 
 __all__ = ["require_body_alone", "require_free_limbs", "require_skin", "underbust_uncertainty"]
 
-BARE = 3.0  # cm from the model within which a part's skin lies, on the middle of its points
-STRAY = 8.0  # cm from the model at which a surface is no body's
-STRAY_SHARE = 0.02  # of the mesh's area that may be stray: a bun, a heel, a lost scrap
+MISSING = 3.0  # cm; a part with a larger median distance from the skin is missing
+STRAY = 8.0  # cm from the model beyond which a surface is not of the body
+STRAY_SHARE = 0.02  # of the mesh's area that may be stray: a bun, a heel, a scrap
 STICKS_OUT = 6.0  # cm over the model's head or under its soles
-BRIDGED = 3.0  # cm of one patch in a tape's way: straight over it the tape is at most 0.1 cm short
-JOINED = 8.0  # cm of arms' outline that may hang together with a girth's section; drawn bodies have none
-LEVEL_OFF = 2.0  # times the misfit: how far off a level may be
-TRUNK_LEAST = 20.0  # cm of trunk or legs that make a loop the trunk's
+MAX_BRIDGED = 3.0  # cm of one patch that a tape may cross: straight over it, the tape is at most 0.1 cm short
+MAX_JOINED = 8.0  # cm of the arms' contour in the loop of a girth's section; drawn bodies have none
+LEVEL_ERROR = 2.0  # times the misfit: possible error of a level
+MIN_TRUNK = 20.0  # cm of trunk or legs in a loop that make it the trunk's
 
 NEEDED = {
     BodyPart.TRUNK: "the trunk",
@@ -35,23 +35,23 @@ NEEDED = {
     BodyPart.HANDS: "the hands",
     BodyPart.FEET: "the feet",
 }
-POINT_PLACES = ("nape_of_neck", "neck_right", "shoulder_left", "shoulder_right", "underarm_right", "crotch_point")
+CHECKED_POINTS = ("nape_of_neck", "neck_right", "shoulder_left", "shoulder_right", "underarm_right", "crotch_point")
 X, Y, Z = 0, 1, 2
 
 
 def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registration, name: str) -> None:
-    """Raise ``BodyError`` where a part of the body is missing, or something else is in the mesh.
+    """Raise ``BodyError`` if a body part is missing, or the mesh holds other objects.
 
-    ``surface`` is the scan's, as tall as the model.
+    ``surface`` is the scan's, scaled to the model's height.
     """
     parts = body_model().parts
     for part, words in NEEDED.items():
-        own = parts == part.value
-        # Side by side: of two hands one may be missing.
-        halves = [own & (side * registration.vertices[:, X] > 0) for side in (-1, 1)]
-        off = max(float(np.median(registration.distances[half])) for half in halves if half.any())
-        if off > BARE:
-            raise BodyError(f"{name}: no skin is found where {words} should be, {off:.0f} cm around: give a whole body")
+        of_part = parts == part.value
+        # Left and right apart: one hand may be missing.
+        halves = [of_part & (side * registration.vertices[:, X] > 0) for side in (-1, 1)]
+        distance = max(float(np.median(registration.distances[half])) for half in halves if half.any())
+        if distance > MISSING:
+            raise BodyError(f"{name}: no skin within {distance:.0f} cm of where {words} should be: give a whole body")
     corners = surface.corners
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     far = cKDTree(registration.vertices).query(corners.mean(axis=1))[0] > STRAY
@@ -59,25 +59,25 @@ def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registrat
     if share > STRAY_SHARE:
         raise BodyError(
             f"{name}: {share:.0%} of its surface lies more than {STRAY:.0f} cm off the body in it: "
-            "leave nothing but the body (no floor, chair, loose clothes or second person)"
+            "leave only the body in it (no floor, chair, loose clothes or second person)"
         )
     for end, model, words in (
         (corners[..., Y].max(), registration.vertices[:, Y].max(), "above the head"),
         (-corners[..., Y].min(), -registration.vertices[:, Y].min(), "below the soles"),
     ):
         if end - model > STICKS_OUT:
-            raise BodyError(f"{name}: something lies {end - model:.0f} cm {words}: leave nothing but the body")
+            raise BodyError(f"{name}: something lies {end - model:.0f} cm {words}: leave only the body in the mesh")
 
 
-def require_skin(scan: Scan, marks: Landmarks, sites: Sites, taken: MeasureResult, name: str) -> None:
-    """Raise ``BodyError`` where a landmark or a tape lies on a patch over a hole."""
+def require_skin(scan: Scan, marks: Landmarks, sites: Sites, result: MeasureResult, name: str) -> None:
+    """Raise ``BodyError`` if a landmark or a tape lies on a patch over a hole."""
     patches = scan.faces[scan.patched]
     if not len(patches):
         return
-    for point in POINT_PLACES:
+    for point in CHECKED_POINTS:
         if marks.confidence[point] == 0:
             raise BodyError(f"{name}: the {point.replace('_', ' ')} lies in a hole: close the skin there")
-    for girth, level in taken.levels.items():
+    for girth, level in result.levels.items():
         band = sites.thighs if girth == "leg_circ" else sites.bands[girth]
         _require_bridgeable(scan, _common(patches, band), Y, level, girth, name)
     _require_bridgeable(scan, _common(patches, sites.spine), X, marks.points["nape_of_neck"][X], "waist_line", name)
@@ -87,48 +87,48 @@ def require_skin(scan: Scan, marks: Landmarks, sites: Sites, taken: MeasureResul
 
 def _require_bridgeable(scan: Scan, patches: np.ndarray, axis: int, level: float, measure: str, name: str) -> None:
     bridged = _longest_run(section(scan.vertices, patches, axis, level)) if len(patches) else 0.0
-    if bridged > BRIDGED * room(scan.vertices):
-        raise BodyError(f"{name}: {measure} runs over {bridged:.0f} cm of hole in the skin: close it")
+    if bridged > MAX_BRIDGED * relative_height(scan.vertices):
+        raise BodyError(f"{name}: {measure} crosses {bridged:.0f} cm of a hole in the skin: close it")
 
 
 def _longest_run(segments: Float[np.ndarray, "s 2 3"]) -> float:
-    """Length of the longest of the lines that a section's segments make."""
+    """Length of the longest connected line of a section's segments [cm]."""
     length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     return float(np.bincount(loops(segments), length).max(initial=0.0))
 
 
 def _common(patches: Int[np.ndarray, "a 3"], band: Int[np.ndarray, "b 3"]) -> Int[np.ndarray, "c 3"]:
-    """The faces of the first that are among the second."""
-    known = {tuple(face) for face in band.tolist()}
-    chosen = [face for face in patches.tolist() if tuple(face) in known]
-    return np.array(chosen, int).reshape(-1, 3)
+    """The patches that are also faces of a band."""
+    of_band = {tuple(face) for face in band.tolist()}
+    common = [face for face in patches.tolist() if tuple(face) in of_band]
+    return np.array(common, int).reshape(-1, 3)
 
 
-def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], taken: MeasureResult, name: str) -> None:
-    """Raise ``BodyError`` where an arm has grown to the trunk at a girth's level, as in a scan with arms held down."""
+def require_free_limbs(scan: Scan, parts: UInt8[np.ndarray, " v"], result: MeasureResult, name: str) -> None:
+    """Raise ``BodyError`` if an arm is merged with the trunk at a girth's level, as in scans with lowered arms."""
     arms = np.isin(parts, [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value])
     for girth in GIRTHS:
-        if joined_arm_contour(scan, arms, taken.levels[girth]) > JOINED * room(scan.vertices):
+        if joined_arm_contour(scan, arms, result.levels[girth]) > MAX_JOINED * relative_height(scan.vertices):
             raise BodyError(
-                f"{name}: an arm hangs together with the trunk at the level of the {girth}, "
-                f"{taken.levels[girth]:.0f} cm: raise the arms, or part them in the mesh"
+                f"{name}: an arm is merged with the trunk at the level of the {girth}, "
+                f"{result.levels[girth]:.0f} cm: raise the arms, or separate them in the mesh"
             )
 
 
-def underbust_uncertainty(scan: Scan, sites: Sites, taken: MeasureResult, misfit: float) -> float:
-    """By how much the underbust changes over the heights at which it may have to be taken [cm].
+def underbust_uncertainty(scan: Scan, sites: Sites, result: MeasureResult, misfit: float) -> float:
+    """Change of the underbust over the possible error of its level [cm]; infinite off the skin.
 
-    Other girths are the largest or the smallest around; this one is taken where the breast ends, as the model has it.
+    Other girths are extrema over their levels; this level is where the breast ends on the registered model.
     """
-    level, off = taken.levels["underbust"], LEVEL_OFF * misfit * room(scan.vertices)
-    heights = np.array([level - off, level, level + off])
+    level, error = result.levels["underbust"], LEVEL_ERROR * misfit * relative_height(scan.vertices)
+    heights = np.array([level - error, level, level + error])
     points, at = section_points(scan.vertices, sites.rings["underbust"], Y, heights)
     girths = rough_girths(points[:, [X, Z]], at)
     return float(np.abs(girths - girths[1]).max()) if len(girths) == 3 else np.inf
 
 
 def joined_arm_contour(scan: Scan, arms: np.ndarray, level: float) -> float:
-    """Outline of arms in those loops of a level section that are part trunk [cm]."""
+    """Length of the arms' contour in the loops of a level section that also contain trunk [cm]."""
     heights = scan.vertices[scan.faces, Y]
     cut = scan.faces[(heights.min(axis=1) <= level) & (heights.max(axis=1) > level)]
     segments = section(scan.vertices, cut, Y, level)
@@ -137,4 +137,4 @@ def joined_arm_contour(scan: Scan, arms: np.ndarray, level: float) -> float:
     loop = loops(segments)
     trunk_share = np.bincount(loop, weights=length * ~of_arm)
     arm_share = np.bincount(loop, weights=length * of_arm)
-    return float(arm_share[trunk_share > TRUNK_LEAST * room(scan.vertices)].sum())
+    return float(arm_share[trunk_share > MIN_TRUNK * relative_height(scan.vertices)].sum())

@@ -1,4 +1,4 @@
-"""Bodies of which nothing is known: landmarks, parts and measures from the geometry alone."""
+"""Bodies in unknown meshes: landmarks, parts and measures from the geometry alone."""
 
 import json
 from dataclasses import replace
@@ -20,11 +20,11 @@ from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, Measurements
 from gcd_dataset.seeding import Stage, rng
 
-SAME = 0.2  # cm, degrees: what may change with the mesh of one skin
+SAME = 0.2  # cm, degrees; tolerance for another triangulation of the same skin
 
 
 def unknown(body: Body) -> Body:
-    """The same skin with its faces in another order: no mesh of ours."""
+    """The same skin with its faces in another order: not recognised as the model's mesh."""
     return replace(body, faces=np.roll(body.faces, 1, axis=0))
 
 
@@ -44,17 +44,17 @@ def off(found: Measurements, known: Measurements) -> dict[str, float]:
 
 
 def too_far(found: Measurements, known: Measurements) -> dict[str, float]:
-    """What lies outside half a centimetre (heights, girths), 1.5 cm (what hangs on a landmark) or 3 degrees."""
+    """Errors above half a centimetre (heights, girths), 1.5 cm (measures at landmarks) or 3 degrees."""
     return {key: by for key, by in off(found, known).items() if abs(by) > tolerance(key)}
 
 
 @pytest.mark.parametrize("name", ["all", "female", "male"])
 def test_the_published_means_have_the_published_measures(name: str, examples: Path) -> None:
     path = examples / "bodies" / f"mean_{name}.obj"
-    taken, remarks = measure_file(path)
-    assert not too_far(taken.measurements, read_measurements(path.with_suffix(".yaml")))
+    result, remarks = measure_file(path)
+    assert not too_far(result.measurements, read_measurements(path.with_suffix(".yaml")))
     assert "metres" in remarks[0]
-    assert set(taken.at_border) == {"bust", "waist", "hips"}  # as in the publication: see reference, mean bodies
+    assert set(result.at_border) == {"bust", "waist", "hips"}  # as in the publication: see reference, mean bodies
 
 
 @pytest.mark.parametrize("index", [3, 8])
@@ -73,17 +73,19 @@ def test_numbering_and_subdivision_do_not_change_a_body() -> None:
     order = rng(0, 0, Stage.BODY).permutation(len(vertices))
     fine = trimesh.remesh.subdivide(vertices, faces)
     for other in ((vertices[order], np.argsort(order)[faces]), fine):
-        change = off(find_body(*other).taken.measurements, fitted_woman().taken.measurements)
+        change = off(find_body(*other).result.measurements, fitted_woman().result.measurements)
         assert max(map(abs, change.values())) < SAME
 
 
 def test_a_body_scaled_and_moved_has_scaled_measures() -> None:
-    larger = find_body(1.1 * woman().vertices + [250.0, -30.0, 80.0], woman().faces).taken.measurements.to_file_values()
-    for key, value in fitted_woman().taken.measurements.to_file_values().items():
+    larger = find_body(
+        1.1 * woman().vertices + [250.0, -30.0, 80.0], woman().faces
+    ).result.measurements.to_file_values()
+    for key, value in fitted_woman().result.measurements.to_file_values().items():
         assert larger[key] == pytest.approx(value if key in ANGLES else 1.1 * value, abs=SAME)
 
 
-def test_our_own_measures_scale_exactly() -> None:
+def test_measures_of_the_models_mesh_scale_exactly() -> None:
     body = build_body(female_shape())
     small, large = measure(body).to_file_values(), measure(replace(body, vertices=1.1 * body.vertices)).to_file_values()
     for key in MEASURES:
@@ -92,27 +94,27 @@ def test_our_own_measures_scale_exactly() -> None:
 
 RIGHT = ("some faces flipped", "facing away")
 ERRORS = {
-    "not a number": "the position of vertex 3121 is no number",
+    "not a number": "the position of vertex 3121 is not a number",
     "collapsed": "with an area",
     "on a floor": "off the body in it",
     "no hands": "wrist|hands",
     "twelve vertices": "20 triangles",
-    "arms grown to the trunk": "hangs together with the trunk",
+    "arms grown to the trunk": "is merged with the trunk",
     "empty file": "no triangles",
 }
 
 
 @pytest.mark.parametrize("kind", RIGHT)
-def test_damage_that_does_not_matter(kind: str, tmp_path: Path) -> None:
+def test_harmless_damage_does_not_change_the_measures(kind: str, tmp_path: Path) -> None:
     made = broken_body(kind, rng(1, RIGHT.index(kind), Stage.BODY))
     assert made.truth is not None
-    taken, remarks = measure_file(made.write(tmp_path))
-    assert not too_far(taken.measurements, made.truth)
+    result, remarks = measure_file(made.write(tmp_path))
+    assert not too_far(result.measurements, made.truth)
     assert any("turned" in remark for remark in remarks) == (kind == "facing away")
 
 
 @pytest.mark.parametrize("kind", ERRORS)
-def test_damage_that_forbids_to_measure(kind: str, tmp_path: Path) -> None:
+def test_harmful_damage_is_an_error(kind: str, tmp_path: Path) -> None:
     path = broken_body(kind, rng(1, list(ERRORS).index(kind), Stage.BODY)).write(tmp_path)
     with pytest.raises(BodyError, match=ERRORS[kind]) as caught:
         measure_file(path)
@@ -131,14 +133,14 @@ def test_a_body_file_needs_neither_measures_nor_parts(tmp_path: Path) -> None:
     assert hands.min() > 8.0
 
 
-def test_given_landmarks_take_the_place_of_those_found(tmp_path: Path) -> None:
+def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
     nape = fitted_woman().marks.points["nape_of_neck"]
     marks = {"nape_of_neck": [0.0, float(nape[1] - 5.0), float(nape[2])], "waist": [[0.0, 100.0, 0.0]]}
     (tmp_path / "marks.json").write_text(json.dumps(marks))
     given = read_landmarks(tmp_path / "marks.json", woman().vertices, 1.0)
     size = find_body(woman().vertices, woman().faces, given=given)
-    assert size.taken.measurements.head_l == pytest.approx(fitted_woman().taken.measurements.head_l + 5.0, abs=0.01)
-    assert size.taken.levels["waist"] == pytest.approx(100.0, abs=2.1)
+    assert size.result.measurements.head_l == pytest.approx(fitted_woman().result.measurements.head_l + 5.0, abs=0.01)
+    assert size.result.levels["waist"] == pytest.approx(100.0, abs=2.1)
     assert size.marks.confidence["nape_of_neck"] == 1.0
 
 
@@ -167,7 +169,7 @@ def test_broken_landmark_files(content: str, said: str, tmp_path: Path) -> None:
     assert str(caught.value).startswith(str(path))
 
 
-def test_gcd_measure_writes_what_the_pattern_programs_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_gcd_measure_writes_a_measurement_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["measure", "--shape", "random:3", "--out", str(tmp_path / "a.yaml")]) == 0
     body = build_body(draw_shape(rng(3, 0, Stage.BODY)))
     assert read_measurements(tmp_path / "a.yaml").to_file_values() == pytest.approx(measure(body).to_file_values())
@@ -194,8 +196,8 @@ def test_wrong_usage_of_gcd_measure(
     assert said in capsys.readouterr().err
 
 
-def test_a_body_that_there_is_not_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
+def test_an_unknown_body_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
         main(["measure", "--shape", "giant"])
-    assert ended.value.code == 2
+    assert caught.value.code == 2
     assert "no body named giant" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Nearest points, patched holes and loops, on shapes where they are known."""
+"""Nearest points, patched holes and loops of sections, on shapes with known ones."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_nearest_points_of_a_box_whatever_its_triangles() -> None:
     assert np.all(near.faces < len(box.faces))
 
 
-def test_a_column_of_slivers_is_not_divided_without_end() -> None:
+def test_subdivision_of_slivers_is_bounded() -> None:
     column = trimesh.creation.cylinder(20.0, 170.0, sections=1000)
     surface = SkinSurface.of(column.vertices, column.faces)
     assert len(surface.corners) < 400_000
@@ -66,13 +66,13 @@ def test_distances_are_taken_in_batches() -> None:
     assert measures.around(rings) == pytest.approx([measures.around(ring) for ring in rings])
 
 
-def test_a_way_between_any_two_points_of_a_ball() -> None:
+def test_a_geodesic_between_any_two_points_of_a_ball() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=10.0)
     surface = SkinSurface.of(ball.vertices, ball.faces)
     start, end = surface.nearest(np.array([(1.0, 9.0, 3.0), (9.0, 1.0, -2.0)])).points
-    net, vertices = graph_between(ball.vertices, ball.faces, start, end)
+    graph, vertices = graph_between(ball.vertices, ball.faces, start, end)
     angle = np.arccos(start @ end / np.linalg.norm(start) / np.linalg.norm(end))
-    assert net.length(vertices) == pytest.approx(10.0 * angle, rel=0.01)
+    assert graph.length(vertices) == pytest.approx(10.0 * angle, rel=0.01)
 
 
 def test_the_narrowest_ring_of_an_hourglass() -> None:
@@ -88,7 +88,7 @@ def test_the_narrowest_ring_of_an_hourglass() -> None:
     assert found[:, 1] == pytest.approx(found[0, 1])
 
 
-def test_a_limb_without_breadth_has_no_ring() -> None:
+def test_a_flat_limb_has_no_ring() -> None:
     strip = np.array([[-3.0, -9.0, 0.0], [3.0, -9.0, 0.0], [3.0, 9.0, 0.0], [-3.0, 9.0, 0.0]])
     ring = np.array([[-3.0, 0.0, -1.0], [3.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
@@ -109,7 +109,7 @@ def test_a_scan_is_welded_and_its_holes_are_patched() -> None:
     assert scan.vertices[scan.source[5 * 3 + 1]] == pytest.approx(corner)
 
 
-def test_a_scan_of_nothing_is_turned_down() -> None:
+def test_an_empty_scan_is_an_error() -> None:
     with pytest.raises(BodyError, match="0 triangles with an area"):
         Scan.of(np.zeros((3, 3)), np.array([[0, 1, 2]]), "flat")
     with pytest.raises(BodyError, match="names vertex 3 of 3"):
