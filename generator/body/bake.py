@@ -38,7 +38,7 @@ NEWTON_STEPS = 5
 
 
 def _controls(phenotypes: list[float], local: float) -> Float[np.ndarray, " c"]:
-    """A control vector: gender, muscle, weight, height, proportions, cup size, age; then ``local`` for each local one."""
+    """A vector of controls: ``phenotypes`` in the order of ``PHENOTYPES``, then ``local`` for each of ``LOCAL``."""
     return np.array(phenotypes + [local] * len(LOCAL))
 
 
