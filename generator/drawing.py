@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.colours import INK, PAPER, cloth_colour, seam_colour
-from gcd_dataset.generator.lay_plan import LaidPanel, lay_out
+from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
 from gcd_dataset.records import Pattern, Sample
 
 __all__ = [
@@ -37,18 +37,18 @@ def draw_pattern(pattern: Pattern, *, size: int = 800) -> UInt8[np.ndarray, "h w
     image = Image.new("RGB", (pixels, pixels), PAPER)
     canvas = ImageDraw.Draw(image)
 
-    def to_pixels(laid: LaidPanel, points: Float[np.ndarray, "n 2"]) -> list[tuple[float, float]]:
-        x, y = (scale * (points + laid.shift) + margin).T
+    def to_pixels(piece: SheetPanel, points: Float[np.ndarray, "n 2"]) -> list[tuple[float, float]]:
+        x, y = (scale * (points + piece.shift) + margin).T
         return list(zip(x.tolist(), (pixels - y).tolist(), strict=True))
 
-    for laid in plan.panels:
-        canvas.polygon(to_pixels(laid, laid.outline), fill=cloth_colour(laid.number))
-        for index, seam in enumerate(laid.seams):
-            line = to_pixels(laid, laid.edge_points(index))
+    for piece in plan.panels:
+        canvas.polygon(to_pixels(piece, piece.outline), fill=cloth_colour(piece.number))
+        for index, seam in enumerate(piece.seams):
+            line = to_pixels(piece, piece.edge_points(index))
             canvas.line(line, fill=seam_colour(seam), width=pixels // 350, joint="curve")
-        centre, room = laid.name_position()
-        font = _font(laid.panel.name, scale * room, pixels / 48)
-        canvas.text(to_pixels(laid, centre[None])[0], laid.panel.name, fill=INK, font=font, anchor="mm")
+        centre, room = piece.name_position()
+        font = _font(piece.panel.name, scale * room, pixels / 48)
+        canvas.text(to_pixels(piece, centre[None])[0], piece.panel.name, fill=INK, font=font, anchor="mm")
     return np.asarray(image.resize((size, size), Image.Resampling.LANCZOS))
 
 

@@ -2,7 +2,7 @@
 
 __all__ = ["core_seconds"]
 
-FIXED, PER_VERTEX_DENSITY = 0.8, 6.5  # s, s cm²; fit to 7.2, 2.4 and 1.2 core-seconds at 1, 2 and 4 cm
+FIXED, PER_DENSITY = 0.8, 6.5  # s, s cm²; fitted to 7.2, 2.4 and 1.2 core-seconds measured at 1, 2 and 4 cm
 
 
 def core_seconds(spacing: float) -> float:
@@ -11,4 +11,4 @@ def core_seconds(spacing: float) -> float:
     >>> core_seconds(1.0), core_seconds(2.0)
     (7.3, 2.425)
     """
-    return FIXED + PER_VERTEX_DENSITY / spacing**2
+    return FIXED + PER_DENSITY / spacing**2

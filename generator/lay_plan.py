@@ -9,7 +9,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import LINE, sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["LaidPanel", "LayPlan", "lay_out"]
+__all__ = ["LayPlan", "SheetPanel", "lay_out"]
 
 CURVE_POINTS = 33  # points along a drawn curve
 NAME_HEIGHTS = (0.5, 0.42, 0.58, 0.34, 0.66, 0.26, 0.74)  # shares of a panel's height, from the middle outwards
@@ -17,7 +17,7 @@ GRAIN_OFFSETS = (0.25, 0.75, 0.18, 0.82, 0.32, 0.68, 0.1, 0.9, 0.5)  # shares of
 
 
 @dataclass(frozen=True, eq=False)
-class LaidPanel:
+class SheetPanel:
     """A panel shifted to its position on the sheet; not turned, so its y axis is the grain."""
 
     panel: Panel
@@ -57,7 +57,7 @@ class LaidPanel:
 class LayPlan:
     """The panels of a pattern on one sheet, without overlaps."""
 
-    panels: tuple[LaidPanel, ...]
+    panels: tuple[SheetPanel, ...]
     width: float
     """[cm]"""
     height: float
@@ -70,11 +70,11 @@ def lay_out(pattern: Pattern) -> LayPlan:
     lows = np.array([outline.min(axis=0) for outline in outlines])
     corners, width, height = _rows(np.array([outline.max(axis=0) for outline in outlines]) - lows)
     seam_of = {side: number for number, seam in enumerate(pattern.seams) for side in (seam.left, seam.right)}
-    laid = []
+    panels = []
     for number, (panel, shift) in enumerate(zip(pattern.panels, corners - lows, strict=True)):
         seams = tuple(seam_of.get(EdgeRef(panel.name, index)) for index in range(len(panel.edges)))
-        laid.append(LaidPanel(panel, number, shift, seams))
-    return LayPlan(tuple(laid), width, height)
+        panels.append(SheetPanel(panel, number, shift, seams))
+    return LayPlan(tuple(panels), width, height)
 
 
 def _rows(sizes: Float[np.ndarray, "p 2"]) -> tuple[Float[np.ndarray, "p 2"], float, float]:

@@ -108,9 +108,9 @@ def produce(
 
 
 class LastDesign:
-    """A cache of one design, for the wearers whose samples were not asked for; of one seed and recipe.
+    """A cache of the last design, for samples of its other wearers that may be requested next.
 
-    Unpickles empty: each process caches its own design.
+    Use one for each seed and recipe. Unpickles empty: each process caches its own design.
     """
 
     def __init__(self) -> None:
@@ -148,7 +148,7 @@ class _Pending(Generic[Made]):
     """Results by index, until all its requests are served."""
 
     def work(self, indices: Iterable[int]) -> Iterator[Work[int]]:
-        """One ``Work`` for each index, which returns the index; without jobs if the design is in work or done."""
+        """A ``Work`` with the index as its result for each index; without jobs if the design is in work or done."""
         for index in indices:
             self.count[index] += 1
             number = index // self.config.wearers
@@ -248,14 +248,14 @@ def _by_workers(
     finished: Callable[[Sample], Any],
     pictured: bool,
 ) -> Iterator[Any]:
-    """The results of workers, which get the designs round-robin."""
+    """The results of workers with the designs dealt round-robin."""
     devices = devices_of(config) if config.stage == "drape" else ("cpu",)
     addresses = addresses_for(devices)
     # Named, not "auto": a worker that looked for devices itself would start CUDA.
     config = replace(config, device=devices_name(devices))
     shares = [
-        _WorkerShare(seed, own, config, addresses[k % len(addresses)], finished, pictured)
-        for k, own in enumerate(_round_robin(indices, config, workers))
+        _WorkerShare(seed, subset, config, addresses[k % len(addresses)], finished, pictured)
+        for k, subset in enumerate(_round_robin(indices, config, workers))
     ]
     with streams(_WorkerShare.run, shares) as results:
         for turn, group in enumerate(_designs(indices, config)):

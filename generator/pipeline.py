@@ -185,7 +185,7 @@ def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig)
 
 
 def _with_arm_turn(seed: int, wearer: _Wearer, config: MakeConfig) -> BodyShape:
-    """The wearer's shape with both arms turned by a random angle, up to ``config.arms``."""
+    """The wearer's shape with a random arm angle within ± ``config.arms`` degrees, if that is not 0."""
     if not config.arms:
         return wearer.shape
     turn = rng(seed, wearer.index, Stage.ARMS).uniform(-config.arms, config.arms)

@@ -19,7 +19,7 @@ __all__ = [
     "render_view",
 ]
 
-SKIN = (0.80, 0.76, 0.72)
+SKIN = (0.80, 0.76, 0.72)  # sRGB
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ Picture = UInt8[np.ndarray, "h w 3"]
 
 DISTANCE = 520.0  # cm from the camera to the centre of the scene
 MARGIN = 1.04  # size of the picture over the size of the scene in it
-WRONG_SIDE = 0.55  # brightness of the wrong side of cloth, of the right side's
+WRONG_SIDE = 0.55  # brightness of the wrong side of cloth, relative to the right side
 SAMPLES = 3  # rays per pixel, along each side
 LEAF = 1  # faces in a leaf of the BVH: rays take 20 % less time on an H200 than with Warp's default of 4
 KEY_LIGHT, FILL_LIGHT = (-0.45, 0.55, 0.70), (0.8, 0.1, 0.5)  # directions to the lights, in the front camera's view

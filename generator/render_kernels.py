@@ -8,8 +8,8 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-FAR = 1.0e6  # cm
-LIFT = 0.6  # cm from the surface to the start of a sky ray: beyond cloth lying on it, with hems that show as dark dots
+FAR = 1.0e6  # cm; length of a camera ray
+LIFT = 0.6  # cm from the surface to the start of a sky ray: clears cloth on it, or hems would show as dark dots
 REACH = 16.0  # cm; surfaces further away do not occlude
 SKY_RAYS = 24
 GOLDEN_ANGLE = 2.39996323
@@ -37,7 +37,7 @@ class Scenes:
 
 @wp.struct
 class Camera:
-    """A pinhole camera looking along ``forward``, and the lights, which are fixed to it."""
+    """A pinhole camera looking along ``forward``, with two lights fixed to it."""
 
     eye: wp.vec3
     right: wp.vec3

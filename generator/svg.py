@@ -13,7 +13,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic, curve_points, curve_tangents, from_frame
 from gcd_dataset.errors import shown
 from gcd_dataset.generator.colours import INK, RGB, cloth_colour, seam_colour
-from gcd_dataset.generator.lay_plan import LaidPanel, lay_out
+from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
 from gcd_dataset.records import Panel, Pattern
 
 __all__ = ["pattern_svg"]
@@ -53,27 +53,27 @@ def pattern_svg(pattern: Pattern) -> bytes:
         },
     )
     ElementTree.SubElement(root, "title").text = shown(pattern.name)
-    for laid in plan.panels:
-        root.append(_panel(laid, height))
+    for piece in plan.panels:
+        root.append(_panel(piece, height))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
-def _panel(laid: LaidPanel, height: float) -> Node:
+def _panel(piece: SheetPanel, height: float) -> Node:
     """The group of one panel: cloth, edges, grain line, name, seam numbers."""
-    x, y = laid.shift[0] + MARGIN, height - MARGIN - laid.shift[1]
-    name = shown(laid.panel.name)
+    x, y = piece.shift[0] + MARGIN, height - MARGIN - piece.shift[1]
+    name = shown(piece.panel.name)
     group = ElementTree.Element("g", {"data-panel": name, "transform": _upright(x, y)})
     ElementTree.SubElement(group, "title").text = name
-    ElementTree.SubElement(group, "path", {"d": _loop(laid.panel), "fill": _hex(cloth_colour(laid.number))})
-    for index, seam in enumerate(laid.seams):
-        start, end = laid.panel.edge_ends(index)
+    ElementTree.SubElement(group, "path", {"d": _loop(piece.panel), "fill": _hex(cloth_colour(piece.number))})
+    for index, seam in enumerate(piece.seams):
+        start, end = piece.panel.edge_ends(index)
         attributes = {"data-edge": str(index)} | ({} if seam is None else {"data-seam": str(seam)})
-        line = f"M{_point(start)} {_command(start, end, laid.panel.edges[index].curve)}"
+        line = f"M{_point(start)} {_command(start, end, piece.panel.edges[index].curve)}"
         ElementTree.SubElement(group, "path", {"d": line, "stroke": _hex(seam_colour(seam)), **attributes})
-    group.append(_grain_line(laid))
-    group.append(_name(laid, name))
-    group.extend(_seam_number(laid, index, seam) for index, seam in enumerate(laid.seams) if seam is not None)
+    group.append(_grain_line(piece))
+    group.append(_name(piece, name))
+    group.extend(_seam_number(piece, index, seam) for index, seam in enumerate(piece.seams) if seam is not None)
     return group
 
 
@@ -102,9 +102,9 @@ def _command(start: Point, end: Point, curve: Curve) -> str:
             return f"L{_point(end)}"
 
 
-def _grain_line(laid: LaidPanel) -> Node:
+def _grain_line(piece: SheetPanel) -> Node:
     """A line along the warp, the panel's y axis, with an arrow head at both ends."""
-    (x, y), room = laid.grain_position()
+    (x, y), room = piece.grain_position()
     half = 0.5 * GRAIN_SHARE * room
     head = min(ARROW, half)
     line = f"M{_point((x, y - half))} L{_point((x, y + half))}"
@@ -120,18 +120,18 @@ def _arrow_head(x: float, tip: float, length: float) -> str:
 # --------------------------------------------------------------------------------------------------------------- texts
 
 
-def _name(laid: LaidPanel, name: str) -> Node:
-    centre, room = laid.name_position()
+def _name(piece: SheetPanel, name: str) -> Node:
+    centre, room = piece.name_position()
     fitting = NAME_SHARE * room / (LETTER_WIDTH * max(len(name), 1))
     return _text(name, centre, min(LARGEST_NAME, max(SMALLEST_NAME, fitting)), INK)
 
 
-def _seam_number(laid: LaidPanel, index: int, seam: int) -> Node:
+def _seam_number(piece: SheetPanel, index: int, seam: int) -> Node:
     """The number of a seam, on the cloth beside the middle of its edge."""
-    ends, half = (*laid.panel.edge_ends(index), laid.panel.edges[index].curve), np.array([0.5])
+    ends, half = (*piece.panel.edge_ends(index), piece.panel.edges[index].curve), np.array([0.5])
     (dx, dy), middle = curve_tangents(*ends, half)[0], curve_points(*ends, half)[0]
     size = min(SEAM_NUMBER, SEAM_SHARE * float(np.hypot(*np.subtract(ends[1], ends[0]))))
-    inwards = laid.orientation * np.array([-dy, dx]) / max(float(np.hypot(dx, dy)), TINY)
+    inwards = piece.orientation * np.array([-dy, dx]) / max(float(np.hypot(dx, dy)), TINY)
     return _text(str(seam), middle + 0.7 * size * inwards, size, seam_colour(seam))
 
 

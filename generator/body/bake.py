@@ -199,7 +199,7 @@ def principal(halves: Float[np.ndarray, "n h 3"]) -> tuple[np.ndarray, np.ndarra
 
 
 def _weights(offsets: np.ndarray, components: np.ndarray) -> Float[np.ndarray, "n k"]:
-    """Least-squares weights of the components, which are orthogonal, for offsets from the mean."""
+    """Least-squares weights of the orthogonal components for offsets from the mean."""
     flat = components.reshape(len(components), -1)
     return offsets.reshape(len(offsets), -1) @ flat.T / (flat**2).sum(axis=1)
 

@@ -58,7 +58,7 @@ def model_landmarks(vertices: Float[np.ndarray, "v 3"]) -> Landmarks:
 
 
 def levels_of(rings: Mapping[str, Float[np.ndarray, "n 3"]], height: float) -> dict[str, float]:
-    """Heights at which the search for each girth is centred [cm]: the mean of its ring plus a share of the height."""
+    """Centre of the search for each girth [cm]: the mean height of its ring plus a share of the body's height."""
     above = landmark_table().levels
     return {name: float(rings[name][:, 1].mean()) + above.get(name, 0.0) * height for name in LEVEL_RINGS}
 

@@ -171,7 +171,7 @@ def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
 
 
 def _coarse_mesh_remark(found: FoundBody) -> list[str]:
-    """Bounds for the errors of a coarse mesh, which hold for decimated bodies."""
+    """Error bounds for a coarse mesh, as found on decimated bodies."""
     girth = GIRTH_ERROR * found.sagitta
     if girth < COARSE_ERROR * found.result.measurements.height / USUAL_HEIGHT:
         return []

@@ -31,7 +31,7 @@ class Adults(Record):
 
 @functools.cache
 def adults_of(sex: str) -> Adults:
-    """The adults of a sex. Raises ``BodyError`` for another word than ``SEXES``, or a damaged file."""
+    """The adults of a sex. Raises ``BodyError`` for a sex not in ``SEXES``, or a damaged file."""
     if sex not in SEXES:
         raise BodyError(f"no adults of sex {sex!r}: give {' or '.join(SEXES)}, or None for bodies between them")
     with np.load(io.BytesIO(checked_data("adults.npz"))) as file:

@@ -22,7 +22,7 @@ ROUNDS = 20  # at most; one to five suffice
 PASSES = 4  # of smoothing in a round
 RINGS = 2  # rings of neighbours that are smoothed with a folded face
 CREASED = -0.9  # cosine of the normals at an edge below which its faces are tested; intersecting ones are below -0.97
-TURNED = 0.7  # cosine to the reference normal below which at least one of these faces is
+TURNED = 0.7  # cosine to its reference normal below which a face is tested for a crease
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,11 +134,11 @@ def assert_true_to_scale(pattern: Pattern) -> None:
     width, height = (float(number) for number in root.get("viewBox", "").split()[2:])
     assert (root.get("width"), root.get("height")) == (f"{width:.10g}cm", f"{height:.10g}cm")
     placed = []
-    for panel, laid, piece in zip(pattern.panels, lay_out(pattern).panels, pieces, strict=True):
+    for panel, placed_panel, piece in zip(pattern.panels, lay_out(pattern).panels, pieces, strict=True):
         for index, edge in enumerate(piece.edges):
             ends = flattened(edge.get("d", ""))[[0, -1]]
             assert ends == pytest.approx(np.array(panel.edge_ends(index)), abs=TOLERANCE)
-        cloth, truth = shapely.Polygon(flattened(piece.cloth)), shapely.Polygon(laid.outline)
+        cloth, truth = shapely.Polygon(flattened(piece.cloth)), shapely.Polygon(placed_panel.outline)
         assert cloth.area == pytest.approx(truth.area, rel=5e-3)
         assert piece.matrix[:4] == (1, 0, 0, -1)  # true to scale, upright, not mirrored
         sheet = flattened(piece.cloth) * [1, -1] + piece.matrix[4:]
