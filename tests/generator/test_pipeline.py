@@ -218,7 +218,7 @@ def test_an_index_may_be_requested_twice() -> None:
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "said"),
+    ("option", "value", "expected"),
     [
         ("resolution", "fine", "resolution is 'fine': give a number"),
         ("points", 3.5, "points is 3.5: give a whole number"),
@@ -234,8 +234,8 @@ def test_an_index_may_be_requested_twice() -> None:
         ("fabric", "denin", "fabric is 'denin': known are default, gcd_soft"),
     ],
 )
-def test_options_are_checked(option: str, value: object, said: str) -> None:
-    with pytest.raises(ConfigError, match=re.escape(said)):
+def test_options_are_checked(option: str, value: object, expected: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(expected)):
         MakeConfig(**{option: value})  # type: ignore[arg-type]
 
 

@@ -116,7 +116,7 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "expected"),
     [
         ("parts", '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [8]}', "right_leg names vertex 8"),
         ("parts", '{"left_arm": 4, "right_arm": [5], "left_leg": [6], "right_leg": [7]}', "left_arm is no list"),
@@ -168,14 +168,14 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
     ],
 )
 def test_errors_of_broken_files_give_place_and_remedy(
-    name: str, content: str, said: str, mannequin: dict[str, Path]
+    name: str, content: str, expected: str, mannequin: dict[str, Path]
 ) -> None:
     mannequin[name].write_text(content)
     with pytest.raises(BodyError) as caught:
         read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
     message = str(caught.value)
     assert message.startswith(str(mannequin[name]))
-    assert said in message
+    assert expected in message
     assert message.isprintable()
     assert len(message.removeprefix(str(mannequin[name]))) < 400
 
@@ -223,7 +223,7 @@ def test_a_mesh_file_by_its_path(mannequin: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "expected"),
     [
         ("giant", "no body named giant"),
         ("random:", "the seed is ''"),
@@ -235,8 +235,8 @@ def test_a_mesh_file_by_its_path(mannequin: dict[str, Path]) -> None:
         (__file__, r"not a readable mesh format: convert it to \.obj, \.ply, \.stl, \.glb"),
     ],
 )
-def test_unknown_names_are_errors(name: str, said: str) -> None:
-    with pytest.raises(BodyError, match=said):
+def test_unknown_names_are_errors(name: str, expected: str) -> None:
+    with pytest.raises(BodyError, match=expected):
         named_body(name)
 
 

@@ -145,7 +145,7 @@ def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "expected"),
     [
         ("{", "line 1, column 2"),
         ("[]", "a list: give a map"),
@@ -161,10 +161,10 @@ def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
         ('{"neck_back": [1, 2]}', "neck_back has 2 points"),
     ],
 )
-def test_broken_landmark_files(content: str, said: str, tmp_path: Path) -> None:
+def test_broken_landmark_files(content: str, expected: str, tmp_path: Path) -> None:
     path = tmp_path / "marks.json"
     path.write_text(content)
-    with pytest.raises(BodyError, match=said) as caught:
+    with pytest.raises(BodyError, match=expected) as caught:
         read_landmarks(path, np.zeros((10, 3)), 1.0)
     assert str(caught.value).startswith(str(path))
 
@@ -181,7 +181,7 @@ def test_gcd_measure_writes_a_measurement_file(tmp_path: Path, capsys: pytest.Ca
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "said"),
+    ("options", "code", "expected"),
     [
         ([], 2, "give a mesh file or --shape"),
         (["a.obj", "--shape", "female"], 2, "one of them"),
@@ -190,10 +190,10 @@ def test_gcd_measure_writes_a_measurement_file(tmp_path: Path, capsys: pytest.Ca
     ],
 )
 def test_wrong_usage_of_gcd_measure(
-    options: list[str], code: int, said: str, capsys: pytest.CaptureFixture[str]
+    options: list[str], code: int, expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["measure", *options]) == code
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_an_unknown_body_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:

@@ -105,7 +105,7 @@ def test_vertices_of_obj_keep_their_numbers(tmp_path: Path) -> None:
     assert faces.tolist() == [[0, 1, 3], [3, 1, 4], [4, 3, 0]]
 
 
-# ------------------------------------------------------------------------------------------------------------ no meshes
+# ----------------------------------------------------------------------------------------------------- malformed files
 
 
 def glb(tree: Any, data: bytes = b"") -> bytes:
@@ -123,7 +123,7 @@ def ply(vertices: int, faces: int, rows: str) -> bytes:
 CORNERS = "0 0 0\n0 170 0\n10 0 0\n"
 V = "v 0 0 0\nv 0 170 0\nv 10 0 0\n"
 NODE = {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], "accessors": [{"count": 3, "type": "VEC3"}]}
-NONE = {
+MALFORMED = {
     "far.ply": (ply(3, 1, CORNERS + "3 0 1 99\n"), "a face names vertex 99 of 3"),
     "negative.ply": (ply(3, 1, CORNERS + "3 0 1 -7\n"), "a face names vertex -7 of 3"),
     "none.ply": (ply(0, 1, "3 0 1 2\n"), ""),
@@ -157,14 +157,14 @@ NONE = {
 }
 
 
-@pytest.mark.parametrize("name", NONE)
+@pytest.mark.parametrize("name", MALFORMED)
 def test_malformed_files_give_one_line_errors(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    content, said = NONE[name]
+    content, expected = MALFORMED[name]
     (tmp_path / name).write_bytes(content)
     with pytest.raises(BodyError) as caught:
         read_body(tmp_path / name)
     message = str(caught.value)
-    assert said in message
+    assert expected in message
     assert message.startswith(f"{tmp_path / name}: ")
     assert message.isprintable()
     assert len(message.removeprefix(str(tmp_path))) < 250

@@ -18,7 +18,7 @@ def torus() -> trimesh.Trimesh:
     return trimesh.creation.torus(20.0, 5.0, major_sections=256, minor_sections=128)
 
 
-def test_nearest_points_of_a_box_whatever_its_triangles() -> None:
+def test_nearest_points_of_a_box_with_large_triangles() -> None:
     box = trimesh.creation.box((40.0, 100.0, 20.0))
     points = np.array([(30.0, 11.0, 3.0), (1.0, 60.0, 2.0), (25.0, 55.0, 13.0), (19.0, 0.0, 0.0)])
     near = SkinSurface.of(box.vertices, box.faces).nearest(points)
@@ -37,7 +37,7 @@ def test_subdivision_of_slivers_is_bounded() -> None:
     assert near.distances == pytest.approx([10.0, 4.0], abs=0.1)
 
 
-def test_two_loops_of_a_torus_are_told_apart() -> None:
+def test_two_loops_of_a_torus_are_distinguished() -> None:
     shape = torus()
     cut = section(shape.vertices, shape.faces, 1, 0.01)
     loop = loops(cut)
