@@ -154,7 +154,7 @@ def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
         ('{"nape_of_neck": [1, 2]}', r"nape_of_neck is \[1, 2\]"),
         ('{"nape_of_neck": [1, 2, NaN]}', "NaN is no number"),
         ('{"nape_of_neck": true}', "nape_of_neck is true"),
-        ('{"nape_of_neck": [1, 2, 1e300]}', r"nape_of_neck is \[1, 2, 1e\+300\], outside of the mesh"),
+        ('{"nape_of_neck": [1, 2, 1e300]}', r"nape_of_neck is \[1, 2, 1e\+300\], outside the mesh"),
         ('{"nape_of_neck": [1, 2], "nape_of_neck": 3}', "stands twice"),
         ("[" * 100_000, "64 levels deep"),
         ('{"waist": 7}', "a ring is a list"),
