@@ -200,9 +200,9 @@ def _sample_of(design: DressedDesign, replies: Sequence[DrapeReply], config: Mak
 
 
 def _local_draper(config: MakeConfig) -> Draper:
-    from gcd_dataset.generator.drapers.here import DraperHere
+    from gcd_dataset.generator.drapers.local import LocalDraper
 
-    return DraperHere(devices_of(config)[0])
+    return LocalDraper(devices_of(config)[0])
 
 
 def _unchanged(sample: Sample) -> Sample:
@@ -232,9 +232,9 @@ class _WorkerShare:
             if self.address is not None:
                 draper, ahead = opened.enter_context(SharedDraper(self.address)), AHEAD
             elif self.config.stage == "drape":
-                from gcd_dataset.generator.drapers.here import DraperHere
+                from gcd_dataset.generator.drapers.local import LocalDraper
 
-                draper = opened.enter_context(DraperHere("cpu", at_once=1))
+                draper = opened.enter_context(LocalDraper("cpu", at_once=1))
             options = {"draper": draper, "ahead": ahead, "finished": self.finished, "pictured": self.pictured}
             results = produce(self.seed, self.indices, self.config, **options)  # type: ignore[call-overload]
             yield from by_thread(results, READY, name=MAKERS)

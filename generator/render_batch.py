@@ -15,7 +15,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import render_kernels
 from gcd_dataset.generator.colours import PAPER
 from gcd_dataset.generator.drape import load_kernels, resolve_device
-from gcd_dataset.generator.drape.device import one_at_a_time
+from gcd_dataset.generator.drape.device import launch_lock
 from gcd_dataset.generator.render_kernels import (
     LEVELS,
     Camera,
@@ -54,7 +54,7 @@ def start_render(scenes: Sequence[Scene], views: Sequence[View], *, size: int, d
         raise ConfigError(f"a picture of {size} pixels: give a size of 1 or more")
     device = resolve_device(device)
     load_kernels("renderer", render_kernels, device=device)
-    with one_at_a_time:
+    with launch_lock:
         return PendingRender(scenes, views, size, device)
 
 
@@ -72,12 +72,12 @@ class PendingRender:
 
     def ready(self) -> bool:
         """Whether ``pictures`` returns without waiting."""
-        with one_at_a_time:  # CUDA refuses event queries while another thread captures a graph
+        with launch_lock:  # CUDA refuses event queries while another thread captures a graph
             return self._rendered is None or self._rendered.is_complete
 
     def pictures(self) -> list[tuple[Picture, ...]]:
         """Wait for the pictures and return the views of each scene. Call once: the buffers are reused."""
-        with one_at_a_time:
+        with launch_lock:
             if self._rendered is not None:
                 wp.synchronize_event(self._rendered)
         each = [picture.copy() for picture in self._pictures]

@@ -1,11 +1,11 @@
-"""The studio replies to each request with the draped garment and the requested pictures."""
+"""Each reply has the pictures of its own garment."""
 
 import numpy as np
 import pytest
 
 from gcd_dataset.generator.drape import DrapeJob
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
-from gcd_dataset.generator.drapers.studio import Studio
+from gcd_dataset.generator.drapers.pictures import PictureQueue
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.render import render_garment
@@ -16,17 +16,17 @@ GARMENTS = MakeConfig(stage="mesh", bodies="both", resolution=10.0)
 
 @pytest.fixture(scope="module")
 def jobs() -> list[DrapeJob]:
-    dressed = [wearer for number in range(2) for wearer in prepare(1, number, GARMENTS).dressed]
-    return [DrapeJob(wearer.box_mesh, wearer.body, wearer.size) for wearer in dressed if wearer.box_mesh]
+    worn = [worn for number in range(2) for worn in prepare(1, number, GARMENTS).dressed]
+    return [DrapeJob(one.box_mesh, one.body, one.size) for one in worn if one.box_mesh]
 
 
 def at_rest(job: DrapeJob) -> Drape:
-    """A drape that settled in its start position."""
+    """A settled drape at the start positions."""
     return Drape(job.box_mesh.vertices.astype(np.float32), Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
 
 
-def assert_replies(replies: list[DrapeReply], requests: list[DrapeRequest]) -> None:
-    """Each request has one reply, with its own garment from both sides."""
+def assert_own_pictures(replies: list[DrapeReply], requests: list[DrapeRequest]) -> None:
+    """One reply for each request, with its garment from front and back."""
     by_number = {reply.number: reply for reply in replies}
     assert len(by_number) == len(replies) == len(requests)
     for request in requests:
@@ -40,32 +40,32 @@ def assert_replies(replies: list[DrapeReply], requests: list[DrapeRequest]) -> N
         assert all(map(np.array_equal, reply.pictures, alone))
 
 
-@pytest.mark.parametrize("together", [1, 2, 3])
+@pytest.mark.parametrize("batch_size", [1, 2, 3])
 def test_every_garment_gets_its_own_pictures(
-    jobs: list[DrapeJob], together: int, monkeypatch: pytest.MonkeyPatch
+    jobs: list[DrapeJob], batch_size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For any batch size, with changing picture sizes and requests without pictures."""
-    monkeypatch.setattr(Studio, "_together", lambda *_: together)
+    """Whatever the batch size; sizes change, and some requests ask for no pictures."""
+    monkeypatch.setattr(PictureQueue, "_batch_size", lambda *_: batch_size)
     sizes = [24, 24, 32, 0, 24, 24, 24, 0]
     requests = [DrapeRequest(number, jobs[number % len(jobs)], picture=size) for number, size in enumerate(sizes)]
     replies: list[DrapeReply] = []
-    studio = Studio("cpu")
+    queue = PictureQueue("cpu")
     for request in requests:
-        studio.take(request, at_rest(request.job), replies.append)
-    studio.finish()
-    assert_replies(replies, requests)
+        queue.add(request, at_rest(request.job), replies.append)
+    queue.flush()
+    assert_own_pictures(replies, requests)
     pictured = [reply.number for reply in replies if reply.pictures]
     assert pictured == sorted(pictured)
 
 
-def test_a_garment_need_not_wait_for_the_next(jobs: list[DrapeJob]) -> None:
-    """While others are draped, the pictures of settled garments are rendered and sent."""
+def test_pictures_do_not_wait_for_a_full_batch(jobs: list[DrapeJob]) -> None:
+    """``advance`` renders and replies while other garments drape."""
     replies: list[DrapeReply] = []
-    studio, request = Studio("cpu"), DrapeRequest(7, jobs[0], picture=24)
-    studio.take(request, at_rest(request.job), replies.append)
+    queue, request = PictureQueue("cpu"), DrapeRequest(7, jobs[0], picture=24)
+    queue.add(request, at_rest(request.job), replies.append)
     for _ in range(2):
-        studio.go_on()
-    assert_replies(replies, [request])
-    studio.go_on()
-    studio.finish()
+        queue.advance()
+    assert_own_pictures(replies, [request])
+    queue.advance()
+    queue.flush()
     assert len(replies) == 1
