@@ -14,7 +14,7 @@ from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_
 from gcd_dataset.generator.body.population import SEXES
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
-from gcd_dataset.generator.mesh import Coarse, build_box_mesh, coarse_start
+from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.records import (
@@ -94,7 +94,7 @@ class DressedWearer:
     size: Measurements
     pattern: Pattern
     box_mesh: BoxMesh | None
-    coarse: Coarse | None
+    coarse: CoarseMesh | None
 
 
 @dataclass(frozen=True)

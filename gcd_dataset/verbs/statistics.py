@@ -33,7 +33,7 @@ def garment_type(design: Mapping[str, Any]) -> dict[str, Any]:
         return node.get("v") if isinstance(node, Mapping) else node
 
     upper, bottom = UPPERS.get(value("meta", "upper")), BOTTOMS.get(value("meta", "bottom"))
-    below = float(value(bottom.length_told_by or bottom.section, "length") or 0.0) if bottom else 0.0
+    below = float(value(bottom.statistics_length_section or bottom.section, "length") or 0.0) if bottom else 0.0
     at_waist = upper is not None and upper.at_waist
     top = 1.0 if at_waist else float(value(upper.section if upper else "shirt", "length") or 0.0)
     belt = float(value("waistband", "width") or 0.0) if value("meta", "wb") else 0.0

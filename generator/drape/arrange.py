@@ -14,8 +14,8 @@ import shapely
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from gcd_dataset.generator.drape.inside import InsideTest
-from gcd_dataset.generator.drape.limbs import Limb, limbs_of
+from gcd_dataset.generator.body.inside import InsideTest
+from gcd_dataset.generator.body.limbs import Limb, limbs_of
 from gcd_dataset.records import Body, BodyPart, BoxMesh, PanelRole
 
 __all__ = ["arrange", "arranged"]

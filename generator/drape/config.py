@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape.fabric import STIFFEST, Fabric
-from gcd_dataset.generator.mesh import Coarse
+from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import Body, BoxMesh, Measurements
 
 __all__ = ["DrapeConfig", "DrapeJob"]
@@ -42,6 +42,8 @@ class DrapeConfig:
     """Move cloth that is inside the body out to the skin."""
     part_filters: bool = True
     """Collision filter: skirts and trousers pass through the arms, bodices above them through the forearms."""
+    untangling_steps: int = 60
+    """Implicit steps at most for a garment that crosses itself at rest; 0 leaves it as it is."""
     exact_finish: bool = True
     """Finally move cloth off the skin's triangles themselves, where the distance field is too coarse."""
     coarse_start: bool = True
@@ -108,5 +110,5 @@ class DrapeJob:
     body: Body
     measurements: Measurements
     fabric: Fabric = USUAL_FABRIC
-    coarse: Coarse | None = None
+    coarse: CoarseMesh | None = None
     """The coarse mesh of ``coarse_start``. Without it the drape makes one, in the time a GPU takes for two drapes."""

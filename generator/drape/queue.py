@@ -23,7 +23,7 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect
 from gcd_dataset.generator.drape.solver import Solver, nothing
-from gcd_dataset.generator.mesh import Coarse, coarse_start
+from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
 from gcd_dataset.records import Drape
 
 __all__ = ["PreparedJob", "drape_unordered"]
@@ -94,7 +94,7 @@ class _Pass:
 
     number: int
     fine: DrapeJob
-    coarse: Coarse | None
+    coarse: CoarseMesh | None
     """The coarse mesh in the coarse pass; None in the fine pass."""
     constraints: BodyConstraints
     """The constraints of ``job``."""
@@ -103,7 +103,7 @@ class _Pass:
     """Frames of the coarse pass, in the fine pass."""
     previous_world: int | None = None
     """The garment's world in the previous batch."""
-    refined_from: Coarse | None = None
+    refined_from: CoarseMesh | None = None
     """The coarse mesh in that world, if this is the first batch of the fine pass."""
 
     @classmethod
@@ -138,11 +138,11 @@ class _Pass:
         )
 
 
-def _job(fine: DrapeJob, coarse: Coarse | None) -> DrapeJob:
+def _job(fine: DrapeJob, coarse: CoarseMesh | None) -> DrapeJob:
     return fine if coarse is None else replace(fine, box_mesh=coarse.mesh)
 
 
-def _constraints(fine: DrapeJob, coarse: Coarse | None, prepared: PreparedJob | None) -> BodyConstraints:
+def _constraints(fine: DrapeJob, coarse: CoarseMesh | None, prepared: PreparedJob | None) -> BodyConstraints:
     """The constraints of the coarse mesh, or of the fine mesh without one; precomputed where possible."""
     known = None
     if prepared is not None:

@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from gcd_dataset.errors import BodyError
+from gcd_dataset.generator.body.limbs import limbs_of
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.drape.arrange import arrange
-from gcd_dataset.generator.drape.limbs import limbs_of
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, BodyPart, BoxMesh, Outcome, Panel, Pattern, Placement
 from tests.generator.dressing.test_openings import tube

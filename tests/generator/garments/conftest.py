@@ -29,7 +29,7 @@ STOUT = replace(
 
 
 def scaled(size: Measurements, factor: float) -> Measurements:
-    """The same proportions on another scale."""
+    """The same proportions at another scale."""
     lengths = {f.name: factor * getattr(size, f.name) for f in fields(size) if f.name not in ANGLES}
     return replace(size, **lengths)
 
@@ -39,7 +39,7 @@ WEARERS = {"woman": WOMAN, "man": MAN, "stout": STOUT, "doll": scaled(WOMAN, 0.3
 SHIRT = {"upper": "Shirt"}
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}
 DRESS = {"upper": "Shirt", "bottom": "SkirtCircle"}
-GODETS = {"insert_depth": 10, "insert_w": 10}  # cm: as large as a doll's skirt takes
+GODETS = {"insert_depth": 10, "insert_w": 10}  # cm: the largest that fit into a doll's skirt
 OUTFITS: dict[str, Mapping[str, Any]] = {
     "shirt": {"meta": SHIRT},
     "sleeveless": {"meta": SHIRT, "sleeve": {"sleeveless": True}, "collar": {"f_collar": "VNeckHalf"}},
@@ -57,7 +57,7 @@ OUTFITS: dict[str, Mapping[str, Any]] = {
     **{upper.value: {"meta": {"upper": upper.value}} for upper in Upper},
     **{bottom.value: {"meta": {"upper": None, "bottom": bottom.value}, "godet-skirt": GODETS} for bottom in Bottom},
 }
-"""Garments of the battery: every one of the wardrobe with its defaults, and some with other parameters."""
+"""Designs of the battery: every garment of the wardrobe with its defaults, and some with other parameters."""
 
 
 @pytest.fixture(params=WEARERS)

@@ -1,9 +1,9 @@
-"""A skirt that is not in the wardrobe: what a user writes to add one, as the package's docstring says."""
+"""A skirt outside the wardrobe, written as the docstring of ``generator.garments`` describes."""
 
 from dataclasses import dataclass
 
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
-from gcd_dataset.generator.garments.ring import skirt_panel
+from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, real
 from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
@@ -18,13 +18,13 @@ class OwnSkirtDesign(Design):
     length: float = real(0.3, 0.1, 0.9)
     """Below the hips, as a fraction of hips to floor."""
     rise: float = real(1.0, 0.5, 1.0)
-    """Where the top sits: 0 at the hips, 1 at the waist."""
+    """Position of the top: 0 at the hips, 1 at the waist."""
     spread: float = real(0.3, 0.0, 0.6)
-    """By how much each side of the hem stands out, as a fraction of the length."""
+    """Width added to each side of the hem, as a fraction of the length."""
 
 
 def own_skirt(size: Measurements, design: OwnSkirtDesign, cutting: Cutting) -> Component:
-    """Two trapezes sewn at the sides; offers ``top`` [ring]."""
+    """Two trapezoids sewn at the sides; offers the ring ``top``."""
     width, length = back_at_rise(size, cutting.rise), cutting.length
     widths = {"front": girth_at_rise(size, cutting.rise) - width, "back": width}
     front, back = (
@@ -44,5 +44,5 @@ OWN_SKIRT = SimpleBottom(
     section="own-skirt",
     design=OwnSkirtDesign,
     cut=own_skirt,
-    long=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
 )

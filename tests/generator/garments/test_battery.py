@@ -1,4 +1,4 @@
-"""What holds for every garment of the wardrobe on every wearer; other designs join in ``conftest.OUTFITS``."""
+"""Properties of every garment of the wardrobe on every wearer; ``conftest.OUTFITS`` lists more designs."""
 
 import json
 import re
@@ -64,8 +64,8 @@ def test_seams_sew_each_edge_once_right_sides_together(wearer: Measurements, des
 
 
 def test_seams_that_do_not_gather_join_equal_lengths(wearer: Measurements, design: OutfitDesign) -> None:
-    # Sides and shoulders are left out: a front is drawn shorter than its back where it is wider. The halves of a
-    # sleeve may differ by a surplus too short to move, gathered.
+    # Without sides and shoulders: a front wider than its back is drawn shorter. The halves of a sleeve may differ by a
+    # gathered surplus that is too short to move.
     pattern = outfit(wearer, design)
     plain = {"centre", "left", "right", "upper", "under"}
     for seam in pattern.seams:
@@ -75,7 +75,7 @@ def test_seams_that_do_not_gather_join_equal_lengths(wearer: Measurements, desig
 
 
 def test_sewn_edges_face_each_other(woman: Measurements, design: OutfitDesign) -> None:
-    # A swapped or twisted seam would cross the garment before it is sewn.
+    # Before sewing, a swapped or twisted seam would cross the garment.
     pattern = outfit(woman, design)
     for seam in pattern.seams:
         left, right = (middle(pattern, ref) for ref in (seam.left, seam.right))
@@ -125,11 +125,11 @@ def test_the_same_design_gives_the_same_bytes(woman: Measurements, design: Outfi
     assert first == second
 
 
-def test_a_design_survives_its_file(design: OutfitDesign) -> None:
+def test_a_design_comes_back_from_its_file(design: OutfitDesign) -> None:
     assert design_from_dict(json.loads(json.dumps(design_to_dict(design)))) == design
 
 
-def test_labels_sit_where_a_drape_looks_for_them(wearer: Measurements, design: OutfitDesign) -> None:
+def test_labels_that_a_drape_needs_are_present(wearer: Measurements, design: OutfitDesign) -> None:
     pattern = outfit(wearer, design)
     labels = {edge.label for panel in pattern.panels for edge in panel.edges if edge.label}
     assert labels <= HOLDERS
@@ -142,6 +142,6 @@ def test_labels_sit_where_a_drape_looks_for_them(wearer: Measurements, design: O
 
 
 def test_nearly_all_random_designs_can_be_worn(wearer: Measurements) -> None:
-    """Drawn for this very wearer, whatever her size."""
+    """If sampled for that wearer, even for a doll or a giant."""
     drawn = [sample_design(np.random.default_rng(seed), [wearer]) for seed in range(30)]
     assert sum(isinstance(try_on(wearer, design), Reject) for design in drawn) <= 3
