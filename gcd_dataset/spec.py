@@ -85,7 +85,7 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
     }
     seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(_stitches(body, at)))
     if not form.loops_normalised:
-        panels, seams = _normalise_loops(panels, seams, at)
+        panels, seams = _normalise_loops(panels, seams)
     order = _given_order(body, panels, at) if "panel_order" in body else panel_order(panels.values())
     return Pattern(name, tuple(panels[key] for key in order), seams, _extra(spec, form))
 
@@ -275,9 +275,7 @@ def _extra(spec: Mapping[str, Any], form: _Form) -> dict[str, Any]:
     return extra
 
 
-def _normalise_loops(
-    panels: Mapping[str, Panel], seams: Iterable[Seam], at: JsonPath
-) -> tuple[dict[str, Panel], tuple[Seam, ...]]:
+def _normalise_loops(panels: Mapping[str, Panel], seams: Iterable[Seam]) -> tuple[dict[str, Panel], tuple[Seam, ...]]:
     """Loops that start at the lower left and run counter-clockwise in their plane; every panel stays where it hangs."""
     shifts, changed = {}, {}
     for name, panel in panels.items():

@@ -9,10 +9,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+from jaxtyping import Float
+
 from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.body.population import SEXES
 from gcd_dataset.generator.drawing import jpeg_bytes
+from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
@@ -95,6 +99,8 @@ class DressedWearer:
     pattern: Pattern
     box_mesh: BoxMesh | None
     coarse: CoarseMesh | None
+    start: Float[np.ndarray, "v 3"] | None
+    """Start positions of the drape, as ``DrapeJob.start`` [cm]."""
 
 
 @dataclass(frozen=True)
@@ -180,8 +186,11 @@ def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig)
         mesh = build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None
     except MeshError as error:
         return Reject("cannot_be_meshed", str(error))
-    coarse = coarse_start(mesh) if mesh is not None and config.stage == "drape" else None
-    return DressedWearer(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse)
+    coarse, start = None, None
+    if mesh is not None and config.stage == "drape":
+        coarse = coarse_start(mesh)
+        start = sewing_start(coarse.mesh if coarse else mesh, body)
+    return DressedWearer(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse, start)
 
 
 def _with_arm_turn(seed: int, wearer: _Wearer, config: MakeConfig) -> BodyShape:
@@ -200,7 +209,7 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
 
     fabric = fabric_named(config.fabric)
     return tuple(
-        DrapeJob(wearer.box_mesh, wearer.body, wearer.size, fabric, wearer.coarse)
+        DrapeJob(wearer.box_mesh, wearer.body, wearer.size, fabric, wearer.coarse, wearer.start)
         for wearer in design.dressed
         if wearer.box_mesh is not None
     )

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float
+
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape.fabric import STIFFEST, Fabric
 from gcd_dataset.generator.mesh import CoarseMesh
@@ -48,8 +51,8 @@ class DrapeConfig:
     """Finally move cloth off the skin's triangles themselves, where the distance field is too coarse."""
     coarse_start: bool = True
     """Drape a mesh of twice the spacing first and continue from its shape: faster, with fewer crossings."""
-    curved_start: bool = False
-    """Bend panels round trunk and arms before sewing; else they start flat, where the pattern places them."""
+    sewing_start: bool = True
+    """Start wide skirts on a cone round the legs and wide bodices between the arms, not flat before and behind."""
     sewing_time: float = 0.2
     """The seams close over this time [s]."""
     held_time: float = 0.25
@@ -112,3 +115,5 @@ class DrapeJob:
     fabric: Fabric = USUAL_FABRIC
     coarse: CoarseMesh | None = None
     """The coarse mesh of ``coarse_start``. Without it the drape makes one, in the time a GPU takes for two drapes."""
+    start: Float[np.ndarray, "v 3"] | None = None
+    """Positions of ``sewing_start`` for ``coarse``, or for ``box_mesh`` without it [cm]; computed where left out."""

@@ -12,7 +12,6 @@ from typing import Self
 import numpy as np
 from jaxtyping import Bool
 
-from gcd_dataset.generator.drape.arrange import arranged
 from gcd_dataset.generator.drape.body_field import HostField
 from gcd_dataset.generator.drape.carry import carry_over
 from gcd_dataset.generator.drape.coarse_start import start_from_coarse
@@ -23,6 +22,7 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect
 from gcd_dataset.generator.drape.solver import Solver, nothing
+from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
 from gcd_dataset.records import Drape
 
@@ -108,14 +108,16 @@ class _Pass:
 
     @classmethod
     def first(cls, number: int, given: DrapeJob | PreparedJob, config: DrapeConfig) -> Self:
-        prepared = given if isinstance(given, PreparedJob) and not config.curved_start else None
+        prepared = given if isinstance(given, PreparedJob) else None
         job = given.job if isinstance(given, PreparedJob) else given
         coarse = (job.coarse or coarse_start(job.box_mesh)) if config.coarse_start else None
-        if config.curved_start and coarse:
-            coarse = replace(coarse, mesh=arranged(coarse.mesh, job.body))
-        elif config.curved_start:
-            job = replace(job, box_mesh=arranged(job.box_mesh, job.body))
-        return cls(number, job, coarse, _constraints(job, coarse, prepared), prepared)
+        constraints = _constraints(job, coarse, prepared)
+        if config.sewing_start:
+            mesh = coarse.mesh if coarse else job.box_mesh
+            known = job.start if (job.coarse is None) == (coarse is None) else None
+            mesh = replace(mesh, vertices=sewing_start(mesh, job.body) if known is None else known)
+            coarse, job = (replace(coarse, mesh=mesh), job) if coarse else (None, replace(job, box_mesh=mesh))
+        return cls(number, job, coarse, constraints, prepared)
 
     @property
     def job(self) -> DrapeJob:

@@ -22,7 +22,7 @@ class Wearer:
 
 def wearer_of(body: Body, size: Measurements) -> Wearer:
     """The levels and limbs of a body. Raises ``BodyError`` for a missing measure or a body without a trunk."""
-    size.require("height", "head_l", "waist_line", "hips_line", "armscye_depth", "crotch_hip_diff", "waist", "neck_w")
+    size.require("height", "head_l", "waist_line", "hips_line", "armscye_depth", "crotch_hip_diff")
     nape = size.height - size.head_l
     return Wearer(
         nape=nape,

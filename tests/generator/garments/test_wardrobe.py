@@ -1,15 +1,10 @@
 """Garment records: each garment is one file, listed in the wardrobe, and all other code reads its record."""
 
-import json
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import gcd_dataset
 from gcd_dataset.curves import curve_length
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments import (
@@ -29,32 +24,9 @@ from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.verbs.statistics import garment_type
-from tests.generator.garments import own_skirt
 from tests.generator.garments.conftest import OUTFITS
 
 OWN = [upper for upper in Upper if not upper.garment.weight]
-TRIAL = """
-import json, numpy as np
-from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import design_from_dict, design_to_dict, sample_design, try_on
-from gcd_dataset.generator.garments.overlay import Overlay
-from gcd_dataset.generator.mesh import build_box_mesh
-
-body = build_body(neutral_shape())
-size = measure(body)
-two = Overlay.from_dict({"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "OwnSkirt"]}}})
-drawn = [sample_design(np.random.default_rng(seed), [size], overlay=two).meta.bottom for seed in range(8)]
-asked = Overlay.from_dict({"meta": {"upper": "none", "bottom": "OwnSkirt"}, "own-skirt": {"spread": 0.5}})
-pattern = try_on(size, design_from_dict({"meta": {"bottom": "OwnSkirt"}}))
-print(json.dumps({
-    "drawn": sum(bottom is not None and bottom.value == "OwnSkirt" for bottom in drawn),
-    "spread": design_to_dict(sample_design(np.random.default_rng(0), [size], overlay=asked))["own-skirt"]["spread"],
-    "panels": [panel.name for panel in pattern.panels],
-    "parts": [panel.label for panel in pattern.panels],
-    "vertices": len(build_box_mesh(pattern, spacing=4.0).vertices),
-    "measures": size.to_file_values(),
-}))
-"""
 
 
 def length(pattern: Pattern, panel: str, *edges: str) -> float:
@@ -68,42 +40,6 @@ def test_garments_have_distinct_names_and_sections_distinct_classes() -> None:
     kinds = {(garment.section, garment.design) for garment in GARMENTS}
     assert len({section for section, _ in kinds}) == len(kinds)
     assert all(isinstance(garment.section_design(OutfitDesign()), garment.design) for garment in GARMENTS)
-
-
-MEASURE = """    torso: float = measure(lambda tape: tape.above("nape_of_neck", "crotch_point"))
-    \"\"\"Nape to crotch, vertically.\"\"\"
-"""
-
-
-def test_a_skirt_is_added_by_a_file_and_a_line_and_a_measure_by_a_field(tmp_path: Path) -> None:
-    """In a copy of the package with no other change, the skirt is sampled, narrowed by an overlay, and meshed."""
-    package = tmp_path / "gcd_dataset"
-    shutil.copytree(
-        Path(gcd_dataset.__file__).parent, package, ignore=shutil.ignore_patterns("hub", "loaders", "shards")
-    )
-    garments = package / "generator" / "garments"
-    shutil.copy(Path(own_skirt.__file__), garments)
-    wardrobe = (garments / "wardrobe.py").read_text()
-    line, member = "from typing import Any\n", "    LEVELS = LEVELS_SKIRT\n"
-    assert wardrobe.count(line) == wardrobe.count(member) == 1
-    wardrobe = wardrobe.replace(line, f"{line}from gcd_dataset.generator.garments.own_skirt import OWN_SKIRT\n")
-    (garments / "wardrobe.py").write_text(wardrobe.replace(member, f"{member}    OWN = OWN_SKIRT\n"))
-    measurements = (package / "measurements.py").read_text()
-    assert measurements.count("\n    @classmethod\n") == 1
-    (package / "measurements.py").write_text(
-        measurements.replace("\n    @classmethod\n", f"{MEASURE}\n    @classmethod\n")
-    )
-    run = subprocess.run([sys.executable, "-c", TRIAL], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    found = json.loads(run.stdout)
-    assert found["drawn"] > 0
-    assert found["spread"] == 0.5
-    assert set(found["panels"]) == {"own_skirt_front", "own_skirt_back"}
-    assert found["parts"] == ["leg", "leg"]
-    assert found["vertices"] > 100
-    taken = found["measures"]
-    down_the_back = taken["waist_line"] + taken["hips_line"] + taken["crotch_hip_diff"]
-    assert taken["torso"] == pytest.approx(down_the_back, rel=0.05)
 
 
 # ------------------------------------------------------------------------------------------ garments beyond GarmentCode
