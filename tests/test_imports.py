@@ -15,7 +15,7 @@ HEAVY = ("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "
 
 
 def loaded_by(module: str) -> set[str]:
-    """Which of the heavy packages a fresh interpreter has after importing ``module``."""
+    """The heavy packages that a fresh interpreter loads when it imports ``module``."""
     code = f"import {module}, json, sys; print(json.dumps([m for m in {HEAVY!r} if m in sys.modules]))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     return set(json.loads(out))
@@ -47,7 +47,7 @@ def test_the_generator_offers_its_steps() -> None:
 
 
 def sources() -> list[Path]:
-    """Every source file of the package, through the links too."""
+    """Every source file of the package, linked folders included."""
     folders = os.walk(PACKAGE, followlinks=True)
     return sorted(Path(folder) / name for folder, _, names in folders for name in names if name.endswith(".py"))
 

@@ -96,7 +96,7 @@ def measure_at(vertices: Float[np.ndarray, "v 3"], marks: Landmarks, sites: "Sit
     spine = section(skin, local.spine, X, spine_x).reshape(-1, 3)
     leg_level, leg_circ = _leg_girth(skin, local, marks, scale)
     tape = _Tape(upright, points, marks.rings, found, spine, over_bust, leg_circ, sites.arm.length(vertices))
-    measurements = Measurements(**{name: float(known.taken(tape)) for name, known in MEASURE.items()})
+    measurements = Measurements(**{name: float(known.formula(tape)) for name, known in MEASURE.items()})
     levels = {name: float(cut[0, Y]) for name, cut in found.items()} | {"leg_circ": leg_level}
     return MeasureResult(measurements, levels, _at_border(levels, marks, scale))
 

@@ -177,7 +177,7 @@ def test_gcd_measure_writes_a_measurement_file(tmp_path: Path, capsys: pytest.Ca
     drawn = measure(build_body(draw_shape(rng(3, 0, Stage.BODY), sex="male")))
     assert f"\n  waist: {drawn.waist}\n" in capsys.readouterr().out
     assert main(["measure", "--shape", "female"]) == 0
-    assert "\n# bust: taken at" in capsys.readouterr().out
+    assert "\n# bust: measured at height" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
