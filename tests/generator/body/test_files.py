@@ -123,7 +123,7 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("parts", '{"body": [0]}', "name left_arm, right_arm, left_leg and right_leg"),
         ("parts", "[1, 2]", "a list: give a map"),
         ("parts", "{", "line 1, column 2: Expecting property name"),
-        ("parts", PARTS.replace("[4]", "[]") % 7, "left_arm has no vertices: name those of the limb"),
+        ("parts", PARTS.replace("[4]", "[]") % 7, "left_arm has no vertices: list the vertices of the limb"),
         ("parts", PARTS % '7], "left_leg": [5', "key left_leg stands twice in one object"),
         ("parts", PARTS % -1, "right_leg is no list of vertex ids: give whole numbers of 0 and more"),
         ("parts", PARTS % 7.0, "right_leg is no list of vertex ids"),
