@@ -20,7 +20,7 @@ import warp as wp
 from jaxtyping import Float, Int, UInt8
 from scipy.spatial import ConvexHull
 
-from gcd_dataset.generator.body.holes import VisibleSkin, sides_of
+from gcd_dataset.generator.body.holes import VisibleSkin, half_edges_of
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
 from gcd_dataset.records import Body, BodyPart
 
@@ -205,7 +205,7 @@ def _skin(digest: bytes, body: Body) -> _SkinTopology:
 
 def _edges_without_lids(skin: VisibleSkin) -> Int[np.ndarray, "e 2"]:
     """Edges between vertices of the body; each lid adds one vertex, numbered after the body's."""
-    sides, _ = sides_of(skin.faces)
+    sides, _ = half_edges_of(skin.faces)
     low, high = np.sort(sides, axis=1).astype(np.int64).T
     edges = np.unique((low << 32) + high)
     edges = np.stack([edges >> 32, edges & 0xFFFFFFFF], axis=1)
