@@ -1,6 +1,6 @@
-"""Make garments: body, measures, design, pattern, box mesh, drape; step by step, or ``make`` for the whole way.
+"""Make garments: body, measures, design, pattern, box mesh, drape; step by step, or all steps at once with ``make``.
 
-The steps are brought in when they are named, so that drawing a pattern does not wait for the simulator.
+Names are imported on first use: drawing a pattern does not import the simulator.
 """
 
 from importlib import import_module
@@ -43,7 +43,7 @@ __all__ = [
     "sample_design",
 ]
 
-_HOMES = {
+_NAMES_OF_MODULE = {
     "body": ("build_body", "draw_shape", "fit_shape", "measure", "named_body"),
     "drape": ("DrapeConfig", "DrapeJob", "Fabric", "drape_all", "drape_batch", "fabric_named"),
     "garments": ("OutfitDesign", "sample_design"),
@@ -54,13 +54,13 @@ _HOMES = {
     "maker": ("make", "produce"),
     "recipe": ("MakeConfig",),
 }
-_HOME = {name: module for module, names in _HOMES.items() for name in names}
+_MODULE_OF_NAME = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in _MODULE_OF_NAME:
         raise AttributeError(f"module {__name__} has no attribute {name}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_MODULE_OF_NAME[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""Colours that all pictures share: one for each panel, one for each seam."""
+"""The colours of drawings and renders: one for each panel, one for each seam."""
 
 import colorsys
 from typing import TypeAlias
@@ -10,25 +10,28 @@ RGB: TypeAlias = tuple[int, int, int]
 PAPER: RGB = (250, 250, 248)
 INK: RGB = (40, 40, 40)
 PLAIN_EDGE: RGB = (70, 70, 70)
-"""Of edges that are sewn to nothing."""
+"""The colour of edges without a seam."""
 HUES = (
     (0.33, 0.47, 0.66), (0.85, 0.55, 0.36), (0.45, 0.62, 0.47), (0.76, 0.42, 0.44), (0.58, 0.49, 0.69),
     (0.87, 0.73, 0.43), (0.38, 0.63, 0.66), (0.80, 0.58, 0.67), (0.55, 0.55, 0.50), (0.62, 0.72, 0.42),
 )  # fmt: skip
 PALETTE = (*HUES, *((0.5 * r + 0.42, 0.5 * g + 0.42, 0.5 * b + 0.42) for r, g, b in HUES))
-"""Of panels, by their number, on bodies as in flat drawings; parts of one."""
-FLAT_LIGHTENING = 0.55  # towards white, so that edges and names stand out
+"""Panel colours by panel index, in renders and flat drawings; RGB, each 0 to 1."""
+FLAT_LIGHTENING = 0.55  # share of white mixed in: edges and names stand out on it
 GOLDEN_RATIO = 0.618034
 
 
 def cloth_colour(number: int) -> RGB:
-    """Of a panel in a flat drawing."""
+    """The fill colour of panel ``number`` in a flat drawing."""
     red, green, blue = PALETTE[number % len(PALETTE)]
-    return _rgb(*(part + FLAT_LIGHTENING * (1 - part) for part in (red, green, blue)))
+    return _rgb(*(channel + FLAT_LIGHTENING * (1 - channel) for channel in (red, green, blue)))
 
 
 def seam_colour(number: int | None) -> RGB:
-    """Of both edges of a seam: far apart for neighbours, so that partners are found by eye; ``None`` for no seam."""
+    """The colour of both edges of seam ``number``; ``None``: an edge without a seam.
+
+    Hues step by the golden ratio, so that consecutive seams differ clearly.
+    """
     if number is None:
         return PLAIN_EDGE
     return _rgb(*colorsys.hsv_to_rgb(number * GOLDEN_RATIO % 1.0, 0.85, 0.55 + 0.35 * (number % 3) / 2))

@@ -1,4 +1,4 @@
-"""Pictures as pixels: flat drawings of patterns, sheets of pictures, and their files."""
+"""Flat drawings of patterns, contact sheets, and JPEG and PNG encoding; pictures are ``uint8`` arrays (h, w, 3)."""
 
 import io
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.colours import INK, PAPER, cloth_colour, seam_colour
-from gcd_dataset.generator.lay_plan import LaidPanel, lay_out
+from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
 from gcd_dataset.records import Pattern, Sample
 
 __all__ = [
@@ -24,40 +24,43 @@ __all__ = [
 ]
 
 JPEG_QUALITY = 92
-SUPERSAMPLING = 3  # of the flat drawing
-CAPTION = 16  # pixels
+SUPERSAMPLING = 3  # flat drawings are drawn at this multiple of their size, then scaled down
+CAPTION = 16  # height of a caption [pixels]
 
 
 def draw_pattern(pattern: Pattern, *, size: int = 800) -> UInt8[np.ndarray, "h w 3"]:
-    """The panels side by side at one scale, in the colours of the renders; edges sewn together share a colour."""
+    """The panels side by side at one scale, ``size`` × ``size`` pixels; edges sewn together share a colour."""
     plan = lay_out(pattern)
     pixels = size * SUPERSAMPLING
     scale = 0.94 * pixels / max(plan.width, plan.height)
-    corner = 0.5 * (pixels - scale * np.array([plan.width, plan.height]))
+    margin = 0.5 * (pixels - scale * np.array([plan.width, plan.height]))
     image = Image.new("RGB", (pixels, pixels), PAPER)
     canvas = ImageDraw.Draw(image)
 
-    def to_pixels(laid: LaidPanel, points: Float[np.ndarray, "n 2"]) -> list[tuple[float, float]]:
-        x, y = (scale * (points + laid.shift) + corner).T
+    def to_pixels(piece: SheetPanel, points: Float[np.ndarray, "n 2"]) -> list[tuple[float, float]]:
+        x, y = (scale * (points + piece.shift) + margin).T
         return list(zip(x.tolist(), (pixels - y).tolist(), strict=True))
 
-    for laid in plan.panels:
-        canvas.polygon(to_pixels(laid, laid.outline), fill=cloth_colour(laid.number))
-        for index, seam in enumerate(laid.seams):
-            line = to_pixels(laid, laid.edge_points(index))
+    for piece in plan.panels:
+        canvas.polygon(to_pixels(piece, piece.outline), fill=cloth_colour(piece.number))
+        for index, seam in enumerate(piece.seams):
+            line = to_pixels(piece, piece.edge_points(index))
             canvas.line(line, fill=seam_colour(seam), width=pixels // 350, joint="curve")
-        middle, room = laid.name_place()
-        font = _font(laid.panel.name, scale * room, pixels / 48)
-        canvas.text(to_pixels(laid, middle[None])[0], laid.panel.name, fill=INK, font=font, anchor="mm")
+        centre, room = piece.name_position()
+        font = _font(piece.panel.name, scale * room, pixels / 48)
+        canvas.text(to_pixels(piece, centre[None])[0], piece.panel.name, fill=INK, font=font, anchor="mm")
     return np.asarray(image.resize((size, size), Image.Resampling.LANCZOS))
 
 
 def contact_sheet(
     pictures: Sequence[UInt8[np.ndarray, "h w 3"]], *, columns: int, gap: int = 6
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Pictures of one size in rows of ``columns``. Raises ``ConfigError`` for pictures of several sizes, or none."""
+    """Pictures of one size in rows of ``columns``, ``gap`` white pixels apart.
+
+    Raises ``ConfigError`` for no pictures, pictures of different sizes, or no columns.
+    """
     if not pictures or columns < 1 or len({picture.shape for picture in pictures}) > 1:
-        raise ConfigError("a contact sheet needs pictures of one size, and a column or more")
+        raise ConfigError("a contact sheet needs pictures of one size, and at least one column")
     height, width, _ = pictures[0].shape
     rows = -(-len(pictures) // columns)
     sheet = np.full((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), 255, np.uint8)
@@ -69,19 +72,19 @@ def contact_sheet(
 
 
 def sample_sheet(sample: Sample, *, size: int = 512) -> UInt8[np.ndarray, "h w 3"]:
-    """What there is to see of a sample, side by side: front, back, pattern."""
+    """Front, back and flat pattern of a sample side by side, each ``size`` pixels; pictures it lacks are left out."""
     views = [picture_of(jpeg, size) for jpeg in (sample.front, sample.back) if jpeg]
     pictures = [*views, draw_pattern(sample.pattern, size=size)]
     return contact_sheet(pictures, columns=len(pictures))
 
 
 def design_sheet(patterns: Sequence[Pattern], *, columns: int, size: int = 256) -> UInt8[np.ndarray, "h w 3"]:
-    """Flat drawings of many patterns in rows of ``columns``, each with its name above it."""
+    """Flat drawings of patterns in rows of ``columns``, each under its name."""
     return contact_sheet([_captioned(draw_pattern(p, size=size), p.name) for p in patterns], columns=columns)
 
 
 def picture_of(encoded: bytes, size: int) -> UInt8[np.ndarray, "h w 3"]:
-    """A JPEG or PNG as pixels, scaled to ``size``."""
+    """A JPEG or PNG decoded and scaled to ``size`` × ``size`` pixels."""
     image = Image.open(io.BytesIO(encoded)).convert("RGB")
     return np.asarray(image if image.size == (size, size) else image.resize((size, size), Image.Resampling.LANCZOS))
 
@@ -100,7 +103,6 @@ def jpeg_bytes(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
 
 
 def _captioned(picture: UInt8[np.ndarray, "h w 3"], text: str) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture under a line of text."""
     height, width, _ = picture.shape
     image = Image.new("RGB", (width, height + CAPTION), PAPER)
     image.paste(Image.fromarray(picture), (0, CAPTION))
@@ -110,9 +112,9 @@ def _captioned(picture: UInt8[np.ndarray, "h w 3"], text: str) -> UInt8[np.ndarr
 
 
 def _font(text: str, room: float, largest: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """A font in which ``text`` is not wider than ``room`` [pixels], within reason."""
-    wide = ImageFont.load_default(size=largest).getlength(text)
-    return ImageFont.load_default(size=max(largest / 3, largest * min(1.0, 0.95 * room / max(wide, 1.0))))
+    """A font of ``largest`` pixels, or down to a third of it to fit ``text`` into ``room`` [pixels]."""
+    width = ImageFont.load_default(size=largest).getlength(text)
+    return ImageFont.load_default(size=max(largest / 3, largest * min(1.0, 0.95 * room / max(width, 1.0))))
 
 
 def _encoded(picture: UInt8[np.ndarray, "h w 3"], **options: Any) -> bytes:

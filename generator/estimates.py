@@ -1,14 +1,14 @@
-"""How long garments take, by figures that were measured; to be told before anybody waits."""
+"""Estimates of draping time, from measured figures; told to the user before a long wait."""
 
 __all__ = ["core_seconds"]
 
-FIXED, BY_AREA = 0.8, 6.5  # s, and s cm²: 7.2, 2.4 and 1.2 CPU-s at 1, 2 and 4 cm, sampled garments on one core
+FIXED, PER_DENSITY = 0.8, 6.5  # s, s cm²; fitted to 7.2, 2.4 and 1.2 core-seconds measured at 1, 2 and 4 cm
 
 
 def core_seconds(spacing: float) -> float:
-    """A drape on one CPU core [s], in the mean of sampled garments, at a mesh spacing [cm].
+    """Mean time to drape a sampled garment on one CPU core [s], at a mesh spacing [cm].
 
     >>> core_seconds(1.0), core_seconds(2.0)
     (7.3, 2.425)
     """
-    return FIXED + BY_AREA / spacing**2
+    return FIXED + PER_DENSITY / spacing**2

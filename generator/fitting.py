@@ -1,4 +1,4 @@
-"""Fittings: patterns from files, draped on a body, with pictures and mesh files of what comes out."""
+"""Fittings: patterns read from files and draped on a body, written as pictures, mesh files and a report."""
 
 import json
 import logging
@@ -32,7 +32,7 @@ __all__ = ["Fitting", "drape_patterns", "read_patterns", "write_fitting", "write
 
 log = logging.getLogger(__name__)
 
-PICTURE = 800  # pixels
+PICTURE_SIZE = 800  # pixels
 
 
 @dataclass(frozen=True)
@@ -40,19 +40,19 @@ class Fitting:
     """One pattern draped on one body."""
 
     pattern: Pattern
-    """As it was draped, with all that was assumed."""
+    """The pattern as draped, completed by the assumptions."""
     body: Body
     assumed: tuple[str, ...]
-    """What its file did not say, with the reason."""
+    """Values missing from the file that were assumed, a sentence each with the reason."""
     box_mesh: BoxMesh
     drape: Drape
     mesh_seconds: float
     drape_seconds: float
-    """Of its batch, divided by the garments in it."""
+    """Time of its batch, divided by the number of garments in it."""
 
     @property
     def row(self) -> dict[str, Any]:
-        """The line of a report."""
+        """The entry of a report: sizes, outcome, crossings, stretch and times."""
         return {
             "pattern": self.pattern.name,
             "vertices": len(self.box_mesh.vertices),
@@ -69,16 +69,14 @@ class Fitting:
 
 
 def read_patterns(paths: Iterable[Path | str]) -> tuple[Pattern, ...]:
-    """The patterns in specification files, all of them fit to be sewn.
+    """The valid patterns in specification files.
 
-    Raises ``SpecError`` or ``PatternError`` with the file, and ``ConfigError`` for two patterns of one name.
+    Raises ``SpecError`` or ``PatternError`` with the file, and ``ConfigError`` for two patterns with the same name.
     """
     patterns = tuple(require_valid(read_pattern(path), source=str(path)) for path in paths)
     for number, pattern in enumerate(patterns):
         if pattern.name in {other.name for other in patterns[:number]}:
-            raise ConfigError(
-                f"two patterns are called {pattern.name}: rename a file, what they give would be mixed up"
-            )
+            raise ConfigError(f"two patterns are called {pattern.name}: rename a file, since outputs go by this name")
     return patterns
 
 
@@ -90,12 +88,12 @@ def drape_patterns(
     resolution: float = 1.0,
     device: str = "auto",
 ) -> Iterator[Fitting]:
-    """Each pattern on a body, in order; as many at a time as the device drapes at once.
+    """Drape each pattern on a body; fittings in order, in batches of the device's size.
 
-    ``wearer(legs_apart)`` gives the body with its legs together or, for a garment with legs, apart: they must not
-    touch there. What a file does not say is assumed (see ``dress``), told in the log and kept in the ``Fitting``.
-    Raises ``PatternError`` for a pattern whose panels cannot be placed, ``MeshError`` with the pattern and its panel or
-    seam, and ``ConfigError`` for a device that is not there.
+    ``wearer(legs_apart)`` returns the body and its measures; legs are apart for garments with legs, so that the thighs
+    do not touch. Values missing from a file are assumed (see ``dress``), logged and recorded in the ``Fitting``.
+    ``resolution`` is the length of mesh edges [cm]. Raises ``PatternError`` for a pattern with panels that cannot be
+    placed, ``MeshError`` with the pattern and its panel or seam, and ``ConfigError`` for a missing device.
     """
     work = (_work(pattern, wearer, fabric, resolution) for pattern in patterns)
     with LocalDraper(device) as draper:
@@ -105,26 +103,26 @@ def drape_patterns(
 def _work(
     pattern: Pattern, wearer: Callable[[bool], tuple[Body, Measurements]], fabric: Fabric, resolution: float
 ) -> Work[Fitting]:
-    """A pattern to be draped."""
-    dressing, on = _dressed(pattern, wearer)
+    """The drape job of a pattern, and the function that makes a ``Fitting`` of the reply."""
+    dressing, (body, size) = _dress(pattern, wearer)
     start = time.perf_counter()
     mesh = _box_mesh(dressing.pattern, resolution)
     seconds = time.perf_counter() - start
 
-    def finish(draped: Sequence[DrapeReply]) -> Fitting:
-        [garment] = draped
-        return Fitting(dressing.pattern, on[0], dressing.assumed, mesh, garment.drape, seconds, garment.seconds)
+    def finish(replies: Sequence[DrapeReply]) -> Fitting:
+        [reply] = replies
+        return Fitting(dressing.pattern, body, dressing.assumed, mesh, reply.drape, seconds, reply.seconds)
 
-    return Work([DrapeJob(mesh, *on, fabric)], finish)
+    return Work([DrapeJob(mesh, body, size, fabric)], finish)
 
 
-def _dressed(
+def _dress(
     pattern: Pattern, wearer: Callable[[bool], tuple[Body, Measurements]]
 ) -> tuple[Dressing, tuple[Body, Measurements]]:
-    """The pattern made ready, and for whom. Where its file gives panels no place, legs show only once they have one."""
+    """The pattern with its panels placed, and the body and measures it was placed on."""
     legs_apart = has_legs(pattern)
     dressing = dress(pattern, *wearer(legs_apart))
-    if has_legs(dressing.pattern) and not legs_apart:
+    if has_legs(dressing.pattern) and not legs_apart:  # without placements in the file, legs show only now
         legs_apart = True
         dressing = dress(pattern, *wearer(legs_apart))
     for sentence in dressing.assumed:
@@ -140,10 +138,10 @@ def _box_mesh(pattern: Pattern, resolution: float) -> BoxMesh:
 
 
 def write_fitting(fitting: Fitting, folder: Path, *, device: str = "auto") -> None:
-    """OBJ, PLY, GLB and pictures of a fitting in ``folder``. Raises ``OutputError``."""
+    """Write OBJ, PLY, GLB and pictures of a fitting to ``folder``. Raises ``OutputError``."""
     name, mesh, vertices = safe_name(fitting.pattern.name), fitting.box_mesh, fitting.drape.vertices
     make_folder(folder)
-    front, back = render_garment(vertices, mesh, fitting.body, size=PICTURE, device=device)
+    front, back = render_garment(vertices, mesh, fitting.body, size=PICTURE_SIZE, device=device)
     for ending, content in {
         ".obj": obj_bytes(vertices, mesh),
         ".ply": ply_bytes(vertices, mesh),
@@ -158,7 +156,7 @@ def write_fitting(fitting: Fitting, folder: Path, *, device: str = "auto") -> No
 def write_report(
     fittings: Iterable[Fitting], path: Path, *, body: str, fabric: str, resolution: float, device: str
 ) -> None:
-    """What came out of each pattern, with what it was made by, as JSON. Raises ``OutputError``."""
+    """Write a JSON report: the settings, and the result of each pattern. Raises ``OutputError``."""
     report = {
         "gcd_dataset": __version__,
         "numpy": np.__version__,

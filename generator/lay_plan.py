@@ -1,4 +1,4 @@
-"""Lay plans: the panels of a pattern side by side on flat cloth, and where each has room to be written on."""
+"""Lay plans: the panels of a pattern side by side on a sheet, with positions for names and grain lines."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,55 +9,55 @@ from jaxtyping import Float
 from gcd_dataset.curves import LINE, sample_curve
 from gcd_dataset.records import EdgeRef, Panel, Pattern
 
-__all__ = ["LaidPanel", "LayPlan", "lay_out"]
+__all__ = ["LayPlan", "SheetPanel", "lay_out"]
 
-CURVE_POINTS = 33  # of a drawn curve
-NAME_HEIGHTS = (0.5, 0.42, 0.58, 0.34, 0.66, 0.26, 0.74)  # of a panel, from the middle outwards
-GRAIN_PLACES = (0.25, 0.75, 0.18, 0.82, 0.32, 0.68, 0.1, 0.9, 0.5)  # across a panel, beside its name
+CURVE_POINTS = 33  # points along a drawn curve
+NAME_HEIGHTS = (0.5, 0.42, 0.58, 0.34, 0.66, 0.26, 0.74)  # shares of a panel's height, from the middle outwards
+GRAIN_OFFSETS = (0.25, 0.75, 0.18, 0.82, 0.32, 0.68, 0.1, 0.9, 0.5)  # shares of its width, beside the name first
 
 
 @dataclass(frozen=True, eq=False)
-class LaidPanel:
-    """A panel in its place; it lies as it was drawn, so its y axis is the grain."""
+class SheetPanel:
+    """A panel shifted to its position on the sheet; not turned, so its y axis is the grain."""
 
     panel: Panel
     number: int
-    """Its place in the pattern."""
+    """Index of the panel in the pattern."""
     shift: Float[np.ndarray, "2"]
-    """From the panel's plane to the sheet: x to the right, y up from its lower left corner [cm]."""
+    """From the panel's plane to the sheet: x to the right, y up from the sheet's lower left corner [cm]."""
     seams: tuple[int | None, ...]
-    """The seam of each edge, as its place in the pattern."""
+    """Index of each edge's seam in the pattern; ``None``: no seam."""
 
     def edge_points(self, index: int) -> Float[np.ndarray, "n 2"]:
-        """Points along an edge in the panel's plane, both ends included [cm]."""
+        """Points along an edge, both ends included, in the panel's plane [cm]."""
         return _edge_points(self.panel, index)
 
     @property
     def outline(self) -> Float[np.ndarray, "n 2"]:
-        """Points along all edges in the panel's plane, each corner once [cm]."""
+        """Points along all edges, each corner once, in the panel's plane [cm]."""
         return _outline(self.panel)
 
     @property
-    def turn(self) -> float:
-        """1 where the loop runs counter-clockwise on the sheet, -1 where clockwise: seen on the cloth's wrong side."""
+    def orientation(self) -> float:
+        """1 for an outline counter-clockwise on the sheet, -1 for clockwise: the cloth's wrong side is up."""
         (x, y), (next_x, next_y) = self.outline.T, np.roll(self.outline, -1, axis=0).T
         return float(np.copysign(1.0, (x * next_y - next_x * y).sum()))
 
-    def name_place(self) -> tuple[Float[np.ndarray, "2"], float]:
-        """Where across the panel there is most room for its name, and how much, in the panel's plane [cm]."""
-        return _roomiest(self.outline, NAME_HEIGHTS)
+    def name_position(self) -> tuple[Float[np.ndarray, "2"], float]:
+        """Centre and length of the widest horizontal stretch for the name, in the panel's plane [cm]."""
+        return _widest_stretch(self.outline, NAME_HEIGHTS)
 
-    def grain_place(self) -> tuple[Float[np.ndarray, "2"], float]:
-        """The middle of the longest stretch along the grain beside the name, and its length, in its plane [cm]."""
-        middle, room = _roomiest(self.outline[:, ::-1], GRAIN_PLACES)
-        return middle[::-1], room
+    def grain_position(self) -> tuple[Float[np.ndarray, "2"], float]:
+        """Centre and length of the longest stretch along the grain, in the panel's plane [cm]."""
+        centre, room = _widest_stretch(self.outline[:, ::-1], GRAIN_OFFSETS)
+        return centre[::-1], room
 
 
 @dataclass(frozen=True, eq=False)
 class LayPlan:
-    """The panels of a pattern on one sheet, none touching another."""
+    """The panels of a pattern on one sheet, without overlaps."""
 
-    panels: tuple[LaidPanel, ...]
+    panels: tuple[SheetPanel, ...]
     width: float
     """[cm]"""
     height: float
@@ -65,20 +65,20 @@ class LayPlan:
 
 
 def lay_out(pattern: Pattern) -> LayPlan:
-    """The panels on rows from the top down, tallest first."""
+    """The panels in rows from the top down, tallest first."""
     outlines = [_outline(panel) for panel in pattern.panels]
     lows = np.array([outline.min(axis=0) for outline in outlines])
     corners, width, height = _rows(np.array([outline.max(axis=0) for outline in outlines]) - lows)
     seam_of = {side: number for number, seam in enumerate(pattern.seams) for side in (seam.left, seam.right)}
-    laid = []
+    panels = []
     for number, (panel, shift) in enumerate(zip(pattern.panels, corners - lows, strict=True)):
         seams = tuple(seam_of.get(EdgeRef(panel.name, index)) for index in range(len(panel.edges)))
-        laid.append(LaidPanel(panel, number, shift, seams))
-    return LayPlan(tuple(laid), width, height)
+        panels.append(SheetPanel(panel, number, shift, seams))
+    return LayPlan(tuple(panels), width, height)
 
 
 def _rows(sizes: Float[np.ndarray, "p 2"]) -> tuple[Float[np.ndarray, "p 2"], float, float]:
-    """Lower left corners of rectangles laid in rows, and the size of the whole [cm]."""
+    """Lower left corners of rectangles packed in rows, and width and height of the sheet [cm]."""
     gap = 0.04 * float(np.sqrt((sizes[:, 0] * sizes[:, 1]).sum()))
     row_width = max(float(sizes[:, 0].max()), 1.15 * float(np.sqrt((sizes + gap).prod(axis=1).sum())))
     corners, x, y, row_height, width = np.zeros_like(sizes), 0.0, 0.0, 0.0, 0.0
@@ -103,21 +103,21 @@ def _outline(panel: Panel) -> Float[np.ndarray, "n 2"]:
     return np.concatenate([_edge_points(panel, index)[:-1] for index in range(len(panel.edges))])
 
 
-def _roomiest(outline: Float[np.ndarray, "n 2"], shares: Sequence[float]) -> tuple[Float[np.ndarray, "2"], float]:
-    """The middle of the widest stretch inside an outline, and its width, at one of the shares of its height."""
+def _widest_stretch(outline: Float[np.ndarray, "n 2"], shares: Sequence[float]) -> tuple[Float[np.ndarray, "2"], float]:
+    """Centre and width of the widest horizontal stretch inside an outline, at one of the shares of its height."""
     low, high = outline.min(axis=0), outline.max(axis=0)
-    best, middle = 0.0, 0.5 * (low + high)
+    best, centre = 0.0, 0.5 * (low + high)
     for share in shares:
         level = low[1] + share * (high[1] - low[1])
         crossings = _crossings(outline, level)
         for left, right in zip(crossings[::2], crossings[1::2], strict=False):
-            if right - left > 1.05 * best:  # of nearly equal places the first
-                best, middle = float(right - left), np.array([0.5 * (left + right), level])
-    return middle, best
+            if right - left > 1.05 * best:  # among nearly equal stretches the first wins
+                best, centre = float(right - left), np.array([0.5 * (left + right), level])
+    return centre, best
 
 
 def _crossings(outline: Float[np.ndarray, "n 2"], level: float) -> Float[np.ndarray, " m"]:
-    """Where an outline crosses a level, from left to right."""
+    """x of the points where an outline crosses a level y, ascending."""
     start, end = outline, np.roll(outline, -1, axis=0)
     crossed = (start[:, 1] < level) != (end[:, 1] < level)
     (x0, y0), (x1, y1) = start[crossed].T, end[crossed].T

@@ -1,4 +1,4 @@
-"""People for a body set: drawn from the population, standing in both poses, measured."""
+"""People of a body set: drawn from the population, in both poses (legs straight and apart), measured."""
 
 from dataclasses import replace
 from typing import Any
@@ -10,14 +10,14 @@ from gcd_dataset.generator.body import build_body, draw_shape, measure
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.seeding import Stage, rng
 
-__all__ = ["PEOPLE_RECIPE", "make_person", "own_mesh"]
+__all__ = ["PEOPLE_RECIPE", "make_person", "model_mesh"]
 
 PEOPLE_RECIPE: dict[str, Any] = {"stage": "body", "bodies": "random"}
-"""What people are made by, beside seed, index and mesh."""
+"""The options of a person besides seed, index and mesh, as stored in a body set's manifest."""
 
 
 def make_person(seed: int, index: int) -> Person:
-    """Person ``index`` of ``seed``: who wears design ``index`` of a data set with random bodies and the same seed."""
+    """Person ``index`` of ``seed``: the random body that wears design ``index`` of a data set with this seed."""
     name = f"random:{seed}:{index}"
     shape = draw_shape(rng(seed, index, Stage.BODY))
     straight, apart = build_body(shape, name=name), build_body(replace(shape, legs_apart=True), name=name)
@@ -30,7 +30,7 @@ def make_person(seed: int, index: int) -> Person:
     )
 
 
-def own_mesh() -> BodyMesh:
-    """The mesh of all our bodies."""
+def model_mesh() -> BodyMesh:
+    """The body model's mesh, shared by all people."""
     model = body_model()
     return BodyMesh(model.faces, model.parts)

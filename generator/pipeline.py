@@ -1,6 +1,6 @@
-"""The steps of a sample: body, measures, design, pattern, box mesh, then the drape's jobs, points, pictures.
+"""The steps of a sample: body, measures, design, pattern, box mesh, drape jobs, then points and pictures.
 
-A sample is named by ``(seed, index)`` and comes out the same alone, in a batch, in any order and in any process.
+A sample depends on ``(seed, index)`` and the recipe alone: not on batch, order or process.
 ``gcd_dataset.generator.maker.produce`` runs the steps.
 """
 
@@ -41,20 +41,20 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.drapers import DrapeReply
 
 __all__ = [
-    "Dressed",
     "DressedDesign",
+    "DressedWearer",
     "build_pattern",
     "drape_jobs",
     "finish",
     "fit",
     "prepare",
+    "rejection",
     "sample_key",
-    "turned_down",
 ]
 
 
 def build_pattern(size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Pattern:
-    """The pattern of a design for a wearer. Raises ``PatternError`` where it cannot be drawn or worn."""
+    """The pattern of a design for a wearer. Raises ``PatternError`` if it cannot be drawn or a rule rejects it."""
     pattern = try_on(size, design, name=name)
     if isinstance(pattern, Reject):
         raise PatternError(str(pattern))
@@ -62,9 +62,9 @@ def build_pattern(size: Measurements, design: OutfitDesign, *, name: str = "outf
 
 
 def fit(design: OutfitDesign, sizes: Iterable[Measurements]) -> tuple[Pattern, ...]:
-    """The patterns of one design for many wearers.
+    """The patterns of one design for many wearers, one for each entry of ``sizes``.
 
-    Raises ``PatternError`` with the number of the first wearer for whom it cannot be drawn, or who cannot wear it.
+    Raises ``PatternError`` with the number of the first wearer for whom it cannot be drawn or a rule rejects it.
     """
     patterns = []
     for number, size in enumerate(sizes):
@@ -76,7 +76,7 @@ def fit(design: OutfitDesign, sizes: Iterable[Measurements]) -> tuple[Pattern, .
 
 
 def sample_key(index: int) -> str:
-    """The name of a sample in a shard.
+    """The key of a sample in a shard.
 
     >>> sample_key(12)
     'gcd_000000012'
@@ -88,8 +88,8 @@ def sample_key(index: int) -> str:
 
 
 @dataclass(frozen=True)
-class Dressed:
-    """One wearer of a design, ready to be draped."""
+class DressedWearer:
+    """One wearer of a design, with pattern and meshes: ready to drape."""
 
     index: int
     body_name: str
@@ -105,30 +105,33 @@ class Dressed:
 
 @dataclass(frozen=True)
 class DressedDesign:
-    """A design that can be worn, how it was come by, and those who wear it."""
+    """A design accepted for all its wearers, after ``rejects`` failed attempts."""
 
     seed: int
     number: int
     rejects: tuple[Rejected, ...]
     design: OutfitDesign
-    dressed: tuple[Dressed, ...]
+    dressed: tuple[DressedWearer, ...]
 
 
 def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[Rejected, ...] = ()) -> DressedDesign:
-    """Design ``number`` with its bodies, patterns and meshes: the first that can be worn after those turned down."""
+    """Design ``number`` with its bodies, patterns and meshes: the first accepted attempt after ``rejects``.
+
+    Raises ``PatternError`` once ``config.max_attempts`` designs were rejected.
+    """
     wearers = _wearers(seed, number, config)
-    # One stream for the kind, whatever the attempt: a kind that is often turned down would become rare otherwise.
+    # The kind is the same in all attempts: otherwise kinds that are often rejected would become rare.
     kind = sample_kind(rng(seed, number, Stage.KIND), config.design)
     while len(rejects) < config.max_attempts:
-        chance = rng(seed, number, Stage.DESIGN, len(rejects))
+        stream = rng(seed, number, Stage.DESIGN, len(rejects))
         sizes = [wearer.size for wearer in wearers]
-        design = sample_design(chance, sizes, kind=kind, overlay=config.design)
+        design = sample_design(stream, sizes, kind=kind, overlay=config.design)
         dressed = _dress_all(seed, wearers, design, config)
         if not isinstance(dressed, Rejected):
             return DressedDesign(seed, number, rejects, design, dressed)
         rejects += (dressed,)
     raise PatternError(
-        f"sample {number * config.wearers} of seed {seed}: {len(rejects)} designs were turned down, the last for: "
+        f"sample {number * config.wearers} of seed {seed}: {len(rejects)} designs were rejected, the last for: "
         f"{rejects[-1]}: raise max_attempts"
     )
 
@@ -148,34 +151,34 @@ def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
     sex = config.bodies if config.bodies in SEXES else None
     if config.bodies in ("neutral", "both"):
         shapes["neutral"] = neutral_shape()
-    for place in range(config.bodies_each if config.bodies != "neutral" else 0):
-        name = f"{sex or 'random'}:{seed}:{number}" + (f":{place}" if place else "")
-        shapes[name] = draw_shape(rng(seed, number, Stage.BODY, place), sex=sex)
+    for drawn in range(config.bodies_each if config.bodies != "neutral" else 0):
+        name = f"{sex or 'random'}:{seed}:{number}" + (f":{drawn}" if drawn else "")
+        shapes[name] = draw_shape(rng(seed, number, Stage.BODY, drawn), sex=sex)
     wearers = []
-    for place, (name, shape) in enumerate(shapes.items()):
+    for offset, (name, shape) in enumerate(shapes.items()):
         body = build_body(shape)
-        wearers.append(_Wearer(number * config.wearers + place, name, shape, body, measure(body)))
+        wearers.append(_Wearer(number * config.wearers + offset, name, shape, body, measure(body)))
     return tuple(wearers)
 
 
 def _dress_all(
     seed: int, wearers: Iterable[_Wearer], design: OutfitDesign, config: MakeConfig
-) -> tuple[Dressed, ...] | Rejected:
-    """All wearers in the design, or why one of them cannot wear it."""
+) -> tuple[DressedWearer, ...] | Rejected:
+    """All wearers dressed in the design, or the rejection by the first that cannot wear it."""
     dressed = []
     for wearer in wearers:
-        worn = _dress(seed, wearer, design, config)
-        if isinstance(worn, Reject):
-            return Rejected(wearer.index, worn.rule, worn.figures, worn.numbers)
-        dressed.append(worn)
+        result = _dress(seed, wearer, design, config)
+        if isinstance(result, Reject):
+            return Rejected(wearer.index, result.rule, result.figures, result.numbers)
+        dressed.append(result)
     return tuple(dressed)
 
 
-def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> Dressed | Reject:
+def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig) -> DressedWearer | Reject:
     pattern = try_on(wearer.size, design, name=sample_key(wearer.index))
     if isinstance(pattern, Reject):
         return pattern
-    shape = _held(seed, wearer, config)
+    shape = _with_arm_turn(seed, wearer, config)
     if design.meta.bottom and design.meta.bottom.garment.legs:  # measured with legs together, dressed with legs apart
         shape = replace(shape, legs_apart=True)
     body = wearer.body if shape is wearer.shape else build_body(shape)
@@ -187,11 +190,11 @@ def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig)
     if mesh is not None and config.stage == "drape":
         coarse = coarse_start(mesh)
         start = sewing_start(coarse.mesh if coarse else mesh, body)
-    return Dressed(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse, start)
+    return DressedWearer(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse, start)
 
 
-def _held(seed: int, wearer: _Wearer, config: MakeConfig) -> BodyShape:
-    """The wearer with the arms as chance holds them."""
+def _with_arm_turn(seed: int, wearer: _Wearer, config: MakeConfig) -> BodyShape:
+    """The wearer's shape with a random arm angle within ± ``config.arms`` degrees, if that is not 0."""
     if not config.arms:
         return wearer.shape
     turn = rng(seed, wearer.index, Stage.ARMS).uniform(-config.arms, config.arms)
@@ -199,44 +202,46 @@ def _held(seed: int, wearer: _Wearer, config: MakeConfig) -> BodyShape:
 
 
 def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", ...]:
-    """What is to be draped for each wearer; nothing at an earlier stage."""
+    """The drape job of each wearer; none before stage ``drape``."""
     if config.stage != "drape":
         return ()
     from gcd_dataset.generator.drape import DrapeJob, fabric_named
 
     fabric = fabric_named(config.fabric)
     return tuple(
-        DrapeJob(worn.box_mesh, worn.body, worn.size, fabric, worn.coarse, worn.start)
-        for worn in design.dressed
-        if worn.box_mesh is not None
+        DrapeJob(wearer.box_mesh, wearer.body, wearer.size, fabric, wearer.coarse, wearer.start)
+        for wearer in design.dressed
+        if wearer.box_mesh is not None
     )
 
 
-def turned_down(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig) -> DressedDesign | None:
-    """The design with the reason for another attempt, if one of its drapes failed and may be tried again."""
-    failed = next((place for place, drape in enumerate(drapes) if drape.outcome is not Outcome.SETTLED), None)
+def rejection(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig) -> Rejected | None:
+    """The first failed drape as the reason for another attempt; ``None``: the design is kept.
+
+    Also kept are failed drapes with ``on_fail="keep"`` and those of the last attempt.
+    """
+    failed = next((row for row, drape in enumerate(drapes) if drape.outcome is not Outcome.SETTLED), None)
     last = len(design.rejects) + 1 >= config.max_attempts
     if failed is None or config.on_fail == "keep" or last:
         return None
     drape = drapes[failed]
-    reject = Rejected(design.dressed[failed].index, "drape", drape.outcome.name.lower(), _drape_figures(drape))
-    return replace(design, rejects=(*design.rejects, reject))
+    return Rejected(design.dressed[failed].index, "drape", drape.outcome.name.lower(), _drape_figures(drape))
 
 
 def _drape_figures(drape: Drape) -> dict[str, float]:
-    """The numbers of a drape; without the stretch of one that diverged, which is none."""
+    """The finite figures of a drape: the stretch of a diverged drape is NaN, which JSON lacks."""
     names = ("frames", "self_crossings", "body_crossings", "body_through", "stretch_median", "stretch_p99")
     return {name: value for name in names if math.isfinite(value := getattr(drape, name))}
 
 
-def finish(design: DressedDesign, index: int, config: MakeConfig, draped: "DrapeReply | None") -> Sample:
-    """The sample of one wearer: points are taken, pictures encoded. ``draped``: ``None`` at an earlier stage."""
+def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeReply | None") -> Sample:
+    """The sample of one wearer: samples points and encodes pictures. ``reply``: ``None`` before stage ``drape``."""
     dressed = design.dressed[index % config.wearers]
     mesh, points = dressed.box_mesh, None
     if mesh is not None:
-        surface = mesh.vertices if draped is None else draped.drape.vertices
-        points = sample_surface(surface, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
-    front, back = (None, None) if draped is None or draped.pictures is None else map(jpeg_bytes, draped.pictures)
+        vertices = mesh.vertices if reply is None else reply.drape.vertices
+        points = sample_surface(vertices, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
+    front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)
     return Sample(
         key=sample_key(index),
         provenance=Provenance(
@@ -254,16 +259,16 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, draped: "Drape
         design=design_to_dict(design.design),
         shape=dressed.shape,
         box_mesh=mesh,
-        drape=None if draped is None else draped.drape,
+        drape=None if reply is None else reply.drape,
         points=points,
         front=front,
         back=back,
-        fabric=None if draped is None else _fabric(config.fabric),
+        fabric=None if reply is None else _fabric(config.fabric),
     )
 
 
 def _fabric(name: str) -> NamedFabric:
-    """A fabric as samples hold it."""
+    """A fabric by name, with its parameters, for the sample's record."""
     from gcd_dataset.generator.drape import fabric_named
 
     parameters = asdict(fabric_named(name)).items()

@@ -1,4 +1,4 @@
-"""What samples are made by: the options, and all else that decides their bytes."""
+"""``MakeConfig``: the options samples are made with, and the recipe, all that decides their bytes."""
 
 import re
 from collections.abc import Sequence
@@ -37,19 +37,19 @@ KINDS = {
 USUAL_FABRIC = "default"
 FINEST, COARSEST = 0.2, 10.0  # cm
 LIMITS = {
-    "points": (0, 1 << 20),  # 12 MB a sample
-    "picture": (0, 4096),  # pixels; 50 MB while it is taken
-    "max_attempts": (1, 10_000),  # 17 of 20 designs are accepted at once
+    "points": (0, 1 << 20),  # at most 12 MB a sample
+    "picture": (0, 4096),  # pixels; at most 50 MB while rendering
+    "max_attempts": (1, 10_000),  # 17 of 20 designs are accepted at the first attempt
     "bodies_each": (1, 10_000),
 }
-MOST_ARMS = 15.0  # degrees; flat panels hang round arms in the A-pose
+MAX_ARM_TURN = 15.0  # degrees; panels are placed round arms in the A-pose
 
 
 @dataclass(frozen=True, slots=True)
 class MakeConfig:
-    """What samples are made of, beside their seed and index. Raises ``ConfigError`` for a value that cannot be.
+    """The options of samples, besides seed and index. Raises ``ConfigError`` for an invalid value.
 
-    What each option is, and its unit, stands with its type: ``options_of(MakeConfig)`` gives them.
+    ``gcd_dataset.options.options_of(MakeConfig)`` lists the options with help texts and units.
     """
 
     bodies: Annotated[
@@ -108,8 +108,8 @@ class MakeConfig:
                 raise ConfigError(f"{name} is {getattr(self, name)!r}: known are {', '.join(get_args(kind))}")
         object.__setattr__(self, "resolution", float(check_resolution(self.resolution)))  # 2 is 2.0 in a recipe
         object.__setattr__(self, "arms", float(self.arms))
-        if not 0 <= self.arms <= MOST_ARMS:
-            raise ConfigError(f"arms is {self.arms}°: give an angle from 0 to {MOST_ARMS}")
+        if not 0 <= self.arms <= MAX_ARM_TURN:
+            raise ConfigError(f"arms is {self.arms}°: give an angle from 0 to {MAX_ARM_TURN}")
         if self.fabric != USUAL_FABRIC:
             _require_fabric(self.fabric)
         for name, (least, most) in LIMITS.items():
@@ -117,16 +117,16 @@ class MakeConfig:
             if not least <= value <= most:
                 raise ConfigError(f"{name} is {value if value < 10**15 else '10**15 or more'}: give {least} to {most}")
         if self.bodies == "neutral" and self.bodies_each > 1:
-            raise ConfigError(f"bodies_each is {self.bodies_each}, and there is one neutral body: give other bodies")
+            raise ConfigError(f"bodies_each is {self.bodies_each}, but there is one neutral body: give 1")
 
     @property
     def wearers(self) -> int:
-        """Bodies that wear one design."""
+        """Number of bodies that wear one design."""
         return self.bodies_each + (self.bodies == "both")
 
 
 class MakeOptions(TypedDict, total=False):
-    """Options of ``MakeConfig`` for functions that take them as keywords; all but ``stage`` and ``design``."""
+    """The options of ``MakeConfig`` as keyword arguments of other functions; all but ``stage`` and ``design``."""
 
     bodies: Bodies
     bodies_each: int
@@ -141,37 +141,37 @@ class MakeOptions(TypedDict, total=False):
 
 
 def check_resolution(centimetres: float) -> float:
-    """The resolution, if a garment can be meshed at it. Raises ``ConfigError``."""
+    """The edge length [cm], if garments can be meshed with it. Raises ``ConfigError``."""
     if not FINEST <= centimetres <= COARSEST:
         raise ConfigError(f"resolution is {centimetres} cm: give a length from {FINEST} to {COARSEST}")
     return centimetres
 
 
 def recipe_of(config: MakeConfig) -> dict[str, Any]:
-    """Everything but seed and index that decides what a sample holds, as plain values."""
+    """All options that decide the bytes of a sample besides seed and index, as JSON values."""
     recipe = {entry.name: getattr(config, entry.name) for entry in fields(config)}
     recipe["design"] = config.design.to_dict()
     for name, usual in {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0}.items():
-        if recipe[name] == usual:  # what goes without saying keeps the recipe, and so the data sets made by it
+        if recipe[name] == usual:  # left out: recipes from before these options keep their hash
             del recipe[name]
     recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
     return recipe
 
 
 def device_kind(config: MakeConfig) -> str:
-    """``cpu`` or ``cuda``. Raises ``ConfigError`` for a device that cannot be; whether it is there, its user sees."""
+    """``cpu`` or ``cuda``. Raises ``ConfigError`` for a malformed name; does not check that the device exists."""
     return devices_of(config)[0].partition(":")[0]
 
 
 def devices_of(config: MakeConfig) -> tuple[str, ...]:
-    """The devices that the config names: ``cpu``, or one GPU or more; ``auto`` is every GPU, or the CPU.
+    """The devices of a config: ``cpu``, or GPUs; ``auto``: all GPUs, or the CPU without any.
 
-    Raises ``ConfigError`` for a name that cannot be.
+    Raises ``ConfigError`` for a malformed name.
 
     >>> devices_of(MakeConfig(device="cuda:0,2"))
     ('cuda:0', 'cuda:2')
     """
-    # By its name alone: to ask starts CUDA, which a process does not survive that was forked from one that uses it.
+    # Parse only: initialising CUDA here would break forked workers.
     if config.device != "auto":
         return named_devices(config.device)
     from gcd_dataset.generator.drape import every_device
@@ -180,7 +180,7 @@ def devices_of(config: MakeConfig) -> tuple[str, ...]:
 
 
 def devices_name(devices: Sequence[str]) -> str:
-    """The name of several devices, as ``named_devices`` reads it.
+    """One name for several devices; the inverse of ``named_devices``.
 
     >>> devices_name(["cuda:0", "cuda:2"]), devices_name(["cpu"])
     ('cuda:0,2', 'cpu')
@@ -191,7 +191,7 @@ def devices_name(devices: Sequence[str]) -> str:
 
 
 def named_devices(name: str) -> tuple[str, ...]:
-    """The devices of a name such as ``cuda:0,1``. Raises ``ConfigError``.
+    """The devices in a name such as ``cuda:0,1``. Raises ``ConfigError`` for a malformed name.
 
     >>> named_devices("cuda")
     ('cuda:0',)
@@ -206,7 +206,7 @@ def named_devices(name: str) -> tuple[str, ...]:
 
 @cache
 def versions() -> dict[str, str]:
-    """Of everything that decides the bytes of a sample."""
+    """Versions of this package and the libraries that decide the bytes of a sample."""
     return {"gcd_dataset": __version__} | {name: version(name) for name in ("numpy", "scipy", "shapely", "warp-lang")}
 
 

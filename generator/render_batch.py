@@ -1,4 +1,4 @@
-"""Pictures of several scenes at a time: their way to the device, the passes over them, and their way back."""
+"""Renders several scenes in one batch: upload, ray casting passes, download; a GPU works asynchronously."""
 
 import itertools
 import math
@@ -21,77 +21,77 @@ from gcd_dataset.generator.render_kernels import (
     Camera,
     Scenes,
     cast_rays,
-    develop,
-    look_up,
     scale_normals,
+    shade_pixels,
+    sky_visibility,
     sum_normals,
 )
 
 if TYPE_CHECKING:
-    from gcd_dataset.generator.render import Painted
+    from gcd_dataset.generator.render import ColouredMesh
 
-__all__ = ["DISTANCE", "MARGIN", "Exposure", "Picture", "Scene", "View", "expose"]
+__all__ = ["DISTANCE", "MARGIN", "PendingRender", "Picture", "Scene", "View", "start_render"]
 
-Scene: TypeAlias = Sequence["Painted"]
+Scene: TypeAlias = Sequence["ColouredMesh"]
 View = Literal["front", "back"]
 Picture = UInt8[np.ndarray, "h w 3"]
 
-DISTANCE = 520.0  # cm from the camera to the middle of the body
-MARGIN = 1.04  # picture over what must be seen
-WRONG_SIDE = 0.55  # brightness of the inside of the cloth
+DISTANCE = 520.0  # cm from the camera to the centre of the scene
+MARGIN = 1.04  # size of the picture over the size of the scene in it
+WRONG_SIDE = 0.55  # brightness of the wrong side of cloth, relative to the right side
 SAMPLES = 3  # rays per pixel, along each side
-LEAF = 1  # faces in a leaf of the tree: on an H200 rays take a fifth less time than with Warp's 4
-KEY_LIGHT, FILL_LIGHT = (-0.45, 0.55, 0.70), (0.8, 0.1, 0.5)  # seen from the camera
+LEAF = 1  # faces in a leaf of the BVH: rays take 20 % less time on an H200 than with Warp's default of 4
+KEY_LIGHT, FILL_LIGHT = (-0.45, 0.55, 0.70), (0.8, 0.1, 0.5)  # directions to the lights, in the front camera's view
 
 
-def expose(scenes: Sequence[Scene], views: Sequence[View], *, size: int, device: str) -> "Exposure":
-    """Begin square pictures of ``size`` pixels of several scenes, each from all ``views``; a GPU takes them meanwhile.
+def start_render(scenes: Sequence[Scene], views: Sequence[View], *, size: int, device: str) -> "PendingRender":
+    """Start rendering square pictures of ``size`` pixels, each scene from all ``views``; a GPU works in the background.
 
-    The pictures of a scene do not depend on the others. Raises ``ConfigError`` for a device that is not there, or
-    pictures without pixels.
+    The pictures of a scene do not depend on the other scenes. Raises ``ConfigError`` for a missing device or a size
+    below 1.
     """
     if size < 1:
-        raise ConfigError(f"a picture of {size} pixels: give 1 or more")
+        raise ConfigError(f"a picture of {size} pixels: give a size of 1 or more")
     device = resolve_device(device)
     load_kernels("renderer", render_kernels, device=device)
     with launch_lock:
-        return Exposure(scenes, views, size, device)
+        return PendingRender(scenes, views, size, device)
 
 
-class Exposure:
-    """Pictures that a device is taking."""
+class PendingRender:
+    """Pictures that a device is rendering."""
 
     def __init__(self, scenes: Sequence[Scene], views: Sequence[View], size: int, device: str) -> None:
-        self._views, self._loan = len(views), _Loan(device)
-        world, _meshes = _send(scenes, self._loan)
+        self._views, self._staging = len(views), _StagingBuffers(device)
+        uploaded, _meshes = _upload(scenes, self._staging)
         cameras = [camera for scene in scenes for camera in _cameras(scene, views)]
-        pictures = _take(world, wp.array(cameras, dtype=Camera, device=device), len(views), size, device)
-        self._pictures = self._loan.array(pictures.shape, np.uint8)
+        pictures = _render(uploaded, wp.array(cameras, dtype=Camera, device=device), len(views), size, device)
+        self._pictures = self._staging.array(pictures.shape, np.uint8)
         wp.copy(_wrapped(self._pictures, wp.uint8), pictures)
-        self._taken = wp.record_event(wp.Event(device)) if pictures.device.is_cuda else None
+        self._rendered = wp.record_event(wp.Event(device)) if pictures.device.is_cuda else None
 
     def ready(self) -> bool:
-        """Whether ``pictures`` returns at once."""
-        with launch_lock:  # an event cannot be asked for while another thread records
-            return self._taken is None or self._taken.is_complete
+        """Whether ``pictures`` returns without waiting."""
+        with launch_lock:  # CUDA refuses event queries while another thread captures a graph
+            return self._rendered is None or self._rendered.is_complete
 
     def pictures(self) -> list[tuple[Picture, ...]]:
-        """The views of each scene, once they are taken. To be called once."""
+        """Wait for the pictures and return the views of each scene. Call once: the buffers are reused."""
         with launch_lock:
-            if self._taken is not None:
-                wp.synchronize_event(self._taken)
+            if self._rendered is not None:
+                wp.synchronize_event(self._rendered)
         each = [picture.copy() for picture in self._pictures]
-        self._loan.end()
+        self._staging.release()
         return [tuple(each[first : first + self._views]) for first in range(0, len(each), self._views)]
 
 
 # ------------------------------------------------------------------------------------------------------------- helpers
 
 
-class _Loan:
-    """Memory of the host from which a device reads, and into which it writes, while the host goes on.
+class _StagingBuffers:
+    """Host memory for asynchronous copies to and from a device.
 
-    For a GPU it is page-locked; locking takes milliseconds, so the same memory is lent again and again.
+    Page-locked for a GPU; locking takes milliseconds, so released buffers go to a pool.
     """
 
     _free: ClassVar[defaultdict[int, list[wp.array]]] = defaultdict(list)
@@ -99,94 +99,96 @@ class _Loan:
     def __init__(self, device: str) -> None:
         self.device = device
         self.locked = wp.get_device(device).is_cuda
-        self._lent: list[wp.array] = []
+        self._in_use: list[wp.array] = []
 
     def array(self, shape: tuple[int, ...], kind: type) -> Shaped[np.ndarray, "*shape"]:
-        """An array to be written, by either side, before ``end``."""
-        used = math.prod(shape) * np.dtype(kind).itemsize
-        size = 1 << max(used - 1, 0).bit_length()  # few sizes, so that most find one that is free
+        """An uninitialised array, valid until ``release``."""
+        needed = math.prod(shape) * np.dtype(kind).itemsize
+        size = 1 << max(needed - 1, 0).bit_length()  # powers of two: most requests find a free buffer
         free = self._free[size] if self.locked else None
         buffer = free.pop() if free else wp.empty(size, dtype=wp.uint8, device="cpu", pinned=self.locked)
-        self._lent.append(buffer)
-        lent: np.ndarray = buffer.numpy()[:used].view(kind).reshape(shape)
-        return lent
+        self._in_use.append(buffer)
+        array: np.ndarray = buffer.numpy()[:needed].view(kind).reshape(shape)
+        return array
 
-    def end(self) -> None:
-        """Give all arrays back."""
-        for buffer in self._lent if self.locked else ():
+    def release(self) -> None:
+        """Return all arrays to the pool."""
+        for buffer in self._in_use if self.locked else ():
             self._free[buffer.size].append(buffer)
-        self._lent = []
+        self._in_use = []
 
 
 def _wrapped(values: np.ndarray, dtype: type) -> wp.array:
     return wp.array(values, dtype=dtype, device="cpu", copy=False)
 
 
-def _sent(values: np.ndarray, dtype: type, device: str) -> wp.array:
-    """What was written into an array on loan, on its way to the device."""
-    here = _wrapped(values, dtype)
-    there = wp.empty_like(here, device=device)
-    wp.copy(there, here)
-    return there
+def _to_device(values: np.ndarray, dtype: type, device: str) -> wp.array:
+    """A copy of a staging array on the device; the copy runs asynchronously."""
+    source = _wrapped(values, dtype)
+    copy = wp.empty_like(source, device=device)
+    wp.copy(copy, source)
+    return copy
 
 
-def _send(scenes: Sequence[Scene], loan: _Loan) -> tuple[Scenes, list[wp.Mesh]]:
-    """The scenes on the device, and their meshes, which must outlive the launches."""
-    device, things = loan.device, [thing for scene in scenes for thing in scene]
+def _upload(scenes: Sequence[Scene], staging: _StagingBuffers) -> tuple[Scenes, list[wp.Mesh]]:
+    """The scenes on the device, and their Warp meshes, which must outlive the launches."""
+    device, meshes = staging.device, [mesh for scene in scenes for mesh in scene]
     first_vertex, first_face, first_colour = (
         np.cumsum([0, *map(len, parts)], dtype=np.int32)
-        for parts in zip(*((thing.vertices, thing.faces, thing.colours) for thing in things), strict=True)
+        for parts in zip(*((mesh.vertices, mesh.faces, mesh.colours) for mesh in meshes), strict=True)
     )
-    position = loan.array((int(first_vertex[-1]), 3), np.float32)
-    corner, paint = loan.array((int(first_face[-1]), 3), np.int32), loan.array((int(first_face[-1]),), np.int32)
-    for k, thing in enumerate(things):
+    position = staging.array((int(first_vertex[-1]), 3), np.float32)
+    corner = staging.array((int(first_face[-1]), 3), np.int32)
+    colour_of_face = staging.array((int(first_face[-1]),), np.int32)
+    for k, mesh in enumerate(meshes):
         faces = slice(first_face[k], first_face[k + 1])
-        position[first_vertex[k] : first_vertex[k + 1]] = thing.vertices
-        np.add(thing.faces, first_vertex[k], out=corner[faces], casting="same_kind")
-        np.add(thing.paint, first_colour[k], out=paint[faces], casting="same_kind")
-    linear = _linear(np.concatenate([thing.colours for thing in things]))
-    sent = Scenes()
-    sent.position = _sent(position, wp.vec3, device)
-    sent.corner = _sent(corner.reshape(-1), wp.int32, device)
-    sent.paint = _sent(paint, wp.int32, device)
-    sent.normal = _vertex_normals(sent.corner, sent.position, device)
-    sent.colour = wp.array(linear, dtype=wp.vec3, device=device)
-    sent.inside = wp.array(WRONG_SIDE * linear, dtype=wp.vec3, device=device)
-    sent.background = wp.vec3(*_linear(np.array(PAPER) / 255))
-    # A tree of its own for each scene: the tree decides which of two faces a ray through their common edge meets.
+        position[first_vertex[k] : first_vertex[k + 1]] = mesh.vertices
+        np.add(mesh.faces, first_vertex[k], out=corner[faces], casting="same_kind")
+        np.add(mesh.colour_of_face, first_colour[k], out=colour_of_face[faces], casting="same_kind")
+    linear = _linear(np.concatenate([mesh.colours for mesh in meshes]))
+    uploaded = Scenes()
+    uploaded.position = _to_device(position, wp.vec3, device)
+    uploaded.corner = _to_device(corner.reshape(-1), wp.int32, device)
+    uploaded.colour_of_face = _to_device(colour_of_face, wp.int32, device)
+    uploaded.normal = _vertex_normals(uploaded.corner, uploaded.position, device)
+    uploaded.colour = wp.array(linear, dtype=wp.vec3, device=device)
+    uploaded.wrong_side_colour = wp.array(WRONG_SIDE * linear, dtype=wp.vec3, device=device)
+    uploaded.background = wp.vec3(*_linear(np.array(PAPER) / 255))
+    # One BVH a scene: the BVH decides which of two faces a ray through their common edge hits, so that a shared one
+    # would make the picture of a scene depend on the others.
     begin = first_face[np.cumsum([0, *map(len, scenes)])]
-    leaf = LEAF if loan.locked else None
-    meshes = [
-        wp.Mesh(points=sent.position, indices=sent.corner[3 * first : 3 * end], bvh_leaf_size=leaf)
+    leaf = LEAF if staging.locked else None
+    trees = [
+        wp.Mesh(points=uploaded.position, indices=uploaded.corner[3 * first : 3 * end], bvh_leaf_size=leaf)
         for first, end in itertools.pairwise(begin.tolist())
     ]
-    sent.mesh = wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=device)
-    sent.first_face = wp.array(begin[:-1], dtype=int, device=device)
-    return sent, meshes
+    uploaded.mesh = wp.array([tree.id for tree in trees], dtype=wp.uint64, device=device)
+    uploaded.first_face = wp.array(begin[:-1], dtype=int, device=device)
+    return uploaded, trees
 
 
-def _take(scenes: Scenes, cameras: wp.array, views: int, size: int, device: str) -> wp.array:
-    """(shot, h, w, 3) what the cameras see: ``views`` of the first scene, then of the next."""
+def _render(scenes: Scenes, cameras: wp.array, views: int, size: int, device: str) -> wp.array:
+    """The pictures (shot, h, w, 3) of all cameras: ``views`` of the first scene, then those of the next."""
     rays = (len(cameras), size, size, SAMPLES**2)
-    hit_face, hit_place = wp.empty(rays, dtype=int, device=device), wp.empty(rays, dtype=wp.vec2, device=device)
+    hit_face, hit_uv = wp.empty(rays, dtype=int, device=device), wp.empty(rays, dtype=wp.vec2, device=device)
     sides = (2, len(scenes.position))
     seen, sky = wp.full(sides, -1, dtype=int, device=device), wp.empty(sides, dtype=float, device=device)
     pictures = wp.empty((*rays[:3], 3), dtype=wp.uint8, device=device)
     inputs = [scenes, cameras, views, SAMPLES]
-    wp.launch(cast_rays, rays, inputs=inputs, outputs=[hit_face, hit_place, seen], device=device)
-    wp.launch(look_up, sides, inputs=[scenes, seen], outputs=[sky], device=device)
-    inputs = [scenes, cameras, hit_face, hit_place, sky, _thresholds(device)]
-    wp.launch(develop, rays[:3], inputs=inputs, outputs=[pictures], device=device)
+    wp.launch(cast_rays, rays, inputs=inputs, outputs=[hit_face, hit_uv, seen], device=device)
+    wp.launch(sky_visibility, sides, inputs=[scenes, seen], outputs=[sky], device=device)
+    inputs = [scenes, cameras, hit_face, hit_uv, sky, _thresholds(device)]
+    wp.launch(shade_pixels, rays[:3], inputs=inputs, outputs=[pictures], device=device)
     return pictures
 
 
 def _cameras(scene: Scene, views: Sequence[View]) -> list[Camera]:
-    """In front of the middle, or behind it, with everything in the picture."""
-    # NumPy finds the least of a row twenty times as fast as of a column.
-    rows = [thing.vertices.T.astype(float, order="C") for thing in scene]
+    """A camera for each view, aimed at the centre of the scene's bounding box, with the whole scene in the picture."""
+    # C-ordered rows: NumPy reduces them 20 times as fast as columns.
+    rows = [mesh.vertices.T.astype(float, order="C") for mesh in scene]
     low = np.min([row.min(axis=1) for row in rows], axis=0)
     high = np.max([row.max(axis=1) for row in rows], axis=0)
-    # What stands nearest to the camera decides how wide the picture must be.
+    # The nearest side of the box needs the widest angle.
     half = MARGIN * 0.5 * float(max(high[0] - low[0], high[1] - low[1]))
     focal = (DISTANCE - 0.5 * float(high[2] - low[2])) / half
     return [_camera(0.5 * (low + high), focal, view) for view in views]
@@ -206,7 +208,7 @@ def _camera(middle: Float[np.ndarray, "3"], focal: float, view: View) -> Camera:
 
 
 def _vertex_normals(corner: wp.array, points: wp.array, device: str) -> wp.array:
-    """Unit normals at vertices: of their faces, weighted by area."""
+    """Unit vertex normals: face normals weighted by area."""
     total = wp.zeros((len(points), 3), dtype=wp.int64, device=device)
     normals = wp.empty(len(points), dtype=wp.vec3, device=device)
     wp.launch(sum_normals, len(corner) // 3, inputs=[corner, points], outputs=[total], device=device)
@@ -216,11 +218,11 @@ def _vertex_normals(corner: wp.array, points: wp.array, device: str) -> wp.array
 
 @cache
 def _thresholds(device: str) -> wp.array:
-    """The least linear value of each sRGB byte from 1 on."""
+    """The smallest linear value of each sRGB byte from 1 to 255."""
     least = _linear((np.arange(LEVELS) + 0.5) / LEVELS)
     return wp.array(least.astype(np.float32), dtype=float, device=device)
 
 
 def _linear(srgb: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1."""
+    """sRGB to linear light, 0 to 1; IEC 61966-2-1."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

@@ -1,57 +1,57 @@
-"""Ray casting of several scenes, each from several sides: the kernels of ``render_batch``.
+"""Ray casting of several scenes from several views: the kernels of ``render_batch``.
 
-Passes: the normals of vertices, what each ray meets, how much sky each vertex seen has over it, and the sRGB bytes of
-each pixel. Vertices, faces and colours of all scenes are numbered through.
+Passes: vertex normals; the face each ray hits; ambient occlusion of the vertices that are seen; shading to sRGB bytes.
+Vertices, faces and colours of all scenes are concatenated.
 """
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-FAR = 1.0e6  # cm
-LIFT = 0.6  # cm a ray to the sky starts over the surface: past cloth that lies on it, whose hem would show as dark dots
-REACH = 16.0  # cm: what is further away does not darken a fold
+FAR = 1.0e6  # cm; length of a camera ray
+LIFT = 0.6  # cm from the surface to the start of a sky ray: clears cloth on it, or hems would show as dark dots
+REACH = 16.0  # cm; surfaces further away do not occlude
 SKY_RAYS = 24
 GOLDEN_ANGLE = 2.39996323
-KEY, FILL, SKY = 0.74, 0.18, 0.26  # shares of the light
-DARKEST = 0.25  # of the sky: light that comes round every corner
-FIXED = 2.0**36  # steps of fixed-point normals in a cm²: sums of integers do not depend on their order
+KEY, FILL, SKY = 0.74, 0.18, 0.26  # intensities of the three lights
+DARKEST = 0.25  # least share of the sky's light: stands in for indirect light
+FIXED = 2.0**36  # fixed-point steps in a cm²: integer sums do not depend on the order of the threads
 LEVELS = 255
-WRAP = 0.2  # cloth scatters: light creeps this far past the terminator
+WRAP = 0.2  # wrap lighting: cosine past the terminator that is still lit, since cloth scatters light
 
 
 @wp.struct
 class Scenes:
-    """What there is to see."""
+    """The meshes and colours of all scenes."""
 
-    mesh: wp.array(dtype=wp.uint64)  # of each scene
-    first_face: wp.array(dtype=int)  # of each scene
-    corner: wp.array(dtype=int)  # three of each face
+    mesh: wp.array(dtype=wp.uint64)  # id of each scene's BVH
+    first_face: wp.array(dtype=int)  # row of each scene's first face
+    corner: wp.array(dtype=int)  # vertices, three a face
     position: wp.array(dtype=wp.vec3)
     normal: wp.array(dtype=wp.vec3)  # at vertices
-    paint: wp.array(dtype=int)  # row of ``colour`` of each face
+    colour_of_face: wp.array(dtype=int)  # row of ``colour`` of each face
     colour: wp.array(dtype=wp.vec3)  # linear, right side
-    inside: wp.array(dtype=wp.vec3)  # linear, wrong side
+    wrong_side_colour: wp.array(dtype=wp.vec3)  # linear
     background: wp.vec3
 
 
 @wp.struct
 class Camera:
-    """Where it is seen from: a pinhole looking along ``forward``. The lights go with it."""
+    """A pinhole camera looking along ``forward``, with two lights fixed to it."""
 
     eye: wp.vec3
     right: wp.vec3
     up: wp.vec3
     forward: wp.vec3
-    focal: float  # in half pictures
-    key_light: wp.vec3  # direction to it
+    focal: float  # focal length, in half picture widths
+    key_light: wp.vec3  # direction to the light
     fill_light: wp.vec3
 
 
 @wp.kernel
 def sum_normals(corner: wp.array(dtype=int), position: wp.array(dtype=wp.vec3),
                 total: wp.array2d(dtype=wp.int64)):  # fmt: skip
-    """Add the normal of each face, twice its area long, to its corners (v, 3)."""
+    """Add each face's normal, of length twice its area, to ``total`` (v, 3) at its corners, in fixed point."""
     face = wp.tid()
     a = wp.vec3d(position[corner[3 * face]])
     normal = wp.cross(wp.vec3d(position[corner[3 * face + 1]]) - a, wp.vec3d(position[corner[3 * face + 2]]) - a)
@@ -63,7 +63,7 @@ def sum_normals(corner: wp.array(dtype=int), position: wp.array(dtype=wp.vec3),
 
 @wp.kernel
 def scale_normals(total: wp.array2d(dtype=wp.int64), normal: wp.array(dtype=wp.vec3)):
-    """Unit normals at vertices."""
+    """Normalise the summed normals."""
     i = wp.tid()
     normal[i] = wp.vec3(wp.normalize(wp.vec3d(
         wp.float64(total[i, 0]), wp.float64(total[i, 1]), wp.float64(total[i, 2]))))  # fmt: skip
@@ -71,7 +71,7 @@ def scale_normals(total: wp.array2d(dtype=wp.int64), normal: wp.array(dtype=wp.v
 
 @wp.func
 def ray_through(camera: Camera, column: float, row: float, size: float) -> wp.vec3:
-    """Direction through a point of a picture of ``size``, measured from its upper left corner."""
+    """Unit direction of the ray through (column, row) of a ``size`` × ``size`` grid, from the upper left corner."""
     u = 2.0 * column / size - 1.0
     v = 1.0 - 2.0 * row / size
     return wp.normalize(camera.forward * camera.focal + camera.right * u + camera.up * v)
@@ -79,12 +79,12 @@ def ray_through(camera: Camera, column: float, row: float, size: float) -> wp.ve
 
 @wp.kernel
 def cast_rays(scenes: Scenes, cameras: wp.array(dtype=Camera), views: int, samples: int,
-              hit_face: wp.array4d(dtype=int), hit_place: wp.array4d(dtype=wp.vec2),
+              hit_face: wp.array4d(dtype=int), hit_uv: wp.array4d(dtype=wp.vec2),
               seen: wp.array2d(dtype=int)):  # fmt: skip
-    """The face that each ray meets, -1 for none, and where on it; ``seen`` (side, v): the scene of vertices looked at.
+    """The face that each ray hits, with barycentric coordinates; ``seen`` (side, v): the scene of seen vertices.
 
-    The ``samples`` × ``samples`` rays of a pixel stand together, the ``views`` of a scene follow each other. Faces seen
-    from their wrong side are stored from -2 down.
+    ``hit_face`` is -1 for a miss, and ``-2 - face`` for a hit on the wrong side. The last axis of a pixel holds its
+    ``samples`` × ``samples`` rays; shots are ordered by scene, then view.
     """
     shot, row, column, k = wp.tid()
     scene, camera = shot // views, cameras[shot]
@@ -101,16 +101,16 @@ def cast_rays(scenes: Scenes, cameras: wp.array(dtype=Camera), views: int, sampl
     if wp.dot(hit.normal, direction) > 0.0:
         side = int(1)
         hit_face[shot, row, column, k] = -2 - face
-    hit_place[shot, row, column, k] = wp.vec2(hit.u, hit.v)
+    hit_uv[shot, row, column, k] = wp.vec2(hit.u, hit.v)
     for corner in range(3):
-        seen[side, scenes.corner[3 * face + corner]] = scene  # whoever writes, writes the same
+        seen[side, scenes.corner[3 * face + corner]] = scene  # a benign race: all threads write the same value
 
 
 @wp.kernel
-def look_up(scenes: Scenes, seen: wp.array2d(dtype=int), sky: wp.array2d(dtype=float)):
-    """The share of the sky over each vertex seen that nothing near covers; the sky is brighter above.
+def sky_visibility(scenes: Scenes, seen: wp.array2d(dtype=int), sky: wp.array2d(dtype=float)):
+    """Ambient occlusion: the share of the sky's light that reaches each seen vertex; the sky is brighter above.
 
-    Directions are spread with the cosine to the normal (a sunflower spiral on the disc, lifted to the hemisphere).
+    Directions are cosine-weighted about the normal: a sunflower spiral on the disc, lifted to the hemisphere.
     """
     side, i = wp.tid()
     scene = seen[side, i]
@@ -143,14 +143,14 @@ def look_up(scenes: Scenes, seen: wp.array2d(dtype=int), sky: wp.array2d(dtype=f
 
 
 @wp.func
-def shade(scenes: Scenes, camera: Camera, sky: wp.array2d(dtype=float), hit: int, place: wp.vec2) -> wp.vec3:
-    """The colour of a point on a face, linear."""
+def shade(scenes: Scenes, camera: Camera, sky: wp.array2d(dtype=float), hit: int, uv: wp.vec2) -> wp.vec3:
+    """Linear colour of a point on a face; ``hit`` and ``uv`` as ``cast_rays`` stores them."""
     face = hit
     side = int(0)
     if hit < 0:
         face = -2 - hit
         side = int(1)
-    weights = wp.vec3(place[0], place[1], 1.0 - place[0] - place[1])
+    weights = wp.vec3(uv[0], uv[1], 1.0 - uv[0] - uv[1])
     normal = wp.vec3(0.0, 0.0, 0.0)
     clear = float(0.0)
     for k in range(3):
@@ -158,18 +158,18 @@ def shade(scenes: Scenes, camera: Camera, sky: wp.array2d(dtype=float), hit: int
         normal += scenes.normal[corner] * weights[k]
         clear += sky[side, corner] * weights[k]
     normal = wp.normalize(normal)
-    colour = scenes.colour[scenes.paint[face]]
+    colour = scenes.colour[scenes.colour_of_face[face]]
     if side == 1:
         normal = -normal
-        colour = scenes.inside[scenes.paint[face]]
+        colour = scenes.wrong_side_colour[scenes.colour_of_face[face]]
     key = wp.max(0.0, (wp.dot(normal, camera.key_light) + WRAP) / (1.0 + WRAP))
     fill = 0.5 + 0.5 * wp.dot(normal, camera.fill_light)
     return colour * (clear * (KEY * key + SKY) + FILL * fill * wp.sqrt(clear))
 
 
 @wp.func
-def encode(value: float, least: wp.array(dtype=float)) -> wp.uint8:
-    """The sRGB byte of a linear value: how many of the ``LEVELS`` thresholds in ``least`` it reaches."""
+def to_srgb(value: float, least: wp.array(dtype=float)) -> wp.uint8:
+    """The sRGB byte of a linear value: the number of thresholds in ``least`` up to it, by binary search."""
     low = int(0)
     high = int(LEVELS)
     while low < high:
@@ -182,10 +182,10 @@ def encode(value: float, least: wp.array(dtype=float)) -> wp.uint8:
 
 
 @wp.kernel
-def develop(scenes: Scenes, cameras: wp.array(dtype=Camera), hit_face: wp.array4d(dtype=int),
-            hit_place: wp.array4d(dtype=wp.vec2), sky: wp.array2d(dtype=float), least: wp.array(dtype=float),
+def shade_pixels(scenes: Scenes, cameras: wp.array(dtype=Camera), hit_face: wp.array4d(dtype=int),
+            hit_uv: wp.array4d(dtype=wp.vec2), sky: wp.array2d(dtype=float), least: wp.array(dtype=float),
             picture: wp.array4d(dtype=wp.uint8)):  # fmt: skip
-    """Each pixel, the mean of its rays, in sRGB."""
+    """Each pixel in sRGB: the mean colour of its rays."""
     shot, row, column = wp.tid()
     total = wp.vec3(0.0, 0.0, 0.0)
     samples = hit_face.shape[3]
@@ -194,6 +194,6 @@ def develop(scenes: Scenes, cameras: wp.array(dtype=Camera), hit_face: wp.array4
         if hit == -1:
             total += scenes.background
         else:
-            total += shade(scenes, cameras[shot], sky, hit, hit_place[shot, row, column, k])
+            total += shade(scenes, cameras[shot], sky, hit, hit_uv[shot, row, column, k])
     for channel in range(3):
-        picture[shot, row, column, channel] = encode(total[channel] / float(samples), least)
+        picture[shot, row, column, channel] = to_srgb(total[channel] / float(samples), least)

@@ -1,7 +1,8 @@
-"""Patterns as SVG drawings at true scale: what a printer or a cutter makes of them can be sewn.
+"""Patterns as SVG drawings at true scale, for printers and cutters.
 
-One unit is a centimetre. Each panel is a group in its own plane, y up, so that its paths hold the very numbers of the
-pattern: the cloth as one closed path, every edge as a path of its own (``data-edge``, ``data-seam``), the grain line.
+One unit is a centimetre. Each panel is a group with a transform to its own plane, y up, so that paths hold the
+pattern's own coordinates: the cloth as one closed path, each edge as a path (``data-edge``, ``data-seam``), the grain
+line.
 """
 
 from xml.etree import ElementTree
@@ -12,7 +13,7 @@ from jaxtyping import Float
 from gcd_dataset.curves import Arc, Cubic, Curve, Point, Quadratic, curve_points, curve_tangents, from_frame
 from gcd_dataset.errors import shown
 from gcd_dataset.generator.colours import INK, RGB, cloth_colour, seam_colour
-from gcd_dataset.generator.lay_plan import LaidPanel, lay_out
+from gcd_dataset.generator.lay_plan import SheetPanel, lay_out
 from gcd_dataset.records import Panel, Pattern
 
 __all__ = ["pattern_svg"]
@@ -20,10 +21,10 @@ __all__ = ["pattern_svg"]
 MARGIN = 1.0  # cm
 LINE_WIDTH = 0.12  # cm
 LARGEST_NAME, SMALLEST_NAME = 2.0, 0.3  # cm, height of letters
-LETTER_WIDTH = 0.6  # of its height, in the usual sans serif
-NAME_SHARE = 0.45  # of the room for a name: beside it runs the grain line
-GRAIN_SHARE, ARROW = 0.6, 0.8  # of the room along the grain; cm
-SEAM_NUMBER, SEAM_SHARE = 0.9, 0.3  # cm; of its edge at most
+LETTER_WIDTH = 0.6  # mean, as a share of the height, in the usual sans serif
+NAME_SHARE = 0.45  # of the room for a name; the grain line needs the rest
+GRAIN_SHARE, ARROW = 0.6, 0.8  # share of the room along the grain; length of an arrow head [cm]
+SEAM_NUMBER, SEAM_SHARE = 0.9, 0.3  # height of a seam number [cm], at most this share of its edge's length
 TINY = 1e-9  # cm
 
 Node = ElementTree.Element
@@ -32,7 +33,7 @@ Node = ElementTree.Element
 def pattern_svg(pattern: Pattern) -> bytes:
     """The panels side by side with names and grain lines; edges sewn together share a colour and a number.
 
-    The number is the seam's place in the pattern, as in the stitches of a specification file.
+    The number is the seam's index in the pattern, and the index of its stitch in a specification file.
     """
     plan = lay_out(pattern)
     width, height = plan.width + 2 * MARGIN, plan.height + 2 * MARGIN
@@ -52,27 +53,27 @@ def pattern_svg(pattern: Pattern) -> bytes:
         },
     )
     ElementTree.SubElement(root, "title").text = shown(pattern.name)
-    for laid in plan.panels:
-        root.append(_panel(laid, height))
+    for piece in plan.panels:
+        root.append(_panel(piece, height))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
-def _panel(laid: LaidPanel, height: float) -> Node:
-    """A panel with all that is drawn on it, in its own plane."""
-    x, y = laid.shift[0] + MARGIN, height - MARGIN - laid.shift[1]
-    name = shown(laid.panel.name)
+def _panel(piece: SheetPanel, height: float) -> Node:
+    """The group of one panel: cloth, edges, grain line, name, seam numbers."""
+    x, y = piece.shift[0] + MARGIN, height - MARGIN - piece.shift[1]
+    name = shown(piece.panel.name)
     group = ElementTree.Element("g", {"data-panel": name, "transform": _upright(x, y)})
     ElementTree.SubElement(group, "title").text = name
-    ElementTree.SubElement(group, "path", {"d": _loop(laid.panel), "fill": _hex(cloth_colour(laid.number))})
-    for index, seam in enumerate(laid.seams):
-        start, end = laid.panel.edge_ends(index)
-        marks = {"data-edge": str(index)} | ({} if seam is None else {"data-seam": str(seam)})
-        line = f"M{_point(start)} {_command(start, end, laid.panel.edges[index].curve)}"
-        ElementTree.SubElement(group, "path", {"d": line, "stroke": _hex(seam_colour(seam)), **marks})
-    group.append(_grain_line(laid))
-    group.append(_name(laid, name))
-    group.extend(_seam_number(laid, index, seam) for index, seam in enumerate(laid.seams) if seam is not None)
+    ElementTree.SubElement(group, "path", {"d": _loop(piece.panel), "fill": _hex(cloth_colour(piece.number))})
+    for index, seam in enumerate(piece.seams):
+        start, end = piece.panel.edge_ends(index)
+        attributes = {"data-edge": str(index)} | ({} if seam is None else {"data-seam": str(seam)})
+        line = f"M{_point(start)} {_command(start, end, piece.panel.edges[index].curve)}"
+        ElementTree.SubElement(group, "path", {"d": line, "stroke": _hex(seam_colour(seam)), **attributes})
+    group.append(_grain_line(piece))
+    group.append(_name(piece, name))
+    group.extend(_seam_number(piece, index, seam) for index, seam in enumerate(piece.seams) if seam is not None)
     return group
 
 
@@ -87,7 +88,7 @@ def _loop(panel: Panel) -> str:
 
 
 def _command(start: Point, end: Point, curve: Curve) -> str:
-    """The path command that draws an edge from its start, where the pen stands, to its end."""
+    """The path command for an edge, from ``start``, the current point, to ``end``."""
     match curve:
         case Quadratic(control):
             return f"Q{_point(from_frame(start, end, control))} {_point(end)}"
@@ -95,19 +96,19 @@ def _command(start: Point, end: Point, curve: Curve) -> str:
             return (
                 f"C{_point(from_frame(start, end, control0))} {_point(from_frame(start, end, control1))} {_point(end)}"
             )
-        case Arc(radius, large, right):  # a turn from x towards y is the positive one, whichever way y points
+        case Arc(radius, large, right):  # sweep 1 turns from x towards y, with y up or down
             return f"A{_number(radius)} {_number(radius)} 0 {large:d} {right:d} {_point(end)}"
         case _:
             return f"L{_point(end)}"
 
 
-def _grain_line(laid: LaidPanel) -> Node:
-    """A line along the warp with a head at either end: in the panel's plane, its y axis."""
-    (x, y), room = laid.grain_place()
+def _grain_line(piece: SheetPanel) -> Node:
+    """A line along the warp, the panel's y axis, with an arrow head at both ends."""
+    (x, y), room = piece.grain_position()
     half = 0.5 * GRAIN_SHARE * room
     head = min(ARROW, half)
     line = f"M{_point((x, y - half))} L{_point((x, y + half))}"
-    heads = [_arrow_head(x, y + way * half, way * head) for way in (1, -1)]
+    heads = [_arrow_head(x, y + sign * half, sign * head) for sign in (1, -1)]
     return ElementTree.Element("path", {"class": "grain", "d": " ".join([line, *heads]), "stroke": _hex(INK)})
 
 
@@ -119,30 +120,30 @@ def _arrow_head(x: float, tip: float, length: float) -> str:
 # --------------------------------------------------------------------------------------------------------------- texts
 
 
-def _name(laid: LaidPanel, name: str) -> Node:
-    place, room = laid.name_place()
+def _name(piece: SheetPanel, name: str) -> Node:
+    centre, room = piece.name_position()
     fitting = NAME_SHARE * room / (LETTER_WIDTH * max(len(name), 1))
-    return _text(name, place, min(LARGEST_NAME, max(SMALLEST_NAME, fitting)), INK)
+    return _text(name, centre, min(LARGEST_NAME, max(SMALLEST_NAME, fitting)), INK)
 
 
-def _seam_number(laid: LaidPanel, index: int, seam: int) -> Node:
-    """The number of a seam beside the middle of its edge, on the cloth."""
-    ends, half = (*laid.panel.edge_ends(index), laid.panel.edges[index].curve), np.array([0.5])
+def _seam_number(piece: SheetPanel, index: int, seam: int) -> Node:
+    """The number of a seam, on the cloth beside the middle of its edge."""
+    ends, half = (*piece.panel.edge_ends(index), piece.panel.edges[index].curve), np.array([0.5])
     (dx, dy), middle = curve_tangents(*ends, half)[0], curve_points(*ends, half)[0]
     size = min(SEAM_NUMBER, SEAM_SHARE * float(np.hypot(*np.subtract(ends[1], ends[0]))))
-    inwards = laid.turn * np.array([-dy, dx]) / max(float(np.hypot(dx, dy)), TINY)
+    inwards = piece.orientation * np.array([-dy, dx]) / max(float(np.hypot(dx, dy)), TINY)
     return _text(str(seam), middle + 0.7 * size * inwards, size, seam_colour(seam))
 
 
-def _text(text: str, place: Float[np.ndarray, "2"], size: float, colour: RGB) -> Node:
-    marks = {"transform": _upright(*place), "font-size": _number(size), "dy": "0.35em", "fill": _hex(colour)}
-    node = ElementTree.Element("text", marks)
+def _text(text: str, centre: Float[np.ndarray, "2"], size: float, colour: RGB) -> Node:
+    attributes = {"transform": _upright(*centre), "font-size": _number(size), "dy": "0.35em", "fill": _hex(colour)}
+    node = ElementTree.Element("text", attributes)
     node.text = text
     return node
 
 
 def _upright(x: float, y: float) -> str:
-    """The mirror image about the x axis, moved: from y up to y down and back again."""
+    """The transform to ``(x, y)`` with y flipped: from y up to y down, or back."""
     return f"matrix(1 0 0 -1 {_number(x)} {_number(y)})"
 
 
@@ -151,7 +152,7 @@ def _point(point: Point) -> str:
 
 
 def _number(value: float) -> str:
-    """To a ten-thousandth of a millimetre or better, and no digit more than that takes."""
+    """Six decimals (1e-5 mm in centimetres) without trailing zeros."""
     return f"{value:.6f}".rstrip("0").rstrip(".")
 
 

@@ -70,7 +70,7 @@ BAD_INPUT = [
     ("drape spec.json --out out --body missing.obj", "missing.obj: no such file"),
     ("drape text.txt --out out", "text.txt: "),
     ("measure missing.obj", "missing.obj: no such file"),
-    ("measure text.txt", "text.txt: a body is read from"),
+    ("measure text.txt", "text.txt: not a readable mesh format"),
     ("validate missing.json", "missing.json: no such file"),
     ("validate text.txt", "text.txt: "),
     ("show missing --png a.png", "missing: no such folder"),

@@ -8,7 +8,7 @@ import pytest
 from gcd_dataset import waits
 from gcd_dataset.generator.drapers import SharedDraper, address_for
 from gcd_dataset.generator.garments.overlay import Overlay
-from gcd_dataset.generator.maker import _Share, produce
+from gcd_dataset.generator.maker import _WorkerShare, produce
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.shards.codec import encode_sample
@@ -69,8 +69,8 @@ def test_the_waits_of_a_draping_process_come_with_its_drapes_and_change_no_byte(
     alone = [encode_sample(sample) for sample in produce(5, [0], DRAPED)]
     place = address_for("cpu")
     with SharedDraper(place):  # starts it: waits count from here on
-        share = _Share(5, (0,), DRAPED, place, finished=_encode, pictured=True)
-        made = list(share.made())
+        share = _WorkerShare(5, (0,), DRAPED, place, finished=_encode, pictured=True)
+        made = list(share.run())
     assert [members for _, members in made] == alone
     waited = sum_waits(*(stored.waits for stored, _ in made), take_waits())
     assert set(waited) >= {"cpu", MAKERS}

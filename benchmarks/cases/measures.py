@@ -23,7 +23,7 @@ from gcd_dataset.bodyfiles import read_measurements
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.body import build_body, draw_shape, measure
 from gcd_dataset.generator.body.mesh_bodies import measure_file
-from gcd_dataset.generator.body.tailor import own_sites, take_measures
+from gcd_dataset.generator.body.tailor import model_sites, take_measures
 from gcd_dataset.records import ANGLES, MEASURES, Measurements
 from gcd_dataset.seeding import Stage, rng
 
@@ -126,10 +126,10 @@ def _differences(found: Measurements, known: Measurements) -> dict[str, float]:
 
 def _speed(seed: int) -> float:
     bodies = [build_body(draw_shape(rng(seed, index, Stage.BODY))).vertices for index in range(SPEED_BODIES)]
-    take_measures(bodies[0], own_sites())
+    take_measures(bodies[0], model_sites())
     start = time.process_time()
     for vertices in bodies:
-        take_measures(vertices, own_sites())
+        take_measures(vertices, model_sites())
     return 1000 * (time.process_time() - start) / SPEED_BODIES
 
 

@@ -8,7 +8,7 @@ from gcd_dataset.generator.body import build_body
 from gcd_dataset.generator.body.by_name import shape_by_name
 from gcd_dataset.generator.body.measuring import measure_closely
 from gcd_dataset.generator.body.mesh_bodies import measure_file
-from gcd_dataset.generator.body.tailor import Taken
+from gcd_dataset.generator.body.tailor import MeasureResult
 
 __all__ = ["measured_text"]
 
@@ -22,12 +22,15 @@ def measured_text(body: str, landmarks: Path | None = None, segmentation: Path |
     if shape is None:
         taken, remarks = measure_file(body, landmarks, segmentation)
     else:
-        taken, remarks = measure_closely(build_body(shape, name=body)), ["our own mesh: landmarks known by vertex"]
+        taken, remarks = (
+            measure_closely(build_body(shape, name=body)),
+            ["mesh of the body model: landmarks known by vertex"],
+        )
     comments = [f"measures of {shown(body)} [cm, degrees]", *remarks, *_border_remarks(taken)]
     return "".join(f"# {comment}\n" for comment in comments) + measurements_text(taken.measurements)
 
 
-def _border_remarks(taken: Taken) -> list[str]:
+def _border_remarks(taken: MeasureResult) -> list[str]:
     """One line for each girth that was found at the border of its search range."""
     return [
         f"{girth}: measured at height {taken.levels[girth]:.1f} cm, {abs(by):.1f} cm {'above' if by > 0 else 'below'} "

@@ -9,7 +9,7 @@ from gcd_dataset.bodies import Person
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import user_path
 from gcd_dataset.generator.drape.device import cores
-from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, own_mesh
+from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, model_mesh
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.shards.body_set import BodyWriter
 from gcd_dataset.shards.job_parts import require_merged
@@ -98,7 +98,7 @@ def store_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, Non
 
 
 def _writer(out: Path | str, seed: int) -> BodyWriter:
-    return BodyWriter(out, own_mesh(), seed=seed, recipe=PEOPLE_RECIPE, versions=versions())
+    return BodyWriter(out, model_mesh(), seed=seed, recipe=PEOPLE_RECIPE, versions=versions())
 
 
 def _made(plan: PeoplePlan, workers: int) -> Iterator[Person]:

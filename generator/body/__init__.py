@@ -1,4 +1,4 @@
-"""Bodies: drawn from a shape space or read from files, and their tailor's measures."""
+"""Bodies, drawn from the body model or read from mesh files, and their measures."""
 
 from gcd_dataset.bodyfiles import read_measurements, write_measurements
 from gcd_dataset.generator.body.by_name import named_body

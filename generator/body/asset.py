@@ -1,7 +1,7 @@
-"""The body model as it lies in ``generator/data``: template, shape components, joints, skinning, landmarks.
+"""The body model in ``generator/data``: mean body, shape components, joints, skinning, landmarks.
 
-``body.npz`` holds one half of a body that is mirrored to the other; ``bake.py`` made it. ``landmarks.json`` names
-vertices and rings of vertices, which keep their numbers when the mesh is refined.
+``body.npz``, made by ``bake.py``, holds one half of the model; the other half is its mirror image.
+``landmarks.json`` names vertices and rings of vertices; refining the mesh keeps their numbers.
 """
 
 import functools
@@ -25,61 +25,61 @@ __all__ = [
     "COARSE_PARTS",
     "MIRROR",
     "BodyModel",
-    "Landmarks",
+    "LandmarkTable",
     "body_model",
     "checked_data",
-    "landmarks",
+    "landmark_table",
     "mirrored_mesh",
-    "own_half",
     "refinement",
+    "stored_half",
 ]
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
-COARSE_PARTS = (BodyPart.HEAD, BodyPart.HANDS, BodyPart.FEET, BodyPart.INTERNAL)  # dense enough as they are
+COARSE_PARTS = (BodyPart.HEAD, BodyPart.HANDS, BodyPart.FEET, BodyPart.INTERNAL)  # dense enough unrefined
 
 
 @dataclass(frozen=True, eq=False)
 class BodyModel(Record):
-    """Bodies as ``mean + weights · components``, in the A-pose with legs straight."""
+    """A linear shape space: ``mean + weights · components``, in the A-pose with legs straight."""
 
     mean: Float[np.ndarray, "v 3"]
     """[cm]"""
     components: Float[np.ndarray, "k v 3"]
-    """One standard deviation of the population each [cm]."""
+    """Principal components, scaled to one standard deviation of the population each [cm]."""
     joints: Float[np.ndarray, "n 3"]
     """Joints of the mean body [cm]: left upper arm, thigh, foot, then right."""
     joint_components: Float[np.ndarray, "k n 3"]
     skin: Float[np.ndarray, "v n"]
-    """How much of each joint's turn a vertex follows, 0 to 1."""
+    """Skinning weights: the share of each joint's rotation that a vertex follows, 0 to 1."""
     faces: Int[np.ndarray, "f 3"]
     parts: UInt8[np.ndarray, " v"]
     named: Mapping[str, Float[np.ndarray, " k"]]
-    """Weights of the bodies that have a name."""
+    """Shape weights of the named bodies: neutral, female, male."""
 
 
 @dataclass(frozen=True, eq=False)
-class Landmarks(Record):
-    """Vertices with an anatomical meaning, by name."""
+class LandmarkTable(Record):
+    """The body model's landmarks as vertex numbers, by name."""
 
     points: Mapping[str, int]
     rings: Mapping[str, Int[np.ndarray, " n"]]
-    """Vertices along closed rings and open lines, in order."""
+    """Vertices along closed rings and open lines, in order along them."""
     levels: Mapping[str, float]
-    """How far above its ring the search for a girth is centred, as a share of the body's height."""
+    """Height of the centre of a girth's search above its ring, as a share of the body's height."""
     beside: Mapping[str, Float[np.ndarray, "3"]]
-    """How far from the model's points those of other meshes lie, as shares of the body's height."""
+    """Offset of a landmark on other meshes from the model's vertex, as shares of the body's height."""
 
 
 @functools.cache
 def body_model() -> BodyModel:
-    """The model, refined to the mesh that cloth meets. Raises ``BodyError`` where the file is damaged."""
+    """The body model with its refined mesh. Raises ``BodyError`` if the file is damaged."""
     with np.load(io.BytesIO(checked_data("body.npz"))) as file:
         half = {name: file[name] for name in file.files}
     return _model_from(half)
 
 
 def _model_from(half: Mapping[str, Any]) -> BodyModel:
-    """The model from the arrays of the file: mirrored, then one level finer where cloth touches."""
+    """The model from the file's arrays: mirrored, then refined."""
     mirror = half["mirror"].astype(int)
     finer, faces, parts = refinement(half["faces"].astype(int), half["parts"])
     steps = half["component_steps"][:, None, None].astype(float)
@@ -99,11 +99,11 @@ def _model_from(half: Mapping[str, Any]) -> BodyModel:
 
 
 @functools.cache
-def landmarks() -> Landmarks:
-    """The landmarks of our own mesh."""
+def landmark_table() -> LandmarkTable:
+    """The landmarks in ``generator/data/landmarks.json``."""
     table = json.loads(_data("landmarks.json"))
     rings = {name: np.array(ids) for name, ids in table["rings"].items()}
-    return Landmarks(
+    return LandmarkTable(
         {name: entry["vertex"] for name, entry in table["points"].items()},
         rings,
         table["levels"],
@@ -112,7 +112,7 @@ def landmarks() -> Landmarks:
 
 
 def _beside(shares: Mapping[str, list[float]]) -> dict[str, Float[np.ndarray, "3"]]:
-    """For the points on the right, and mirrored for those on the left."""
+    """Offsets by point: mirrored for the right side, as in the file for the left."""
     right = {f"{name}_right": np.array(share) * MIRROR for name, share in shares.items()}
     return right | {f"{name}_left": np.array(share) for name, share in shares.items()}
 
@@ -120,35 +120,38 @@ def _beside(shares: Mapping[str, list[float]]) -> dict[str, Float[np.ndarray, "3
 def refinement(
     faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]
 ) -> tuple[csr_matrix, Int[np.ndarray, "g 3"], UInt8[np.ndarray, " w"]]:
-    """One level finer where cloth touches: the matrix from coarse vertices to fine ones, and those' faces and parts."""
+    """One level of Loop subdivision except on ``COARSE_PARTS``.
+
+    Returns the matrix (w, v) from coarse to fine vertices, the fine faces, and ``BodyPart`` of each fine vertex.
+    """
     coarse = np.isin(parts, [part.value for part in COARSE_PARTS])
     finer, fine_faces = refine(faces, ~coarse[faces].any(axis=1), len(parts))
     shares = finer @ (parts[:, None] == np.arange(len(BodyPart)))
     return finer, fine_faces, shares.argmax(axis=1).astype(np.uint8)
 
 
-def own_half(mirror: Int[np.ndarray, " v"]) -> Int[np.ndarray, " h"]:
-    """The vertices that are stored: those that come before their mirror images, or are their own."""
+def stored_half(mirror: Int[np.ndarray, " v"]) -> Int[np.ndarray, " h"]:
+    """Numbers of the stored vertices; ``mirror`` holds each vertex's mirror image. Of a pair the first is stored."""
     return np.flatnonzero(np.arange(len(mirror)) <= mirror)
 
 
 def mirrored_mesh(half: Float[np.ndarray, "*k h 3"], mirror: Int[np.ndarray, " v"]) -> Float[np.ndarray, "*k v 3"]:
-    """Both halves from the one that is stored; what is its own mirror image lies in the plane x = 0."""
-    own = own_half(mirror)
+    """All vertices from the stored half; vertices that are their own mirror image go to the plane x = 0."""
+    stored = stored_half(mirror)
     whole = np.empty((*half.shape[:-2], len(mirror), 3))
-    whole[..., mirror[own], :] = half * MIRROR
-    whole[..., own, :] = half
+    whole[..., mirror[stored], :] = half * MIRROR
+    whole[..., stored, :] = half
     whole[..., mirror == np.arange(len(mirror)), 0] = 0.0
     return whole
 
 
 def checked_data(name: str) -> bytes:
-    """A file of ``generator/data``. Raises ``BodyError`` where it is not what was shipped."""
+    """A file of ``generator/data``, verified. Raises ``BodyError`` if its SHA-256 differs from the shipped one."""
     content = _data(name)
     expected = _data(f"{name}.sha256").split()[0].decode()
-    found = hashlib.sha256(content).hexdigest()
-    if found != expected:
-        raise BodyError(f"{name}: damaged (SHA-256 {found[:12]}…, not {expected[:12]}…): install gcd-dataset again")
+    digest = hashlib.sha256(content).hexdigest()
+    if digest != expected:
+        raise BodyError(f"{name}: damaged (SHA-256 {digest[:12]}…, not {expected[:12]}…): install gcd-dataset again")
     return content
 
 

@@ -1,4 +1,4 @@
-"""A body by the name that a person types."""
+"""Bodies by name: ``neutral``, ``random:7``, or the path of a mesh file."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +14,9 @@ from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["named_body", "shape_by_name"]
 
-MOST_DIGITS = 100  # of a seed
-DRAWN = {"random": None, "female": "female", "male": "male"}
-"""What stands before a seed, and of which sex who is drawn is."""
+MAX_SEED_DIGITS = 100
+SEX_OF_PREFIX = {"random": None, "female": "female", "male": "male"}
+"""Prefix of a seed to the sex of the drawn body; ``None``: see ``draw_shape``."""
 
 
 def named_body(
@@ -26,16 +26,16 @@ def named_body(
     segmentation: Path | str | None = None,
     legs_apart: bool = False,
 ) -> tuple[Body, Measurements, BodyShape | None]:
-    """A body, its measures, and its shape where it is one of ours.
+    """A body, its measures, and its shape, or ``None`` for a mesh file.
 
-    ``name_or_path`` is a name (see ``shape_by_name``) or a mesh file (see ``read_body``), which stands as it
-    stands. Measures are taken with the legs straight, as GarmentCode takes them. Raises ``BodyError``.
+    ``name_or_path`` is a name (see ``shape_by_name``) or a mesh file (see ``read_body``), to which ``legs_apart`` does
+    not apply. Measures are taken with the legs straight, as in GarmentCode. Raises ``BodyError``.
     """
     shape = shape_by_name(str(name_or_path), legs_apart=legs_apart)
     if shape is None:
         return *read_body(name_or_path, measurements, segmentation), None
     if segmentation is not None:
-        raise BodyError(f"{name_or_path}: its parts are known: leave the segmentation out")
+        raise BodyError(f"{name_or_path}: a named body has known parts: leave the segmentation out")
     body = build_body(shape, name=str(name_or_path))
     if measurements is not None:
         return body, read_measurements(measurements), shape
@@ -43,21 +43,22 @@ def named_body(
 
 
 def shape_by_name(name: str, *, legs_apart: bool) -> BodyShape | None:
-    """The shape of that name, or ``None`` for what can only be a file.
+    """The shape of this name, or ``None`` for the path of a file.
 
-    The mean bodies are ``neutral``, ``female`` and ``male``. Who is drawn is ``random:SEED``, mostly between the sexes
-    as GarmentCodeData draws them, or ``female:SEED`` and ``male:SEED``, adults as a survey finds them.
+    Mean bodies: ``neutral``, ``female``, ``male``. Drawn bodies: ``random:SEED``, mostly between the sexes as in
+    GarmentCodeData; ``female:SEED`` and ``male:SEED``, adults distributed as in a survey. Raises ``BodyError`` for an
+    unknown name or a malformed seed.
     """
-    kind, drawn, seed = name.partition(":")
-    if drawn and kind in DRAWN:
-        return draw_shape(rng(_seed(name, seed), 0, Stage.BODY), sex=DRAWN[kind], legs_apart=legs_apart)
+    prefix, colon, seed = name.partition(":")
+    if colon and prefix in SEX_OF_PREFIX:
+        return draw_shape(rng(_seed(name, seed), 0, Stage.BODY), sex=SEX_OF_PREFIX[prefix], legs_apart=legs_apart)
     if name in body_model().named or not Path(name).suffix:
         return named_shape(name, legs_apart=legs_apart)
     return None
 
 
 def _seed(name: str, text: str) -> int:
-    if not (text.isdecimal() and len(text) <= MOST_DIGITS):
+    if not (text.isdecimal() and len(text) <= MAX_SEED_DIGITS):
         kind = name.partition(":")[0]
         raise BodyError(
             f"{shown(name[:60])}: the seed is {text[:60]!r}: give a whole number of 0 or more, such as {kind}:7"

@@ -1,17 +1,16 @@
-"""Fits ``generator/data/adults.npz``: which shape weights the adults of a survey have.
+"""Fits ``generator/data/adults.npz``: the distribution of shape weights among the adults of a survey.
 
     python -m gcd_dataset.generator.body.calibrate generator/data
 
-Takes five minutes of one core; nothing beyond the body model is needed. The body model gives a first Gaussian for each
-sex, about its mean body. Of all Gaussians whose measures have the published mean and covariance the one nearest to it
-(in the sense of Kullback and Leibler) is taken; both conditions are linear in the weights, and it has a closed form:
+Takes five minutes of one core, and needs the body model alone. The prior of each sex is a Gaussian about its mean body.
+Among all Gaussians with the published mean and covariance of the measures, the result is the nearest to the prior in
+Kullback-Leibler divergence. The measures are linearised in the weights, which gives a closed form:
 
     mean        = mean₀ + gain (published mean - measures at mean₀),    gain = Σ₀ Jᵀ (J Σ₀ Jᵀ)⁻¹
     covariance  = Σ₀ + gain (published covariance - J Σ₀ Jᵀ) gainᵀ
 
-with J the slopes of the measures by the weights. Measures bend a little where the weights go far, so bodies are drawn
-and measured, and what their statistics miss is added to what is aimed at, a few times over; the round that misses
-least is kept.
+with J the Jacobian of the measures. Since measures are not quite linear far from the mean, each round draws and
+measures bodies and corrects the target by the error of their statistics; the round with the smallest error wins.
 """
 
 import argparse
@@ -28,7 +27,7 @@ from jaxtyping import Float
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import measure
 from gcd_dataset.generator.body.asset import body_model
-from gcd_dataset.generator.body.population import FURTHEST, SEXES, Adults
+from gcd_dataset.generator.body.population import MAX_DEVIATION, SEXES, Adults
 from gcd_dataset.generator.body.shape import build_body
 from gcd_dataset.generator.body.survey import Survey, survey_measures, survey_of
 from gcd_dataset.records import BodyShape
@@ -36,25 +35,25 @@ from gcd_dataset.records import BodyShape
 __all__ = ["calibrated"]
 
 ROUNDS = 6
-DAMPING = 0.3  # of the corrections between rounds: a variation asked of one measure is also one of others
-PEOPLE = 700  # drawn in a round, each with its opposite
-STEP = 0.3  # standard deviations: half the width of the differences that slopes are taken from
-SWEEPS = 60
+DAMPING = 0.3  # of the corrections between rounds, since measures vary together
+PEOPLE = 700  # drawn in a round, each with its antithetic
+STEP = 0.3  # half width of the central differences [standard deviations]
+SWEEPS = 60  # of iterative proportional fitting
 NEAR = (0.02, 0.1, 0.1)
-"""What counts alike as a miss: of a mean and of a standard deviation (shares), and of a correlation with the height."""
+"""Errors of equal weight: of a mean and of a standard deviation (relative), and of a correlation with the height."""
 WIDEST = 5.0
-"""Largest variance along any axis of the weights, which have 1 in the body model. A few combinations of measures hardly
-vary there (wrist and neck against thigh and hips); to have them vary as published would take bodies that look wrong."""
+"""Largest variance along any axis of the weights; 1 in the body model. The model hardly varies in some combinations of
+measures (wrist and neck against thigh and hips): their published variance would take implausible bodies."""
 ALONE = ("waist_breadth", "waist_depth", "bust_depth")
-"""Measures that only their own variance is asked of: the survey's table holds no correlations of theirs."""
+"""Measures fitted by variance alone, since the survey publishes no correlations for them."""
 TOGETHER = ("height", "weight")
-"""Asked for by themselves, after all others: the weight follows from the girths, and can vary in no way of its own."""
+"""Fitted as a pair after all others: the weight follows from the girths and cannot vary independently."""
 
 
 def main() -> None:
-    """Calibrates both sexes into a folder."""
+    """Write the adults of both sexes and a checksum into a folder."""
     parser = argparse.ArgumentParser(description="fit adults.npz to a survey")
-    parser.add_argument("folder", type=Path, help="where adults.npz and adults.npz.sha256 go")
+    parser.add_argument("folder", type=Path, help="folder for adults.npz and adults.npz.sha256")
     folder = parser.parse_args().folder
     buffer = io.BytesIO()
     arrays: dict[str, np.ndarray] = {}
@@ -68,31 +67,31 @@ def main() -> None:
 
 
 def calibrated(sex: str) -> Adults:
-    """The adults of one sex."""
+    """The distribution of shape weights fitted to the survey's figures for one sex."""
     survey, start = survey_of(sex), body_model().named[sex].astype(float)
-    prior, slopes = within_sex_covariance(), _slopes(start, survey)
-    aim = _Statistics.published(survey)
-    wanted = aim
+    prior, jacobian = within_sex_covariance(), _jacobian(start, survey)
+    published = _Statistics.published(survey)
+    target = published
     mean, covariance = start, prior
-    opposite = np.random.default_rng(0).standard_normal((PEOPLE, len(start)))
-    people = np.clip(np.concatenate([opposite, -opposite]), -FURTHEST, FURTHEST)
-    tried = []
+    normals = np.random.default_rng(0).standard_normal((PEOPLE, len(start)))
+    people = np.clip(np.concatenate([normals, -normals]), -MAX_DEVIATION, MAX_DEVIATION)
+    rounds = []
     for number in range(ROUNDS):
-        covariance = _bounded(nearest_covariance(prior, _conditions(survey, slopes, aim)))
+        covariance = _bounded(nearest_covariance(prior, _conditions(survey, jacobian, target)))
         adults = Adults(mean, _axes(covariance))
         found = _Statistics.of(_measured(mean + people @ adults.axes.T, survey), survey)
-        tried.append((wanted.miss(found, survey), number, adults))
-        print(f"{sex}, round {number}, miss {tried[-1][0]:.3f}:")
-        print(wanted.compared(found, survey))
-        aim = aim.corrected(wanted, found)
-        mean = _moved(mean, start, prior, slopes, wanted.mean - found.mean, survey)
-    return min(tried)[-1]
+        rounds.append((published.error(found, survey), number, adults))
+        print(f"{sex}, round {number}, error {rounds[-1][0]:.3f}:")
+        print(published.comparison(found, survey))
+        target = target.corrected(published, found)
+        mean = _next_mean(mean, start, prior, jacobian, published.mean - found.mean, survey)
+    return min(rounds)[-1]
 
 
 def within_sex_covariance() -> Float[np.ndarray, "k k"]:
-    """How weights vary among the adults of a sex in the body model.
+    """Covariance of the weights among the adults of one sex, by the body model.
 
-    Over both sexes the weights have unit covariance; what the distance between the sexes has added to it is taken off.
+    The model pools both sexes, with unit covariance; this subtracts the contribution of the distance between the sexes.
     """
     named = body_model().named
     apart = (named["male"] - named["female"]).astype(float)
@@ -102,16 +101,16 @@ def within_sex_covariance() -> Float[np.ndarray, "k k"]:
 def nearest_covariance(
     prior: Float[np.ndarray, "k k"], conditions: Sequence[tuple[Float[np.ndarray, "m k"], Float[np.ndarray, "m m"]]]
 ) -> Float[np.ndarray, "k k"]:
-    """Of all covariances under which each ``slopes @ weights`` has the one wanted, the one nearest to ``prior``.
+    """The covariance nearest to ``prior`` with a given covariance of each condition's ``jacobian @ weights``.
 
-    Conditions are met in turn, over and over (iterative proportional fitting); those that cannot all be met end in a
-    compromise.
+    ``conditions`` holds pairs (jacobian, covariance), met in turn by iterative proportional fitting; contradictory ones
+    end in a compromise.
     """
     found = prior
-    for slopes, wanted in list(conditions) * SWEEPS:
-        own = slopes @ found @ slopes.T
-        gain = np.linalg.solve(own, slopes @ found).T
-        found = found + gain @ (wanted - own) @ gain.T
+    for jacobian, wanted in list(conditions) * SWEEPS:
+        current = jacobian @ found @ jacobian.T
+        gain = np.linalg.solve(current, jacobian @ found).T
+        found = found + gain @ (wanted - current) @ gain.T
     return found
 
 
@@ -120,7 +119,7 @@ def nearest_covariance(
 
 @dataclass(frozen=True)
 class _Statistics:
-    """Mean and standard deviation of all measures, correlations of those for which they are published."""
+    """Means and standard deviations of all measures; correlations of the measures with published ones."""
 
     mean: Float[np.ndarray, " m"]
     sd: Float[np.ndarray, " m"]
@@ -136,60 +135,63 @@ class _Statistics:
         return cls(measured.mean(axis=0), measured.std(axis=0, ddof=1), np.corrcoef(chosen.T))
 
     def corrected(self, wanted: Self, found: Self) -> Self:
-        """An aim moved by some of what was missed."""
+        """This target, moved by a share of the error of ``found``."""
         return replace(
             self,
             sd=self.sd * (wanted.sd / found.sd) ** DAMPING,
             correlation=self.correlation + DAMPING * (wanted.correlation - found.correlation),
         )
 
-    def miss(self, found: Self, survey: Survey) -> float:
-        """How far off other statistics are: root mean square over all figures, 1 for those off by ``NEAR``."""
+    def error(self, found: Self, survey: Survey) -> float:
+        """Root mean square error of other statistics over all figures, in units of ``NEAR``."""
         known, height = np.isfinite(survey.tolerance), survey.correlated.index("height")
-        shares = (found.mean / self.mean - 1)[known], found.sd / self.sd - 1
-        misses = (*shares, (found.correlation - self.correlation)[height])
-        return float(np.sqrt(np.mean(np.concatenate([m / near for m, near in zip(misses, NEAR, strict=True)]) ** 2)))
+        relative = (found.mean / self.mean - 1)[known], found.sd / self.sd - 1
+        errors = (*relative, (found.correlation - self.correlation)[height])
+        return float(np.sqrt(np.mean(np.concatenate([e / near for e, near in zip(errors, NEAR, strict=True)]) ** 2)))
 
-    def compared(self, found: Self, survey: Survey) -> str:
-        """A line a measure: what both means and spreads are."""
+    def comparison(self, found: Self, survey: Survey) -> str:
+        """A table with both means and standard deviations, a line for each measure."""
         columns = (survey.measures, self.mean, found.mean, found.mean / self.mean - 1)
         spreads = (self.sd, found.sd, found.sd / self.sd - 1)
         lines = [
-            f"  {name:14} {mean:7.2f} {own:7.2f} {off:+7.1%}   {sd:6.2f} {own_sd:6.2f} {sd_off:+7.1%}"
-            for name, mean, own, off, sd, own_sd, sd_off in zip(*columns, *spreads, strict=True)
+            f"  {name:14} {mean:7.2f} {ours:7.2f} {error:+7.1%}   {sd:6.2f} {our_sd:6.2f} {sd_error:+7.1%}"
+            for name, mean, ours, error, sd, our_sd, sd_error in zip(*columns, *spreads, strict=True)
         ]
         height = survey.correlated.index("height")
         pairs = zip(survey.correlated, self.correlation[height], found.correlation[height], strict=True)
-        lines += [f"  height and {name:14} {theirs:5.2f} {own:5.2f}" for name, theirs, own in pairs if name != "height"]
+        lines += [
+            f"  height and {name:14} {theirs:5.2f} {ours:5.2f}" for name, theirs, ours in pairs if name != "height"
+        ]
         worst = np.abs(self.correlation - found.correlation).max()
         return "\n".join([*lines, f"  correlations differ by {worst:.2f} at most"])
 
 
 def _conditions(
-    survey: Survey, slopes: Float[np.ndarray, "m k"], aim: _Statistics
+    survey: Survey, jacobian: Float[np.ndarray, "m k"], target: _Statistics
 ) -> list[tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "c c"]]]:
-    """Slopes and covariances aimed at: of some measures alone, of those with known correlations, of ``TOGETHER``."""
-    alone = [(slopes[[column]], aim.sd[[column], None] ** 2) for column in _columns(survey, ALONE)]
+    """Jacobian and target covariance of each group: ``ALONE`` one by one, correlated measures, ``TOGETHER``."""
+    alone = [(jacobian[[column]], target.sd[[column], None] ** 2) for column in _columns(survey, ALONE)]
     groups = ([name for name in survey.correlated if name != "weight"], TOGETHER)
-    return [*alone, *(_correlated(survey, slopes, aim, names) for names in groups)]
+    return [*alone, *(_correlated(survey, jacobian, target, names) for names in groups)]
 
 
 def _correlated(
-    survey: Survey, slopes: Float[np.ndarray, "m k"], aim: _Statistics, names: Sequence[str]
+    survey: Survey, jacobian: Float[np.ndarray, "m k"], target: _Statistics, names: Sequence[str]
 ) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "c c"]]:
     columns, rows = _columns(survey, names), [survey.correlated.index(name) for name in names]
-    sd = aim.sd[columns]
-    return slopes[columns], aim.correlation[np.ix_(rows, rows)] * np.outer(sd, sd)
+    sd = target.sd[columns]
+    return jacobian[columns], target.correlation[np.ix_(rows, rows)] * np.outer(sd, sd)
 
 
-def _moved(
-    mean: np.ndarray, start: np.ndarray, prior: np.ndarray, slopes: np.ndarray, miss: np.ndarray, survey: Survey
+def _next_mean(
+    mean: np.ndarray, start: np.ndarray, prior: np.ndarray, jacobian: np.ndarray, error: np.ndarray, survey: Survey
 ) -> Float[np.ndarray, " k"]:
-    """The next mean by Gauss-Newton, each measure within its tolerance, held near the body model's mean body."""
+    """One Gauss-Newton step on the mean weights, with the measures' tolerances and a prior at ``start``."""
     known = np.isfinite(survey.tolerance)
-    own = slopes[known]
-    right = miss[known] + own @ (mean - start)
-    return start + prior @ own.T @ np.linalg.solve(own @ prior @ own.T + np.diag(survey.tolerance[known] ** 2), right)
+    rows = jacobian[known]
+    right = error[known] + rows @ (mean - start)
+    matrix = rows @ prior @ rows.T + np.diag(survey.tolerance[known] ** 2)
+    return start + prior @ rows.T @ np.linalg.solve(matrix, right)
 
 
 def _bounded(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
@@ -206,8 +208,8 @@ def _columns(survey: Survey, names: Sequence[str]) -> list[int]:
     return [survey.measures.index(name) for name in names]
 
 
-def _slopes(weights: Float[np.ndarray, " k"], survey: Survey) -> Float[np.ndarray, "m k"]:
-    """Slopes of the measures by the weights, by central differences."""
+def _jacobian(weights: Float[np.ndarray, " k"], survey: Survey) -> Float[np.ndarray, "m k"]:
+    """Derivatives of the measures by the weights, by central differences."""
     steps = STEP * np.eye(len(weights))
     up, down = np.split(_measured(weights + np.concatenate([steps, -steps]), survey), 2)
     return ((up - down) / (2 * STEP)).T

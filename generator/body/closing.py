@@ -1,4 +1,4 @@
-"""A skin made fit for cloth: split seams joined, all faces outward, small holes closed."""
+"""Prepares a skin for cloth: welds split seams, orients all faces outward, closes small holes."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -10,27 +10,27 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from gcd_dataset.errors import BodyError
-from gcd_dataset.generator.body.holes import Holes, sides_of
-from gcd_dataset.generator.body.scan import same_places
+from gcd_dataset.generator.body.holes import Holes, half_edges_of
+from gcd_dataset.generator.body.scan import coincident_vertices
 from gcd_dataset.records import BodyPart, Record
 
 __all__ = ["WIDEST_HOLE", "ClosedSkin"]
 
-WIDEST_HOLE = 10.0  # cm across, as they are closed by flat patches: up to 1.3 cm off a limb or chest of 10 cm radius
+WIDEST_HOLE = 10.0  # cm across; a flat patch then lies up to 1.3 cm under a limb or chest of 10 cm radius
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedSkin(Record):
-    """A body's mesh without holes, counter-clockwise seen from outside; pieces that are all internal as they came."""
+    """A body's mesh without holes, counter-clockwise from outside; internal pieces (loose eyes) are unchanged."""
 
     vertices: Float[np.ndarray, "v 3"]
-    """Those that came, then the middles of the patches [cm]."""
+    """The input vertices, then the centre of each patch [cm]."""
     faces: Int[np.ndarray, "f 3"]
     parts: UInt8[np.ndarray, " v"]
-    closed: Float[np.ndarray, " h"]
-    """Distance across each hole that was closed [cm]."""
-    turned: bool
-    """Whether faces that looked inwards were turned."""
+    hole_widths: Float[np.ndarray, " h"]
+    """Distance across each closed hole [cm]."""
+    flipped: bool
+    """Whether any face was flipped."""
 
     @classmethod
     def of(
@@ -40,26 +40,26 @@ class ClosedSkin(Record):
         parts: UInt8[np.ndarray, " u"],
         name: str,
     ) -> Self:
-        """A mesh [cm], closed. Raises ``BodyError`` where a hole is too wide, or inside and outside are not known."""
+        """Close a mesh [cm]. Raises ``BodyError`` for a hole wider than ``WIDEST_HOLE`` or a skin without an inside."""
         internal = _internal_pieces(faces, parts)
-        skin = _joined(vertices, faces[~internal])
-        wound = _wound(skin, name)
-        holes = Holes.of(vertices, wound)
-        _refuse_wide(holes, name)
-        middle_parts = [parts[np.unique(holes.rims[holes.hole == hole])] for hole in range(len(holes.middles))]
-        whole = np.concatenate([vertices, holes.middles])
-        outward = _outward(whole, np.concatenate([wound, holes.patches(len(vertices))]))
+        skin = _welded_rims(vertices, faces[~internal])
+        consistent = _consistently_wound(skin, name)
+        holes = Holes.of(vertices, consistent)
+        _require_narrow(holes, name)
+        rim_parts = [parts[np.unique(holes.rims[holes.hole_of_rim == hole])] for hole in range(len(holes.centres))]
+        whole = np.concatenate([vertices, holes.centres])
+        outward = _outward(whole, np.concatenate([consistent, holes.patches(len(vertices))]))
         return cls(
             whole,
             np.concatenate([outward, faces[internal]]),
-            np.concatenate([parts, [np.bincount(around).argmax() for around in middle_parts]]).astype(np.uint8),
+            np.concatenate([parts, [np.bincount(around).argmax() for around in rim_parts]]).astype(np.uint8),
             holes.widths,
             not np.array_equal(outward[: len(skin)], skin),
         )
 
 
 def _internal_pieces(faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]) -> Bool[np.ndarray, " f"]:
-    """Faces of pieces all of whose corners are internal: loose eyes."""
+    """Whether each face is of a connected piece with internal vertices only, such as a loose eye."""
     piece = _pieces(faces, len(parts))
     internal = np.ones(len(parts), bool)
     np.logical_and.at(internal, piece[faces], (parts == BodyPart.INTERNAL.value)[faces])
@@ -67,66 +67,66 @@ def _internal_pieces(faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v
 
 
 def _pieces(faces: Int[np.ndarray, "f 3"], size: int) -> Int[np.ndarray, " v"]:
-    """Which connected piece each vertex is of."""
+    """Number of the connected piece of each vertex."""
     ends = np.concatenate([faces[:, :2], faces[:, 1:]])
     graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(size, size))
     return connected_components(graph, directed=False)[1]
 
 
-def _joined(vertices: np.ndarray, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "g 3"]:
-    """The faces with one vertex for all at the same place on the rims, where they do not hang together as they are.
+def _welded_rims(vertices: np.ndarray, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "g 3"]:
+    """The faces with coincident vertices on rims merged; faces that collapse are dropped.
 
-    Only rims: skins that touch elsewhere, such as closed lips, are no seam.
+    Rims only: other surfaces that touch, such as closed lips, are not seams.
     """
-    sides, times = sides_of(faces)
-    rims = np.unique(sides[times == 1])
+    edges, uses = half_edges_of(faces)
+    rims = np.unique(edges[uses == 1])
     if not len(rims):
         return faces
-    joined = same_places(vertices, rims)[faces]
-    return joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
+    welded = coincident_vertices(vertices, rims)[faces]
+    return welded[(welded != np.roll(welded, 1, axis=1)).all(axis=1)]
 
 
-def _wound(faces: Int[np.ndarray, "f 3"], name: str) -> Int[np.ndarray, "f 3"]:
-    """The faces of each piece all to the same side, as most of them look. Raises ``BodyError`` where none is."""
-    sides, times = sides_of(faces)
-    if (times > 2).any():
+def _consistently_wound(faces: Int[np.ndarray, "f 3"], name: str) -> Int[np.ndarray, "f 3"]:
+    """The faces of each piece wound like its majority. Raises ``BodyError`` for a non-manifold or one-sided skin."""
+    edges, uses = half_edges_of(faces)
+    if (uses > 2).any():
         raise BodyError(
-            f"{name}: {int((times > 2).sum())} sides of faces are shared by three and more, so inside and outside are "
-            "not known: export one skin without inner walls"
+            f"{name}: {int((uses > 2).sum())} sides of faces are shared by three or more faces, so it has no clear "
+            "inside: export one skin without inner walls"
         )
-    order = np.lexsort(np.sort(sides, axis=1).T[::-1])
-    order = order[times[order] == 2]
+    order = np.lexsort(np.sort(edges, axis=1).T[::-1])
+    order = order[uses[order] == 2]
     first, second = order[::2], order[1::2]
-    alike = (sides[first] == sides[second]).all(axis=1)  # neighbours run along a shared side to opposite ends
+    alike = (edges[first] == edges[second]).all(axis=1)  # consistent neighbours run along a shared edge oppositely
     if not alike.any():
         return faces
-    # Each face twice, as it is and turned: what must look alike is joined.
+    # A graph with two nodes a face, as it is and flipped; links join nodes that are wound consistently.
     count = len(faces)
     a, b = first // 3, second // 3
     ends = np.concatenate([[a, b + count * alike], [a + count, b + count * ~alike]], axis=1)
     graph = coo_matrix((np.ones(ends.shape[1]), ends), shape=(2 * count, 2 * count))
     label = connected_components(graph, directed=False)[1]
-    kept, turned = label[:count], label[count:]
-    if (kept == turned).any():
+    unflipped, flipped = label[:count], label[count:]
+    if (unflipped == flipped).any():
         raise BodyError(f"{name}: its skin has one side only, like a Möbius strip: export the mesh again")
-    groups = np.minimum(kept, turned)
-    turn = kept > turned
-    mostly = np.bincount(groups, turn, minlength=2 * count) > np.bincount(groups, ~turn, minlength=2 * count)
-    return np.where((turn ^ mostly[groups])[:, None], faces[:, ::-1], faces)
+    groups = np.minimum(unflipped, flipped)
+    flip = unflipped > flipped
+    mostly = np.bincount(groups, flip, minlength=2 * count) > np.bincount(groups, ~flip, minlength=2 * count)
+    return np.where((flip ^ mostly[groups])[:, None], faces[:, ::-1], faces)
 
 
-def _refuse_wide(holes: Holes, name: str) -> None:
+def _require_narrow(holes: Holes, name: str) -> None:
     if holes.widths.max(initial=0.0) > WIDEST_HOLE:
         widest = int(holes.widths.argmax())
-        x, y, z = holes.middles[widest]
+        x, y, z = holes.centres[widest]
         raise BodyError(
             f"{name}: the skin is not closed: it has a hole {holes.widths[widest]:.1f} cm across about "
-            f"({x:.0f}, {y:.0f}, {z:.0f}) cm, and up to {WIDEST_HOLE:.0f} cm are closed here: fill it in the mesh"
+            f"({x:.0f}, {y:.0f}, {z:.0f}) cm, and only holes up to {WIDEST_HOLE:.0f} cm are closed: fill it in the mesh"
         )
 
 
 def _outward(vertices: np.ndarray, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
-    """The faces turned, if they enclose what is outside."""
+    """The faces, flipped if they enclose a negative volume."""
     with np.errstate(all="ignore"):  # trimesh divides by the volume, which may be 0
         volume = trimesh.Trimesh(vertices, faces, process=False).volume
     return faces if volume > 0 else faces[:, ::-1]

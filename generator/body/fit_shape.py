@@ -1,8 +1,8 @@
-"""A body for given measures: Gauss-Newton in the shape space, held near the population.
+"""Fits a body to given measures: Gauss-Newton in the shape space with a population prior.
 
-What is made small is the sum of squares of (measure - asked) / ``TOLERANCE`` and of the shape weights, which are in
-standard deviations of the population: of the bodies that have the measures, the most probable (its Mahalanobis distance
-is the shortest). How far the arms are raised is found with them.
+Minimises the sum of squares of (measure - given) / ``TOLERANCE`` and of the shape weights, which are in standard
+deviations of the population. Among the bodies with these measures that is the most probable one: the one with the least
+Mahalanobis distance. The angle of the arms is a further unknown.
 """
 
 from typing import NamedTuple
@@ -20,20 +20,20 @@ __all__ = ["FittedShape", "fit_shape"]
 
 STEPS = 12
 DIFFERENCES = (0.3, 0.1)
-"""Half the widths of the differences that slopes are taken from, in turn [standard deviations]. Girths are searched in
-steps of 5 mm, so heights that hang on them jump; what one width cannot see past, the other does."""
-PARTS_OF_A_STEP = (1.0, 0.5, 0.25, 0.1)
-LONGEST = 2.0  # standard deviations any weight goes in one step: measures are nearly linear that far
-LEAST_GAIN = 1e-3  # share of the cost: a step that gains less is followed by one more of the other width, or none
-TOLERANCE = 0.1  # cm that weigh as much as one standard deviation of one shape weight
+"""Half widths of the central differences, used in turn [standard deviations]. The levels of girths are searched in
+steps of 5 mm, so that measures of height jump: a jump that hides the slope at one width does not at the other."""
+STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # tried in a line search
+MAX_STEP = 2.0  # standard deviations in any weight: measures are nearly linear within
+LEAST_GAIN = 1e-3  # relative decrease of the cost; the fit ends after a smaller one at each width
+TOLERANCE = 0.1  # cm of error with the cost of one standard deviation in one weight
 ANGLE_TOLERANCE = np.radians(0.1)
-ARM_SPREAD = np.radians(9.0)  # standard deviation of the drawn arms, evenly spread over ±15°
-FACTOR = 3.0  # by which a length may differ from that of the mean body: more is another unit
-FAR_OFF = 0.1  # share of a length, or radians: a body that misses a measure by more is no answer,
-FAR_OFF_CM = 3.0  # unless the length is short
+ARM_SPREAD = np.radians(9.0)  # standard deviation of the drawn arm angle, uniform over ±15°
+MAX_FACTOR = 3.0  # ratio of a length to the mean body's; beyond, it is in another unit
+MAX_ERROR = 0.1  # relative error of a length, or radians, of an accepted fit,
+MAX_ERROR_CM = 3.0  # or this error for short lengths
 REACH = 12.0
-"""Standard deviations from the mean body, in all weights together, beyond which nobody is a person: those drawn are at
-3 (pooled) to 10 (of one sex)."""
+"""Largest distance from the mean body, over all weights [standard deviations]; drawn bodies are at 3 (pooled) to 10 (of
+one sex)."""
 REMEDY = "give lengths in cm, all of one person, or leave doubtful ones open (NaN)"
 
 _ANGLE = np.isin(MEASURES, list(ANGLES))
@@ -41,93 +41,95 @@ _SCALE = np.where(_ANGLE, ANGLE_TOLERANCE, TOLERANCE)
 
 
 class FittedShape(NamedTuple):
-    """The body for some measures."""
+    """A body fitted to measures."""
 
     shape: BodyShape
     residual: Measurements
-    """Its measures minus those asked for [cm, rad]; NaN where none was asked for."""
+    """Measures of the body minus the given ones [cm, rad]; NaN for measures left open."""
 
 
 def fit_shape(measures: Measurements) -> FittedShape:
-    """The most probable body that has the measures, its legs straight; measures that are NaN are left open.
+    """The most probable body with the given measures and legs straight; measures that are NaN are left open.
 
-    Takes some seconds of one core. Raises ``BodyError`` where no measure is given, one is not a length, or no body
-    comes within a tenth of one of them.
+    Takes some seconds of one core. Raises ``BodyError`` if no measure is given, a length is implausible, or the nearest
+    body misses a measure by more than a tenth.
     """
     wanted = _values(measures)
-    _refuse_nonsense(wanted)
+    _require_plausible(wanted)
     found = np.zeros(len(body_model().components) + 1)
     gains = [np.inf] * len(DIFFERENCES)
     for step in range(STEPS):
         cost = _cost(found, wanted)
-        found = _stepped(found, wanted, DIFFERENCES[step % len(DIFFERENCES)])
-        _refuse_monsters(found, 1.25 * REACH)  # who has gone so far does not come back
+        found = _step(found, wanted, DIFFERENCES[step % len(DIFFERENCES)])
+        _require_within_reach(found, 1.25 * REACH)  # steps from further out do not lead back
         gains = [*gains[1:], 1 - _cost(found, wanted) / max(cost, 1e-12)]
         if max(gains) < LEAST_GAIN:
             break
     residual = _measured(found) - wanted
-    _refuse_misses(wanted, residual)
-    _refuse_monsters(found, REACH)
+    _require_close(wanted, residual)
+    _require_within_reach(found, REACH)
     return FittedShape(_shape(found), Measurements(**dict(zip(MEASURES, residual.tolist(), strict=True))))
 
 
-# ------------------------------------------------------------------------------------------------------------ refusals
+# -------------------------------------------------------------------------------------------------------------- checks
 
 
-def _refuse_nonsense(wanted: Float[np.ndarray, " m"]) -> None:
+def _require_plausible(wanted: Float[np.ndarray, " m"]) -> None:
     if np.isnan(wanted).all():
-        raise BodyError("no measure is given: a body is fitted to at least one, such as the height")
+        raise BodyError("no measure is given: give at least one, such as the height")
     usual = _measured(np.zeros(len(body_model().components) + 1))
     for name, value, mean in zip(MEASURES, wanted, usual, strict=True):
-        if np.isinf(value) or (name not in ANGLES and not np.isnan(value) and not 1 / FACTOR < value / mean < FACTOR):
+        if np.isinf(value) or (
+            name not in ANGLES and not np.isnan(value) and not 1 / MAX_FACTOR < value / mean < MAX_FACTOR
+        ):
             raise BodyError(
-                f"{name} is {value:g} cm, of the mean body {mean:.1f}: give a length in cm, or NaN to leave it open"
+                f"{name} is {value:g} cm, and {mean:.1f} cm on the mean body: give a length in cm, or NaN for none"
             )
 
 
-def _refuse_misses(wanted: Float[np.ndarray, " m"], residual: Float[np.ndarray, " m"]) -> None:
-    allowed = np.where(_ANGLE, FAR_OFF, np.maximum(FAR_OFF * np.abs(wanted), FAR_OFF_CM))
+def _require_close(wanted: Float[np.ndarray, " m"], residual: Float[np.ndarray, " m"]) -> None:
+    allowed = np.where(_ANGLE, MAX_ERROR, np.maximum(MAX_ERROR * np.abs(wanted), MAX_ERROR_CM))
     share = np.nan_to_num(np.abs(residual) / allowed)
     worst = int(share.argmax())
     if share[worst] > 1.0:
         unit, size = ("°", np.degrees(1.0)) if _ANGLE[worst] else (" cm", 1.0)
         raise BodyError(
-            f"no adult has these measures: {MEASURES[worst]} is {size * wanted[worst]:.1f}{unit}, and of the nearest "
-            f"body {size * (wanted + residual)[worst]:.1f}{unit}: {REMEDY}"
+            f"no adult has these measures: {MEASURES[worst]} is {size * wanted[worst]:.1f}{unit}, and "
+            f"{size * (wanted + residual)[worst]:.1f}{unit} on the nearest body: {REMEDY}"
         )
 
 
-def _refuse_monsters(found: Float[np.ndarray, " u"], reach: float) -> None:
+def _require_within_reach(found: Float[np.ndarray, " u"], reach: float) -> None:
     distance = float(np.linalg.norm(found))
     if distance > reach:
         raise BodyError(
-            f"no adult has these measures: who has them is {distance:.0f} standard deviations from the mean body "
-            f"(up to {REACH:.0f} are taken): {REMEDY}"
+            f"no adult has these measures: the body is {distance:.0f} standard deviations from the mean body "
+            f"(at most {REACH:.0f} are accepted): {REMEDY}"
         )
 
 
 # -------------------------------------------------------------------------------------------------------- Gauss-Newton
-# Unknowns (u): the shape weights, then the raising of the arms in units of ARM_SPREAD.
+# Unknowns (u): the shape weights, then the arm angle in units of ARM_SPREAD.
 
 
-def _stepped(found: Float[np.ndarray, " u"], wanted: Float[np.ndarray, " m"], width: float) -> Float[np.ndarray, " u"]:
-    """The best point on the way of one step, or the same point where none is better."""
-    asked = np.isfinite(wanted)
-    slopes = (_slopes(found, width) / _SCALE[:, None])[asked]
-    miss = ((_measured(found) - wanted) / _SCALE)[asked]
-    step = -np.linalg.solve(slopes.T @ slopes + np.eye(len(found)), slopes.T @ miss + found)
-    step *= min(1.0, LONGEST / max(np.abs(step).max(), 1e-12))
-    tried = [found, *(found + part * step for part in PARTS_OF_A_STEP)]
-    return min(tried, key=lambda unknowns: _cost(unknowns, wanted))
+def _step(found: Float[np.ndarray, " u"], wanted: Float[np.ndarray, " m"], width: float) -> Float[np.ndarray, " u"]:
+    """One Gauss-Newton step with a line search; ``found`` itself if no point on the step is better."""
+    given = np.isfinite(wanted)
+    jacobian = (_jacobian(found, width) / _SCALE[:, None])[given]
+    error = ((_measured(found) - wanted) / _SCALE)[given]
+    step = -np.linalg.solve(jacobian.T @ jacobian + np.eye(len(found)), jacobian.T @ error + found)
+    step *= min(1.0, MAX_STEP / max(np.abs(step).max(), 1e-12))
+    candidates = [found, *(found + share * step for share in STEP_SHARES)]
+    return min(candidates, key=lambda unknowns: _cost(unknowns, wanted))
 
 
 def _cost(unknowns: Float[np.ndarray, " u"], wanted: Float[np.ndarray, " m"]) -> float:
-    miss = (_measured(unknowns) - wanted) / _SCALE
-    return float(np.nansum(miss**2) + (unknowns**2).sum())
+    error = (_measured(unknowns) - wanted) / _SCALE
+    return float(np.nansum(error**2) + (unknowns**2).sum())
 
 
-def _slopes(unknowns: Float[np.ndarray, " u"], width: float) -> Float[np.ndarray, "m u"]:
-    """Slopes of the measures by the unknowns, by central differences."""
+def _jacobian(unknowns: Float[np.ndarray, " u"], width: float) -> Float[np.ndarray, "m u"]:
+    """Derivatives of the measures by the unknowns, by central differences of half width ``width``."""
     steps = width * np.eye(len(unknowns))
     return np.array([_measured(unknowns + step) - _measured(unknowns - step) for step in steps]).T / (2 * width)
 

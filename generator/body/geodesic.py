@@ -1,4 +1,4 @@
-"""Shortest way over the skin between two vertices."""
+"""Geodesics: shortest paths over a mesh between two vertices."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -14,35 +14,37 @@ from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.generator.body.surface import SkinSurface
 from gcd_dataset.records import Record
 
-__all__ = ["WayNet", "net_between"]
+__all__ = ["GeodesicGraph", "graph_between"]
 
 
-WAY_BAND = 0.035  # of the way's length: how far from the rough way the shortest one is looked for
+BAND = 0.035  # half width of the band about the rough path that is searched, as a share of the distance
 
 
 @dataclass(frozen=True, eq=False)
-class WayNet(Record):
-    """A net of straight ways over some faces: between their corners and points evenly spaced on their edges.
+class GeodesicGraph(Record):
+    """A graph of straight links across faces, between their corners and points evenly spaced on their edges.
 
-    Its shortest ways are geodesics but for the spacing of the points (Lanthier, Maheshwari and Sack, 1997).
+    Its shortest paths approximate geodesics, up to the spacing of the points (Lanthier, Maheshwari and Sack, 1997).
+    Lengths are computed for any positions of the vertices, so that one graph serves all bodies with the same mesh.
     """
 
     corners: Int[np.ndarray, " n"]
-    """Vertices of the mesh that are nodes, before the points on edges."""
+    """Vertices of the mesh that are nodes; the points on edges follow them in the numbering."""
     edges: Int[np.ndarray, "e 2"]
     shares: Float[np.ndarray, " k"]
-    """Where on an edge its points lie, 0 to 1."""
-    ways: Int[np.ndarray, "w 2"]
-    """Pairs of nodes, both ways, sorted by the first."""
+    """Positions of the points on an edge, 0 to 1."""
+    links: Int[np.ndarray, "l 2"]
+    """Pairs of nodes in both directions, sorted by the first."""
     starts: Int[np.ndarray, " m"]
-    """Row of ``ways`` where each node's begin."""
-    squares: csr_matrix
-    """What each way's squared length takes of the squared lengths of the edges (w, e)."""
+    """Row of ``links`` where each node's links begin (the row pointer of a CSR matrix)."""
+    square_weights: csr_matrix
+    """(l, e): the squared length of each link as a linear function of the squared lengths of the edges."""
     ends: tuple[int, int]
+    """The nodes between which paths are sought."""
 
     @classmethod
     def over(cls, faces: Int[np.ndarray, "f 3"], start: int, end: int, *, points_per_edge: int) -> Self:
-        """The net over ``faces`` for the way from vertex ``start`` to vertex ``end``."""
+        """The graph over ``faces`` for paths from vertex ``start`` to vertex ``end``."""
         corners = np.unique(faces)
         edges, face_edges = unique_edges(faces)
         on_edge = len(corners) + np.arange(len(edges) * points_per_edge).reshape(-1, points_per_edge)
@@ -51,48 +53,48 @@ class WayNet(Record):
         around = np.concatenate([np.searchsorted(corners, faces)[:, :, None], on_sides], axis=2)
         nodes = around.reshape(len(faces), -1)
         count = len(corners) + on_edge.size
-        # As one number each: quicker than as rows.
+        # np.unique on scalars is faster than on rows.
         pairs, first = np.unique(nodes[:, :, None] * count + nodes[:, None, :], return_index=True)
-        ways = np.stack(np.divmod(pairs, count)).astype(np.int32).T  # as sparse graphs keep them
-        apart = ways[:, 0] != ways[:, 1]
-        ways, first = ways.T[:, apart].T, first[apart]
+        links = np.stack(np.divmod(pairs, count)).astype(np.int32).T  # the index type of scipy.sparse
+        distinct = links[:, 0] != links[:, 1]
+        links, first = links.T[:, distinct].T, first[distinct]
         shares = np.arange(1, points_per_edge + 1) / (points_per_edge + 1)
         face, pair = np.divmod(first, nodes.shape[1] ** 2)
-        squares = _by_row(_side_shares(shares)[pair], face_edges[face], len(edges))
+        weights = _three_a_row(_square_weights(shares)[pair], face_edges[face], len(edges))
         ends = np.searchsorted(corners, [start, end])
-        return cls(corners, edges, shares, ways, _starts(ways, count), squares, (int(ends[0]), int(ends[1])))
+        return cls(corners, edges, shares, links, _row_starts(links, count), weights, (int(ends[0]), int(ends[1])))
 
-    def leading_on(self, vertices: Float[np.ndarray, "v 3"], *, least: float) -> Self:
-        """The net without ways that turn aside: their cosine with the straight line is under ``least``."""
+    def without_detours(self, vertices: Float[np.ndarray, "v 3"], *, least: float) -> Self:
+        """The graph without links at an angle to the straight line between the ends: of a cosine below ``least``."""
         nodes = self._nodes(vertices)
         ahead = nodes[self.ends[1]] - nodes[self.ends[0]]
-        along = nodes[self.ways[:, 1]] - nodes[self.ways[:, 0]]
+        along = nodes[self.links[:, 1]] - nodes[self.links[:, 0]]
         kept = along @ ahead > least * np.linalg.norm(along, axis=1) * np.linalg.norm(ahead)
         return self._with(kept)
 
-    def direct_on(self, vertices: Float[np.ndarray, "v 3"], *, most: float) -> Self:
-        """The net without ways that only serve longer ones: by more than ``most`` than the shortest [their unit]."""
+    def near_shortest(self, vertices: Float[np.ndarray, "v 3"], *, most: float) -> Self:
+        """The graph without links that are on no path within ``most`` of the shortest [unit of ``vertices``]."""
         graph = self._graph(vertices)
-        there, back = (dijkstra(one, indices=end) for one, end in zip((graph, graph.T), self.ends, strict=True))
-        through = there[self.ways[:, 0]] + graph.data + back[self.ways[:, 1]]
-        return self._with(through <= there[self.ends[1]] + most)
+        to, back = (dijkstra(one, indices=end) for one, end in zip((graph, graph.T), self.ends, strict=True))
+        through = to[self.links[:, 0]] + graph.data + back[self.links[:, 1]]
+        return self._with(through <= to[self.ends[1]] + most)
 
-    def _with(self, kept: Bool[np.ndarray, " w"]) -> Self:
-        """The net with some of its ways."""
-        ways = self.ways.T[:, kept].T
-        return replace(self, ways=ways, starts=_starts(ways, len(self.starts) - 1), squares=self.squares[kept])
+    def _with(self, kept: Bool[np.ndarray, " l"]) -> Self:
+        links = self.links.T[:, kept].T
+        starts = _row_starts(links, len(self.starts) - 1)
+        return replace(self, links=links, starts=starts, square_weights=self.square_weights[kept])
 
     def length(self, vertices: Float[np.ndarray, "v 3"]) -> float:
-        """Length of the shortest way on the mesh with these vertices [their unit]."""
+        """Length of the shortest path on the mesh with these vertices [their unit]."""
         return float(dijkstra(self._graph(vertices), indices=self.ends[0])[self.ends[1]])
 
     def path(self, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "n 3"]:
-        """The points of the shortest way, from the end back to the start."""
+        """The points of the shortest path, from the end back to the start."""
         _, before = dijkstra(self._graph(vertices), indices=self.ends[0], return_predecessors=True)
-        way = [self.ends[1]]
-        while way[-1] != self.ends[0]:
-            way.append(int(before[way[-1]]))
-        return self._nodes(vertices)[way]
+        nodes = [self.ends[1]]
+        while nodes[-1] != self.ends[0]:
+            nodes.append(int(before[nodes[-1]]))
+        return self._nodes(vertices)[nodes]
 
     def _nodes(self, vertices: np.ndarray) -> Float[np.ndarray, "n 3"]:
         a, b = vertices[self.edges[:, 0]], vertices[self.edges[:, 1]]
@@ -101,22 +103,21 @@ class WayNet(Record):
 
     def _graph(self, vertices: np.ndarray) -> csr_matrix:
         along = vertices[self.edges[:, 1]] - vertices[self.edges[:, 0]]
-        squares = self.squares @ np.einsum("ei,ei->e", along, along)
-        lengths = np.sqrt(np.maximum(squares, 0.0))  # below 0 by rounding, where a sliver's points coincide
+        squares = self.square_weights @ np.einsum("ei,ei->e", along, along)
+        lengths = np.sqrt(np.maximum(squares, 0.0))  # rounding gives negative squares in slivers
         count = len(self.starts) - 1
-        return csr_matrix((lengths, self.ways[:, 1], self.starts), shape=(count, count))
+        return csr_matrix((lengths, self.links[:, 1], self.starts), shape=(count, count))
 
 
-def _starts(ways: Int[np.ndarray, "w 2"], count: int) -> Int[np.ndarray, " m"]:
-    """The row where each node's ways begin, and where the last one's end."""
-    return np.searchsorted(ways[:, 0], np.arange(count + 1)).astype(np.int32)
+def _row_starts(links: Int[np.ndarray, "l 2"], count: int) -> Int[np.ndarray, " m"]:
+    return np.searchsorted(links[:, 0], np.arange(count + 1)).astype(np.int32)
 
 
-def _side_shares(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, "p 3"]:
-    """What the squared way between any two nodes about a triangle takes of its squared sides.
+def _square_weights(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, "p 3"]:
+    """Squared distance of any two nodes on a triangle as weights of its squared sides |ab|², |bc|², |ca|².
 
-    The nodes are, side by side, a corner and the points after it. In barycentric coordinates a way is a step
-    (da, db, dc) with the sum 0, and its square is -(da db |ab|² + db dc |bc|² + dc da |ca|²).
+    Nodes are ordered round the triangle: a corner, then the points on the edge after it. A difference in barycentric
+    coordinates (da, db, dc), with the sum 0, has the square -(da db |ab|² + db dc |bc|² + dc da |ca|²).
     """
     corner = np.eye(3)
     ahead = np.concatenate([[0.0], shares])[:, None]
@@ -125,20 +126,21 @@ def _side_shares(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, "p 3"]:
     return -step * np.roll(step, -1, axis=1)
 
 
-def _by_row(values: Float[np.ndarray, "w 3"], columns: Int[np.ndarray, "w 3"], width: int) -> csr_matrix:
-    """The matrix with three entries a row."""
+def _three_a_row(values: Float[np.ndarray, "l 3"], columns: Int[np.ndarray, "l 3"], width: int) -> csr_matrix:
+    """A sparse matrix with three entries in each row."""
     return csr_matrix((values.ravel(), columns.ravel(), np.arange(0, values.size + 1, 3)), shape=(len(values), width))
 
 
-def net_between(
+def graph_between(
     vertices: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "f 3"],
     start: Float[np.ndarray, "3"],
     end: Float[np.ndarray, "3"],
-) -> tuple[WayNet, Float[np.ndarray, "w 3"]]:
-    """A net for the shortest way between two points of the skin, and the vertices with these two added.
+) -> tuple[GeodesicGraph, Float[np.ndarray, "w 3"]]:
+    """A graph for geodesics between two points of the skin, and the vertices with these points appended.
 
-    The way is sought in a tube about the straight line, which widens until the skin in it joins the points.
+    Searches a tube about the straight line, widened until the faces in it connect the points. Raises ``BodyError`` if
+    they never do.
     """
     ends = np.stack([start, end])
     faces, vertices = _with_points(vertices, faces, ends)
@@ -148,18 +150,18 @@ def net_between(
     for width in (0.15, 0.3, 0.6):
         straight = np.linspace(start, end, 100)
         tube = faces[_near(vertices, straight, width * apart)[faces].any(axis=1)]
-        rough = WayNet.over(tube, first, last, points_per_edge=1)
+        rough = GeodesicGraph.over(tube, first, last, points_per_edge=1)
         if np.isfinite(rough.length(vertices)):
             path = rough.path(vertices)
-            band = tube[_near(vertices, _filled_in(path), max(WAY_BAND * apart, longest))[tube].any(axis=1)]
-            return WayNet.over(band, first, last, points_per_edge=4), vertices
+            band = tube[_near(vertices, _resampled(path), max(BAND * apart, longest))[tube].any(axis=1)]
+            return GeodesicGraph.over(band, first, last, points_per_edge=4), vertices
     raise BodyError("no skin leads from the shoulder to the wrist: mend the mesh of the right arm")
 
 
 def _with_points(
     vertices: np.ndarray, faces: np.ndarray, points: Float[np.ndarray, "n 3"]
 ) -> tuple[Int[np.ndarray, "g 3"], Float[np.ndarray, "w 3"]]:
-    """The mesh with points of its surface as new last vertices, each joined to the corners of its triangle."""
+    """The mesh with points of its surface appended as vertices; each splits its triangle into three."""
     for point in points:
         vertices = np.concatenate([vertices, point[None]])
         split = int(SkinSurface.of(vertices, faces).nearest(point[None]).faces[0])
@@ -173,7 +175,7 @@ def _near(vertices: np.ndarray, path: np.ndarray, radius: float) -> np.ndarray:
     return cKDTree(path).query(vertices, distance_upper_bound=radius)[0] < radius
 
 
-def _filled_in(path: np.ndarray) -> np.ndarray:
-    """The path with points between its own, so that none of it is far from one."""
+def _resampled(path: np.ndarray) -> np.ndarray:
+    """The path with three more points in each segment."""
     shares = np.linspace(0.0, 1.0, 5)[:, None, None]
     return (path[:-1] + shares * np.diff(path, axis=0)).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""What of a binary glTF file is checked before it is read: sizes, compression, and that its nodes make a tree."""
+"""Checks of a binary glTF file before parsing: sizes, compression, and that its nodes form a tree."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -12,62 +12,62 @@ __all__ = ["require_readable"]
 
 MAGIC, JSON_CHUNK = b"glTF", b"JSON"
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
-MOST_NODES = 10_000  # a rigged figure has some hundred
-MOST_CORNERS = 6_000_000  # of triangles, each time that a node shows its mesh
+MAX_NODES = 10_000  # a rigged figure has some hundred
+MAX_CORNERS = 6_000_000  # triangle corners, counted for each node that uses a mesh
 REMEDY = "export the mesh again"
 
 
 def require_readable(content: bytes, path: Path) -> None:
-    """Raise ``BodyError`` for what is no GLB, or what reading it would not come to an end with."""
+    """Raise ``BodyError`` for content that is not GLB, or that would exhaust memory or recursion when parsed."""
     if len(content) < 20 or content[:4] != MAGIC or content[16:20] != JSON_CHUNK:
-        raise BodyError(f"{path}: is no binary glTF 2.0: {REMEDY}")
+        raise BodyError(f"{path}: is not binary glTF 2.0: {REMEDY}")
     length = struct.unpack("<I", content[12:16])[0]
     tree = parse_json(content[20 : 20 + length], source=str(path), remedy=REMEDY, error=BodyError)
     if not isinstance(tree, dict):
-        raise BodyError(f"{path}: its JSON is no object: {REMEDY}")
+        raise BodyError(f"{path}: its JSON is not an object: {REMEDY}")
     parts = {name: _objects(tree, name, path) for name in ("accessors", "bufferViews", "meshes", "nodes")}
-    used = tree.get("extensionsUsed") or ()
-    if packed := next((name for name in COMPRESSED if name in str(used)), None):
-        raise BodyError(f"{path}: is compressed by {packed}: export it without compression")
-    told = [accessor.get("count") for accessor in parts["accessors"]]
-    counts = [count for count in told if type(count) is int and count >= 0]
-    if len(counts) < len(told) or sum(counts) > len(content):
-        raise BodyError(f"{path}: tells of more numbers than it holds: {REMEDY}")
+    extensions = tree.get("extensionsUsed") or ()
+    if compression := next((name for name in COMPRESSED if name in str(extensions)), None):
+        raise BodyError(f"{path}: is compressed by {compression}: export it without compression")
+    declared = [accessor.get("count") for accessor in parts["accessors"]]
+    counts = [count for count in declared if type(count) is int and count >= 0]
+    if len(counts) < len(declared) or sum(counts) > len(content):
+        raise BodyError(f"{path}: declares more numbers than it holds: {REMEDY}")
     _require_tree(parts["nodes"], path)
     corners = [_corners(mesh, counts) for mesh in parts["meshes"]]
-    shown = [node["mesh"] for node in parts["nodes"] if "mesh" in node]
-    if not all(type(mesh) is int and 0 <= mesh < len(corners) for mesh in shown):
-        raise BodyError(f"{path}: a node shows a mesh that is not there: {REMEDY}")
-    if sum(corners[mesh] for mesh in shown) > MOST_CORNERS:
-        raise BodyError(f"{path}: more than {MOST_CORNERS // 3} triangles: decimate the mesh")
+    used_meshes = [node["mesh"] for node in parts["nodes"] if "mesh" in node]
+    if not all(type(mesh) is int and 0 <= mesh < len(corners) for mesh in used_meshes):
+        raise BodyError(f"{path}: a node refers to a missing mesh: {REMEDY}")
+    if sum(corners[mesh] for mesh in used_meshes) > MAX_CORNERS:
+        raise BodyError(f"{path}: more than {MAX_CORNERS // 3} triangles: decimate the mesh")
 
 
 def _objects(tree: Mapping[str, Any], name: str, path: Path) -> Sequence[Mapping[str, Any]]:
     entries = tree.get(name, [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise BodyError(f"{path}: its {name} are no list of objects: {REMEDY}")
-    if len(entries) > MOST_NODES:
-        raise BodyError(f"{path}: {len(entries)} {name}, more than {MOST_NODES}: export one mesh")
+        raise BodyError(f"{path}: its {name} are not a list of objects: {REMEDY}")
+    if len(entries) > MAX_NODES:
+        raise BodyError(f"{path}: {len(entries)} {name}, more than {MAX_NODES}: export one mesh")
     return entries
 
 
 def _require_tree(nodes: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Raise ``BodyError`` for nodes that hold each other, or one that two hold."""
+    """Raise ``BodyError`` for cycles of nodes, nodes with two parents, and invalid children."""
     children = [node.get("children", []) for node in nodes]
-    held = [child for row in children if isinstance(row, list) for child in row]
-    proper = all(isinstance(row, list) for row in children) and all(type(child) is int for child in held)
-    if not proper or len(set(held)) < len(held) or not set(held) <= set(range(len(nodes))):
-        raise BodyError(f"{path}: its nodes make no tree: {REMEDY}")
-    inner = set(held)
-    reached = [number for number in range(len(nodes)) if number not in inner]
+    flat = [child for row in children if isinstance(row, list) for child in row]
+    valid = all(isinstance(row, list) for row in children) and all(type(child) is int for child in flat)
+    if not valid or len(set(flat)) < len(flat) or not set(flat) <= set(range(len(nodes))):
+        raise BodyError(f"{path}: its nodes are not a tree: {REMEDY}")
+    with_parent = set(flat)
+    reached = [number for number in range(len(nodes)) if number not in with_parent]
     for number in reached:
         reached += children[number]
     if len(reached) < len(nodes):
-        raise BodyError(f"{path}: its nodes hold each other: {REMEDY}")
+        raise BodyError(f"{path}: its nodes contain each other: {REMEDY}")
 
 
 def _corners(mesh: Mapping[str, Any], counts: Sequence[int]) -> int:
-    """Corners of the triangles of a mesh."""
+    """Number of triangle corners of a mesh."""
     total = 0
     primitives = mesh.get("primitives", [])
     for primitive in primitives if isinstance(primitives, list) else []:

@@ -1,4 +1,4 @@
-"""Holes in a skin: their rims, and patches over them."""
+"""Holes in a triangle mesh: their rims, and patches over them."""
 
 from dataclasses import dataclass
 
@@ -10,29 +10,29 @@ from scipy.spatial.distance import pdist
 
 from gcd_dataset.records import BodyPart, Record
 
-__all__ = ["Holes", "VisibleSkin", "sides_of"]
+__all__ = ["Holes", "VisibleSkin", "half_edges_of"]
 
-MANY = 2000  # points of a rim, of which no more are compared pair by pair
+MAX_PAIRWISE = 2000  # points of a rim; with more, its width is the diagonal of its bounding box
 
 
 @dataclass(frozen=True, eq=False)
 class Holes(Record):
-    """Rims of a skin that is open, and a fan of triangles over each."""
+    """The holes of a mesh, each closed by a fan of triangles."""
 
     rims: Int[np.ndarray, "r 2"]
-    """Sides that only one face has, as it runs along them."""
-    hole: Int[np.ndarray, " r"]
-    """Which hole each side is of."""
-    middles: Float[np.ndarray, "h 3"]
-    """Mean of each rim's points [cm]."""
+    """Boundary edges, directed as in their face."""
+    hole_of_rim: Int[np.ndarray, " r"]
+    """The hole of each boundary edge."""
+    centres: Float[np.ndarray, "h 3"]
+    """Mean of each rim's vertices [cm]."""
     widths: Float[np.ndarray, " h"]
-    """Largest distance across each [cm]."""
+    """Largest distance across each hole [cm]."""
 
     @classmethod
     def of(cls, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> "Holes":
-        """The holes of a skin, one for each piece of rim that hangs together."""
-        sides, times = sides_of(faces)
-        rims = sides[times == 1]
+        """The holes of a mesh, one for each connected rim."""
+        edges, uses = half_edges_of(faces)
+        rims = edges[uses == 1]
         if not len(rims):
             return cls(rims, np.empty(0, int), np.empty((0, 3)), np.empty(0))
         corners, ends = np.unique(rims, return_inverse=True)
@@ -40,50 +40,50 @@ class Holes(Record):
         graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(len(corners), len(corners)))
         count, hole = connected_components(graph, directed=False)
         points = [vertices[corners[hole == number]] for number in range(count)]
-        middles = np.stack([each.mean(axis=0) for each in points])
-        return cls(rims, hole[ends[:, 0]], middles, np.array([_width(each) for each in points]))
+        centres = np.stack([each.mean(axis=0) for each in points])
+        return cls(rims, hole[ends[:, 0]], centres, np.array([_width(each) for each in points]))
 
     def patches(self, first: int) -> Int[np.ndarray, "r 3"]:
-        """Triangles from the rims to the middles, which are vertices from ``first`` on; they look as the skin does."""
-        return np.concatenate([self.rims[:, ::-1], first + self.hole[:, None]], axis=1)
+        """Triangles from the rims to the centres, numbered from ``first`` on; wound like the adjacent faces."""
+        return np.concatenate([self.rims[:, ::-1], first + self.hole_of_rim[:, None]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class VisibleSkin(Record):
-    """What is to be seen of bodies with the same faces: nothing internal, and what opens there is closed."""
+    """The visible skin of bodies with the same faces: without internal parts, and with the openings there closed."""
 
     faces: Int[np.ndarray, "g 3"]
-    """Triangles of the body's vertices, and after them of the middles of the openings."""
+    """Triangles of the body's vertices, then patches, which also use the centres of the openings."""
     parts: UInt8[np.ndarray, " g"]
     """``BodyPart`` of each face."""
     rims: tuple[Int[np.ndarray, " r"], ...]
-    """The vertices round each opening."""
+    """The vertices on the rim of each opening."""
 
     @classmethod
     def of(cls, faces: Int[np.ndarray, "f 3"], parts: UInt8[np.ndarray, " v"]) -> "VisibleSkin":
-        """The skin of a body whose vertices are of these parts."""
+        """The visible skin of a mesh with the ``BodyPart`` of each vertex."""
         skin = faces[~(parts == BodyPart.INTERNAL.value)[faces].any(axis=1)]
         openings = Holes.of(np.zeros((len(parts), 3)), skin)
         whole = np.concatenate([skin, openings.patches(len(parts))])
-        # Two corners of a patch are of the skin round the opening, and decide what it is.
-        a, b, c = np.concatenate([parts, np.full(len(openings.middles), BodyPart.HEAD.value)])[whole].T
-        rims = tuple(np.unique(openings.rims[openings.hole == hole]) for hole in range(len(openings.middles)))
+        # The part of a face is that of two corners; of a patch these are on the rim.
+        a, b, c = np.concatenate([parts, np.full(len(openings.centres), BodyPart.HEAD.value)])[whole].T
+        rims = tuple(np.unique(openings.rims[openings.hole_of_rim == hole]) for hole in range(len(openings.centres)))
         return cls(whole, np.where(b == c, b, a).astype(np.uint8), rims)
 
     def points(self, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "w 3"]:
-        """A body's vertices, and the middles of its openings [cm]."""
+        """The vertices that ``faces`` refer to: a body's, then the centres of its openings [cm]."""
         return np.concatenate([vertices, *(vertices[rim].mean(axis=0, keepdims=True) for rim in self.rims)])
 
 
-def sides_of(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "s 2"], Int[np.ndarray, " s"]]:
-    """The three sides of each face as it runs along them, and how many faces have each, either way."""
-    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    low, high = np.sort(sides, axis=1).astype(np.int64).T
-    _, side, times = np.unique((low << 32) + high, return_inverse=True, return_counts=True)
-    return sides, times[side.ravel()]
+def half_edges_of(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "s 2"], Int[np.ndarray, " s"]]:
+    """The three directed edges of each face (s = 3 f), and the number of faces on each, in either direction."""
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    low, high = np.sort(edges, axis=1).astype(np.int64).T
+    _, edge, uses = np.unique((low << 32) + high, return_inverse=True, return_counts=True)
+    return edges, uses[edge.ravel()]
 
 
 def _width(points: np.ndarray) -> float:
-    if len(points) > MANY:
+    if len(points) > MAX_PAIRWISE:
         return float(np.linalg.norm(np.ptp(points, axis=0)))
     return float(pdist(points).max(initial=0.0))

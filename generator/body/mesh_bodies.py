@@ -1,4 +1,4 @@
-"""Bodies from mesh files: read as they are, made to stand, measured where nobody gave their measures."""
+"""Bodies from mesh files: read, set upright, and measured unless the measures are given."""
 
 import logging
 from dataclasses import dataclass
@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from gcd_dataset.bodyfiles import read_body_parts, read_measurements
-from gcd_dataset.generator.body.arms import held_otherwise
-from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.arms import turn_off_a_pose
+from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.closing import ClosedSkin
-from gcd_dataset.generator.body.marks import read_marks
-from gcd_dataset.generator.body.measuring import FoundBody, fit_tape, take_own
+from gcd_dataset.generator.body.landmarks import read_landmarks
+from gcd_dataset.generator.body.measuring import FoundBody, find_body, measure_model_mesh
 from gcd_dataset.generator.body.meshfile import read_mesh
 from gcd_dataset.generator.body.pose import stand
-from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, Taken
+from gcd_dataset.generator.body.tailor import USUAL_HEIGHT, MeasureResult
 from gcd_dataset.generator.body.upright import UNITS, unit_of
 from gcd_dataset.measurements import MEASURE
 from gcd_dataset.records import Body, Measurements, Record
@@ -24,35 +24,35 @@ __all__ = ["measure_file", "read_body"]
 
 log = logging.getLogger(__name__)
 
-ADULT = (120.0, 230.0)  # cm; outside it the unit may be one that is not known, such as inches
-UNLIKE = 0.6  # cm of misfit, over which a body is told to be unusual; the published means have 0.3 to 0.4
-SURE = 0.96  # of a shoulder's confidence, over which arms laid down are as good as arms held so; 0.99 on most bodies
-BESIDE_ARMS = ("shoulder_left", "shoulder_right", "underarm_right")
-HANGING_ON_ARMS = tuple(name for name, known in MEASURE.items() if known.on_arms)
-UNDERBUST_OFF = 0.5  # cm
-COARSE = 0.8  # cm that a girth may be off, over which a mesh is told to be coarse; 6,890 vertices make 0.7
-GIRTH_OFF = 18.0  # times the sagitta; a tape drawn over flat triangles is 2 pi short, and of a merged mesh more
-WRIST_OFF = 3 * GIRTH_OFF  # the wrist is more bent than the rest of the skin
-DEGREES_OFF = 1.0  # a centimetre of edge, on the shoulder's slope
-UNSURE = 0.5  # of a landmark's confidence, under which it is named
+ADULT = (120.0, 230.0)  # cm; beyond these heights the unit may be another one, such as inches
+UNUSUAL_MISFIT = 0.6  # cm; more is reported as an unusual body; GarmentCode's mean bodies have 0.3 to 0.4
+SURE_SHOULDER = 0.96  # confidence of the shoulders above which moving the arms costs no accuracy; mostly 0.99
+ARM_LANDMARKS = ("shoulder_left", "shoulder_right", "underarm_right")
+ARM_MEASURES = tuple(name for name, known in MEASURE.items() if known.on_arms)
+UNDERBUST_ERROR = 0.5  # cm; a larger possible error is reported
+COARSE_ERROR = 0.8  # cm; a larger possible error of girths is reported; a mesh of 6,890 vertices has 0.7
+GIRTH_ERROR = 18.0  # times the sagitta; a tape over flat triangles is 2 pi sagittas short, a decimated mesh loses more
+WRIST_ERROR = 3 * GIRTH_ERROR  # the wrist is more curved than the rest of the skin
+ANGLE_ERROR = 1.0  # degrees for each centimetre of edge length, for the slope of the shoulder
+UNSURE = 0.5  # confidence below which a landmark is reported
 
 
 @dataclass(frozen=True, eq=False)
-class _Mesh(Record):
-    """A file's mesh in its own coordinates."""
+class _MeshFile(Record):
+    """The mesh of a file in its own coordinates."""
 
     path: Path
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     unit: float
-    """[cm]"""
+    """Length of the file's unit [cm]."""
 
     @property
-    def stands_as_ours(self) -> bool:
-        """Whether it is a body of our own mesh, upright and facing +z."""
+    def is_upright_model_mesh(self) -> bool:
+        """Whether it is a body with the model's mesh, upright and facing +z."""
         if not np.array_equal(self.faces, body_model().faces):
             return False
-        at = {name: self.vertices[vertex] for name, vertex in landmarks().points.items()}
+        at = {name: self.vertices[vertex] for name, vertex in landmark_table().points.items()}
         tall = np.ptp(self.vertices, axis=0)[1]
         return bool(
             at["nape_of_neck"][1] - at["crotch_point"][1] > 0.25 * tall
@@ -69,129 +69,128 @@ def read_body(
 ) -> tuple[Body, Measurements]:
     """The body in a mesh file and its measures.
 
-    The mesh is in metres, centimetres or millimetres. Its vertices keep their order; the middles of holes that were
-    closed (see ``closing.WIDEST_HOLE``) come after them. Where ``measurements`` (YAML) or
-    ``segmentation`` (JSON: part name to vertex ids) is left out, the body is found in the mesh: turned upright and to
-    +z where it was not, and measured; ``given`` (JSON, see ``marks``) says where landmarks are. Raises ``BodyError``
-    with the file and a remedy.
+    The mesh is in metres, centimetres or millimetres. Its vertices keep their order; the centres of closed holes (see
+    ``closing.WIDEST_HOLE``) follow. Without ``measurements`` (YAML) or ``segmentation`` (JSON: part name to vertex
+    ids), the body is found in the mesh, turned upright to face +z, and measured. ``given`` (JSON, see ``landmarks``)
+    overrides found landmarks. Raises ``BodyError`` with the file and a remedy.
     """
-    raw = _read_mesh(Path(mesh))
-    parts = None if segmentation is None else read_body_parts(Path(segmentation), len(raw.vertices), raw.path)
+    file = _read_mesh(Path(mesh))
+    parts = None if segmentation is None else read_body_parts(Path(segmentation), len(file.vertices), file.path)
     if measurements is not None and parts is not None:
-        unit_of(float(np.ptp(raw.vertices[:, 1])), f"{raw.path}: along y")
-        return _closed(raw, stand(raw.vertices * raw.unit), parts), read_measurements(measurements)
-    if raw.stands_as_ours:
-        vertices = stand(raw.vertices * raw.unit)
-        taken, found_parts = take_own(vertices), body_model().parts
+        unit_of(float(np.ptp(file.vertices[:, 1])), f"{file.path}: along y")
+        return _closed(file, stand(file.vertices * file.unit), parts), read_measurements(measurements)
+    if file.is_upright_model_mesh:
+        vertices = stand(file.vertices * file.unit)
+        result, found_parts = measure_model_mesh(vertices), body_model().parts
     else:
-        fitted = _fitted(raw, given, parts)
-        for remark in _remarks(raw, fitted):
-            log.info("%s: %s", raw.path, remark)
-        vertices, taken, found_parts = fitted.placing.apply(raw.vertices * raw.unit), fitted.taken, fitted.parts
-    body = _closed(raw, vertices, found_parts if parts is None else parts)
-    return body, taken.measurements if measurements is None else read_measurements(measurements)
+        found = _find_body(file, given, parts)
+        for remark in _remarks(file, found):
+            log.info("%s: %s", file.path, remark)
+        vertices, result, found_parts = found.transform.apply(file.vertices * file.unit), found.result, found.parts
+    body = _closed(file, vertices, found_parts if parts is None else parts)
+    return body, result.measurements if measurements is None else read_measurements(measurements)
 
 
 def measure_file(
     mesh: Path | str, given: Path | str | None = None, segmentation: Path | str | None = None
-) -> tuple[Taken, list[str]]:
-    """The measures of the body in a mesh file, and remarks on how they were found.
+) -> tuple[MeasureResult, list[str]]:
+    """The measures of the body in a mesh file, and remarks on how they were found and on their accuracy.
 
-    The skin need not be closed: see ``measuring.fit_tape``. Raises ``BodyError`` with the file and a remedy.
+    The skin may have holes: see ``measuring.find_body``. Raises ``BodyError`` with the file and a remedy.
     """
-    raw = _read_mesh(Path(mesh))
-    if raw.stands_as_ours and given is None and segmentation is None:
-        vertices = stand(raw.vertices * raw.unit)
-        taken = take_own(vertices)
-        return taken, [
-            "our own mesh: landmarks known by vertex",
-            *_arms(held_otherwise(taken.measurements.arm_pose_angle)),
+    file = _read_mesh(Path(mesh))
+    if file.is_upright_model_mesh and given is None and segmentation is None:
+        vertices = stand(file.vertices * file.unit)
+        result = measure_model_mesh(vertices)
+        return result, [
+            "mesh of the body model: landmarks known by vertex",
+            *_arm_remark(turn_off_a_pose(result.measurements.arm_pose_angle)),
         ]
-    parts = None if segmentation is None else read_body_parts(Path(segmentation), len(raw.vertices), raw.path)
-    fitted = _fitted(raw, given, parts)
-    return fitted.taken, _remarks(raw, fitted)
+    parts = None if segmentation is None else read_body_parts(Path(segmentation), len(file.vertices), file.path)
+    found = _find_body(file, given, parts)
+    return found.result, _remarks(file, found)
 
 
-def _fitted(raw: _Mesh, given: Path | str | None, parts: UInt8[np.ndarray, " v"] | None) -> FoundBody:
-    marks = None if given is None else read_marks(Path(given), raw.vertices, raw.unit)
-    return fit_tape(raw.vertices * raw.unit, raw.faces, str(raw.path), given=marks, parts=parts)
+def _find_body(file: _MeshFile, given: Path | str | None, parts: UInt8[np.ndarray, " v"] | None) -> FoundBody:
+    marks = None if given is None else read_landmarks(Path(given), file.vertices, file.unit)
+    return find_body(file.vertices * file.unit, file.faces, str(file.path), given=marks, parts=parts)
 
 
-def _closed(raw: _Mesh, vertices: Float[np.ndarray, "v 3"], parts: UInt8[np.ndarray, " v"]) -> Body:
-    """The body in a mesh that stands [cm], its skin closed. Raises ``BodyError``."""
-    skin = ClosedSkin.of(vertices, raw.faces, parts, str(raw.path))
-    if skin.turned:
-        log.info("%s: its faces look inwards and were turned", raw.path)
-    if len(skin.closed):
+def _closed(file: _MeshFile, vertices: Float[np.ndarray, "v 3"], parts: UInt8[np.ndarray, " v"]) -> Body:
+    """The body in an upright mesh [cm], with its skin closed. Raises ``BodyError``."""
+    skin = ClosedSkin.of(vertices, file.faces, parts, str(file.path))
+    if skin.flipped:
+        log.info("%s: some faces pointed inwards and were flipped", file.path)
+    if len(skin.hole_widths):
         log.warning(
             "%s: doubtful: %d holes in the skin, up to %.1f cm across, were closed with flat patches, on which cloth "
             "lies flatter than on a body",
-            raw.path,
-            len(skin.closed),
-            skin.closed.max(),
+            file.path,
+            len(skin.hole_widths),
+            skin.hole_widths.max(),
         )
-    return Body(skin.vertices, skin.faces, skin.parts, raw.path.stem)
+    return Body(skin.vertices, skin.faces, skin.parts, file.path.stem)
 
 
-def _remarks(raw: _Mesh, fitted: FoundBody) -> list[str]:
-    """What a user must know about how a body was found and measured, in lines."""
-    height = fitted.taken.measurements.height
-    unit = next(name for name, factor in UNITS.items() if factor == raw.unit)
+def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
+    """Remarks for the user, a line each: assumptions about the mesh, and doubts about measures."""
+    height = found.result.measurements.height
+    unit = next(name for name, factor in UNITS.items() if factor == file.unit)
     remarks = [f"taken to be in {unit}, {height:.1f} cm tall"]
     if not ADULT[0] < height < ADULT[1]:
         remarks.append(f"doubtful: {height:.1f} cm is no adult's height: a doll, a giant, or another unit")
-    if fitted.placing.turned:
+    if found.transform.turned:
         remarks.append("did not stand upright facing +z and was turned")
-    remarks += _arms(fitted.arms)
-    if fitted.arms:
-        unsure = [name for name in BESIDE_ARMS if fitted.marks.confidence[name] < SURE]
+    remarks += _arm_remark(found.arm_turn)
+    if found.arm_turn:
+        unsure = [name for name in ARM_LANDMARKS if found.marks.confidence[name] < SURE_SHOULDER]
         if unsure:
             remarks.append(
-                f"doubtful: {', '.join(unsure)} were found less surely than arms held like this ask for: check "
-                f"{', '.join(HANGING_ON_ARMS)}, or scan with the arms 45° down"
+                f"doubtful: {', '.join(unsure)} were found with less confidence than arms in this pose require: check "
+                f"{', '.join(ARM_MEASURES)}, or scan with the arms 45° down"
             )
-    if len(fitted.holes):
+    if len(found.holes):
         remarks.append(
-            f"{len(fitted.holes)} holes in the skin, up to {fitted.holes.max():.1f} cm across, bridged where a tape "
-            "runs over less than 3 cm of them"
+            f"{len(found.holes)} holes in the skin, up to {found.holes.max():.1f} cm across, bridged where a tape "
+            "crosses less than 3 cm of them"
         )
-    remarks += _coarse(fitted)
-    remarks.append(f"landmarks found {fitted.misfit:.2f} cm from the nearest body of our shape space on average")
-    if fitted.misfit > UNLIKE:
+    remarks += _coarse_mesh_remark(found)
+    remarks.append(f"landmarks found {found.misfit:.2f} cm from the nearest body of our shape space on average")
+    if found.misfit > UNUSUAL_MISFIT:
         remarks.append("doubtful: unlike any adult of our shape space: check the measures")
-    if fitted.underbust_off > UNDERBUST_OFF:
+    if found.underbust_error > UNDERBUST_ERROR:
         remarks.append(
-            f"doubtful: underbust may be up to {fitted.underbust_off:.1f} cm off: it changes much with its level"
+            f"doubtful: underbust may be up to {found.underbust_error:.1f} cm off: it changes much with its level"
         )
-    unsure = [f"{name} {sure:.2f}" for name, sure in fitted.marks.confidence.items() if sure < UNSURE]
+    unsure = [f"{name} {confidence:.2f}" for name, confidence in found.marks.confidence.items() if confidence < UNSURE]
     if unsure:
         remarks.append(
-            f"doubtful: unsure landmarks (1 is sure): {', '.join(unsure)}: check the measures that hang on them"
+            f"doubtful: unsure landmarks (1 is sure): {', '.join(unsure)}: check the measures that depend on them"
         )
     return remarks
 
 
-def _coarse(fitted: FoundBody) -> list[str]:
-    """By how much the measures of a coarse mesh may be off: figures that decimated bodies stay within."""
-    girth = GIRTH_OFF * fitted.sagitta
-    if girth < COARSE * fitted.taken.measurements.height / USUAL_HEIGHT:
+def _coarse_mesh_remark(found: FoundBody) -> list[str]:
+    """Error bounds for a coarse mesh, as found on decimated bodies."""
+    girth = GIRTH_ERROR * found.sagitta
+    if girth < COARSE_ERROR * found.result.measurements.height / USUAL_HEIGHT:
         return []
     return [
-        f"doubtful: a coarse mesh, its edges {fitted.edge:.1f} cm long on average: height and girths may be up to "
-        f"{girth:.1f} cm off, wrist and leg_circ {WRIST_OFF * fitted.sagitta:.1f} cm, what lies between landmarks "
-        f"{fitted.edge:.1f} cm and {DEGREES_OFF * fitted.edge:.0f}°: give a finer mesh"
+        f"doubtful: a coarse mesh, its edges {found.mean_edge:.1f} cm long on average: height and girths may be up to "
+        f"{girth:.1f} cm off, wrist and leg_circ {WRIST_ERROR * found.sagitta:.1f} cm, distances between landmarks "
+        f"{found.mean_edge:.1f} cm and {ANGLE_ERROR * found.mean_edge:.0f}°: give a finer mesh"
     ]
 
 
-def _arms(turn: float) -> list[str]:
-    return [f"arms held {np.degrees(turn):.0f}° off the A-pose and laid there to be measured"] if turn else []
+def _arm_remark(turn: float) -> list[str]:
+    return [f"arms {np.degrees(turn):.0f}° off the A-pose, moved there to be measured"] if turn else []
 
 
 # ---------------------------------------------------------------------------------------------------------------- mesh
 
 
-def _read_mesh(path: Path) -> _Mesh:
+def _read_mesh(path: Path) -> _MeshFile:
     vertices, faces = read_mesh(path)
     unit, factor = unit_of(float(np.ptp(vertices, axis=0).max()), str(path))
     log.info("%s: taken to be in %s", path, unit)
-    return _Mesh(path, vertices, faces, factor)
+    return _MeshFile(path, vertices, faces, factor)

@@ -1,4 +1,4 @@
-"""Meshes of bodies in OBJ, PLY, STL and GLB files, as arrays in the file's own order and unit."""
+"""Reads meshes from OBJ, PLY, STL and GLB files as arrays, in the file's vertex order and unit."""
 
 import contextlib
 import io
@@ -18,48 +18,47 @@ from gcd_dataset.generator.body.gltf import require_readable
 
 __all__ = ["read_mesh"]
 
-LARGEST_FILE = 512 << 20  # bytes; a scan of a million triangles has 100 MB as OBJ text
-MOST_FACES = 2_000_000  # a scanner gives up to a million; with more a body takes minutes and 10 GB
-MAIN_SHARE = 0.8  # of all area: the least by which one of several meshes in a file is clearly the body
+MAX_BYTES = 512 << 20  # a scan of a million triangles has 100 MB as OBJ text
+MAX_FACES = 2_000_000  # scans have up to a million; larger ones take minutes and 10 GB
+MAIN_SHARE = 0.8  # least share of the total area by which one of several meshes is clearly the body
 EXPORT_AGAIN = "export the mesh again"
 
 _Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
 
 
 def read_mesh(path: Path) -> _Mesh:
-    """Vertices and triangles of the file, in its order and unit; polygons are divided.
+    """Vertices (v, 3) and triangles (f, 3) of a mesh file, in its order and unit; polygons are triangulated.
 
-    Of OBJ and PLY no vertex is left out, joined or moved to another place. The triangles of STL share no vertices:
-    those at one place are joined, in the order in which they appear. GLB is taken with the transforms of its nodes.
-    Raises ``BodyError``.
+    Vertices of OBJ and PLY are kept one to one. STL stores triangles without shared vertices: coincident corners are
+    merged, in order of appearance. GLB is read with the transforms of its nodes. Raises ``BodyError``.
     """
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise BodyError(f"{path}: a body is read from {', '.join(READERS)}: convert it")
-    content = read_whole(path, "mesh", limit=LARGEST_FILE, error=BodyError)
+        raise BodyError(f"{path}: not a readable mesh format: convert it to {', '.join(READERS)}")
+    content = read_whole(path, "mesh", limit=MAX_BYTES, error=BodyError)
     try:
         with _trimesh_silent():
             vertices, faces = reader(content, path)
     except BodyError:
         raise
-    except Exception as error:  # of a file that is none trimesh lets through whatever Python raises
+    except Exception as error:  # trimesh raises any exception for malformed files
         kind = path.suffix[1:].upper()
         raise BodyError(f"{path}: cannot be read as {kind} ({_first_line(error)}): {EXPORT_AGAIN}") from error
     if not len(faces):
         raise BodyError(f"{path}: holds no triangles: {EXPORT_AGAIN}")
-    if len(faces) > MOST_FACES:
-        raise BodyError(f"{path}: {len(faces)} triangles, more than {MOST_FACES}: decimate the mesh")
+    if len(faces) > MAX_FACES:
+        raise BodyError(f"{path}: {len(faces)} triangles, more than {MAX_FACES}: decimate the mesh")
     if faces.min() < 0 or faces.max() >= len(vertices):
         odd = faces.min() if faces.min() < 0 else faces.max()
         raise BodyError(f"{path}: a face names vertex {odd} of {len(vertices)}, numbered from 0: {EXPORT_AGAIN}")
     if not np.isfinite(vertices).all():
         odd = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
-        raise BodyError(f"{path}: the position of vertex {odd} is no number: {EXPORT_AGAIN}")
+        raise BodyError(f"{path}: the position of vertex {odd} is not a number: {EXPORT_AGAIN}")
     return vertices, faces
 
 
 def _read_obj(content: bytes, path: Path) -> _Mesh:
-    """Positions and faces alone: by texture seams, materials and groups trimesh would number the vertices anew."""
+    """Reads positions and faces only: trimesh renumbers vertices by texture seams, materials and groups."""
     joined = re.sub(rb"\\\r?\n", b" ", content)
     lines = [line for line in joined.splitlines() if line[:2] in (b"v ", b"f ", b"v\t", b"f\t")]
     plain = re.sub(rb"/\S*", b"", b"\n".join(lines))
@@ -74,16 +73,16 @@ def _read_ply(content: bytes, path: Path) -> _Mesh:
 
 def _read_stl(content: bytes, path: Path) -> _Mesh:
     corners = np.asarray(_loaded(io.BytesIO(content), "stl").triangles, float)
-    if (own := _as_ours(corners)) is not None:
-        return own
+    if (body := _with_model_numbering(corners)) is not None:
+        return body
     _, first, number = np.unique(corners.reshape(-1, 3), axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     faces = np.argsort(order)[number.ravel()].reshape(-1, 3)
     return corners.reshape(-1, 3)[first[order]], faces
 
 
-def _as_ours(corners: Float[np.ndarray, "f 3 3"]) -> _Mesh | None:
-    """The vertices of a body of our own mesh by their numbers, if these triangles are its."""
+def _with_model_numbering(corners: Float[np.ndarray, "f 3 3"]) -> _Mesh | None:
+    """The mesh with the body model's vertex numbers, if its triangles are the model's; else ``None``."""
     model = body_model()
     if len(corners) != len(model.faces):
         return None
@@ -95,7 +94,7 @@ def _as_ours(corners: Float[np.ndarray, "f 3 3"]) -> _Mesh | None:
 def _read_glb(content: bytes, path: Path) -> _Mesh:
     require_readable(content, path)
     scene = trimesh.load(io.BytesIO(content), file_type="glb", force="scene", process=False, skip_materials=True)
-    meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]  # each moved as its nodes say
+    meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]  # with transforms
     areas = [mesh.area for mesh in meshes]
     if len(meshes) > 1 and not max(areas) > MAIN_SHARE * sum(areas):
         names = ", ".join(ascii(name)[1:-1] for name in list(scene.geometry)[:9])
@@ -113,13 +112,13 @@ def _arrays(mesh: trimesh.Trimesh) -> _Mesh:
 
 @contextlib.contextmanager
 def _trimesh_silent() -> Iterator[None]:
-    """Keep trimesh from logging tracebacks of what it could not read: the caller tells it in one line."""
+    """Suppress trimesh's logged tracebacks of malformed files: the caller raises a one-line error."""
     logger = logging.getLogger("trimesh")
-    before, logger.disabled = logger.disabled, True
+    previous, logger.disabled = logger.disabled, True
     try:
         yield
     finally:
-        logger.disabled = before
+        logger.disabled = previous
 
 
 def _first_line(error: BaseException) -> str:

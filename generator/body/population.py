@@ -1,6 +1,6 @@
-"""Women and men as they are met: a Gaussian over the shape weights for each sex, calibrated to a survey.
+"""Adults of one sex: a Gaussian over the shape weights, calibrated to a survey.
 
-``adults.npz`` holds its mean and principal axes; ``calibrate.py`` made it.
+``adults.npz``, made by ``calibrate.py``, holds mean and principal axes for each sex.
 """
 
 import functools
@@ -17,21 +17,21 @@ from gcd_dataset.records import Record
 __all__ = ["SEXES", "Adults", "adults_of", "draw_weights"]
 
 SEXES = ("female", "male")
-FURTHEST = 3.0  # standard deviations along any axis: whoever is further out is drawn there
+MAX_DEVIATION = 3.0  # standard deviations along each axis; draws beyond are clipped
 
 
 @dataclass(frozen=True, eq=False)
 class Adults(Record):
-    """The shape weights of the adults of one sex, normally distributed."""
+    """The normal distribution of shape weights among the adults of one sex."""
 
     mean: Float[np.ndarray, " k"]
     axes: Float[np.ndarray, "k k"]
-    """Columns: one standard deviation along each principal axis."""
+    """Principal axes as columns, one standard deviation long."""
 
 
 @functools.cache
 def adults_of(sex: str) -> Adults:
-    """The adults of a sex. Raises ``BodyError`` with the sexes there are, or where the file is damaged."""
+    """The adults of a sex. Raises ``BodyError`` for a sex not in ``SEXES``, or a damaged file."""
     if sex not in SEXES:
         raise BodyError(f"no adults of sex {sex!r}: give {' or '.join(SEXES)}, or None for bodies between them")
     with np.load(io.BytesIO(checked_data("adults.npz"))) as file:
@@ -39,7 +39,7 @@ def adults_of(sex: str) -> Adults:
 
 
 def draw_weights(rng: np.random.Generator, adults: Adults) -> Float[np.ndarray, " k"]:
-    """Shape weights of somebody."""
-    along = np.clip(rng.standard_normal(len(adults.mean)), -FURTHEST, FURTHEST)
-    # einsum and not a matrix product: the sums of BLAS depend on its threads, and a sample is to be the same anywhere.
+    """Shape weights (k) of one random adult."""
+    along = np.clip(rng.standard_normal(len(adults.mean)), -MAX_DEVIATION, MAX_DEVIATION)
+    # einsum: the rounding of a BLAS product depends on its threads, and samples must be the same on any machine.
     return adults.mean + np.einsum("ka,a->k", adults.axes, along)

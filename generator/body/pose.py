@@ -1,4 +1,4 @@
-"""Arms raised or lowered, legs set apart: linear blend skinning about six joints, all turns about the z axis."""
+"""Poses the arms and legs: linear blend skinning about six joints, with all rotations about the z axis."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,10 +6,10 @@ from jaxtyping import Float
 __all__ = ["LEGS_APART", "T_POSE", "set_pose", "stand"]
 
 LEGS_APART = np.radians(3.0)
-"""Turn of each thigh when the legs are apart [rad]: moves the feet from 15 to 19 cm off the middle."""
+"""Rotation of each thigh with legs apart [rad]: moves the feet from 15 to 19 cm off the midplane."""
 
 T_POSE = np.radians(45.0)
-"""``arm_angle`` that lifts the upper arms from the A-pose to the horizontal [rad]."""
+"""``arm_angle`` from the A-pose to horizontal upper arms [rad]."""
 
 LEFT_ARM, LEFT_LEG, LEFT_FOOT, RIGHT_ARM, RIGHT_LEG, RIGHT_FOOT = range(6)
 
@@ -22,15 +22,18 @@ def set_pose(
     arm: float = 0.0,
     leg: float = 0.0,
 ) -> Float[np.ndarray, "v 3"]:
-    """The vertices with both arms raised by ``arm`` and both legs spread by ``leg`` [rad]; the soles stay level."""
+    """The vertices with both arms raised by ``arm`` and both legs spread by ``leg`` [rad]; the soles stay level.
+
+    ``joints`` [cm] and the columns of ``skin``, the skinning weights, are ordered as ``LEFT_ARM`` to ``RIGHT_FOOT``.
+    """
     posed = vertices.copy()
     for side, shoulder, hip, ankle in ((1, LEFT_ARM, LEFT_LEG, LEFT_FOOT), (-1, RIGHT_ARM, RIGHT_LEG, RIGHT_FOOT)):
         if arm:
-            _turn(posed, joints[shoulder], side * arm, skin[:, shoulder])
+            _blend_rotation(posed, joints[shoulder], side * arm, skin[:, shoulder])
         if leg:
-            foot = _turned(joints[ankle, :2], joints[hip], side * leg)
-            _turn(posed, joints[hip], side * leg, skin[:, hip])
-            _turn(posed, foot, -side * leg, skin[:, ankle])
+            foot = _rotated(joints[ankle, :2], joints[hip], side * leg)
+            _blend_rotation(posed, joints[hip], side * leg, skin[:, hip])
+            _blend_rotation(posed, foot, -side * leg, skin[:, ankle])
     return posed
 
 
@@ -39,14 +42,16 @@ def stand(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
     return vertices - [0.0, vertices[:, 1].min(), 0.0]
 
 
-def _turn(points: Float[np.ndarray, "v 3"], centre: np.ndarray, angle: float, share: Float[np.ndarray, " v"]) -> None:
-    """Turn points about an axis along z in place, each as far as its share says: blended, not turned by less."""
-    rows = np.flatnonzero(share)
+def _blend_rotation(
+    points: Float[np.ndarray, "v 3"], centre: np.ndarray, angle: float, weights: Float[np.ndarray, " v"]
+) -> None:
+    """Move points in place towards their rotated positions, linearly by weight (linear blend skinning)."""
+    rows = np.flatnonzero(weights)
     before = points[rows, :2]
-    points[rows, :2] += share[rows, None] * (_turned(before, centre, angle) - before)
+    points[rows, :2] += weights[rows, None] * (_rotated(before, centre, angle) - before)
 
 
-def _turned(points: Float[np.ndarray, "*n 2"], centre: np.ndarray, angle: float) -> Float[np.ndarray, "*n 2"]:
+def _rotated(points: Float[np.ndarray, "*n 2"], centre: np.ndarray, angle: float) -> Float[np.ndarray, "*n 2"]:
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = points[..., 0] - centre[0], points[..., 1] - centre[1]
     return np.stack([cos * x - sin * y + centre[0], sin * x + cos * y + centre[1]], axis=-1)

@@ -1,4 +1,4 @@
-"""Bodies from a few numbers: ``X = mean + components · w``, then the pose (Korosteleva et al., ECCV 2024)."""
+"""Bodies from shape weights: ``X = mean + components · w``, then the pose (Korosteleva et al., ECCV 2024)."""
 
 import functools
 from dataclasses import replace
@@ -16,15 +16,15 @@ from gcd_dataset.records import Body, BodyShape
 
 __all__ = ["build_body", "draw_shape", "female_shape", "male_shape", "named_shape", "neutral_shape"]
 
-SPREAD = 0.7  # standard deviations of the drawn weights, GarmentCodeData's
-CLEFT = 0.1  # cm left open between what would touch its mirror image
-ARM_SWING = np.radians(15.0)  # largest raising or lowering of the drawn arms, GarmentCodeData's
-ARM_ROOM = 1.2  # cm left open between arm and trunk below the armpits, for the cloth of both
-ARM_STEP = np.radians(2.0)  # by which arms are raised until they have it
+SPREAD = 0.7  # standard deviation of drawn weights, as in GarmentCodeData
+CLEFT = 0.1  # cm between skin and its mirror image
+MAX_ARM_ANGLE = np.radians(15.0)  # of drawn arms, up or down from the A-pose, as in GarmentCodeData
+ARM_ROOM = 1.2  # cm between arm and trunk below the armpits: room for two layers of cloth
+ARM_STEP = np.radians(2.0)  # arms are raised in these steps until they have room
 
 
 def neutral_shape(*, legs_apart: bool = False) -> BodyShape:
-    """The body between the mean woman and the mean man."""
+    """The neutral body, between the mean woman and the mean man."""
     return named_shape("neutral", legs_apart=legs_apart)
 
 
@@ -39,7 +39,7 @@ def male_shape(*, legs_apart: bool = False) -> BodyShape:
 
 
 def named_shape(name: str, *, legs_apart: bool = False) -> BodyShape:
-    """The body of that name. Raises ``BodyError`` with the names there are."""
+    """The shape of the body ``neutral``, ``female`` or ``male``. Raises ``BodyError`` for another name."""
     named = body_model().named
     if name not in named:
         raise BodyError(
@@ -49,52 +49,52 @@ def named_shape(name: str, *, legs_apart: bool = False) -> BodyShape:
 
 
 def draw_shape(rng: np.random.Generator, *, sex: str | None = None, legs_apart: bool = False) -> BodyShape:
-    """A body drawn at random, with its arms somewhere about the A-pose, but clear of the trunk.
+    """A random body with a random arm angle near the A-pose, the arms clear of the trunk.
 
-    With ``sex`` given, ``female`` or ``male``, an adult as a survey finds them (see ``population``); else a body about
-    the neutral one, mostly between the sexes, as GarmentCodeData draws them. Raises ``BodyError`` for another sex.
+    ``sex``: ``female`` or ``male`` draws an adult distributed as in a survey (see ``population``); ``None`` a body
+    about the neutral one, mostly between the sexes, as in GarmentCodeData. Raises ``BodyError`` for another sex.
     """
     if sex is None:
         weights = rng.normal(0.0, SPREAD, size=len(body_model().components))
     else:
         weights = draw_weights(rng, adults_of(sex))
-    return _hanging_clear(BodyShape(weights, float(rng.uniform(-ARM_SWING, ARM_SWING)), legs_apart))
+    return _with_clear_arms(BodyShape(weights, float(rng.uniform(-MAX_ARM_ANGLE, MAX_ARM_ANGLE)), legs_apart))
 
 
-def _hanging_clear(shape: BodyShape) -> BodyShape:
-    """The shape with its arms raised until there is room below the armpits, at most to where drawn arms end."""
-    # Skin is parted afterwards: an armpit that passes through itself calls for an arm held higher.
-    while shape.arm_angle < ARM_SWING and arm_clearance(_built(shape, "body", parted=False)) < ARM_ROOM:
-        shape = replace(shape, arm_angle=min(shape.arm_angle + ARM_STEP, ARM_SWING))
+def _with_clear_arms(shape: BodyShape) -> BodyShape:
+    """The shape with its arms raised until there is room below the armpits, at most to ``MAX_ARM_ANGLE``."""
+    # With creases unresolved: an armpit that crosses itself needs a higher arm.
+    while shape.arm_angle < MAX_ARM_ANGLE and arm_clearance(_built(shape, "body", resolve_creases=False)) < ARM_ROOM:
+        shape = replace(shape, arm_angle=min(shape.arm_angle + ARM_STEP, MAX_ARM_ANGLE))
     return shape
 
 
 def build_body(shape: BodyShape, *, name: str = "body") -> Body:
-    """The body of a shape, standing at y = 0. Raises ``BodyError`` where the number of weights is not the model's."""
-    return _built(shape, name, parted=True)
+    """The body of a shape, lowest vertex at y = 0. Raises ``BodyError`` for a wrong number of weights."""
+    return _built(shape, name, resolve_creases=True)
 
 
-def _built(shape: BodyShape, name: str, *, parted: bool) -> Body:
+def _built(shape: BodyShape, name: str, *, resolve_creases: bool) -> Body:
     model = body_model()
     if shape.weights.shape != (len(model.components),):
         raise BodyError(f"{name}: {shape.weights.size} shape weights, the body model takes {len(model.components)}")
-    # einsum and not a matrix product: the sums of BLAS depend on its threads, and a sample is to be the same anywhere.
+    # einsum: the rounding of a BLAS product depends on its threads, and samples must be the same on any machine.
     vertices = model.mean + np.einsum("k,kvi->vi", shape.weights, model.components)
-    vertices[:, 0] = _on_own_side(vertices[:, 0], model.mean[:, 0])
+    vertices[:, 0] = _off_midplane(vertices[:, 0], model.mean[:, 0])
     joints = model.joints + np.einsum("k,kni->ni", shape.weights, model.joint_components)
     posed = set_pose(vertices, joints, model.skin, arm=shape.arm_angle, leg=LEGS_APART if shape.legs_apart else 0.0)
-    return Body(stand(_skin().flattened(posed, parted=parted)), model.faces, model.parts, name)
+    return Body(stand(_skin().flattened(posed, resolve_creases=resolve_creases)), model.faces, model.parts, name)
 
 
 @functools.cache
 def _skin() -> SkinMesh:
-    """What cloth meets; head, hands and feet are folded by nature."""
+    """The skin that cloth touches, to be kept free of folds; head, hands and feet have natural folds."""
     model = body_model()
-    folded = np.isin(model.parts, [part.value for part in COARSE_PARTS])
-    return SkinMesh.of(model.mean, model.faces[~folded[model.faces].any(axis=1)])
+    excluded = np.isin(model.parts, [part.value for part in COARSE_PARTS])
+    return SkinMesh.of(model.mean, model.faces[~excluded[model.faces].any(axis=1)])
 
 
-def _on_own_side(x: Float[np.ndarray, " v"], usual: Float[np.ndarray, " v"]) -> Float[np.ndarray, " v"]:
-    """``x`` kept from crossing the plane x = 0, where left and right thigh or breast would pass through each other."""
+def _off_midplane(x: Float[np.ndarray, " v"], usual: Float[np.ndarray, " v"]) -> Float[np.ndarray, " v"]:
+    """``x`` kept ``CLEFT / 2`` off the plane x = 0, on its usual side: thighs and breasts do not cross there."""
     side = np.sign(usual)
     return side * np.maximum(side * x, np.minimum(np.abs(usual), CLEFT / 2))

@@ -1,4 +1,4 @@
-"""One level of Loop's subdivision on a part of a mesh, as a matrix."""
+"""One level of Loop subdivision on a part of a mesh, as a sparse matrix."""
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -10,24 +10,27 @@ __all__ = ["refine", "unique_edges"]
 def refine(
     faces: Int[np.ndarray, "f 3"], marked: Bool[np.ndarray, " f"], n_vertices: int
 ) -> tuple[csr_matrix, Int[np.ndarray, "g 3"]]:
-    """The matrix from old vertices to new ones, and the new faces, with the marked faces divided into four.
+    """Subdivide the marked faces: the matrix (w, v) from old to new vertices, and the new faces.
 
-    Old vertices keep their numbers. The weights are those of C. Loop, Smooth Subdivision Surfaces Based on Triangles
-    (1987); at the rim of the marked part vertices stay and edges are halved, so that a closed mesh stays closed.
+    Old vertices keep their numbers. Weights after C. Loop, Smooth Subdivision Surfaces Based on Triangles (1987); on
+    the boundary of the marked part vertices stay and edges are halved, so that a closed mesh stays closed.
     """
     edges, face_edges = unique_edges(faces)
     marks = np.bincount(face_edges[marked].ravel(), minlength=len(edges))
     added = np.full(len(edges), -1)
     added[marks > 0] = n_vertices + np.arange((marks > 0).sum())
-    entries = [_kept(faces, marked, edges, n_vertices), _halved(edges, marks, added), _across(faces, face_edges, marks)]
-    entries[2] = (added[entries[2][0]], *entries[2][1:])
+    entries = [
+        _vertex_rule(faces, marked, edges, n_vertices),
+        _edge_ends_rule(edges, marks, added),
+        _edge_opposites_rule(faces, face_edges, marks, added),
+    ]
     rows, columns, weights = (np.concatenate(part) for part in zip(*entries, strict=True))
     shape = (n_vertices + (marks > 0).sum(), n_vertices)
-    return csr_matrix((weights, (rows, columns)), shape=shape), _divided(faces, added[face_edges])
+    return csr_matrix((weights, (rows, columns)), shape=shape), _split(faces, added[face_edges])
 
 
 def unique_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "f 3"]]:
-    """Every edge once, and the edge of each face from corner i to corner i + 1."""
+    """Every undirected edge once, and the edge number of each face from corner i to corner i + 1."""
     sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     edges, inverse = np.unique(sides, axis=0, return_inverse=True)
     return edges, inverse.reshape(-1, 3)
@@ -36,8 +39,8 @@ def unique_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"],
 _Entries = tuple[np.ndarray, np.ndarray, np.ndarray]  # rows, columns, weights
 
 
-def _kept(faces: np.ndarray, marked: np.ndarray, edges: np.ndarray, n_vertices: int) -> _Entries:
-    """Old vertices: drawn towards their neighbours where all faces around them are marked, else where they were."""
+def _vertex_rule(faces: np.ndarray, marked: np.ndarray, edges: np.ndarray, n_vertices: int) -> _Entries:
+    """Old vertices: smoothed towards their neighbours if all faces around them are marked, else unchanged."""
     inner = np.zeros(n_vertices, bool)
     inner[faces[marked]] = True
     inner[faces[~marked]] = False
@@ -45,41 +48,41 @@ def _kept(faces: np.ndarray, marked: np.ndarray, edges: np.ndarray, n_vertices: 
     pull = np.where(inner, (5 / 8 - (3 / 8 + np.cos(2 * np.pi / valence) / 4) ** 2) / valence, 0.0)
     ends = np.concatenate([edges, edges[:, ::-1]])
     ends = ends[inner[ends[:, 0]]]
-    own = np.arange(n_vertices)
+    diagonal = np.arange(n_vertices)
     return (
-        np.concatenate([own, ends[:, 0]]),
-        np.concatenate([own, ends[:, 1]]),
+        np.concatenate([diagonal, ends[:, 0]]),
+        np.concatenate([diagonal, ends[:, 1]]),
         np.concatenate([1 - valence * pull, pull[ends[:, 0]]]),
     )
 
 
-def _halved(edges: np.ndarray, marks: np.ndarray, added: np.ndarray) -> _Entries:
-    """The ends' share in a new vertex: 3/8 each inside the marked part, half each at its rim."""
+def _edge_ends_rule(edges: np.ndarray, marks: np.ndarray, added: np.ndarray) -> _Entries:
+    """New vertices, weights of their edge's ends: 3/8 each inside the marked part, 1/2 each on its boundary."""
     split = marks > 0
     share = np.where(marks[split] == 2, 3 / 8, 1 / 2)
     return np.repeat(added[split], 2), edges[split].ravel(), np.repeat(share, 2)
 
 
-def _across(faces: np.ndarray, face_edges: np.ndarray, marks: np.ndarray) -> _Entries:
-    """1/8 from each corner opposite of an edge inside the marked part; rows are edges here."""
+def _edge_opposites_rule(faces: np.ndarray, face_edges: np.ndarray, marks: np.ndarray, added: np.ndarray) -> _Entries:
+    """New vertices inside the marked part: weight 1/8 for each corner opposite their edge."""
     inside = marks[face_edges] == 2
-    return face_edges[inside], np.roll(faces, 1, axis=1)[inside], np.full(inside.sum(), 1 / 8)
+    return added[face_edges[inside]], np.roll(faces, 1, axis=1)[inside], np.full(inside.sum(), 1 / 8)
 
 
-def _divided(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Faces cut along those sides that have a new vertex (``middle``, -1 for none), by how many they are."""
+def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Faces split by the new vertices on their edges: ``middle`` (f, 3), -1 for none; into 1, 2, 3 or 4."""
     count = (middle >= 0).sum(axis=1)
     pieces = [faces[count == 0]]
     (a, b, c), (ab, bc, ca) = faces[count == 3].T, middle[count == 3].T
     pieces += [np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-    (a, b, c), (ab, _, _) = _turned(faces[count == 1], middle[count == 1], first=middle[count == 1] >= 0)
+    (a, b, c), (ab, _, _) = _rotated(faces[count == 1], middle[count == 1], first=middle[count == 1] >= 0)
     pieces += [np.stack(t, axis=1) for t in ((a, ab, c), (ab, b, c))]
-    (a, b, c), (_, bc, ca) = _turned(faces[count == 2], middle[count == 2], first=middle[count == 2] < 0)
+    (a, b, c), (_, bc, ca) = _rotated(faces[count == 2], middle[count == 2], first=middle[count == 2] < 0)
     pieces += [np.stack(t, axis=1) for t in ((a, b, bc), (a, bc, ca), (ca, bc, c))]
     return np.concatenate(pieces)
 
 
-def _turned(faces: np.ndarray, middle: np.ndarray, *, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners and new vertices with the side that ``first`` marks turned to the front, one row a corner."""
+def _rotated(faces: np.ndarray, middle: np.ndarray, *, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners and new vertices rotated so that the edge marked in ``first`` comes first; one row for each corner."""
     turn = (first.argmax(axis=1)[:, None] + np.arange(3)) % 3
     return np.take_along_axis(faces, turn, axis=1).T, np.take_along_axis(middle, turn, axis=1).T

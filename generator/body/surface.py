@@ -1,4 +1,4 @@
-"""The skin of a mesh as a surface: its nearest point to any point, whatever its triangles."""
+"""Nearest-point queries on the surface of a triangle mesh."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -10,38 +10,38 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.records import Record
 
-__all__ = ["Nearest", "SkinSurface", "divided"]
+__all__ = ["Nearest", "SkinSurface", "subdivide_long_edges"]
 
-LONGEST = 6.0  # cm: longer edges are halved first, so that a near triangle has a near middle
-MOST = 300_000  # triangles that a mesh may be divided into for that; slivers of a metre would be millions
-CANDIDATES = 8  # triangles by the distance of their middles
+LONGEST_EDGE = 6.0  # cm; longer edges are halved, so that the centroid of a near triangle is near
+MAX_TRIANGLES = 300_000  # after subdivision; slivers a metre long would give millions
+CANDIDATES = 8  # triangles with the nearest centroids, of which the nearest is taken
 
 
 @dataclass(frozen=True, eq=False)
 class Nearest(Record):
-    """Where a surface comes nearest to some points."""
+    """The nearest points of a surface to query points."""
 
     points: Float[np.ndarray, "n 3"]
-    """On the surface [cm]."""
+    """Points on the surface [cm]."""
     faces: Int[np.ndarray, " n"]
-    """The triangle each lies on."""
+    """The face of the mesh that each lies on."""
     normals: Float[np.ndarray, "n 3"]
-    """Of that triangle, unit length, as the mesh winds it."""
+    """Unit normal of that face, by its winding."""
     distances: Float[np.ndarray, " n"]
-    """[cm]"""
-    real: Bool[np.ndarray, " n"]
-    """Whether it is skin, and no patch over a hole."""
+    """From the query points [cm]."""
+    on_skin: Bool[np.ndarray, " n"]
+    """Whether that face is skin; ``False``: a patch over a hole."""
 
 
 @dataclass(frozen=True, eq=False)
 class SkinSurface(Record):
-    """Triangles with a tree over their middles."""
+    """Triangles with a k-d tree over their centroids."""
 
     corners: Float[np.ndarray, "t 3 3"]
     owners: Int[np.ndarray, " t"]
     """The face of the mesh that each triangle is a piece of."""
     normals: Float[np.ndarray, "t 3"]
-    real: Bool[np.ndarray, " t"]
+    on_skin: Bool[np.ndarray, " t"]
     tree: cKDTree
 
     @classmethod
@@ -51,18 +51,18 @@ class SkinSurface(Record):
         faces: Int[np.ndarray, "f 3"],
         patched: Bool[np.ndarray, " f"] | None = None,
     ) -> Self:
-        """The surface of a mesh, of which some faces are patches; triangles without area are left out."""
-        fine, pieces, owners = divided(vertices, faces, LONGEST)
+        """The surface of a mesh [cm]; ``patched`` marks patches over holes. Faces without area are dropped."""
+        fine, pieces, owners = subdivide_long_edges(vertices, faces, LONGEST_EDGE)
         corners = fine[pieces]
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        double_area = np.linalg.norm(across, axis=1)
-        solid = double_area > 1e-12
-        corners, owners = corners[solid], owners[solid]
-        real = np.ones(len(owners), bool) if patched is None else ~patched[owners]
-        return cls(corners, owners, across[solid] / double_area[solid, None], real, cKDTree(corners.mean(axis=1)))
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        double_area = np.linalg.norm(normals, axis=1)
+        kept = double_area > 1e-12
+        corners, owners = corners[kept], owners[kept]
+        on_skin = np.ones(len(owners), bool) if patched is None else ~patched[owners]
+        return cls(corners, owners, normals[kept] / double_area[kept, None], on_skin, cKDTree(corners.mean(axis=1)))
 
     def nearest(self, points: Float[np.ndarray, "n 3"]) -> Nearest:
-        """The nearest point of the surface to each point."""
+        """The nearest point of the surface to each query point."""
         near = self.tree.query(points, k=min(CANDIDATES, len(self.corners)))[1].reshape(len(points), -1)
         triangles = self.corners[near].reshape(-1, 3, 3)
         on = trimesh.triangles.closest_point(triangles, points.repeat(near.shape[1], axis=0)).reshape(*near.shape, 3)
@@ -71,20 +71,20 @@ class SkinSurface(Record):
         row = np.arange(len(points))
         chosen = near[row, best]
         return Nearest(
-            on[row, best], self.owners[chosen], self.normals[chosen], distances[row, best], self.real[chosen]
+            on[row, best], self.owners[chosen], self.normals[chosen], distances[row, best], self.on_skin[chosen]
         )
 
 
-def divided(
+def subdivide_long_edges(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], longest: float
 ) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], Int[np.ndarray, " g"]]:
-    """The mesh with edges of at most ``longest`` [cm], halved where they were longer, and the face each piece is of.
+    """The mesh with edges longer than ``longest`` [cm] halved repeatedly, and the original face of each piece.
 
-    Old vertices keep their numbers. Edges may be longer where there would be more than ``MOST`` triangles.
+    Old vertices keep their numbers. ``longest`` is raised to keep within ``MAX_TRIANGLES``.
     """
     corners = vertices[faces]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0.0)
-    while (4.0 ** np.ceil(np.log2(np.maximum(sides / longest, 1.0)))).sum() > max(MOST, len(faces)):
+    while (4.0 ** np.ceil(np.log2(np.maximum(sides / longest, 1.0)))).sum() > max(MAX_TRIANGLES, len(faces)):
         longest *= 2
     if sides.max(initial=0.0) <= longest:
         return vertices, faces, np.arange(len(faces))

@@ -1,8 +1,8 @@
-"""Adults as an anthropometric survey found them, and the survey's measures taken on our own bodies.
+"""Figures of the anthropometric survey ANSUR II, and its measures taken on the model's bodies.
 
-The survey is ANSUR II; ``generator/data/survey.json`` holds its means, standard deviations and correlations, and says
-measure by measure how its definition differs from ours. Surveys measure the waist at the navel, where tailors take the
-narrowest place, so those measures are taken here once more in the survey's way.
+``generator/data/survey.json`` holds means, standard deviations and correlations, and for each measure how the survey's
+definition differs from ours. The survey measures the waist at the navel, tailors at its narrowest level; such measures
+are taken here by the survey's definition.
 """
 
 import functools
@@ -13,7 +13,7 @@ from importlib.resources import files
 import numpy as np
 from jaxtyping import Float, Int
 
-from gcd_dataset.generator.body.asset import body_model, landmarks
+from gcd_dataset.generator.body.asset import body_model, landmark_table
 from gcd_dataset.generator.body.section import girth, rough_girths, section_points, tape
 from gcd_dataset.generator.body.subdivide import unique_edges
 from gcd_dataset.records import Body, BodyPart, Measurements, Record
@@ -22,26 +22,26 @@ __all__ = ["Survey", "body_weight", "survey_measures", "survey_of"]
 
 X, Y, Z = range(3)
 XZ, ZY = [0, 2], [2, 1]
-BACK = (-1.0, 0.0)  # of an upright section, as (z, y)
+BACK = (-1.0, 0.0)  # the backward direction as (z, y), in a sagittal section
 NAVEL = "navel"
 BODY_DENSITY = 1.0
-"""kg a litre, breath half held. Lean tissue has 1.1, fat 0.9 (Siri, 1961): a quarter of fat makes 1.04, and the three
-litres of air in 70 of body bring it to 1.00."""
-CALF = np.linspace(0.14, 0.27, 27)  # of the stature: levels between ankle and knee
-SPINE = 3.0  # cm beside the median plane that count as the spine
+"""[kg/l] with half-filled lungs. Lean tissue has 1.1, fat 0.9 (Siri, 1961): a quarter of fat makes 1.04, and 3 l of air
+in 70 l of body bring it to 1.00."""
+CALF = np.linspace(0.14, 0.27, 27)  # levels between ankle and knee, as shares of the height
+SPINE = 3.0  # cm; distance from the median plane within which skin counts as the spine
 
 
 @dataclass(frozen=True, eq=False)
 class Survey(Record):
-    """What the survey found among the adults of one sex [cm, kg]."""
+    """The survey's figures for one sex [cm, kg]."""
 
     measures: tuple[str, ...]
     mean: Float[np.ndarray, " m"]
     sd: Float[np.ndarray, " m"]
     tolerance: Float[np.ndarray, " m"]
-    """By how much our mean may differ; NaN where definitions differ, and only the variation compares."""
+    """Accepted error of a mean; NaN if the definitions differ, so that only the variation can be compared."""
     correlated: tuple[str, ...]
-    """The measures whose correlations are known."""
+    """The measures with published correlations."""
     correlation: Float[np.ndarray, "c c"]
 
 
@@ -63,16 +63,16 @@ def survey_of(sex: str) -> Survey:
 
 
 def body_weight(body: Body) -> float:
-    """Mass of a body from its volume [kg]."""
+    """Mass of a body [kg]: volume times ``BODY_DENSITY``."""
     a, b, c = (body.vertices[body.faces[:, corner]] for corner in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6 / 1000 * BODY_DENSITY
 
 
 def survey_measures(body: Body, size: Measurements) -> dict[str, float]:
-    """The survey's measures of one of our bodies [cm, kg]; ``size`` are the tailor's measures of it."""
+    """The survey's measures of a body with the model's mesh [cm, kg]; ``size``: its measures by ``measure``."""
     sites, vertices = _sites(), body.vertices
-    navel, nape, crotch = (vertices[landmarks().points[name]] for name in (NAVEL, "nape_of_neck", "crotch_point"))
-    bust = vertices[[landmarks().points[name] for name in ("bust_left", "bust_right")]].mean(axis=0)
+    navel, nape, crotch = (vertices[landmark_table().points[name]] for name in (NAVEL, "nape_of_neck", "crotch_point"))
+    bust = vertices[[landmark_table().points[name] for name in ("bust_left", "bust_right")]].mean(axis=0)
     waist, breast = (section_points(vertices, sites.trunk, Y, at[[Y]])[0] for at in (navel, bust))
     return {
         "height": size.height,
@@ -99,7 +99,7 @@ def survey_measures(body: Body, size: Measurements) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Sites(Record):
-    """Edges that each section can meet."""
+    """The edges that each section may cut."""
 
     trunk: Int[np.ndarray, "e 2"]
     leg: Int[np.ndarray, "e 2"]
@@ -123,7 +123,7 @@ def _calf(vertices: np.ndarray, leg: np.ndarray, height: float) -> float:
 
 
 def _down_the_back(vertices: np.ndarray, spine: np.ndarray, nape: np.ndarray, waist: np.ndarray) -> float:
-    """Tape from the nape to the level of a section."""
+    """Length of a tape down the spine, from the nape to the level of the waist [cm]."""
     middle = waist[np.abs(waist[:, X]) < SPINE]
     end = middle[middle[:, Z].argmin()]
     cut = section_points(vertices, spine, X, np.array([0.0]))[0]

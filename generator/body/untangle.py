@@ -1,9 +1,9 @@
-"""Skin that has folded over itself, drawn flat again.
+"""Removes folds and self-intersections from the skin of drawn bodies.
 
-A body far from the mean may have a patch of skin turned inside out: a nipple pushed in, the fold between the thighs, an
-armpit under a lowered arm. There the normals point away from where they point on the mean body; such a patch is
-smoothed until they no longer do. Skin creased so sharply that one side passes through the other, as beside
-the crotch, is smoothed until it no longer does. Other bodies are left as they are.
+A body far from the mean may have inverted patches of skin: a nipple pushed in, the fold between the thighs, an armpit
+under a lowered arm. Their normals oppose those of the mean body; such patches are smoothed until they no longer do.
+Skin in a crease so sharp that its sides intersect, as beside the crotch, is smoothed until they no longer do. Other
+bodies are unchanged.
 """
 
 from dataclasses import dataclass
@@ -18,50 +18,50 @@ from gcd_dataset.records import Record
 
 __all__ = ["SkinMesh"]
 
-ROUNDS = 20  # of smoothing, at most: a patch is flat after one to five
+ROUNDS = 20  # at most; one to five suffice
 PASSES = 4  # of smoothing in a round
-RINGS = 2  # of neighbours that are smoothed with a folded face
-CREASED = (
-    -0.9
-)  # cosine between the normals beside an edge where skin may pass through itself; where it does, under -0.97
-TURNED = 0.7  # cosine between usual normal and found one on one side of such an edge at least
+RINGS = 2  # rings of neighbours that are smoothed with a folded face
+CREASED = -0.9  # cosine of the normals at an edge below which its faces are tested; intersecting ones are below -0.97
+TURNED = 0.7  # cosine to its reference normal below which a face is tested for a crease
 
 
 @dataclass(frozen=True, eq=False)
 class SkinMesh(Record):
-    """The part of a mesh that is to stay free of folds."""
+    """The part of a mesh to keep free of folds, with reference normals."""
 
     faces: Int[np.ndarray, "f 3"]
     normals: Float[np.ndarray, "3 f"]
-    """Of the body as it should be, of length 1."""
-    across: Int[np.ndarray, "f 3"]
-    """The face beyond each side of a face; itself where there is none."""
-    neighbours: csr_matrix
-    """From vertices to the means of their neighbours; vertices off the skin keep their place."""
+    """Unit normals of the reference body."""
+    adjacent: Int[np.ndarray, "f 3"]
+    """The face across each edge of a face; on the boundary the face itself."""
+    neighbour_means: csr_matrix
+    """(v, v): maps vertices to the means of their neighbours; the identity off the skin."""
 
     @classmethod
-    def of(cls, usual: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Self:
-        """The skin of a body without folds."""
-        edges, sides = unique_edges(faces)
+    def of(cls, reference: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Self:
+        """The skin ``faces`` of a reference body without folds."""
+        edges, face_edges = unique_edges(faces)
         ends = np.concatenate([edges, edges[:, ::-1]]).T
-        beside = csr_matrix((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(len(usual), len(usual)))
-        count = np.asarray(beside.sum(axis=1)).ravel()
-        alone = diags_array((count == 0).astype(float))
-        means = csr_matrix(diags_array(1 / np.maximum(count, 1)) @ beside + alone)
-        normals = _normals(usual, faces)
-        return cls(faces, normals / np.linalg.norm(normals, axis=0), _across(sides), means)
+        adjacency = csr_matrix((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(len(reference), len(reference)))
+        count = np.asarray(adjacency.sum(axis=1)).ravel()
+        isolated = diags_array((count == 0).astype(float))
+        means = csr_matrix(diags_array(1 / np.maximum(count, 1)) @ adjacency + isolated)
+        normals = _normals(reference, faces)
+        return cls(faces, normals / np.linalg.norm(normals, axis=0), _adjacent_faces(face_edges), means)
 
-    def flattened(self, vertices: Float[np.ndarray, "v 3"], *, parted: bool = True) -> Float[np.ndarray, "v 3"]:
-        """The vertices with folded patches smoothed, then, if ``parted``, creases that pass through themselves."""
+    def flattened(
+        self, vertices: Float[np.ndarray, "v 3"], *, resolve_creases: bool = True
+    ) -> Float[np.ndarray, "v 3"]:
+        """The vertices with folded patches smoothed, and with ``resolve_creases`` self-intersecting creases too."""
         normals = _normals(vertices, self.faces)
         for _ in range(ROUNDS):
             wrong = np.flatnonzero(_dot(normals, self.normals) < 0.0)
-            if parted and not len(wrong):
-                wrong = self._crossed(vertices, normals)
+            if resolve_creases and not len(wrong):
+                wrong = self._intersecting(vertices, normals)
             if not len(wrong):
                 break
             patch = self._around(wrong, len(vertices))
-            vertices, means = vertices.copy(), self.neighbours[patch]
+            vertices, means = vertices.copy(), self.neighbour_means[patch]
             for _ in range(PASSES):
                 vertices[patch] = means @ vertices
             moved = self._faces_at(patch, len(vertices))
@@ -69,22 +69,22 @@ class SkinMesh(Record):
         return vertices
 
     def folded(self, vertices: Float[np.ndarray, "v 3"]) -> Bool[np.ndarray, " f"]:
-        """Faces that look the other way."""
+        """Whether each face is inverted against the reference."""
         return _dot(_normals(vertices, self.faces), self.normals) < 0.0
 
-    def crossed(self, vertices: Float[np.ndarray, "v 3"]) -> Int[np.ndarray, " n"]:
-        """Faces about a crease that pass through each other."""
-        return self._crossed(vertices, _normals(vertices, self.faces))
+    def intersecting(self, vertices: Float[np.ndarray, "v 3"]) -> Int[np.ndarray, " n"]:
+        """Faces near creases that intersect each other."""
+        return self._intersecting(vertices, _normals(vertices, self.faces))
 
-    def _crossed(self, vertices: np.ndarray, normals: Float[np.ndarray, "3 f"]) -> Int[np.ndarray, " n"]:
-        # A crease takes a face that has turned, which is quicker to see than all pairs of faces.
+    def _intersecting(self, vertices: np.ndarray, normals: Float[np.ndarray, "3 f"]) -> Int[np.ndarray, " n"]:
+        # A crease has a face turned from its reference, which is cheaper to test than pairs of faces.
         turned = np.flatnonzero(_dot(normals, self.normals) < TURNED * np.sqrt(_dot(normals, normals)))
-        here, beyond = normals[:, turned, None], normals[:, self.across[turned]]
-        creased = _dot(here, beyond) < CREASED * np.sqrt(_dot(here, here) * _dot(beyond, beyond))
+        normal, other = normals[:, turned, None], normals[:, self.adjacent[turned]]
+        creased = _dot(normal, other) < CREASED * np.sqrt(_dot(normal, normal) * _dot(other, other))
         if not creased.any():
             return turned[:0]
-        about = self._faces_at(self._around(turned[creased.any(axis=1)], len(vertices)), len(vertices))
-        return about[_pass_through(vertices, self.faces[about])]
+        nearby = self._faces_at(self._around(turned[creased.any(axis=1)], len(vertices)), len(vertices))
+        return nearby[_intersect(vertices, self.faces[nearby])]
 
     def _faces_at(self, corners: Int[np.ndarray, " n"], n_vertices: int) -> Int[np.ndarray, " m"]:
         marked = np.zeros(n_vertices, bool)
@@ -92,16 +92,16 @@ class SkinMesh(Record):
         return np.flatnonzero(marked[self.faces[:, 0]] | marked[self.faces[:, 1]] | marked[self.faces[:, 2]])
 
     def _around(self, faces: Int[np.ndarray, " n"], n_vertices: int) -> Int[np.ndarray, " m"]:
-        """The corners of some faces and their neighbours."""
+        """The corners of some faces, with ``RINGS`` rings of neighbours."""
         region = np.zeros(n_vertices)
         region[self.faces[faces]] = 1.0
         for _ in range(RINGS):
-            region += self.neighbours @ region
+            region += self.neighbour_means @ region
         return np.flatnonzero(region)
 
 
 def _normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "3 f"]:
-    """Of any length; by coordinates, which takes a quarter of the time of ``np.cross``."""
+    """Face normals, not normalised. Written out by coordinates: a quarter of the time of ``np.cross``."""
     a, b, c = np.ascontiguousarray(faces.T)
     (ux, uy, uz), (wx, wy, wz) = ([axis[end] - axis[a] for axis in np.ascontiguousarray(vertices.T)] for end in (b, c))
     return np.stack([uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx])
@@ -111,24 +111,24 @@ def _dot(a: Float[np.ndarray, "3 *n"], b: Float[np.ndarray, "3 *n"]) -> Float[np
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _across(sides: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
-    """The face beyond each side, from the edges of each face."""
-    order = np.argsort(sides, axis=None, kind="stable")
-    first = np.flatnonzero(sides.ravel()[order][1:] == sides.ravel()[order][:-1])
-    beyond = np.repeat(np.arange(len(sides)), 3)
-    beyond[order[first]], beyond[order[first + 1]] = order[first + 1] // 3, order[first] // 3
-    return beyond.reshape(-1, 3)
+def _adjacent_faces(face_edges: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
+    """The face across each edge of each face."""
+    order = np.argsort(face_edges, axis=None, kind="stable")
+    first = np.flatnonzero(face_edges.ravel()[order][1:] == face_edges.ravel()[order][:-1])
+    adjacent = np.repeat(np.arange(len(face_edges)), 3)
+    adjacent[order[first]], adjacent[order[first + 1]] = order[first + 1] // 3, order[first] // 3
+    return adjacent.reshape(-1, 3)
 
 
-def _pass_through(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-    """Few faces that an edge of another one crosses, and those others, all held against all."""
-    edges, sides = unique_edges(faces)
+def _intersect(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
+    """Whether each face crosses an edge of another, or has an edge crossed; tests all pairs of few faces."""
+    edges, face_edges = unique_edges(faces)
     apart = ~(edges[:, None, :, None] == faces[None, :, None, :]).any(axis=(2, 3))
     edge, face = np.nonzero(apart)
     start, along = vertices[edges[edge, 0]], vertices[edges[edge, 1]] - vertices[edges[edge, 0]]
     corner, u, w = (vertices[faces[face, i]] for i in range(3))
     u, w, to = u - corner, w - corner, start - corner
-    # Möller and Trumbore (1997): the point of the edge in the corners' coordinates.
+    # Möller and Trumbore (1997): barycentric coordinates of the intersection of edge and plane.
     turned, lifted = np.cross(along, w), np.cross(to, u)
     flat = np.einsum("ni,ni->n", u, turned)
     scale = np.divide(1.0, flat, out=np.full(len(flat), np.nan), where=flat != 0.0)
@@ -137,6 +137,6 @@ def _pass_through(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 
     met = (beta >= 0) & (gamma >= 0) & (beta + gamma <= 1) & (share >= 0) & (share <= 1)
     through = np.zeros(len(edges), bool)
     through[edge[met]] = True
-    hit = through[sides].any(axis=1)
+    hit = through[face_edges].any(axis=1)
     hit[face[met]] = True
     return hit

@@ -1,8 +1,8 @@
 """Signed distance field of a body on a grid, with the nearest body part of each voxel, and the skin as a mesh.
 
 Internal faces (eyes, sockets, mouth) are left out and the openings closed with lids, so that the body is solid: cloth
-finds neither a cavity nor a second skin behind the first. A hand is its convex hull: a voxel is as wide as a finger,
-and fingers would pierce cloth that slips between them.
+finds neither a cavity nor a second skin behind the first. Hands and toes are convex hulls: a voxel is as wide as
+a finger, and fingers would pierce cloth that slips between them.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ import warp as wp
 from jaxtyping import Float, Int, UInt8
 from scipy.spatial import ConvexHull
 
-from gcd_dataset.generator.body.holes import VisibleSkin, sides_of
+from gcd_dataset.generator.body.holes import VisibleSkin, half_edges_of
 from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
 from gcd_dataset.records import Body, BodyPart
 
@@ -31,6 +31,7 @@ BAND = 4.0  # cm outside the skin in which distances are exact
 CACHED = 8  # fields and skins kept for later drapes
 FOREARM = 30  # part number of an arm from the elbow to the finger tips; no value of ``BodyPart``
 ELBOW = 0.42  # share of the way from the shoulder to the finger tips
+TOES = 4.0  # cm above the sole
 FACE_SAMPLE = 8  # every eighth face is sampled to find the axis of a part
 AXES = {
     "trunk": (BodyPart.TRUNK,),
@@ -111,16 +112,16 @@ class HostField:
     """Height below which there are no lids [cm]."""
     axes: Float[np.ndarray, "2 axes 3"]
     """See ``BodyField.axes``."""
-    hands: tuple[Float[np.ndarray, "h 3"], ...]
-    """The vertices of each hand [cm]."""
-    hand_planes: tuple[Float[np.ndarray, "p 4"], ...]
-    """Half-spaces of each hand's convex hull: outward normal [1] and offset [cm]."""
+    extremities: tuple[Float[np.ndarray, "h 3"], ...]
+    """The vertices of each hand, and of each foot up to the height of its toes [cm]."""
+    planes: tuple[Float[np.ndarray, "p 4"], ...]
+    """Half-spaces of the convex hull of each: outward normal [1] and offset [cm]."""
 
     @classmethod
     def of(cls, body: Body) -> Self:
         known = _skin(_digests(body)[0], body)
         points = known.skin.points(body.vertices)
-        hands = _hands(points, known)
+        extremities = _extremities(points, known)
         used = points[known.vertices].T.copy()  # NumPy reduces rows three times as fast as columns
         low = used.min(axis=1) - BAND - CELL
         size = np.ceil((used.max(axis=1) + BAND + CELL - low) / CELL).astype(int) + 1
@@ -133,8 +134,8 @@ class HostField:
             shape=tuple(int(n) for n in size),
             lids_above=min((float(points[rim, 1].min()) for rim in known.skin.rims), default=np.inf) - BAND,
             axes=_axes(points, known),
-            hands=hands,
-            hand_planes=tuple(ConvexHull(hand).equations for hand in hands),
+            extremities=extremities,
+            planes=tuple(ConvexHull(vertices).equations for vertices in extremities),
         )
 
 
@@ -166,6 +167,8 @@ class _SkinTopology:
     """Faces of the left and the right arm, without hands."""
     hands: Int[np.ndarray, " h"]
     """Faces of both hands."""
+    feet: Int[np.ndarray, " f"]
+    """Faces of both feet."""
     axis_vertices: tuple[Int[np.ndarray, " a"], ...]
     """For each of ``AXES`` a vertex of every eighth face of its parts; of the whole body if it lacks the parts."""
 
@@ -173,8 +176,9 @@ class _SkinTopology:
     def of(cls, skin: VisibleSkin) -> "_SkinTopology":
         corner, parts = skin.faces[::FACE_SAMPLE, 0], skin.parts[::FACE_SAMPLE]
         sampled = (corner[np.isin(parts, [part.value for part in own])] for own in AXES.values())
-        left, right, hands = (
-            np.flatnonzero(skin.parts == part.value) for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS)
+        left, right, hands, feet = (
+            np.flatnonzero(skin.parts == part.value)
+            for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM, BodyPart.HANDS, BodyPart.FEET)
         )
         return cls(
             skin,
@@ -183,6 +187,7 @@ class _SkinTopology:
             np.unique(skin.faces),
             (left, right),
             hands,
+            feet,
             tuple(own if len(own) else corner for own in sampled),
         )
 
@@ -200,7 +205,7 @@ def _skin(digest: bytes, body: Body) -> _SkinTopology:
 
 def _edges_without_lids(skin: VisibleSkin) -> Int[np.ndarray, "e 2"]:
     """Edges between vertices of the body; each lid adds one vertex, numbered after the body's."""
-    sides, _ = sides_of(skin.faces)
+    sides, _ = half_edges_of(skin.faces)
     low, high = np.sort(sides, axis=1).astype(np.int64).T
     edges = np.unique((low << 32) + high)
     edges = np.stack([edges >> 32, edges & 0xFFFFFFFF], axis=1)
@@ -239,16 +244,18 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
     return made
 
 
-def _hands(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
-    """The vertices of the left and of the right hand, as far as the body has them."""
-    vertices = points[np.unique(known.skin.faces[known.hands])]
-    sides = (vertices[vertices[:, 0] > 0.0], vertices[vertices[:, 0] <= 0.0])
+def _extremities(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
+    """See ``HostField.extremities``; without those that the body lacks."""
+    hands = points[np.unique(known.skin.faces[known.hands])]
+    feet = points[np.unique(known.skin.faces[known.feet])]
+    toes = feet[feet[:, 1] < feet[:, 1].min(initial=np.inf) + TOES]
+    sides = [part[side] for part in (hands, toes) for side in (part[:, 0] > 0.0, part[:, 0] <= 0.0)]
     return tuple(side for side in sides if len(side) and np.linalg.matrix_rank(side - side[0], tol=1e-3) == 3)
 
 
 def _hulls(host: HostField, voxels: Voxels, device: str) -> Iterator[Hull]:
-    """The hull of each hand, with the voxels within ``BAND`` of it."""
-    for vertices, planes in zip(host.hands, host.hand_planes, strict=True):
+    """The hulls of ``host``, with the voxels within ``BAND`` of each."""
+    for vertices, planes in zip(host.extremities, host.planes, strict=True):
         first = np.maximum(np.floor((vertices.min(axis=0) - BAND - host.low) / CELL), 0).astype(int)
         end = np.minimum(np.ceil((vertices.max(axis=0) + BAND - host.low) / CELL) + 1, host.shape).astype(int)
         hull = Hull()

@@ -77,6 +77,8 @@ class Solver:
         """Move cloth of the chosen worlds off the skin's triangles, without new crossings of cloth with cloth."""
         m, s = self.model, self.state
         chosen, through = self._chosen(worlds), wp.zeros_like(s.search.listed)
+        pierced, height = self._chosen(self.body_through(worlds) > 0), wp.zeros_like(s.search.skin)
+        edges, most_edges = self._body_edges()
         allowed, start, moved = wp.empty_like(s.search.skin), wp.clone(s.x), wp.empty_like(s.x)
         self.launch(finish.reset_allowed_moves, m.n_vertices, [m.worlds, m.cloth], [allowed])
         wp.copy(s.search.searching, chosen)
@@ -85,7 +87,11 @@ class Solver:
         self.launch(finish.bound_moves, (m.n_worlds, threads), [m.worlds, s.contacts, threads, chosen, s.x], [allowed])
         for _ in range(FINISHING_ROUNDS):
             self.launch(finish.mark_body_crossings, m.n_edges, [m.cloth, chosen, s.x], [through])
-            inputs = [m.worlds, m.cloth, chosen, through, allowed, start, s.x]
+            height.zero_()
+            bvh, roots = self.refitted_bvh()
+            inputs = [m.cloth, edges, bvh, roots, pierced, s.x]
+            self.launch(finish.measure_pierced_faces, (m.n_worlds, most_edges), inputs, [through, height])
+            inputs = [m.worlds, m.cloth, chosen, through, height, allowed, start, s.x]
             self.launch(finish.leave_skin, m.n_vertices, inputs, [moved])
             wp.copy(s.x, moved)
 
@@ -116,9 +122,8 @@ class Solver:
         m = self.model
         chosen = self._chosen(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
-        edges = wp.array([_edges_of(body) for body in m.bodies], dtype=crossing.BodyEdges, device=m.device)
+        edges, most_edges = self._body_edges()
         self._refit_bvh()
-        most_edges = max(len(body.edges) for body in m.bodies)
         self.launch(
             crossing.count_body_through,
             (m.n_worlds, most_edges),
@@ -126,6 +131,12 @@ class Solver:
             [counts],
         )
         return counts.numpy()
+
+    def _body_edges(self) -> tuple[wp.array, int]:
+        """(w) the edges of each world's skin, and the largest number of them."""
+        bodies = self.model.bodies
+        edges = wp.array([_edges_of(body) for body in bodies], dtype=crossing.BodyEdges, device=self.model.device)
+        return edges, max(len(body.edges) for body in bodies)
 
     def stretches(self) -> np.ndarray:
         """(e) length over flat length of every edge."""

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
-from gcd_dataset.generator.render import painted_garment
-from gcd_dataset.generator.render_batch import Exposure, View, expose
+from gcd_dataset.generator.render import garment_scene
+from gcd_dataset.generator.render_batch import PendingRender, View, start_render
 from gcd_dataset.records import Drape
 
 __all__ = ["PictureQueue"]
@@ -31,7 +31,7 @@ class PictureQueue:
     def __init__(self, device: str) -> None:
         self._device = device
         self._pending: list[_Pending] = []
-        self._in_flight: deque[tuple[Exposure, list[_Pending]]] = deque()
+        self._in_flight: deque[tuple[PendingRender, list[_Pending]]] = deque()
 
     def add(self, request: DrapeRequest, drape: Drape, reply: Callable[[DrapeReply], None]) -> None:
         """Add a draped garment; this call, or a later call of any method, calls ``reply`` with its pictures."""
@@ -66,11 +66,11 @@ class PictureQueue:
         while len(self._in_flight) >= MAX_IN_FLIGHT:
             self._reply_first()
         batch, self._pending = self._pending, []
-        scenes = [painted_garment(p.drape.vertices, p.request.job.box_mesh, p.request.job.body) for p in batch]
+        scenes = [garment_scene(p.drape.vertices, p.request.job.box_mesh, p.request.job.body) for p in batch]
         size = batch[0].request.picture
-        self._in_flight.append((expose(scenes, VIEWS, size=size, device=self._device), batch))
+        self._in_flight.append((start_render(scenes, VIEWS, size=size, device=self._device), batch))
 
     def _reply_first(self) -> None:
-        exposure, batch = self._in_flight.popleft()
-        for pending, (front, back) in zip(batch, exposure.pictures(), strict=True):
+        render, batch = self._in_flight.popleft()
+        for pending, (front, back) in zip(batch, render.pictures(), strict=True):
             pending.reply(DrapeReply(pending.request.number, pending.drape, (front, back)))

@@ -188,15 +188,16 @@ class _Skirt:
 def _fit_between_arms(
     mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]
 ) -> None:
-    """Compress one side of a bodice without a sleeve there, in ``placed``, to the room inside the arm."""
-    sleeve = mesh.faces[(roles == PanelRole.ARM)[mesh.panel_id]]
-    if (side * mesh.vertices[sleeve, 0] > 0.0).any():
-        return
+    """Compress one side of a bodice below the armhole, in ``placed``, to the room inside the arm."""
     bodice = np.unique(mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
     bodice = bodice[side * mesh.vertices[bodice, 0] > 0.0]
+    bodice = np.setdiff1d(bodice, mesh.faces[(roles == PanelRole.ARM)[mesh.panel_id]])
     height, reach = mesh.vertices[bodice, 1], side * mesh.vertices[bodice, 0]
     slices, arm_slices = (np.floor(y / SLICE).astype(int) for y in (height, arm.skin[:, 1]))
+    armhole = mesh.labels.get(EdgeRole.LEFT_ARMHOLE if side > 0.0 else EdgeRole.RIGHT_ARMHOLE)
     armpit = float(arm.skin[:, 1].max()) - ARMPIT
+    if armhole is not None and len(armhole):
+        armpit = min(armpit, float(mesh.vertices[armhole, 1].min()))
     for number in np.unique(slices[height < armpit]):
         beside = np.abs(arm_slices - number) <= 1
         here = (slices == number) & (height < armpit)

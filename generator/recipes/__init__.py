@@ -1,14 +1,14 @@
-"""Data sets by name: a recipe says all that decides what a data set holds, and others cite it.
+"""Recipes: named, citable descriptions of data sets, complete enough to make them again.
 
-A recipe is a TOML file, one of this package or of a user::
+A recipe is a TOML file, in this package or a user's own::
 
     name = "hoodies-2k"
     about = "1,000 hoodies on two bodies"      # one sentence
     designs = 1000
     seed = 0
-    patterns = "a41f…"                         # hash of all patterns, where it is known
+    patterns = "a41f…"                         # hash of all patterns, if known
 
-    [options]                                  # of ``MakeConfig``, but for those of ``FREE``
+    [options]                                  # options of ``MakeConfig`` other than ``FREE``
     bodies = "both"
     [options.design.collar.component]
     style = "Hood2Panels"
@@ -17,11 +17,11 @@ A recipe is a TOML file, one of this package or of a user::
     test = 0.1
     train = 0.9
 
-The split of a design is drawn by its number from the recipe's seed, before anything is made: all garments of a design
-are in one split, and its random bodies, which nothing else wears, too. In the order in which a recipe lists them the
-splits take the numbers from 0 to 1, so that recipes of one seed that begin with the same shares divide the same designs
-alike. Drapes that fail stay in the data set, with their outcome: which of them fail is not the same on every machine,
-and the patterns are to be.
+The split of a design is a function of the recipe's seed and the design's number. All garments of a design are in one
+split, and so are its random bodies, since each is drawn for one design. Splits cover the interval from 0 to 1 in the
+order listed: recipes with the same seed and the same leading shares put the same designs into those splits. Failed
+drapes stay in the data set with their outcome: the set of failures differs between machines, the set of patterns must
+not.
 
 >>> recipe = find_recipe("smoke-64-draft")
 >>> recipe.count, recipe.split_of(5), recipe.sizes()
@@ -53,10 +53,10 @@ from gcd_dataset.tomlfile import read_toml
 __all__ = ["FREE", "Recipe", "find_recipe", "read_recipe", "recipe_names"]
 
 FREE = ("device", "on_fail")
-"""Options of ``MakeConfig`` that no recipe has: where cloth is draped is free, and what fails is kept."""
+"""Options of ``MakeConfig`` not allowed in a recipe: any device will do, and failed drapes are always kept."""
 
 DRAFT = "-draft"
-MOST_DESIGNS = 5_000_000
+MAX_DESIGNS = 5_000_000
 TYPES: Mapping[str, tuple[type, str]] = {
     "name": (str, "a text"),
     "about": (str, "a text"),
@@ -72,85 +72,85 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a data set holds, but for the device it is made on."""
+    """All that decides the content of a data set, except the device."""
 
     name: str
     about: str
-    """What it is for, in a sentence."""
+    """Its purpose, in a sentence."""
     designs: int
     seed: int
     config: MakeConfig
     splits: Mapping[str, float]
-    """Split to its share of the designs; together 1."""
+    """Share of the designs in each split; the shares add up to 1."""
     patterns: str = ""
-    """``PatternHash.text`` of all its patterns; empty where nobody has made all of them."""
+    """``PatternHash.text`` of all patterns; empty if they have never all been made."""
 
     @property
     def count(self) -> int:
-        """Samples in all splits."""
+        """Number of samples in all splits."""
         return self.designs * self.config.wearers
 
     @property
     def sha256(self) -> str:
-        """Of all that decides what it holds: designs, seed, options, splits; of name and comments it does not tell."""
-        made = recipe_of(self.config)
-        del made["device"]
+        """SHA-256 of designs, seed, options and splits; name, comments and device do not count."""
+        options = recipe_of(self.config)
+        del options["device"]
         splits = [[name, share] for name, share in self.splits.items()]
-        return recipe_hash({"designs": self.designs, "seed": self.seed, "options": made, "splits": splits})
+        return recipe_hash({"designs": self.designs, "seed": self.seed, "options": options, "splits": splits})
 
     def split_of(self, index: int) -> str:
-        """The split of a sample."""
-        return tuple(self.splits)[self._places[index // self.config.wearers]]
+        """The split of sample ``index``."""
+        return tuple(self.splits)[self._split_numbers[index // self.config.wearers]]
 
     def indices_in(self, split: str) -> Int[np.ndarray, " n"]:
-        """Indices of the samples of a split, in order."""
-        designs = np.flatnonzero(self._places == tuple(self.splits).index(split))
+        """Indices of the samples of a split, ascending."""
+        designs = np.flatnonzero(self._split_numbers == tuple(self.splits).index(split))
         return (designs[:, None] * self.config.wearers + np.arange(self.config.wearers)).ravel()
 
     def sizes(self) -> dict[str, int]:
-        """Split to its number of samples."""
-        counts = np.bincount(self._places, minlength=len(self.splits)) * self.config.wearers
+        """Number of samples in each split."""
+        counts = np.bincount(self._split_numbers, minlength=len(self.splits)) * self.config.wearers
         return dict(zip(self.splits, counts.tolist(), strict=True))
 
     @property
-    def _places(self) -> Int[np.ndarray, " n"]:
-        return _drawn(self.seed, self.designs, tuple(self.splits.values()))
+    def _split_numbers(self) -> Int[np.ndarray, " n"]:
+        return _draw_splits(self.seed, self.designs, tuple(self.splits.values()))
 
 
 def find_recipe(name: str | Path) -> Recipe:
-    """The recipe of that name, or in the TOML file at that path.
+    """The recipe of this name, or in the TOML file at this path.
 
-    ``smoke-64`` is ``smoke-64-draft`` until there is one that is frozen. Raises ``ConfigError`` with the names there
-    are, and for a file that is no recipe.
+    ``smoke-64`` means ``smoke-64-draft`` until a frozen recipe of that name ships. Raises ``ConfigError`` with the
+    known names, and for an invalid file.
     """
     text = str(name)
     if text.endswith(".toml") or "/" in text:
         return read_recipe(user_path(text))
     known = recipe_names()
     if text not in known and text + DRAFT in known:
-        log.info("%s is not frozen yet: %s%s is taken, which will be another one day", text, text, DRAFT)
+        log.info("%s is not frozen yet: using %s%s, which may still change", text, text, DRAFT)
         text += DRAFT
     if text not in known:
         nearest = did_you_mean(text, [*known, *(other.removesuffix(DRAFT) for other in known)])
         raise ConfigError(
-            f"no recipe {shown(text)}: there are {', '.join(known)}, and files of your own, FILE.toml{nearest}"
+            f"no recipe {shown(text)}: there are {', '.join(known)}; or give the path of a FILE.toml{nearest}"
         )
     return read_recipe(Path(str(files(__name__) / f"{text}.toml")))
 
 
 def recipe_names() -> tuple[str, ...]:
-    """The recipes of this package, the smallest first."""
+    """Names of the recipes in this package, the smallest data set first."""
     names = [entry.name.removesuffix(".toml") for entry in files(__name__).iterdir() if entry.name.endswith(".toml")]
     sizes = {name: read_recipe(Path(str(files(__name__) / f"{name}.toml"))).designs for name in names}
     return tuple(sorted(names, key=lambda name: (sizes[name], name)))
 
 
 def read_recipe(path: Path) -> Recipe:
-    """The recipe in a TOML file. Raises ``ConfigError`` with the entry that is wrong."""
+    """The recipe in a TOML file. Raises ``ConfigError`` with the file and the invalid entry."""
     values = read_toml(path)
     try:
         return _recipe(values)
-    except (ConfigError, ShardError) as error:  # of options and splits, of names
+    except (ConfigError, ShardError) as error:  # ShardError: an invalid name
         raise ConfigError(f"{path}: {error}") from error
 
 
@@ -180,7 +180,7 @@ def _recipe(values: Mapping[str, Any]) -> Recipe:
 def _config(values: Mapping[str, Any]) -> MakeConfig:
     options = {name.replace("-", "_"): value for name, value in values.items()}
     if free := [name for name in FREE if name in options]:
-        raise ConfigError(f"options: {free[0]} is no part of a recipe: leave it out")
+        raise ConfigError(f"options: {free[0]} is not part of a recipe: leave it out")
     require_options(options, MakeConfig)
     if isinstance(options.get("design"), Mapping):
         options["design"] = Overlay.from_dict(options["design"])
@@ -193,26 +193,26 @@ def _splits(values: Mapping[str, Any]) -> dict[str, float]:
         if isinstance(share, bool) or not isinstance(share, int | float) or not 0 < share <= 1:
             raise ConfigError(f"splits: {name} is {share!r:.99}: give its share of the designs, such as 0.05")
     if abs(sum(values.values()) - 1) > 1e-9:
-        raise ConfigError(f"splits: shares add up to {sum(values.values()):g}: give some that add up to 1")
+        raise ConfigError(f"splits: shares add up to {sum(values.values()):g}: they must add up to 1")
     return {name: float(share) for name, share in values.items()}
 
 
 def _require_sound(recipe: Recipe) -> None:
-    if not 1 <= recipe.designs <= MOST_DESIGNS:
-        raise ConfigError(f"designs is {recipe.designs}: give 1 to {MOST_DESIGNS}")
+    if not 1 <= recipe.designs <= MAX_DESIGNS:
+        raise ConfigError(f"designs is {recipe.designs}: give 1 to {MAX_DESIGNS}")
     if recipe.seed < 0:
         raise ConfigError(f"seed is {recipe.seed}: give 0 or more")
     if recipe.patterns and not re.fullmatch(r"[0-9a-f]{64}", recipe.patterns):
         raise ConfigError(f"patterns is {recipe.patterns!r:.99}: give 64 hexadecimal digits, or leave it out")
     if empty := [name for name, size in recipe.sizes().items() if not size]:
-        raise ConfigError(f"splits: {empty[0]} gets none of {recipe.designs} designs: give more of them, or more share")
+        raise ConfigError(f"splits: {empty[0]} gets none of {recipe.designs} designs: give it more share")
 
 
 @lru_cache(maxsize=8)
-def _drawn(seed: int, designs: int, shares: tuple[float, ...]) -> Int[np.ndarray, " n"]:
-    """The place of the split of each design among the splits; that of a design does not depend on how many follow."""
-    chances = rng(seed, 0, Stage.SPLIT).random(designs)
+def _draw_splits(seed: int, designs: int, shares: tuple[float, ...]) -> Int[np.ndarray, " n"]:
+    """The index of each design's split; a longer list of designs begins with the same splits."""
+    uniform = rng(seed, 0, Stage.SPLIT).random(designs)
     ends = np.cumsum(shares)
-    places = np.minimum(np.searchsorted(ends, chances, side="right"), len(ends) - 1)
-    places.flags.writeable = False  # all recipes of these shares have this one
-    return places
+    splits = np.minimum(np.searchsorted(ends, uniform, side="right"), len(ends) - 1)
+    splits.flags.writeable = False  # cached: recipes with the same shares share the array
+    return splits

@@ -1,8 +1,8 @@
-"""The patterns of a recipe, made without draping them; and what to do when the sampler has changed:
+"""The patterns of a recipe, made without draping, and their hash. After a change of the sampler run
 
     python -m gcd_dataset.generator.recipes.hashing standard-1k-draft
 
-prints the hash of all patterns, which goes into the recipe as ``patterns``. A core makes 15 patterns a second.
+and write the printed hash into the recipe as ``patterns``. A core makes 15 patterns a second.
 """
 
 import argparse
@@ -18,18 +18,18 @@ __all__ = ["made_patterns"]
 
 
 def made_patterns(recipe: Recipe, designs: Iterable[int]) -> Iterator[tuple[int, PatternTensor]]:
-    """Index and pattern of the samples of some designs. Raises ``PatternError`` as ``produce`` does."""
-    # Up to the mesh: a design that cannot be meshed is turned down, and the next has another pattern.
+    """Index and pattern of all samples of the given designs. Raises ``PatternError`` as ``produce`` does."""
+    # Up to the mesh: a design that cannot be meshed is rejected, and the next attempt has another pattern.
     config = replace(recipe.config, stage="mesh") if recipe.config.stage == "drape" else recipe.config
     for number in designs:
-        for worn in prepare(recipe.seed, number, config).dressed:
-            yield worn.index, encode_pattern(worn.pattern)
+        for wearer in prepare(recipe.seed, number, config).dressed:
+            yield wearer.index, encode_pattern(wearer.pattern)
 
 
 def main() -> None:
     """Print the hash of all patterns of a recipe."""
     parser = argparse.ArgumentParser(description="the hash of all patterns of a recipe")
-    parser.add_argument("recipe", help="its name, or the path of a TOML file")
+    parser.add_argument("recipe", help="name of a recipe, or path of a TOML file")
     recipe = find_recipe(parser.parse_args().recipe)
     print(PatternHash.of(made_patterns(recipe, range(recipe.designs))).text)
 

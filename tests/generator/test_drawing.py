@@ -1,4 +1,4 @@
-"""Flat drawings, sheets and their files show what is there."""
+"""Flat drawings are to scale; sheets hold their pictures; files decode to the same pixels."""
 
 import io
 from dataclasses import replace
@@ -30,7 +30,7 @@ def test_a_pattern_is_drawn_to_scale() -> None:
 
 
 @pytest.mark.parametrize("name", ["", " ", "\u200b"])
-def test_a_panel_is_drawn_whatever_its_name(name: str) -> None:
+def test_a_panel_with_any_name_is_drawn(name: str) -> None:
     pattern = napkins()
     drawn = draw_pattern(replace(pattern, panels=(replace(pattern.panels[0], name=name), pattern.panels[1])), size=64)
     assert not is_paper(drawn).all()

@@ -1,4 +1,4 @@
-"""The maker gives the same samples by any draper and any number of workers."""
+"""``produce`` makes the same samples with any draper and any number of workers."""
 
 import subprocess
 import sys
@@ -30,12 +30,12 @@ def test_workers_make_the_samples_of_one_process() -> None:
     assert list(produce(5, range(7), MESHED, workers=3)) == alone
 
 
-def test_workers_hand_over_what_is_asked_for() -> None:
+def test_workers_return_the_results_of_finished() -> None:
     alone = [encode_sample(sample) for sample in produce(5, [4, 0, 1], FLAT)]
     assert list(produce(5, [4, 0, 1], FLAT, workers=2, finished=encode_sample)) == alone
 
 
-def test_another_process_drapes_the_same() -> None:
+def test_a_draping_process_gives_the_same_samples() -> None:
     here = list(produce(5, range(2), DRAPED))
     with SharedDraper(address_for("cpu")) as draper:
         assert list(produce(5, range(2), DRAPED, draper=draper)) == here
@@ -57,16 +57,16 @@ def run(*arguments: str, given: str = "") -> subprocess.CompletedProcess[str]:
 def test_workers_serve_scripts_and_standard_input(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(guarded=True))
-    for ended in (run(str(script)), run("-", given=SCRIPT.format(guarded=True))):
-        assert ended.stdout.strip() == str([sample_key(0), sample_key(1)]), ended.stderr
+    for finished in (run(str(script)), run("-", given=SCRIPT.format(guarded=True))):
+        assert finished.stdout.strip() == str([sample_key(0), sample_key(1)]), finished.stderr
 
 
-def test_a_script_without_a_guard_is_told_of_it(tmp_path: Path) -> None:
+def test_a_script_without_a_main_guard_gets_an_error_that_says_so(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(guarded=False))
-    ended = run(str(script))
-    assert ended.returncode == 1
-    assert "begins its work under if __name__" in ended.stderr
+    finished = run(str(script))
+    assert finished.returncode == 1
+    assert "begins its work under if __name__" in finished.stderr
 
 
 def test_indices_may_be_infinite() -> None:
@@ -79,10 +79,10 @@ def test_indices_may_be_infinite() -> None:
     assert first == third != second
 
 
-def test_samples_before_a_failure_are_handed_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_samples_before_a_failure_are_yielded(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(seed: int, number: int, *_: object) -> pipeline.DressedDesign:
         if number == 2:
-            raise PatternError("sample 4: 3 designs were turned down")
+            raise PatternError("sample 4: 3 designs were rejected")
         return pipeline.prepare(seed, number, FLAT)
 
     monkeypatch.setattr("gcd_dataset.generator.maker.prepare", never)
@@ -94,7 +94,7 @@ def test_samples_before_a_failure_are_handed_out(monkeypatch: pytest.MonkeyPatch
 
 def test_a_failure_in_a_worker_is_raised_here() -> None:
     heavy = Overlay.from_dict({"meta": {"upper": "none", "bottom": "SkirtCircle"}, "flare-skirt": {"length": 0.9}})
-    with pytest.raises(PatternError, match="2 designs were turned down, the last for: too_heavy"):
+    with pytest.raises(PatternError, match="2 designs were rejected, the last for: too_heavy"):
         list(produce(5, range(4), replace(FLAT, design=heavy, max_attempts=2), workers=2))
 
 
@@ -106,13 +106,13 @@ def test_devices_are_named(name: str, devices: tuple[str, ...]) -> None:
     assert devices_of(MakeConfig(device=name)) == devices
 
 
-def test_a_device_that_cannot_be_is_refused() -> None:
+def test_a_malformed_device_is_an_error() -> None:
     with pytest.raises(ConfigError, match="several as cuda:0,1"):
         devices_of(MakeConfig(device="gpu"))
 
 
 def test_a_failure_waits_for_the_results_before_it() -> None:
-    """The third piece of work fails first; the first two are still under way then."""
+    """The third piece of work fails first, while the first two are still in work."""
     begun: list[DrapeRequest] = []
 
     class Backwards:

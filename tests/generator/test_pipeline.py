@@ -1,4 +1,4 @@
-"""A sample is decided by seed, index and recipe, and by nothing else."""
+"""A sample depends on seed, index and recipe alone."""
 
 import io
 import json
@@ -29,7 +29,7 @@ MESHED = MakeConfig(stage="mesh", resolution=4.0, points=64)
 DRAPED = MakeConfig(resolution=4.0, points=64, picture=48, device="cpu")
 
 
-def test_alone_or_in_any_order_it_is_the_same_sample() -> None:
+def test_a_sample_is_the_same_alone_and_in_any_order() -> None:
     in_order = list(produce(5, range(4), MESHED))
     backwards = list(produce(5, [3, 2, 1, 0], MESHED))
     assert in_order == backwards[::-1]
@@ -44,7 +44,7 @@ def test_seeds_and_indices_make_different_garments() -> None:
     assert first.measurements != other.measurements
 
 
-def test_a_stage_leaves_out_what_comes_after_it() -> None:
+def test_a_stage_leaves_out_the_later_fields() -> None:
     flat, meshed = make(5, 0, FLAT), make(5, 0, MESHED)
     assert flat.box_mesh is None
     assert flat.points is None
@@ -79,15 +79,15 @@ def test_one_design_may_have_many_wearers() -> None:
         replace(config, bodies="neutral")
 
 
-def test_arms_held_otherwise_wear_the_same_pattern() -> None:
+def test_turned_arms_do_not_change_the_pattern() -> None:
     in_pose = list(produce(5, range(4), FLAT))
-    otherwise = list(produce(5, range(4), replace(FLAT, arms=15)))
-    assert [sample.pattern for sample in otherwise] == [sample.pattern for sample in in_pose]
-    assert [sample.measurements for sample in otherwise] == [sample.measurements for sample in in_pose]
-    turns = [np.degrees(sample.shape.arm_angle) for sample in otherwise if sample.shape]
+    turned = list(produce(5, range(4), replace(FLAT, arms=15)))
+    assert [sample.pattern for sample in turned] == [sample.pattern for sample in in_pose]
+    assert [sample.measurements for sample in turned] == [sample.measurements for sample in in_pose]
+    turns = [np.degrees(sample.shape.arm_angle) for sample in turned if sample.shape]
     assert len(set(turns)) == 4
     assert 1.0 < np.abs(turns).max() <= 15.0
-    assert make(5, 2, replace(FLAT, arms=15)) == otherwise[2]
+    assert make(5, 2, replace(FLAT, arms=15)) == turned[2]
     assert "arms" not in recipe_of(FLAT)
     assert recipe_of(replace(FLAT, arms=15))["arms"] == 15.0
     with pytest.raises(ConfigError, match="arms is 50"):
@@ -101,7 +101,7 @@ def test_women_and_men_of_the_population_wear_designs(sex: Literal["female", "ma
     assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), sex=sex)))
 
 
-def test_a_draped_sample_is_whole() -> None:
+def test_a_draped_sample_is_complete() -> None:
     sample = make(5, 1, DRAPED)
     assert sample.drape is not None
     assert sample.box_mesh is not None
@@ -121,7 +121,7 @@ NEUTRAL = measure(build_body(neutral_shape()))
 
 
 class Failing:
-    """A draper by which the first ``times`` drapes for each wearer do not settle; cloth stays where it hangs."""
+    """A draper that fails the first ``times`` drapes of each wearer; vertices stay at their start positions."""
 
     at_once = 2
 
@@ -170,8 +170,8 @@ def test_a_drape_that_fails_can_be_kept() -> None:
     assert sample.provenance.rejects == rejects
 
 
-def test_a_design_is_turned_down_for_both_bodies() -> None:
-    """Only the random body's drape fails, once; the neutral body, which comes first, goes on to the next design too."""
+def test_a_failed_drape_rejects_the_design_for_both_bodies() -> None:
+    """Only the random body's drape fails, once; the neutral body gets the next design too."""
     config = replace(DRAPED, picture=0, bodies="both")
     neutral, random = produce(5, [6, 7], config, draper=Failing(1, but_neutral=True))
     assert neutral.design == random.design
@@ -180,7 +180,7 @@ def test_a_design_is_turned_down_for_both_bodies() -> None:
     assert list(produce(5, [6], config, draper=Failing(1, but_neutral=True))) == [neutral]
 
 
-def test_a_mesh_that_fails_turns_a_design_down_for_both_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_mesh_rejects_the_design_for_both_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = iter(range(100))
 
     def sometimes(pattern: Pattern, *, spacing: float) -> BoxMesh:
@@ -194,31 +194,31 @@ def test_a_mesh_that_fails_turns_a_design_down_for_both_bodies(monkeypatch: pyte
     assert "cannot_be_meshed: panel front is nearly a line" in neutral.provenance.rejects
 
 
-def test_the_last_attempt_is_kept_as_it_is() -> None:
-    """One garment that never settles does not hold up a data set."""
+def test_a_failed_last_attempt_is_kept() -> None:
+    """A garment that never settles does not stop a data set."""
     [sample] = produce(5, [7], replace(DRAPED, picture=0, max_attempts=3), draper=Failing(99))
     assert sample.drape is not None
     assert sample.drape.outcome is Outcome.NOT_SETTLED
     assert sample.provenance.attempts == 3
 
 
-def test_an_index_without_a_pattern_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_of_an_index_without_a_pattern_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(size: object, design: object, *, name: str) -> Reject:
         return Reject("short_edge", "it is 0.3 cm")
 
     monkeypatch.setattr(pipeline, "try_on", never)
-    told = "sample 7 of seed 5: 3 designs were turned down, the last for: short_edge: it is 0.3 cm"
-    with pytest.raises(PatternError, match=told):
+    message = "sample 7 of seed 5: 3 designs were rejected, the last for: short_edge: it is 0.3 cm"
+    with pytest.raises(PatternError, match=message):
         make(5, 7, replace(FLAT, max_attempts=3))
 
 
-def test_an_index_may_be_asked_for_twice() -> None:
+def test_an_index_may_be_requested_twice() -> None:
     first, second, third = produce(5, [1, 0, 1], FLAT)
     assert first == third != second
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "said"),
+    ("option", "value", "expected"),
     [
         ("resolution", "fine", "resolution is 'fine': give a number"),
         ("points", 3.5, "points is 3.5: give a whole number"),
@@ -234,24 +234,24 @@ def test_an_index_may_be_asked_for_twice() -> None:
         ("fabric", "denin", "fabric is 'denin': known are default, gcd_soft"),
     ],
 )
-def test_options_are_checked(option: str, value: object, said: str) -> None:
-    with pytest.raises(ConfigError, match=re.escape(said)):
+def test_options_are_checked(option: str, value: object, expected: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(expected)):
         MakeConfig(**{option: value})  # type: ignore[arg-type]
 
 
-def test_a_recipe_tells_no_difference_between_2_and_2_0() -> None:
+def test_a_recipe_is_the_same_with_2_and_2_0() -> None:
     assert json.dumps(recipe_of(replace(DRAPED, resolution=2))) == json.dumps(
         recipe_of(replace(DRAPED, resolution=2.0))
     )
     assert recipe_of(DRAPED)["device"] == "cpu"
 
 
-def test_the_fabric_is_part_of_the_recipe_where_one_is_named() -> None:
-    assert "fabric" not in recipe_of(DRAPED)  # as before there was a choice
+def test_a_fabric_other_than_the_default_is_part_of_the_recipe() -> None:
+    assert "fabric" not in recipe_of(DRAPED)  # recipes from before the option keep their hash
     assert recipe_of(replace(DRAPED, fabric="denim"))["fabric"] == "denim"
 
 
-def test_a_garment_hangs_otherwise_in_another_fabric() -> None:
+def test_another_fabric_drapes_differently() -> None:
     skirts = replace(DRAPED, design=only(upper="none", bottom="SkirtCircle"), resolution=5.0, picture=0)
     usual, limp = (make(5, 0, replace(skirts, fabric=name)) for name in ("default", "gcd_soft"))
     assert usual.pattern == limp.pattern
@@ -264,8 +264,8 @@ def only(**meta: str) -> Overlay:
     return Overlay.from_dict({"meta": meta})
 
 
-def test_trousers_are_put_on_legs_apart() -> None:
-    """Measured with legs together, as every body is."""
+def test_trousers_are_draped_on_legs_apart() -> None:
+    """Measured with legs together, like every body."""
     trousers = make(5, 0, replace(FLAT, design=only(upper="none", bottom="Pants")))
     skirt = make(5, 0, replace(FLAT, design=only(upper="none", bottom="PencilSkirt")))
     assert trousers.shape is not None

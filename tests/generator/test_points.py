@@ -1,4 +1,4 @@
-"""Points lie on the surface, evenly."""
+"""Sampled points lie on the surface and are uniform by area."""
 
 import numpy as np
 import trimesh
@@ -6,7 +6,7 @@ import trimesh
 from gcd_dataset.generator.points import sample_surface
 
 
-def test_points_of_a_ball_lie_on_it_and_look_outwards() -> None:
+def test_points_of_a_ball_lie_on_it_with_outward_normals() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=10.0)
     sampled = sample_surface(np.asarray(ball.vertices), np.asarray(ball.faces), 500, np.random.default_rng(0))
     points, normals = sampled[:, :3], sampled[:, 3:]
@@ -16,16 +16,16 @@ def test_points_of_a_ball_lie_on_it_and_look_outwards() -> None:
 
 
 def test_points_are_spread_by_area() -> None:
-    """A large triangle of three times the area of a small one gets three quarters of the points."""
+    """A triangle with three times the area of another gets three quarters of the points."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 1, 5]], float)
     faces = np.array([[0, 1, 2], [3, 4, 5]])
     points = sample_surface(vertices, faces, 4000, np.random.default_rng(1))[:, :3]
     large = points[points[:, 2] > 1]
     assert len(large) == 3000
-    assert np.allclose(large.mean(axis=0), [1.0, 1 / 3, 5.0], atol=0.05)  # evenly: the mean is the centroid
+    assert np.allclose(large.mean(axis=0), [1.0, 1 / 3, 5.0], atol=0.05)  # uniform: the mean is the centroid
 
 
-def test_any_part_of_the_list_is_spread_like_the_whole() -> None:
+def test_any_slice_of_the_points_is_spread_like_all_of_them() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 1, 5]], float)
     points = sample_surface(vertices, np.array([[0, 1, 2], [3, 4, 5]]), 4000, np.random.default_rng(1))
     assert abs((points[:400, 2] > 1).mean() - 0.75) < 0.08

@@ -1,4 +1,4 @@
-"""Recipes say all that a data set holds, and the split of a design for ever."""
+"""Recipes decide the content of a data set and, for good, the split of each design."""
 
 from pathlib import Path
 
@@ -47,9 +47,9 @@ def test_all_garments_of_a_design_are_in_one_split_and_every_garment_in_one() ->
     recipe = find_recipe("standard-1k-draft")
     indices = {split: recipe.indices_in(split) for split in recipe.splits}
     assert sorted(np.concatenate(list(indices.values())).tolist()) == list(range(1000))
-    designs = {split: set((there // 2).tolist()) for split, there in indices.items()}
+    designs = {split: set((rows // 2).tolist()) for split, rows in indices.items()}
     assert sum(map(len, designs.values())) == 500
-    assert all(recipe.split_of(int(index)) == split for split, there in indices.items() for index in there)
+    assert all(recipe.split_of(int(index)) == split for split, rows in indices.items() for index in rows)
 
 
 def test_a_design_of_a_small_data_set_is_in_the_same_split_of_a_large_one() -> None:
@@ -57,46 +57,46 @@ def test_a_design_of_a_small_data_set_is_in_the_same_split_of_a_large_one() -> N
     assert all(small.split_of(index) == large.split_of(index) for index in range(small.count))
 
 
-def test_the_split_of_a_design_stands_for_ever() -> None:
-    """Written down once: whoever changes how splits are drawn changes what others have cited."""
+def test_the_split_of_a_design_never_changes() -> None:
+    """Recorded figures: a change in how splits are drawn would change data sets that others have cited."""
     recipe = find_recipe("full-230k-draft")
-    put_aside = {split: recipe.indices_in(split)[::2][:4] // 2 for split in ("test", "validation")}
-    assert {split: designs.tolist() for split, designs in put_aside.items()} == PUT_ASIDE
+    held_out = {split: recipe.indices_in(split)[::2][:4] // 2 for split in ("test", "validation")}
+    assert {split: designs.tolist() for split, designs in held_out.items()} == HELD_OUT
     assert recipe.sizes() == {"test": 11634, "validation": 11438, "train": 206928}
 
 
-PUT_ASIDE = {"test": [11, 51, 54, 55], "validation": [1, 28, 32, 62]}
+HELD_OUT = {"test": [11, 51, 54, 55], "validation": [1, 28, 32, 62]}
 
 
-def test_the_smoke_set_is_the_one_that_is_cited() -> None:
-    """Where the sampler has changed, ``python -m gcd_dataset.generator.recipes.hashing NAME`` gives the new hashes."""
+def test_the_smoke_set_has_the_cited_hash() -> None:
+    """After a change of the sampler, ``python -m gcd_dataset.generator.recipes.hashing NAME`` prints the new hash."""
     recipe = find_recipe("smoke-64-draft")
     assert PatternHash.of(made_patterns(recipe, range(recipe.designs))).agrees(recipe.patterns)
 
 
-def test_a_draft_answers_to_the_name_it_will_have(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_draft_is_found_by_its_name_without_the_suffix(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level("INFO", logger="gcd_dataset"):
         assert find_recipe("smoke-64") == find_recipe("smoke-64-draft")
-    assert "smoke-64 is not frozen yet: smoke-64-draft is taken" in caplog.text
+    assert "smoke-64 is not frozen yet: using smoke-64-draft" in caplog.text
 
 
-def test_an_unknown_recipe_is_answered_with_those_there_are() -> None:
+def test_an_unknown_recipe_is_an_error_that_lists_the_known_ones() -> None:
     with pytest.raises(ConfigError, match=r"no recipe smok-64: there are smoke-64-draft, .*: did you mean smoke-64\?"):
         find_recipe("smok-64")
     with pytest.raises(ConfigError, match=r"gone\.toml: no such file"):
         find_recipe("gone.toml")
 
 
-def test_a_recipe_of_ones_own(tmp_path: Path) -> None:
+def test_a_recipe_file_of_the_user(tmp_path: Path) -> None:
     recipe = find_recipe(written(tmp_path))
     assert (recipe.name, recipe.count, recipe.patterns) == ("tiny", 20, "")
     assert recipe.config == MakeConfig(bodies="both", stage="pattern", on_fail="keep")
     overlaid = TINY.replace("[splits]", '[options.design.meta]\nbottom = "none"\n[splits]')
-    told = read_recipe(written(tmp_path, overlaid)).config.design.to_dict()
-    assert told["meta"]["bottom"]["options"] == ["none"]
+    design = read_recipe(written(tmp_path, overlaid)).config.design.to_dict()
+    assert design["meta"]["bottom"]["options"] == ["none"]
 
 
-def test_comments_and_names_do_not_change_what_a_recipe_makes(tmp_path: Path) -> None:
+def test_comments_and_names_do_not_change_the_hash_of_a_recipe(tmp_path: Path) -> None:
     first = read_recipe(written(tmp_path)).sha256
     same = TINY.replace('"tiny"', '"small"').replace("0.2", "0.20  # of the designs")
     assert read_recipe(written(tmp_path, same)).sha256 == first
@@ -126,15 +126,15 @@ def test_comments_and_names_do_not_change_what_a_recipe_makes(tmp_path: Path) ->
         ("test = 0.2\ntrain = 0.8", "", "shares add up to 0"),
         ('stage = "pattern"', 'stage = "drap"', "stage is 'drap': known are pattern, mesh, drape"),
         ('stage = "pattern"', "resolutoin = 2", r"no option resolutoin: .* did you mean resolution\?"),
-        ('stage = "pattern"', 'device = "cpu"', "options: device is no part of a recipe"),
-        ('stage = "pattern"', 'on-fail = "retry"', "options: on_fail is no part of a recipe"),
+        ('stage = "pattern"', 'device = "cpu"', "options: device is not part of a recipe"),
+        ('stage = "pattern"', 'on-fail = "retry"', "options: on_fail is not part of a recipe"),
         ('stage = "pattern"', 'design = "hoodie"', "design is 'hoodie'"),
         ("[options]", "options = 3\n[splits.other]", "options is 3: give a table"),
         ("seed = 3", 'seed = 3\npatterns = "abc"', "patterns is 'abc': give 64 hexadecimal digits"),
     ],
 )
-def test_a_broken_recipe_is_told_with_the_entry(tmp_path: Path, change: str, to: str, message: str) -> None:
+def test_an_error_in_a_recipe_names_file_and_entry(tmp_path: Path, change: str, to: str, message: str) -> None:
     assert change in TINY
-    with pytest.raises(ConfigError, match=message) as told:
+    with pytest.raises(ConfigError, match=message) as caught:
         read_recipe(written(tmp_path, TINY.replace(change, to)))
-    assert str(told.value).startswith(str(tmp_path / "tiny.toml"))
+    assert str(caught.value).startswith(str(tmp_path / "tiny.toml"))

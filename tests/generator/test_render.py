@@ -1,4 +1,4 @@
-"""Pictures show what is there."""
+"""Renders show shapes, sides, colours and shading as the geometry demands."""
 
 import io
 from dataclasses import replace
@@ -13,13 +13,13 @@ from gcd_dataset.generator.colours import PAPER
 from gcd_dataset.generator.pipeline import prepare
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.generator.render import (
-    Painted,
-    painted_garment,
+    ColouredMesh,
+    garment_scene,
     render_garment,
     render_sample,
     render_view,
 )
-from gcd_dataset.generator.render_batch import DISTANCE, MARGIN, View, expose
+from gcd_dataset.generator.render_batch import DISTANCE, MARGIN, View, start_render
 from gcd_dataset.records import Drape, Outcome, Provenance, Sample
 from tests.helpers import SIZE, body_from, napkins, patch
 
@@ -28,8 +28,10 @@ VIEWS: tuple[View, View] = ("front", "back")
 RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9)
 
 
-def painted(shape: trimesh.Trimesh, paint: np.ndarray, *colours: tuple[float, float, float]) -> list[Painted]:
-    return [Painted(np.asarray(shape.vertices, float), np.asarray(shape.faces), paint, np.array(colours))]
+def coloured(
+    shape: trimesh.Trimesh, colour_of_face: np.ndarray, *colours: tuple[float, float, float]
+) -> list[ColouredMesh]:
+    return [ColouredMesh(np.asarray(shape.vertices, float), np.asarray(shape.faces), colour_of_face, np.array(colours))]
 
 
 def is_paper(picture: np.ndarray) -> np.ndarray:
@@ -37,9 +39,9 @@ def is_paper(picture: np.ndarray) -> np.ndarray:
 
 
 def test_a_ball_fills_its_circle() -> None:
-    """Seen from a distance d, a ball of radius r is a disc under the angle asin(r / d)."""
+    """From distance d, a ball of radius r is a disc of angular radius asin(r / d)."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
-    picture = render_view(painted(ball, np.zeros(len(ball.faces), int), RED), size=128, device="cpu")
+    picture = render_view(coloured(ball, np.zeros(len(ball.faces), int), RED), size=128, device="cpu")
     share = 1 - is_paper(picture).mean()
     radius = np.tan(np.arcsin(20.0 / DISTANCE)) * (DISTANCE - 20.0) / (MARGIN * 20.0)  # of half the picture
     assert share == pytest.approx(np.pi / 4 * radius**2, abs=0.01)
@@ -48,37 +50,37 @@ def test_a_ball_fills_its_circle() -> None:
 def test_front_and_back_show_their_own_sides() -> None:
     box = trimesh.creation.box(extents=(20.0, 20.0, 4.0))
     at_back = np.asarray(box.triangles_center)[:, 2] < -1.0
-    shown = painted(box, at_back.astype(int), RED, BLUE)
-    front, back = (render_view(shown, size=64, view=view, device="cpu")[32, 32] for view in ("front", "back"))
+    scene = coloured(box, at_back.astype(int), RED, BLUE)
+    front, back = (render_view(scene, size=64, view=view, device="cpu")[32, 32] for view in ("front", "back"))
     assert front[0] > 2 * front[2]
     assert back[2] > 2 * back[0]
 
 
 def test_left_is_the_wearers_left() -> None:
-    """The wearer's left, +x, is on the right of a picture from the front, and on the left of one from behind."""
+    """The wearer's left, +x, is on the right of the front view and on the left of the back view."""
     box = trimesh.creation.box(extents=(20.0, 20.0, 4.0))
     left = trimesh.creation.box(extents=(4.0, 4.0, 6.0))
     left.apply_translation([8.0, 0.0, 0.0])
     both = trimesh.util.concatenate([box, left])
-    shown = painted(both, np.repeat([0, 1], [len(box.faces), len(left.faces)]), RED, BLUE)
-    front, back = (render_view(shown, size=96, view=view, device="cpu").astype(int) for view in ("front", "back"))
+    scene = coloured(both, np.repeat([0, 1], [len(box.faces), len(left.faces)]), RED, BLUE)
+    front, back = (render_view(scene, size=96, view=view, device="cpu").astype(int) for view in ("front", "back"))
     assert np.nonzero(front[..., 2] > front[..., 0] + 40)[1].mean() > 64
     assert np.nonzero(back[..., 2] > back[..., 0] + 40)[1].mean() < 32
 
 
-def test_cloth_hides_the_body_and_is_darker_inside() -> None:
+def test_cloth_hides_the_body_and_its_wrong_side_is_darker() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
     cloth = patch(12, 12, spacing=2.0, origin=(-12.0, -12.0, 8.0))
-    shown = painted_garment(cloth.vertices, cloth, body_from(ball))
-    front = render_view(shown, size=64, view="front", device="cpu")[32, 32].astype(int)
-    behind = [replace(thing, vertices=thing.vertices - [0, 0, 16.0]) for thing in shown]
+    scene = garment_scene(cloth.vertices, cloth, body_from(ball))
+    front = render_view(scene, size=64, view="front", device="cpu")[32, 32].astype(int)
+    behind = [replace(mesh, vertices=mesh.vertices - [0, 0, 16.0]) for mesh in scene]
     inside = render_view(behind, size=64, view="back", device="cpu")
-    assert front[2] > front[0]  # the first panel is blue, skin is not
+    assert front[2] > front[0]  # the first panel's colour is blue, unlike skin
     assert inside[8, 8].sum() < 0.8 * front.sum()
 
 
 def test_a_corner_that_sees_little_sky_is_darker() -> None:
-    """A plate under the edge of a lid 3 cm in front of it: the light comes from one side only."""
+    """A plate with a lid 3 cm in front of one half: near the lid's edge half of the sky is occluded."""
     open_plate = trimesh.creation.box(extents=(40.0, 40.0, 1.0))
     for _ in range(4):
         open_plate = open_plate.subdivide()
@@ -86,7 +88,7 @@ def test_a_corner_that_sees_little_sky_is_darker() -> None:
     lid.apply_translation([-10.0, 0.0, 4.0])
     covered = trimesh.util.concatenate([open_plate, lid])
     bare, shaded = (
-        render_view(painted(shape, np.zeros(len(shape.faces), int), RED), size=64, device="cpu")
+        render_view(coloured(shape, np.zeros(len(shape.faces), int), RED), size=64, device="cpu")
         for shape in (open_plate, covered)
     )
     beside_the_lid, far_from_it = (32, 34), (32, 52)
@@ -97,31 +99,31 @@ def test_a_corner_that_sees_little_sky_is_darker() -> None:
 def test_front_and_back_of_a_garment_are_its_views() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
     cloth = patch(6, 6, spacing=2.0, origin=(-6.0, -6.0, 8.0))
-    shown = painted_garment(cloth.vertices, cloth, body_from(ball))
+    scene = garment_scene(cloth.vertices, cloth, body_from(ball))
     front, back = render_garment(cloth.vertices, cloth, body_from(ball), size=32, device="cpu")
-    assert np.array_equal(front, render_view(shown, size=32, view="front", device="cpu"))
-    assert np.array_equal(back, render_view(shown, size=32, view="back", device="cpu"))
+    assert np.array_equal(front, render_view(scene, size=32, view="front", device="cpu"))
+    assert np.array_equal(back, render_view(scene, size=32, view="back", device="cpu"))
 
 
 def test_a_garment_looks_the_same_alone_as_among_others() -> None:
-    worn = prepare(1, 1, GARMENTS).dressed
-    scenes = [painted_garment(one.box_mesh.vertices, one.box_mesh, one.body) for one in worn if one.box_mesh]
+    wearers = prepare(1, 1, GARMENTS).dressed
+    scenes = [garment_scene(one.box_mesh.vertices, one.box_mesh, one.body) for one in wearers if one.box_mesh]
     assert len(scenes) == 2
-    together = expose(scenes, ["back", "front"], size=48, device="cpu").pictures()
+    together = start_render(scenes, ["back", "front"], size=48, device="cpu").pictures()
     for scene, (back, front) in zip(scenes, together, strict=True):
         assert np.array_equal(back, render_view(scene, size=48, view="back", device="cpu"))
         assert np.array_equal(front, render_view(scene, size=48, view="front", device="cpu"))
 
 
-def test_things_in_one_scene_are_their_union() -> None:
-    """They hide and shade each other as one mesh does."""
+def test_meshes_of_a_scene_render_like_their_union() -> None:
+    """They hide and shade each other like parts of one mesh."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
     cloth = patch(6, 6, spacing=2.0, origin=(-6.0, -6.0, 8.0))
-    skin, garment = painted_garment(cloth.vertices, cloth, body_from(ball))
-    union = Painted(
+    skin, garment = garment_scene(cloth.vertices, cloth, body_from(ball))
+    union = ColouredMesh(
         np.concatenate([skin.vertices, garment.vertices]),
         np.concatenate([skin.faces, garment.faces + len(skin.vertices)]),
-        np.concatenate([skin.paint, garment.paint + len(skin.colours)]),
+        np.concatenate([skin.colour_of_face, garment.colour_of_face + len(skin.colours)]),
         np.concatenate([skin.colours, garment.colours]),
     )
     for view in VIEWS:
@@ -131,23 +133,23 @@ def test_things_in_one_scene_are_their_union() -> None:
 
 def test_the_same_pixels_on_every_run() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
-    shown = painted(ball, np.arange(len(ball.faces)) % 2, RED, BLUE)
-    first, second = (render_view(shown, size=48, device="cpu") for _ in range(2))
+    scene = coloured(ball, np.arange(len(ball.faces)) % 2, RED, BLUE)
+    first, second = (render_view(scene, size=48, device="cpu") for _ in range(2))
     assert np.array_equal(first, second)
 
 
-def test_outlines_are_smooth() -> None:
+def test_silhouettes_are_antialiased() -> None:
     """Along the edge of a ball there are pixels between its colour and the paper."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
-    row = render_view(painted(ball, np.zeros(len(ball.faces), int), RED), size=64, device="cpu")[20].astype(int)
+    row = render_view(coloured(ball, np.zeros(len(ball.faces), int), RED), size=64, device="cpu")[20].astype(int)
     green = row[:, 1]
     assert ((green > 60) & (green < 230)).any()
 
 
-def test_a_picture_has_pixels() -> None:
+def test_a_picture_of_size_zero_is_an_error() -> None:
     ball = trimesh.creation.icosphere(subdivisions=1, radius=20.0)
     with pytest.raises(ConfigError, match="0 pixels"):
-        render_view(painted(ball, np.zeros(len(ball.faces), int), RED), size=0, device="cpu")
+        render_view(coloured(ball, np.zeros(len(ball.faces), int), RED), size=0, device="cpu")
 
 
 def test_a_draped_sample_is_two_jpegs() -> None:

@@ -1,4 +1,4 @@
-"""SVG drawings hold the pattern itself: read back, they give its corners, curves, areas and seams."""
+"""SVG drawings, parsed again, give the pattern's corners, curves, areas and seams."""
 
 import re
 from collections import Counter
@@ -28,7 +28,7 @@ NOWHERE = Placement(np.zeros(3), np.zeros(3))
 
 
 class Piece(NamedTuple):
-    """A panel as the drawing has it."""
+    """A panel parsed from a drawing."""
 
     name: str
     cloth: str
@@ -114,7 +114,7 @@ CURVES: list[Curve] = [
 
 @pytest.mark.parametrize("curve", CURVES, ids=str)
 @pytest.mark.parametrize("clockwise", [False, True])
-def test_a_curve_is_drawn_as_what_it_is(curve: Curve, clockwise: bool) -> None:
+def test_a_curve_is_drawn_with_its_own_command(curve: Curve, clockwise: bool) -> None:
     panel = lens(curve, clockwise=clockwise)
     _, [piece] = read_back(Pattern("one", (panel,), ()))
     path = piece.edges[2].get("d", "")
@@ -128,17 +128,17 @@ def test_a_curve_is_drawn_as_what_it_is(curve: Curve, clockwise: bool) -> None:
 
 
 def assert_true_to_scale(pattern: Pattern) -> None:
-    """What is true of every drawing of a pattern."""
+    """Assert scale, positions and margins of a drawing."""
     root, pieces = read_back(pattern)
     assert [piece.name for piece in pieces] == [panel.name for panel in pattern.panels]
     width, height = (float(number) for number in root.get("viewBox", "").split()[2:])
     assert (root.get("width"), root.get("height")) == (f"{width:.10g}cm", f"{height:.10g}cm")
     placed = []
-    for panel, laid, piece in zip(pattern.panels, lay_out(pattern).panels, pieces, strict=True):
+    for panel, placed_panel, piece in zip(pattern.panels, lay_out(pattern).panels, pieces, strict=True):
         for index, edge in enumerate(piece.edges):
             ends = flattened(edge.get("d", ""))[[0, -1]]
             assert ends == pytest.approx(np.array(panel.edge_ends(index)), abs=TOLERANCE)
-        cloth, truth = shapely.Polygon(flattened(piece.cloth)), shapely.Polygon(laid.outline)
+        cloth, truth = shapely.Polygon(flattened(piece.cloth)), shapely.Polygon(placed_panel.outline)
         assert cloth.area == pytest.approx(truth.area, rel=5e-3)
         assert piece.matrix[:4] == (1, 0, 0, -1)  # true to scale, upright, not mirrored
         sheet = flattened(piece.cloth) * [1, -1] + piece.matrix[4:]
@@ -180,7 +180,7 @@ def test_both_edges_of_a_seam_carry_its_colour_and_number() -> None:
 
 
 @pytest.mark.parametrize("clockwise", [False, True])
-def test_what_is_written_stands_upright_on_the_cloth(clockwise: bool) -> None:
+def test_texts_stand_upright_on_the_cloth(clockwise: bool) -> None:
     pattern = napkins()
     if clockwise:
         turned = tuple(replace(panel, vertices=panel.vertices * [-1, 1]) for panel in pattern.panels)

@@ -7,8 +7,8 @@ distance from other cloth, so that no contact can change sides.
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.body_contact import is_ignored, nearest_part
-from gcd_dataset.generator.drape.kernels.crossing import crosses_skin
-from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle
+from gcd_dataset.generator.drape.kernels.crossing import BodyEdges, crosses_skin
+from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, segment_crosses
 from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, entries
 
 wp.set_module_options({"enable_backward": False})
@@ -98,19 +98,62 @@ def nearest_exit(mesh: wp.uint64, p: wp.vec3) -> wp.vec4:
 
 
 @wp.kernel
+def measure_pierced_faces(
+    # model
+    cloth: Cloth,
+    bodies: wp.array(dtype=BodyEdges),
+    bvh: wp.uint64,
+    roots: wp.array(dtype=int),
+    # state in
+    chosen: wp.array(dtype=int),
+    x: wp.array(dtype=wp.vec3),
+    # state out
+    through: wp.array(dtype=int),
+    height: wp.array(dtype=float),
+):
+    """Mark the corners of faces that edges of the skin pierce, and find how far the skin stands out of them [cm]."""
+    w, e = wp.tid()
+    if chosen[w] == 0 or e >= bodies[w].ends.shape[0]:
+        return
+    ends = bodies[w].ends[e]
+    mesh = wp.mesh_get(bodies[w].mesh)
+    p = mesh.points[ends[0]]
+    q = mesh.points[ends[1]]
+    query = wp.bvh_query_aabb(bvh, wp.min(p, q), wp.max(p, q), roots[w])
+    f = int(0)
+    while wp.bvh_query_next(query, f):
+        face = cloth.faces[f]
+        a = x[face[0]]
+        b = x[face[1]]
+        c = x[face[2]]
+        if not segment_crosses(p, q, a, b, c):
+            continue
+        across = wp.cross(b - a, c - a)
+        at = wp.lerp(p, q, wp.dot(a - p, across) / wp.dot(q - p, across))
+        near = wp.mesh_query_point_no_sign(bodies[w].mesh, at, DEEPEST)
+        if near.result:
+            normal = wp.mesh_eval_face_normal(bodies[w].mesh, near.face)
+            out = wp.max(wp.dot(p - at, normal), wp.dot(q - at, normal))
+            for corner in range(3):
+                through[face[corner]] = 1
+                wp.atomic_max(height, face[corner], out)
+
+
+@wp.kernel
 def leave_skin(
     worlds: wp.array(dtype=World),
     cloth: Cloth,
     # state in
     chosen: wp.array(dtype=int),
     through: wp.array(dtype=int),
+    height: wp.array(dtype=float),
     allowed: wp.array(dtype=float),
     x_start: wp.array(dtype=wp.vec3),
     x_in: wp.array(dtype=wp.vec3),
     # state out
     x_out: wp.array(dtype=wp.vec3),
 ):
-    """Move the ends of edges that cross the skin outward, by the need of the deepest sampled point of their edges."""
+    """Move marked vertices outward, by the need of the deepest sampled point of their edges or of the faces' height."""
     i = wp.tid()
     w = cloth.vertex_world[i]
     p = x_in[i]
@@ -126,9 +169,13 @@ def leave_skin(
             here = wp.lerp(p, x_in[j], 0.25 * float(quarter))
             part = nearest_part(world, cloth.field_parts, here)
             if not is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], part):
-                out = nearest_exit(cloth.body_mesh[w], here)
-                if out[3] > deepest[3]:
-                    deepest = out
+                way = nearest_exit(cloth.body_mesh[w], here)
+                if way[3] > deepest[3]:
+                    deepest = way
+    out = nearest_exit(cloth.body_mesh[w], p)
+    if height[i] > 0.0 and height[i] + CLEAR > deepest[3]:
+        if not is_ignored(cloth.ignored_parts[i], nearest_part(world, cloth.field_parts, p)):
+            deepest = wp.vec4(out[0], out[1], out[2], height[i] + CLEAR)
     moved = p + deepest[3] * wp.vec3(deepest[0], deepest[1], deepest[2]) - x_start[i]
     length = wp.length(moved)
     if length > allowed[i]:

@@ -1,13 +1,13 @@
-"""The steps of baking the body model that need no anny."""
+"""The steps of baking the body model that do not need anny."""
 
 import numpy as np
 import pytest
 
-from gcd_dataset.generator.body.anny_bodies import _turn
+from gcd_dataset.generator.body.anny_bodies import rotation_between
 from gcd_dataset.generator.body.bake import COMPONENTS, _regressed, principal
 
 
-def test_principal_components_are_those_that_were_planted() -> None:
+def test_principal_components_recover_planted_ones() -> None:
     rng = np.random.default_rng(0)
     axes = np.linalg.qr(rng.standard_normal((90, COMPONENTS)))[0].T
     sizes = np.geomspace(30.0, 0.5, COMPONENTS)
@@ -27,9 +27,9 @@ def test_joints_that_follow_the_weights_are_found_exactly() -> None:
     assert _regressed(weights, joints) == pytest.approx(parts)
 
 
-def test_a_turn_takes_one_direction_to_the_other() -> None:
+def test_a_rotation_takes_one_direction_to_the_other() -> None:
     start, end = np.array([0.0, 2.0, 0.0]), np.array([1.0, 1.0, 1.0])
-    turn = _turn(start, end)
+    turn = rotation_between(start, end)
     assert turn @ start / 2.0 == pytest.approx(end / np.sqrt(3.0))
     assert turn @ turn.T == pytest.approx(np.eye(3))
     assert np.linalg.det(turn) == pytest.approx(1.0)

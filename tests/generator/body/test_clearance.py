@@ -1,4 +1,4 @@
-"""Arms that hang clear of the trunk."""
+"""The gap between arms and trunk."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from gcd_dataset.records import BodyPart, BodyShape
 from gcd_dataset.seeding import Stage, rng
 
 
-def test_arms_moved_outwards_are_clear_by_so_much_more() -> None:
+def test_clearance_grows_by_the_shift_of_the_arms() -> None:
     body = build_body(BodyShape(neutral_shape().weights, np.radians(10.0)))
     arms = np.isin(body.parts, [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value])
     beside = (np.sign(body.vertices[:, 0]) * arms)[:, None] * [4.0, 0.0, 0.0]
@@ -18,14 +18,13 @@ def test_arms_moved_outwards_are_clear_by_so_much_more() -> None:
     assert 3.9 < moved < 4.0 + 1e-9  # the gap also runs a little forward
 
 
-def test_raised_arms_are_further_off() -> None:
+def test_raised_arms_have_more_clearance() -> None:
     weights = neutral_shape().weights
     gaps = [arm_clearance(build_body(BodyShape(weights, np.radians(angle)))) for angle in (-15.0, 0.0, 15.0)]
     assert 0.0 < gaps[0] < gaps[1] < gaps[2]
 
 
-def test_arms_of_all_who_are_drawn_are_clear_by_a_centimetre() -> None:
-    """Whichever way they were to hang."""
+def test_arms_of_drawn_bodies_are_clear_by_a_centimetre() -> None:
     for index in range(25):
         for sex in (None, "female", "male"):
             shape = draw_shape(rng(13, index, Stage.BODY), sex=sex)

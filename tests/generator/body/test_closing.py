@@ -1,4 +1,4 @@
-"""Skins that cloth can lie on: closed, one way round, whatever the file had."""
+"""Closing of skins: watertight and consistently wound, whatever the file had."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +30,7 @@ def is_whole(skin: ClosedSkin | Body) -> bool:
 
 
 def without_cap(body: Body, radius: float) -> np.ndarray:
-    """The faces but for those within a distance of the vertex furthest in z."""
+    """The faces without those within ``radius`` of the vertex with the largest z."""
     near = np.linalg.norm(body.vertices - body.vertices[body.vertices[:, 2].argmax()], axis=1) < radius
     return body.faces[~near[body.faces].any(axis=1)]
 
@@ -39,19 +39,19 @@ def nearest(body: Body, point: list[float]) -> int:
     return int(np.linalg.norm(body.vertices - point, axis=1).argmin())
 
 
-def test_a_whole_skin_is_left_as_it_is() -> None:
+def test_a_closed_skin_is_unchanged() -> None:
     skin = closed(ball(), ball().faces)
     assert np.array_equal(skin.faces, ball().faces)
     assert np.array_equal(skin.vertices, ball().vertices)
-    assert not len(skin.closed)
-    assert not skin.turned
+    assert not len(skin.hole_widths)
+    assert not skin.flipped
 
 
 def test_holes_are_closed_flat() -> None:
-    """Over a hole of width 2a in a ball of radius r the lid lies r - sqrt(r² - a²) lower."""
+    """The patch of a hole of width 2a in a ball of radius r lies r - sqrt(r² - a²) lower."""
     skin = closed(ball(), without_cap(ball(), 3.0))
     assert is_whole(skin)
-    (width,) = skin.closed
+    (width,) = skin.hole_widths
     assert 6.0 < width < 9.0
     lowered = 20.0 - np.sqrt(20.0**2 - (width / 2) ** 2)
     assert skin.vertices[-1] @ ball().vertices[ball().vertices[:, 2].argmax()] / 20.0 == pytest.approx(
@@ -60,7 +60,7 @@ def test_holes_are_closed_flat() -> None:
 
 
 @pytest.mark.parametrize("damage", ["flipped", "inward", "split", "both"])
-def test_faces_that_look_anywhere_are_turned_outward(damage: str) -> None:
+def test_faces_of_any_winding_are_turned_outward(damage: str) -> None:
     body = ball()
     some = np.random.default_rng(0).random(len(body.faces)) < 0.3
     faces = body.faces if damage == "split" else body.faces[:, ::-1]
@@ -71,22 +71,22 @@ def test_faces_that_look_anywhere_are_turned_outward(damage: str) -> None:
         faces = np.arange(faces.size).reshape(-1, 3)
     skin = closed(body, faces)
     assert is_whole(skin)
-    assert not len(skin.closed)
+    assert not len(skin.hole_widths)
 
 
 def test_skins_that_touch_are_not_joined_for_a_hole_elsewhere() -> None:
-    """Two boxes that meet along an edge, each with its own vertices there, and a triangle missing on the far side."""
+    """Two boxes that touch along an edge, each with its own vertices there; a triangle is missing on the far side."""
     one = trimesh.creation.box((10.0, 10.0, 10.0)).subdivide()
     two = one.copy().apply_translation([10.0, 10.0, 0.0])
     both = trimesh.util.concatenate([one, two])
     far = int(both.triangles_center.sum(axis=1).argmin())
     skin = closed(body_from(both), np.delete(both.faces, far, axis=0))
     assert is_whole(skin)
-    assert len(skin.closed) == 1
+    assert len(skin.hole_widths) == 1
 
 
-def test_a_published_body_that_lacks_a_triangle_is_closed(examples: Path) -> None:
-    """Its lips touch, and 28 sides there would be shared by three if they were joined."""
+def test_a_published_body_without_a_triangle_is_closed(examples: Path) -> None:
+    """Its lips touch: welding them would give 28 edges three faces each."""
     folder = examples / "bodies"
     mesh = trimesh.load(folder / "mean_all.obj", process=False, maintain_order=True)
     parts = read_body_parts(folder / "ggg_body_segmentation.json", len(mesh.vertices), folder / "mean_all.obj")
@@ -94,25 +94,25 @@ def test_a_published_body_that_lacks_a_triangle_is_closed(examples: Path) -> Non
     for lost in (0, 17_000, 47_499):
         skin = ClosedSkin.of(vertices, np.delete(mesh.faces, lost, axis=0), parts, "mean")
         assert is_whole(skin)
-        assert len(skin.closed) == 1
+        assert len(skin.hole_widths) == 1
 
 
-def test_a_wide_hole_is_told_with_its_size_and_place() -> None:
+def test_the_error_of_a_wide_hole_gives_size_and_position() -> None:
     with pytest.raises(
         BodyError, match=r"^ball: the skin is not closed: it has a hole \d+\.\d cm across about \(.*fill"
     ):
         closed(ball(), without_cap(ball(), WIDEST_HOLE / 2 + 2.0))
 
 
-def test_walls_inside_are_told() -> None:
+def test_inner_walls_are_an_error() -> None:
     body = ball()
     wall = np.concatenate([body.faces, [[*body.faces[0, :2], body.vertices[:, 2].argmax()]]])
-    with pytest.raises(BodyError, match=r"ball: .* sides of faces are shared by three and more"):
+    with pytest.raises(BodyError, match=r"ball: .* sides of faces are shared by three or more"):
         closed(body, wall)
 
 
-def test_a_scan_with_holes_is_draped_on_as_it_is_measured(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Renumbered, with a hole in the shin, a loose scrap and faces to both sides: still the same body to cloth."""
+def test_a_scan_with_holes_has_the_field_of_the_whole_body(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """With a hole in the shin, a loose scrap and inconsistent winding: the same body to cloth."""
     woman = build_body(female_shape())
     shin = np.linalg.norm(woman.vertices - woman.vertices[nearest(woman, [12.0, 35.0, 20.0])], axis=1) < 2.0
     faces = woman.faces[~shin[woman.faces].any(axis=1)]

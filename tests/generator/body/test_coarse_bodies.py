@@ -1,4 +1,4 @@
-"""A coarse mesh is measured as its surface is, and told to be coarse with figures that hold."""
+"""Measures of a coarse mesh are those of its surface, and their stated error bounds hold."""
 
 import re
 from functools import cache
@@ -12,13 +12,13 @@ from benchmarks.cases.measures import tolerance
 from gcd_dataset.cli import main
 from gcd_dataset.cli.measure import measured_text
 from gcd_dataset.generator.body import build_body, draw_shape, measure
-from gcd_dataset.generator.body.measuring import fit_tape
+from gcd_dataset.generator.body.measuring import find_body
 from gcd_dataset.records import ANGLES, MEASURES, Body
 from gcd_dataset.seeding import Stage, rng
 
 STATED = re.compile(
     r"height and girths may be up to ([\d.]+) cm off, wrist and leg_circ ([\d.]+) cm, "
-    r"what lies between landmarks ([\d.]+) cm and (\d+)°"
+    r"distances between landmarks ([\d.]+) cm and (\d+)°"
 )
 GIRTHS = ("height", "bust", "underbust", "waist", "hips")
 
@@ -29,7 +29,7 @@ def person() -> Body:
 
 
 def clustered(body: Body, cell: float) -> trimesh.Trimesh:
-    """The body with the vertices in each cube of ``cell`` cm drawn together to their mean."""
+    """The body with the vertices in each cube of ``cell`` cm merged at their mean."""
     cube = np.floor((body.vertices - body.vertices.min(axis=0)) / cell).astype(int)
     _, number, count = np.unique(cube, axis=0, return_inverse=True, return_counts=True)
     corners = np.stack([np.bincount(number.ravel(), axis) for axis in body.vertices.T], axis=1) / count[:, None]
@@ -37,13 +37,13 @@ def clustered(body: Body, cell: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(corners, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)], process=False)
 
 
-def test_what_is_measured_is_the_surface_and_not_its_triangles() -> None:
-    """A body of 760 vertices, and the same surface with every triangle divided into sixteen."""
+def test_measures_do_not_depend_on_the_triangulation_of_a_surface() -> None:
+    """A body of 760 vertices, and the same surface with each triangle split into sixteen."""
     coarse = clustered(person(), 5.3)
     assert 700 < len(coarse.vertices) < 900
     fine = coarse.subdivide().subdivide()
     ours, theirs = (
-        fit_tape(np.asarray(mesh.vertices), np.asarray(mesh.faces)).taken.measurements.to_file_values()
+        find_body(np.asarray(mesh.vertices), np.asarray(mesh.faces)).result.measurements.to_file_values()
         for mesh in (coarse, fine)
     )
     for name in MEASURES:
@@ -51,17 +51,17 @@ def test_what_is_measured_is_the_surface_and_not_its_triangles() -> None:
 
 
 @pytest.mark.parametrize("cell", [2.7, 5.3])
-def test_every_measure_of_a_coarse_mesh_is_right_or_told_with_a_figure_that_holds(cell: float, tmp_path: Path) -> None:
+def test_errors_of_a_coarse_mesh_are_within_the_stated_bounds(cell: float, tmp_path: Path) -> None:
     clustered(person(), cell).export(tmp_path / "coarse.obj")
     text = measured_text(str(tmp_path / "coarse.obj"))
     found = dict(line.strip().split(": ") for line in text.splitlines() if re.match(r"  [a-z_]+: ", line))
-    told = STATED.search(text)
-    assert told is not None
-    girth, limb, between, angle = map(float, told.groups())
+    bounds = STATED.search(text)
+    assert bounds is not None
+    girth, limb, between, angle = map(float, bounds.groups())
     for name, truth in measure(person()).to_file_values().items():
         stated = girth if name in GIRTHS else limb if name in ("wrist", "leg_circ") else between
         stated = angle if name in ANGLES else stated
-        lowered = name == "leg_circ" and "leg_circ: taken at" in text
+        lowered = name == "leg_circ" and "leg_circ: measured at height" in text
         assert abs(float(found[name]) - truth) <= max(stated, tolerance(name)) or lowered, name
 
 
@@ -77,7 +77,7 @@ def test_remarks_are_printed_where_the_measures_go_to_a_file(
     assert set(remarks) <= set(printed.err.splitlines())
 
 
-def test_a_usual_mesh_is_not_told_to_be_coarse(tmp_path: Path) -> None:
+def test_a_fine_mesh_has_no_remark_on_coarseness(tmp_path: Path) -> None:
     body = person()
     trimesh.Trimesh(body.vertices, np.roll(body.faces, 1, axis=0), process=False).export(tmp_path / "usual.obj")
     assert "coarse" not in measured_text(str(tmp_path / "usual.obj"))

@@ -81,7 +81,7 @@ def test_published_mean_bodies(name: str, examples: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["obj", "ply"])
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, "centimetres"), (0.01, "metres"), (10.0, "millimetres")])
-def test_our_own_mesh_is_known_again(
+def test_the_models_mesh_is_recognised(
     kind: str, factor: float, unit: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     body = build_body(draw_shape(rng(0, 1, Stage.BODY)))
@@ -97,7 +97,7 @@ def test_our_own_mesh_is_known_again(
     assert again.name == "me"
 
 
-def test_inward_faces_are_turned(mannequin: dict[str, Path]) -> None:
+def test_inward_faces_are_flipped(mannequin: dict[str, Path]) -> None:
     box = trimesh.load(mannequin["mesh"], process=False)
     trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False).export(mannequin["mesh"])
     body, _ = read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
@@ -116,14 +116,14 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "expected"),
     [
         ("parts", '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [8]}', "right_leg names vertex 8"),
         ("parts", '{"left_arm": 4, "right_arm": [5], "left_leg": [6], "right_leg": [7]}', "left_arm is no list"),
         ("parts", '{"body": [0]}', "name left_arm, right_arm, left_leg and right_leg"),
         ("parts", "[1, 2]", "a list: give a map"),
         ("parts", "{", "line 1, column 2: Expecting property name"),
-        ("parts", PARTS.replace("[4]", "[]") % 7, "left_arm has no vertices: name those of the limb"),
+        ("parts", PARTS.replace("[4]", "[]") % 7, "left_arm has no vertices: list the vertices of the limb"),
         ("parts", PARTS % '7], "left_leg": [5', "key left_leg stands twice in one object"),
         ("parts", PARTS % -1, "right_leg is no list of vertex ids: give whole numbers of 0 and more"),
         ("parts", PARTS % 7.0, "right_leg is no list of vertex ids"),
@@ -167,25 +167,25 @@ PARTS = '{"left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [%s]}
         ("mesh", 3 * "v 0 0 0\nv 1 0 0\nv 0 170 0\n" + "f 1 2 3\n", "not closed"),
     ],
 )
-def test_broken_files_are_named_with_place_and_remedy(
-    name: str, content: str, said: str, mannequin: dict[str, Path]
+def test_errors_of_broken_files_give_place_and_remedy(
+    name: str, content: str, expected: str, mannequin: dict[str, Path]
 ) -> None:
     mannequin[name].write_text(content)
     with pytest.raises(BodyError) as caught:
         read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
     message = str(caught.value)
     assert message.startswith(str(mannequin[name]))
-    assert said in message
+    assert expected in message
     assert message.isprintable()
     assert len(message.removeprefix(str(mannequin[name]))) < 400
 
 
-def test_what_is_not_told_is_sought_and_a_box_has_no_landmarks(mannequin: dict[str, Path]) -> None:
-    with pytest.raises(BodyError, match=r"box\.obj: 12 triangles with an area, a body has 500 and more"):
+def test_without_a_segmentation_a_box_is_searched_for_a_body(mannequin: dict[str, Path]) -> None:
+    with pytest.raises(BodyError, match=r"box\.obj: 12 triangles with an area, a body needs at least 500"):
         read_body(mannequin["mesh"], mannequin["size"])
 
 
-def test_a_body_of_no_persons_height_is_turned_down(mannequin: dict[str, Path]) -> None:
+def test_a_body_of_an_impossible_height_is_an_error(mannequin: dict[str, Path]) -> None:
     trimesh.creation.box((1.0, 20.0, 1.0)).export(mannequin["mesh"])
     with pytest.raises(BodyError, match="20 tall, which is a person's height in no unit"):
         read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
@@ -200,7 +200,7 @@ def test_bodies_by_name() -> None:
     assert drawn == draw_shape(rng(7, 0, Stage.BODY))
 
 
-def test_women_and_men_by_seed_are_those_of_the_population() -> None:
+def test_women_and_men_by_seed_are_drawn_from_the_population() -> None:
     for sex in ("female", "male"):
         _, _, drawn = named_body(f"{sex}:7")
         assert drawn == draw_shape(rng(7, 0, Stage.BODY), sex=sex)
@@ -223,7 +223,7 @@ def test_a_mesh_file_by_its_path(mannequin: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "expected"),
     [
         ("giant", "no body named giant"),
         ("random:", "the seed is ''"),
@@ -232,14 +232,14 @@ def test_a_mesh_file_by_its_path(mannequin: dict[str, Path]) -> None:
         ("male:x", "the seed is 'x'"),
         ("neutral:7", "no body named neutral:7: there are .* female:SEED, male:SEED"),
         ("nowhere.obj", "nowhere.obj: no such file: give the path of a mesh"),
-        (__file__, r"a body is read from \.obj, \.ply, \.stl, \.glb: convert it"),
+        (__file__, r"not a readable mesh format: convert it to \.obj, \.ply, \.stl, \.glb"),
     ],
 )
-def test_names_that_are_none(name: str, said: str) -> None:
-    with pytest.raises(BodyError, match=said):
+def test_unknown_names_are_errors(name: str, expected: str) -> None:
+    with pytest.raises(BodyError, match=expected):
         named_body(name)
 
 
-def test_measures_that_cannot_be_written(tmp_path: Path) -> None:
+def test_an_unwritable_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written"):
         write_measurements(SIZE, tmp_path / "no" / "such" / "folder.yaml")

@@ -1,4 +1,4 @@
-"""Bodies of which nothing is known: landmarks, parts and measures from the geometry alone."""
+"""Bodies in unknown meshes: landmarks, parts and measures from the geometry alone."""
 
 import json
 from dataclasses import replace
@@ -14,17 +14,17 @@ from benchmarks.cases.measures import tolerance
 from gcd_dataset.cli import main
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, female_shape, measure, read_body, read_measurements
-from gcd_dataset.generator.body.marks import read_marks
-from gcd_dataset.generator.body.measuring import FoundBody, fit_tape
+from gcd_dataset.generator.body.landmarks import read_landmarks
+from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, Measurements
 from gcd_dataset.seeding import Stage, rng
 
-SAME = 0.2  # cm, degrees: what may change with the mesh of one skin
+SAME = 0.2  # cm, degrees; tolerance for another triangulation of the same skin
 
 
 def unknown(body: Body) -> Body:
-    """The same skin with its faces in another order: no mesh of ours."""
+    """The same skin with its faces in another order: not recognised as the model's mesh."""
     return replace(body, faces=np.roll(body.faces, 1, axis=0))
 
 
@@ -35,7 +35,7 @@ def woman() -> Body:
 
 @cache
 def fitted_woman() -> FoundBody:
-    return fit_tape(woman().vertices, woman().faces)
+    return find_body(woman().vertices, woman().faces)
 
 
 def off(found: Measurements, known: Measurements) -> dict[str, float]:
@@ -44,17 +44,17 @@ def off(found: Measurements, known: Measurements) -> dict[str, float]:
 
 
 def too_far(found: Measurements, known: Measurements) -> dict[str, float]:
-    """What lies outside half a centimetre (heights, girths), 1.5 cm (what hangs on a landmark) or 3 degrees."""
+    """Errors above half a centimetre (heights, girths), 1.5 cm (measures at landmarks) or 3 degrees."""
     return {key: by for key, by in off(found, known).items() if abs(by) > tolerance(key)}
 
 
 @pytest.mark.parametrize("name", ["all", "female", "male"])
 def test_the_published_means_have_the_published_measures(name: str, examples: Path) -> None:
     path = examples / "bodies" / f"mean_{name}.obj"
-    taken, remarks = measure_file(path)
-    assert not too_far(taken.measurements, read_measurements(path.with_suffix(".yaml")))
+    result, remarks = measure_file(path)
+    assert not too_far(result.measurements, read_measurements(path.with_suffix(".yaml")))
     assert "metres" in remarks[0]
-    assert set(taken.at_border) == {"bust", "waist", "hips"}  # as in the publication: see reference, mean bodies
+    assert set(result.at_border) == {"bust", "waist", "hips"}  # as in the publication: see reference, mean bodies
 
 
 @pytest.mark.parametrize("index", [3, 8])
@@ -73,17 +73,19 @@ def test_numbering_and_subdivision_do_not_change_a_body() -> None:
     order = rng(0, 0, Stage.BODY).permutation(len(vertices))
     fine = trimesh.remesh.subdivide(vertices, faces)
     for other in ((vertices[order], np.argsort(order)[faces]), fine):
-        change = off(fit_tape(*other).taken.measurements, fitted_woman().taken.measurements)
+        change = off(find_body(*other).result.measurements, fitted_woman().result.measurements)
         assert max(map(abs, change.values())) < SAME
 
 
 def test_a_body_scaled_and_moved_has_scaled_measures() -> None:
-    larger = fit_tape(1.1 * woman().vertices + [250.0, -30.0, 80.0], woman().faces).taken.measurements.to_file_values()
-    for key, value in fitted_woman().taken.measurements.to_file_values().items():
+    larger = find_body(
+        1.1 * woman().vertices + [250.0, -30.0, 80.0], woman().faces
+    ).result.measurements.to_file_values()
+    for key, value in fitted_woman().result.measurements.to_file_values().items():
         assert larger[key] == pytest.approx(value if key in ANGLES else 1.1 * value, abs=SAME)
 
 
-def test_our_own_measures_scale_exactly() -> None:
+def test_measures_of_the_models_mesh_scale_exactly() -> None:
     body = build_body(female_shape())
     small, large = measure(body).to_file_values(), measure(replace(body, vertices=1.1 * body.vertices)).to_file_values()
     for key in MEASURES:
@@ -92,27 +94,27 @@ def test_our_own_measures_scale_exactly() -> None:
 
 RIGHT = ("some faces flipped", "facing away")
 ERRORS = {
-    "not a number": "the position of vertex 3121 is no number",
+    "not a number": "the position of vertex 3121 is not a number",
     "collapsed": "with an area",
     "on a floor": "off the body in it",
     "no hands": "wrist|hands",
     "twelve vertices": "20 triangles",
-    "arms grown to the trunk": "hangs together with the trunk",
+    "arms grown to the trunk": "is merged with the trunk",
     "empty file": "no triangles",
 }
 
 
 @pytest.mark.parametrize("kind", RIGHT)
-def test_damage_that_does_not_matter(kind: str, tmp_path: Path) -> None:
+def test_harmless_damage_does_not_change_the_measures(kind: str, tmp_path: Path) -> None:
     made = broken_body(kind, rng(1, RIGHT.index(kind), Stage.BODY))
     assert made.truth is not None
-    taken, remarks = measure_file(made.write(tmp_path))
-    assert not too_far(taken.measurements, made.truth)
+    result, remarks = measure_file(made.write(tmp_path))
+    assert not too_far(result.measurements, made.truth)
     assert any("turned" in remark for remark in remarks) == (kind == "facing away")
 
 
 @pytest.mark.parametrize("kind", ERRORS)
-def test_damage_that_forbids_to_measure(kind: str, tmp_path: Path) -> None:
+def test_harmful_damage_is_an_error(kind: str, tmp_path: Path) -> None:
     path = broken_body(kind, rng(1, list(ERRORS).index(kind), Stage.BODY)).write(tmp_path)
     with pytest.raises(BodyError, match=ERRORS[kind]) as caught:
         measure_file(path)
@@ -131,19 +133,19 @@ def test_a_body_file_needs_neither_measures_nor_parts(tmp_path: Path) -> None:
     assert hands.min() > 8.0
 
 
-def test_given_landmarks_take_the_place_of_those_found(tmp_path: Path) -> None:
+def test_given_landmarks_override_found_ones(tmp_path: Path) -> None:
     nape = fitted_woman().marks.points["nape_of_neck"]
     marks = {"nape_of_neck": [0.0, float(nape[1] - 5.0), float(nape[2])], "waist": [[0.0, 100.0, 0.0]]}
     (tmp_path / "marks.json").write_text(json.dumps(marks))
-    given = read_marks(tmp_path / "marks.json", woman().vertices, 1.0)
-    size = fit_tape(woman().vertices, woman().faces, given=given)
-    assert size.taken.measurements.head_l == pytest.approx(fitted_woman().taken.measurements.head_l + 5.0, abs=0.01)
-    assert size.taken.levels["waist"] == pytest.approx(100.0, abs=2.1)
+    given = read_landmarks(tmp_path / "marks.json", woman().vertices, 1.0)
+    size = find_body(woman().vertices, woman().faces, given=given)
+    assert size.result.measurements.head_l == pytest.approx(fitted_woman().result.measurements.head_l + 5.0, abs=0.01)
+    assert size.result.levels["waist"] == pytest.approx(100.0, abs=2.1)
     assert size.marks.confidence["nape_of_neck"] == 1.0
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "expected"),
     [
         ("{", "line 1, column 2"),
         ("[]", "a list: give a map"),
@@ -152,22 +154,22 @@ def test_given_landmarks_take_the_place_of_those_found(tmp_path: Path) -> None:
         ('{"nape_of_neck": [1, 2]}', r"nape_of_neck is \[1, 2\]"),
         ('{"nape_of_neck": [1, 2, NaN]}', "NaN is no number"),
         ('{"nape_of_neck": true}', "nape_of_neck is true"),
-        ('{"nape_of_neck": [1, 2, 1e300]}', r"nape_of_neck is \[1, 2, 1e\+300\], outside of the mesh"),
+        ('{"nape_of_neck": [1, 2, 1e300]}', r"nape_of_neck is \[1, 2, 1e\+300\], outside the mesh"),
         ('{"nape_of_neck": [1, 2], "nape_of_neck": 3}', "stands twice"),
         ("[" * 100_000, "64 levels deep"),
         ('{"waist": 7}', "a ring is a list"),
         ('{"neck_back": [1, 2]}', "neck_back has 2 points"),
     ],
 )
-def test_broken_landmark_files(content: str, said: str, tmp_path: Path) -> None:
+def test_broken_landmark_files(content: str, expected: str, tmp_path: Path) -> None:
     path = tmp_path / "marks.json"
     path.write_text(content)
-    with pytest.raises(BodyError, match=said) as caught:
-        read_marks(path, np.zeros((10, 3)), 1.0)
+    with pytest.raises(BodyError, match=expected) as caught:
+        read_landmarks(path, np.zeros((10, 3)), 1.0)
     assert str(caught.value).startswith(str(path))
 
 
-def test_gcd_measure_writes_what_the_pattern_programs_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_gcd_measure_writes_a_measurement_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["measure", "--shape", "random:3", "--out", str(tmp_path / "a.yaml")]) == 0
     body = build_body(draw_shape(rng(3, 0, Stage.BODY)))
     assert read_measurements(tmp_path / "a.yaml").to_file_values() == pytest.approx(measure(body).to_file_values())
@@ -175,11 +177,11 @@ def test_gcd_measure_writes_what_the_pattern_programs_read(tmp_path: Path, capsy
     drawn = measure(build_body(draw_shape(rng(3, 0, Stage.BODY), sex="male")))
     assert f"\n  waist: {drawn.waist}\n" in capsys.readouterr().out
     assert main(["measure", "--shape", "female"]) == 0
-    assert "\n# bust: taken at" in capsys.readouterr().out
+    assert "\n# bust: measured at height" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "said"),
+    ("options", "code", "expected"),
     [
         ([], 2, "give a mesh file or --shape"),
         (["a.obj", "--shape", "female"], 2, "one of them"),
@@ -188,14 +190,14 @@ def test_gcd_measure_writes_what_the_pattern_programs_read(tmp_path: Path, capsy
     ],
 )
 def test_wrong_usage_of_gcd_measure(
-    options: list[str], code: int, said: str, capsys: pytest.CaptureFixture[str]
+    options: list[str], code: int, expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["measure", *options]) == code
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
-def test_a_body_that_there_is_not_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
+def test_an_unknown_body_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
         main(["measure", "--shape", "giant"])
-    assert ended.value.code == 2
+    assert caught.value.code == 2
     assert "no body named giant" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Bodies found from measures."""
+"""Bodies fitted to measures."""
 
 import sys
 from dataclasses import replace
@@ -19,7 +19,7 @@ def values(size: Measurements, names: list[str] | tuple[str, ...] = MEASURES) ->
     return np.array([getattr(size, name) for name in names])
 
 
-def test_the_measures_of_a_drawn_body_are_found_again_to_a_millimetre() -> None:
+def test_the_measures_of_a_drawn_body_are_fitted_to_a_millimetre() -> None:
     drawn = draw_shape(rng(0, 2, Stage.BODY))
     size = measure(build_body(drawn))
     found = fit_shape(size)
@@ -30,7 +30,7 @@ def test_the_measures_of_a_drawn_body_are_found_again_to_a_millimetre() -> None:
     assert np.linalg.norm(apart, axis=1).mean() < 0.5
 
 
-def test_residuals_are_what_the_body_measures() -> None:
+def test_residuals_are_the_errors_of_the_fitted_body() -> None:
     wanted = Measurements(height=168.0, bust=92.0, waist=78.0, hips=104.0)
     found = fit_shape(wanted)
     measured = measure(build_body(found.shape))
@@ -62,16 +62,16 @@ def test_measures_left_open_are_those_of_a_probable_body() -> None:
         (Measurements(), "no measure is given"),
         (Measurements(height=-3.0), "height is -3 cm.*give a length in cm"),
         (Measurements(waist=np.inf), "waist is inf"),
-        (Measurements(height=1.72), "height is 1.72 cm, of the mean body 17"),
+        (Measurements(height=1.72), "height is 1.72 cm, and 17"),
     ],
 )
-def test_impossible_measures_are_turned_down_with_a_remedy(size: Measurements, message: str) -> None:
+def test_impossible_measures_are_errors_with_a_remedy(size: Measurements, message: str) -> None:
     with pytest.raises(BodyError, match=message):
         fit_shape(size)
 
 
-def test_a_body_beyond_all_people_is_turned_down(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Here nearly everybody is beyond; the limit that is shipped takes longer to reach."""
+def test_a_body_too_far_from_the_mean_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a lower limit than the shipped one, to reach it quickly."""
     monkeypatch.setattr(sys.modules["gcd_dataset.generator.body.fit_shape"], "REACH", 1.0)
     with pytest.raises(BodyError, match=r"no adult has these.*standard deviations.*in cm, all of one person"):
         fit_shape(Measurements(height=215.0))

@@ -1,4 +1,4 @@
-"""Bodies as other models and scanners give them: another pose, mesh, unit, axes and origin."""
+"""Bodies of other models and scanners: in another pose, mesh, unit, axes and origin."""
 
 from dataclasses import replace
 from functools import cache
@@ -22,7 +22,7 @@ from gcd_dataset.generator.body import (
     read_body,
     read_measurements,
 )
-from gcd_dataset.generator.body.measuring import FoundBody, fit_tape
+from gcd_dataset.generator.body.measuring import FoundBody, find_body
 from gcd_dataset.generator.body.mesh_bodies import measure_file
 from gcd_dataset.generator.body.pose import T_POSE
 from gcd_dataset.generator.drape.body_field import body_field
@@ -30,7 +30,7 @@ from gcd_dataset.records import MEASURES, Body, BodyPart, BodyShape, Measurement
 from gcd_dataset.seeding import Stage, rng
 
 SURE_ANYWHERE = ("height", "bust", "waist", "hips", "leg_circ", "wrist", "head_l")
-"""Heights, and girths whose level is searched: for these a doubt is no excuse."""
+"""Heights, and girths at searched levels: always accurate, even where a remark states a doubt."""
 
 
 def off(found: Measurements, known: Measurements) -> dict[str, float]:
@@ -44,12 +44,12 @@ def written(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
 
 
 def level(body: Body) -> float:
-    """How far below the horizontal the arms are held, as ``gcd measure`` says it [degrees]."""
+    """Angle of the arms below the horizontal [degrees]."""
     return measure(body).to_file_values()["arm_pose_angle"]
 
 
 def check_in_t_pose(found: Measurements, shape: BodyShape) -> None:
-    """Every measure is that of the same shape in the A-pose; only the arms' pose is that of the arms."""
+    """All measures are those of the same shape in the A-pose, but ``arm_pose_angle`` is that of the T-pose."""
     lifted = build_body(replace(shape, arm_angle=T_POSE))
     by = off(found, measure(build_body(shape)))
     assert found.to_file_values()["arm_pose_angle"] == pytest.approx(level(lifted), abs=3.0)
@@ -60,26 +60,26 @@ def check_in_t_pose(found: Measurements, shape: BodyShape) -> None:
 def lifted_woman() -> FoundBody:
     body = build_body(replace(female_shape(), arm_angle=T_POSE))
     order = np.random.default_rng(0).permutation(len(body.vertices))
-    return fit_tape(body.vertices[order], np.argsort(order)[body.faces])
+    return find_body(body.vertices[order], np.argsort(order)[body.faces])
 
 
-def test_raised_arms_are_laid_down_to_be_measured() -> None:
-    check_in_t_pose(lifted_woman().taken.measurements, female_shape())
-    assert np.degrees(lifted_woman().arms) == pytest.approx(45.0, abs=2.0)
+def test_raised_arms_are_moved_to_the_a_pose_to_be_measured() -> None:
+    check_in_t_pose(lifted_woman().result.measurements, female_shape())
+    assert np.degrees(lifted_woman().arm_turn) == pytest.approx(45.0, abs=2.0)
 
 
 @pytest.mark.parametrize("angle", [-32.0, 25.0, 45.0, 60.0])
-def test_raised_arms_of_our_own_mesh_are_laid_down_exactly(angle: float, tmp_path: Path) -> None:
-    """On a slim woman: a lowered arm that folds the armpit leaves skin that no longer tells where it was."""
+def test_raised_arms_of_the_models_mesh_are_moved_exactly(angle: float, tmp_path: Path) -> None:
+    """On a slim woman: where a lowered arm folds the armpit, untangling has changed the skin."""
     shape = draw_shape(rng(2, 21, Stage.BODY), sex="female")
     lifted = build_body(BodyShape(shape.weights, np.radians(angle)))
     assert skin_crossings(lifted) == 0
     by = off(measure(lifted), measure(build_body(BodyShape(shape.weights))))
     assert by.pop("arm_pose_angle") == pytest.approx(-angle, abs=2.0)
     assert max(map(abs, by.values())) < 0.1
-    taken, remarks = measure_file(written(tmp_path / "own.obj", lifted.vertices, lifted.faces))
-    assert taken.measurements.to_file_values() == pytest.approx(measure(lifted).to_file_values(), abs=0.02)
-    assert any("laid there to be measured" in remark for remark in remarks)
+    result, remarks = measure_file(written(tmp_path / "own.obj", lifted.vertices, lifted.faces))
+    assert result.measurements.to_file_values() == pytest.approx(measure(lifted).to_file_values(), abs=0.02)
+    assert any("moved there to be measured" in remark for remark in remarks)
 
 
 def test_landmarks_of_raised_arms_lie_on_them() -> None:
@@ -88,18 +88,18 @@ def test_landmarks_of_raised_arms_lie_on_them() -> None:
     assert abs(wrist[1] - shoulder[1]) < 8.0
 
 
-def test_arms_as_ours_hold_them_are_measured_as_they_are_held() -> None:
+def test_arms_near_the_a_pose_are_measured_as_they_are() -> None:
     body = build_body(BodyShape(female_shape().weights, np.radians(15.0)))
-    found = fit_tape(body.vertices, np.roll(body.faces, 1, axis=0))
-    assert found.arms == 0.0
-    assert found.taken.measurements.shoulder_incl == pytest.approx(measure(body).shoulder_incl, abs=np.radians(1.0))
+    found = find_body(body.vertices, np.roll(body.faces, 1, axis=0))
+    assert found.arm_turn == 0.0
+    assert found.result.measurements.shoulder_incl == pytest.approx(measure(body).shoulder_incl, abs=np.radians(1.0))
 
 
-def test_arms_laid_down_on_a_body_unlike_ours_are_told_to_be_doubtful(examples: Path) -> None:
-    """The published T-pose is bent otherwise at the shoulders than ours is."""
-    taken, remarks = measure_file(examples / "bodies" / "mean_all_tpose.obj")
+def test_moved_arms_of_a_body_unlike_the_model_are_reported_as_doubtful(examples: Path) -> None:
+    """The published T-pose has shoulders bent differently from the model's."""
+    result, remarks = measure_file(examples / "bodies" / "mean_all_tpose.obj")
     assert any(remark.startswith("doubtful: shoulder") and "shoulder_w" in remark for remark in remarks)
-    by = off(taken.measurements, read_measurements(examples / "bodies" / "mean_all.yaml"))
+    by = off(result.measurements, read_measurements(examples / "bodies" / "mean_all.yaml"))
     assert max(abs(by[key]) for key in SURE_ANYWHERE) < 1.0
 
 
@@ -108,38 +108,38 @@ def test_a_body_like_smpls(tmp_path: Path) -> None:
     shape = BodyShape(draw_shape(rng(4, 5, Stage.BODY), sex="female").weights)
     vertices, faces = like_smpl(shape)
     assert len(vertices) == SMPL_VERTICES
-    taken, remarks = measure_file(written(tmp_path / "smpl.obj", vertices, faces))
-    check_in_t_pose(taken.measurements, shape)
+    result, remarks = measure_file(written(tmp_path / "smpl.obj", vertices, faces))
+    check_in_t_pose(result.measurements, shape)
     assert "metres" in remarks[0]
     assert not any("doubtful" in remark for remark in remarks)
 
 
 @pytest.fixture
 def fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A mesh is fitted once, however often it is read."""
+    """Cache the fit of each mesh across reads."""
     known: dict[tuple[bytes, bytes], FoundBody] = {}
 
     def fit(vertices: np.ndarray, faces: np.ndarray, *place: Any, **options: Any) -> FoundBody:
         mesh = vertices.tobytes(), faces.tobytes()
         if mesh not in known:
-            known[mesh] = fit_tape(vertices, faces, *place, **options)
+            known[mesh] = find_body(vertices, faces, *place, **options)
         return known[mesh]
 
-    monkeypatch.setattr(mesh_bodies, "fit_tape", fit)
+    monkeypatch.setattr(mesh_bodies, "find_body", fit)
 
 
 @pytest.mark.usefixtures("fitted_once")
 def test_a_body_like_smplxs_lying_in_z_up_centimetres(tmp_path: Path) -> None:
-    """10,475 vertices with two eyeballs and an open mouth, which cloth is not to meet."""
+    """10,475 vertices with two eyeballs and an open mouth, which cloth must not touch."""
     shape = BodyShape(female_shape().weights)
     vertices, faces = like_smplx(shape)
     assert len(vertices) == SMPLX_VERTICES
     path = written(tmp_path / "smplx.obj", 100.0 * vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0], faces)
-    taken, remarks = measure_file(path)
-    check_in_t_pose(taken.measurements, shape)
+    result, remarks = measure_file(path)
+    check_in_t_pose(result.measurements, shape)
     assert "did not stand upright facing +z and was turned" in remarks
     body, size = read_body(path)
-    assert size == taken.measurements
+    assert size == result.measurements
     assert body.vertices[:, 1].min() == pytest.approx(0.0)
     pieces = trimesh.graph.connected_component_labels(trimesh.Trimesh(body.vertices, body.faces).face_adjacency)
     eyes = body.faces[pieces != np.bincount(pieces).argmax()]
@@ -150,30 +150,30 @@ def test_a_body_like_smplxs_lying_in_z_up_centimetres(tmp_path: Path) -> None:
 
 
 def test_a_coarse_mesh_of_a_body_of_another_model(examples: Path, tmp_path: Path) -> None:
-    """The published mean woman with as many vertices as SMPL's, y down: no body of our shape space."""
+    """The published mean woman, decimated to SMPL's number of vertices, y down; outside the model's shape space."""
     mean = trimesh.load(examples / "bodies" / "mean_female.obj", process=False)
     vertices, faces = coarser(100.0 * np.asarray(mean.vertices), np.asarray(mean.faces), SMPL_VERTICES)
     path = written(tmp_path / "woman.obj", vertices * [1.0, -1.0, -1.0] / 100.0, faces)
-    taken, remarks = measure_file(path)
-    by = off(taken.measurements, read_measurements(examples / "bodies" / "mean_female.yaml"))
+    result, remarks = measure_file(path)
+    by = off(result.measurements, read_measurements(examples / "bodies" / "mean_female.yaml"))
     assert max(abs(by[key]) for key in SURE_ANYWHERE) < 1.0
     assert abs(by["underbust"]) < 2.5
     assert any(remark.startswith("doubtful: underbust may be up to") for remark in remarks)
 
 
-def test_a_squeezed_body_has_its_measures_or_is_told_to_be_doubtful(tmp_path: Path) -> None:
+def test_a_widened_body_is_measured_or_reported_as_doubtful(tmp_path: Path) -> None:
     """Seed 0, number 156 of the benchmark's broken bodies: 38 % wider, its underbust 0.6 cm off."""
     made = broken_body("squashed", rng(0, 156, Stage.BODY, 1))
     assert made.truth is not None
-    taken, remarks = measure_file(made.write(tmp_path))
-    too_far = {key for key, by in off(taken.measurements, made.truth).items() if abs(by) > tolerance(key)}
+    result, remarks = measure_file(made.write(tmp_path))
+    too_far = {key for key, by in off(result.measurements, made.truth).items() if abs(by) > tolerance(key)}
     assert too_far <= {"underbust"}
     assert any(remark.startswith("doubtful: underbust") for remark in remarks)
 
 
-def test_many_small_holes_do_not_matter(tmp_path: Path) -> None:
+def test_many_small_holes_do_not_change_the_measures(tmp_path: Path) -> None:
     made = broken_body("pinholes", rng(0, 1, Stage.BODY, 1))
     assert made.truth is not None
-    taken, remarks = measure_file(made.write(tmp_path))
-    assert not {key for key, by in off(taken.measurements, made.truth).items() if abs(by) > tolerance(key)}
+    result, remarks = measure_file(made.write(tmp_path))
+    assert not {key for key, by in off(result.measurements, made.truth).items() if abs(by) > tolerance(key)}
     assert any("holes in the skin, up to" in remark for remark in remarks)

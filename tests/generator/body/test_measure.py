@@ -1,4 +1,4 @@
-"""The tailor's measures: geometry, invariances, and the means of the published bodies."""
+"""Measures: geometry, invariances, and the published mean bodies."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +18,9 @@ from gcd_dataset.generator.body import (
     read_body,
     read_measurements,
 )
-from gcd_dataset.generator.body.section import clipped, girth, outline, section, tape
+from gcd_dataset.generator.body.section import clipped, contour_length, girth, section, tape
 from gcd_dataset.generator.body.subdivide import unique_edges
-from gcd_dataset.generator.body.tailor import own_sites, take_measures
+from gcd_dataset.generator.body.tailor import model_sites, take_measures
 from gcd_dataset.records import ANGLES, MEASURES, Body, BodyPart, BodyShape, Measurements
 from gcd_dataset.seeding import Stage, rng
 from tests.helpers import body_from
@@ -44,17 +44,19 @@ def test_measures_do_not_depend_on_where_the_body_stands() -> None:
     assert values(measure(raised)) == pytest.approx(values(measure(body)), abs=1e-6)
 
 
-def test_bands_of_faces_lose_nothing() -> None:
-    """Girths of unusual bodies are those that the whole trunk gives."""
+def test_sites_hold_all_faces_that_sections_cut() -> None:
+    """Measures of unusual bodies are the same with the whole trunk as the site."""
     arms = [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value, BodyPart.HANDS.value]
-    own = own_sites()
+    narrow = model_sites()
     for index in range(8):
         drawn = draw_shape(rng(5, index, Stage.BODY))
         body = build_body(BodyShape(2 * drawn.weights, drawn.arm_angle))
         trunk = body.faces[~np.isin(body.parts, arms)[body.faces].any(axis=1)]
-        edges = dict.fromkeys(own.rings, unique_edges(trunk)[0])
-        whole = replace(own, rings=edges, thighs=trunk, spine=_middle(body, trunk))
-        assert values(take_measures(body.vertices, own)) == pytest.approx(values(take_measures(body.vertices, whole)))
+        edges = dict.fromkeys(narrow.rings, unique_edges(trunk)[0])
+        whole = replace(narrow, rings=edges, thighs=trunk, spine=_middle(body, trunk))
+        assert values(take_measures(body.vertices, narrow)) == pytest.approx(
+            values(take_measures(body.vertices, whole))
+        )
 
 
 def _middle(body: Body, trunk: np.ndarray) -> np.ndarray:
@@ -62,13 +64,13 @@ def _middle(body: Body, trunk: np.ndarray) -> np.ndarray:
     return trunk[body.vertices[trunk, 2].mean(axis=1) < 0.0]
 
 
-def test_nothing_is_left_out_of_fifty_bodies(sizes: list[Measurements]) -> None:
+def test_fifty_bodies_have_all_measures(sizes: list[Measurements]) -> None:
     assert all(np.isfinite(values(size)).all() for size in sizes)
     assert all((values(size, LENGTHS) > 0).all() for size in sizes)
 
 
 def test_the_population_is_one_of_adults(sizes: list[Measurements]) -> None:
-    """Ranges hold for nearly all adults of ANSUR II, and for all here, which vary by 0.7 of a population."""
+    """The ranges hold for nearly all adults of ANSUR II; drawn bodies vary less, by 0.7 of its spread."""
     for size in sizes:
         assert 145 < size.height < 205
         assert 70 < size.bust < 140
@@ -84,20 +86,20 @@ def test_the_population_is_one_of_adults(sizes: list[Measurements]) -> None:
     assert 4 < np.std([size.height for size in sizes]) < 10
 
 
-def test_heights_follow_each_other(sizes: list[Measurements]) -> None:
+def test_heights_are_ordered(sizes: list[Measurements]) -> None:
     for size in sizes:
         crotch = size.leg_length - size.crotch_hip_diff
         assert 0 < crotch < size.leg_length < size.waist_level < size.height - size.head_l
 
 
-def test_legs_apart_leave_the_trunk_as_it_is() -> None:
+def test_legs_apart_do_not_change_the_trunk() -> None:
     straight, apart = measure(build_body(neutral_shape())), measure(build_body(neutral_shape(legs_apart=True)))
     keys = ["bust", "underbust", "waist", "shoulder_w", "arm_length", "neck_w", "waist_line", "bust_points", "head_l"]
     assert values(apart, keys) == pytest.approx(values(straight, keys), abs=0.05)
     assert apart.leg_circ == pytest.approx(straight.leg_circ, rel=0.05)
 
 
-def test_thighs_that_overlap_have_a_girth_all_the_same() -> None:
+def test_overlapping_thighs_have_a_girth() -> None:
     body = build_body(neutral_shape())
     inward = 4.0 * np.isin(body.parts, [BodyPart.LEFT_LEG.value]) - 4.0 * np.isin(
         body.parts, [BodyPart.RIGHT_LEG.value]
@@ -108,7 +110,7 @@ def test_thighs_that_overlap_have_a_girth_all_the_same() -> None:
 
 @pytest.mark.parametrize(("shape", "name"), [(neutral_shape, "all"), (female_shape, "female"), (male_shape, "male")])
 def test_our_means_have_the_published_measures(shape: type, name: str, examples: Path) -> None:
-    """The body model was calibrated to them; what is left is the model's."""
+    """The body model was calibrated to them; remaining errors are the model's."""
     ours = measure(build_body(shape())).to_file_values()
     theirs = read_measurements(examples / "bodies" / f"mean_{name}.yaml").to_file_values()
     miss = {key: abs(ours[key] - theirs[key]) for key in MEASURES}
@@ -148,9 +150,9 @@ def test_thigh_of_the_published_body(published: tuple[Body, Measurements, np.nda
     """The right thigh's outline at its published level."""
     body, size, trunk = published
     cut = section(body.vertices, trunk, 1, 76.77)
-    assert outline(cut[cut[:, :, 0].mean(axis=1) < 0]) == pytest.approx(size.leg_circ, abs=0.1)
+    assert contour_length(cut[cut[:, :, 0].mean(axis=1) < 0]) == pytest.approx(size.leg_circ, abs=0.1)
 
 
-def test_a_mesh_that_is_no_body_is_turned_down_with_a_remedy() -> None:
-    with pytest.raises(BodyError, match=r"body: 80 triangles with an area, a body has 500 and more"):
+def test_a_mesh_without_a_body_is_an_error_with_a_remedy() -> None:
+    with pytest.raises(BodyError, match=r"body: 80 triangles with an area, a body needs at least 500"):
         measure(body_from(trimesh.creation.icosphere(subdivisions=1)))

@@ -1,4 +1,4 @@
-"""Bodies in every kind of mesh file: the same vertices, the same measures; what is no mesh is told in one line."""
+"""Bodies in all mesh formats have the same vertices and measures; malformed files give one-line errors."""
 
 import json
 import struct
@@ -24,7 +24,7 @@ def person() -> Body:
 
 
 def mesh_of(*, ours: bool, metres: bool) -> trimesh.Trimesh:
-    """The person; with its faces in another order it is not known to be of our mesh."""
+    """The person's mesh; with its faces in another order it is not recognised as the model's."""
     faces = person().faces if ours else np.roll(person().faces, 1, axis=0)
     return trimesh.Trimesh(person().vertices * (0.01 if metres else 1.0), faces, process=False)
 
@@ -41,9 +41,9 @@ def test_every_kind_of_file_gives_the_measures_of_obj(
     kind: str, ours: bool, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     mesh_of(ours=ours, metres=kind == "glb").export(tmp_path / f"me.{kind}")
-    taken, _ = measure_file(tmp_path / f"me.{kind}")
+    result, _ = measure_file(tmp_path / f"me.{kind}")
     expected = measures_in_obj(tmp_path_factory.getbasetemp(), ours)
-    assert taken.measurements.to_file_values() == pytest.approx(expected, abs=0.05)
+    assert result.measurements.to_file_values() == pytest.approx(expected, abs=0.05)
 
 
 @pytest.mark.parametrize("kind", ["stl", "glb"])
@@ -56,7 +56,7 @@ def test_a_body_of_any_kind_can_be_dressed(kind: str, tmp_path: Path) -> None:
     assert size.height == pytest.approx(np.ptp(person().vertices[:, 1]), abs=1e-3)
 
 
-def test_triangles_of_stl_are_joined_in_the_order_of_their_corners(tmp_path: Path) -> None:
+def test_corners_of_stl_are_merged_in_order_of_appearance(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=2, radius=80.0)
     ball.export(tmp_path / "ball.stl")
     vertices, faces = read_mesh(tmp_path / "ball.stl")
@@ -67,7 +67,7 @@ def test_triangles_of_stl_are_joined_in_the_order_of_their_corners(tmp_path: Pat
 
 
 def test_transforms_of_nodes_are_honoured(tmp_path: Path) -> None:
-    """A body that lies on its side in its own axes, smaller by half, under two nodes that lift and enlarge it."""
+    """A body lying on its side at half size, under two nodes that rotate and enlarge it."""
     turn = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
     scene = trimesh.Scene()
     lying = mesh_of(ours=True, metres=True).apply_transform(np.linalg.inv(turn)).apply_scale(0.5)
@@ -78,7 +78,7 @@ def test_transforms_of_nodes_are_honoured(tmp_path: Path) -> None:
     assert 100.0 * vertices == pytest.approx(person().vertices, abs=1e-3)
 
 
-def test_eyes_beside_a_body_are_taken_and_a_garment_is_not(tmp_path: Path) -> None:
+def test_eyes_beside_a_body_are_read_and_a_garment_is_an_error(tmp_path: Path) -> None:
     eye = trimesh.creation.icosphere(radius=0.012).apply_translation([0.03, 1.6, 0.08])
     body = mesh_of(ours=False, metres=True)
     trimesh.Scene({"body": body, "eye": eye}).export(tmp_path / "eye.glb")
@@ -92,8 +92,8 @@ def test_eyes_beside_a_body_are_taken_and_a_garment_is_not(tmp_path: Path) -> No
         read_mesh(tmp_path / "both.glb")
 
 
-def test_vertices_of_obj_keep_their_numbers_whatever_else_it_says(tmp_path: Path) -> None:
-    """Materials, groups, texture seams and a vertex that no face uses; trimesh would number them anew."""
+def test_vertices_of_obj_keep_their_numbers(tmp_path: Path) -> None:
+    """With materials, groups, texture seams and an unused vertex; trimesh would renumber them."""
     text = (
         "mtllib a.mtl\no body\nv 0 0 0\nv 1 0 0\nv 9 9 9\nv 0 170 0 1 0 0\nv 5 5 5\n"
         "vt 0 0\nvt 1 1\nvn 0 0 1\nusemtl skin\nf 1/1/1 2/2/1 4/1/1\ng arm\nusemtl nail\nf 4//1 \\\n2//1 5//1\n"
@@ -105,7 +105,7 @@ def test_vertices_of_obj_keep_their_numbers_whatever_else_it_says(tmp_path: Path
     assert faces.tolist() == [[0, 1, 3], [3, 1, 4], [4, 3, 0]]
 
 
-# ------------------------------------------------------------------------------------------------------------ no meshes
+# ----------------------------------------------------------------------------------------------------- malformed files
 
 
 def glb(tree: Any, data: bytes = b"") -> bytes:
@@ -123,14 +123,14 @@ def ply(vertices: int, faces: int, rows: str) -> bytes:
 CORNERS = "0 0 0\n0 170 0\n10 0 0\n"
 V = "v 0 0 0\nv 0 170 0\nv 10 0 0\n"
 NODE = {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], "accessors": [{"count": 3, "type": "VEC3"}]}
-NONE = {
+MALFORMED = {
     "far.ply": (ply(3, 1, CORNERS + "3 0 1 99\n"), "a face names vertex 99 of 3"),
     "negative.ply": (ply(3, 1, CORNERS + "3 0 1 -7\n"), "a face names vertex -7 of 3"),
     "none.ply": (ply(0, 1, "3 0 1 2\n"), ""),
     "huge.ply": (ply(10**12, 1, CORNERS), ""),
     "digits.ply": (ply(10**12, 1, CORNERS).replace(b"1000000000000", b"9" * 5000), ""),
     "words.ply": (ply(3, 1, "a b c\n" * 4), ""),
-    "nan.ply": (ply(3, 1, CORNERS.replace("170", "nan") + "3 0 1 2\n"), "the position of vertex 1 is no number"),
+    "nan.ply": (ply(3, 1, CORNERS.replace("170", "nan") + "3 0 1 2\n"), "the position of vertex 1 is not a number"),
     "nothing.ply": (b"", ""),
     "zero.obj": (f"{V}f 0 1 2\n".encode(), "a face names vertex 0"),
     "far.obj": (f"{V}f 1 2 99\n".encode(), ""),
@@ -142,36 +142,36 @@ NONE = {
     "short.stl": (bytes(80) + struct.pack("<I", 10**9) + bytes(50), ""),
     "words.stl": (b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\nendloop\nendfacet\nendsolid\n", ""),
     "normal.stl": (b"solid a\nfacet normal 0 0 x\nouter loop\nvertex 0 0 0\nvertex 0 nan 0\nvertex 9 0 0\n", ""),
-    "nothing.glb": (b"", "no binary glTF 2.0"),
+    "nothing.glb": (b"", "not binary glTF 2.0"),
     "deep.glb": (glb(b"[" * 100_000), "levels deep"),
-    "list.glb": (glb([1]), "its JSON is no object"),
+    "list.glb": (glb([1]), "its JSON is not an object"),
     "empty.glb": (glb({}), ""),
-    "parts.glb": (glb({"nodes": {"a": 1}}), "its nodes are no list of objects"),
+    "parts.glb": (glb({"nodes": {"a": 1}}), "its nodes are not a list of objects"),
     "huge.glb": (glb({"accessors": [{"count": 10**12, "componentType": 5126, "type": "VEC3"}]}), "more numbers than"),
-    "loop.glb": (glb({"nodes": [{"children": [1]}, {"children": [0]}]}), "hold each other"),
-    "shared.glb": (glb({"nodes": [{"children": [2]}, {"children": [2]}, {}]}), "make no tree"),
+    "loop.glb": (glb({"nodes": [{"children": [1]}, {"children": [0]}]}), "contain each other"),
+    "shared.glb": (glb({"nodes": [{"children": [2]}, {"children": [2]}, {}]}), "are not a tree"),
     "packed.glb": (glb({"extensionsUsed": ["KHR_draco_mesh_compression"]}), "export it without compression"),
     "many.glb": (glb({**NODE, "nodes": [{"mesh": 0}] * 9000}, bytes(36)), ""),
-    "odd.glb": (glb({**NODE, "nodes": [{"mesh": 7}]}), "a mesh that is not there"),
+    "odd.glb": (glb({**NODE, "nodes": [{"mesh": 7}]}), "a missing mesh"),
     "file.glb": (glb({**NODE, "nodes": [{"mesh": 0}], "buffers": [{"uri": "/etc/passwd", "byteLength": 36}]}), ""),
 }
 
 
-@pytest.mark.parametrize("name", NONE)
-def test_what_is_no_mesh_is_told_in_one_line(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    content, said = NONE[name]
+@pytest.mark.parametrize("name", MALFORMED)
+def test_malformed_files_give_one_line_errors(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    content, expected = MALFORMED[name]
     (tmp_path / name).write_bytes(content)
     with pytest.raises(BodyError) as caught:
         read_body(tmp_path / name)
     message = str(caught.value)
-    assert said in message
+    assert expected in message
     assert message.startswith(f"{tmp_path / name}: ")
     assert message.isprintable()
     assert len(message.removeprefix(str(tmp_path))) < 250
     assert "Traceback" not in caplog.text
 
 
-def test_a_file_of_gigabytes_is_not_read(tmp_path: Path) -> None:
+def test_a_huge_file_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / "sparse.ply").open("wb") as file:
         file.truncate(1 << 40)
     with pytest.raises(BodyError, match="more than 512 MB"):

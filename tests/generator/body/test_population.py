@@ -1,4 +1,4 @@
-"""Women and men drawn from the calibrated shape space, and the calibration's closed form."""
+"""Adults drawn from the calibrated population, and the calibration's closed form."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import trimesh
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.body.calibrate import nearest_covariance
-from gcd_dataset.generator.body.population import FURTHEST, Adults, adults_of, draw_weights
+from gcd_dataset.generator.body.population import MAX_DEVIATION, Adults, adults_of, draw_weights
 from gcd_dataset.generator.body.survey import body_weight, survey_measures, survey_of
 from gcd_dataset.records import MEASURES, Body
 from gcd_dataset.seeding import Stage, rng
@@ -16,16 +16,16 @@ from tests.helpers import body_from
 PEOPLE = 200
 
 
-def taken(sex: str) -> dict[str, np.ndarray]:
+def measured(sex: str) -> dict[str, np.ndarray]:
     bodies = [build_body(draw_shape(rng(3, index, Stage.BODY), sex=sex)) for index in range(PEOPLE)]
     rows = [survey_measures(body, measure(body)) for body in bodies]
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
 @pytest.mark.parametrize("sex", ["female", "male"])
-def test_drawn_adults_are_those_of_the_survey(sex: str) -> None:
-    """Within the targets, plus what 200 people leave to chance."""
-    survey, found = survey_of(sex), taken(sex)
+def test_drawn_adults_have_the_surveys_statistics(sex: str) -> None:
+    """Within the targets plus the sampling error of 200 people."""
+    survey, found = survey_of(sex), measured(sex)
     assert tuple(found) == survey.measures
     means = np.array([found[name].mean() for name in survey.measures])
     sds = np.array([found[name].std() for name in survey.measures])
@@ -47,14 +47,14 @@ def test_every_drawn_adult_can_be_measured() -> None:
             assert all(np.isfinite(getattr(size, name)) for name in MEASURES)
 
 
-def test_asking_for_a_sex_changes_nothing_for_those_who_do_not() -> None:
+def test_the_option_sex_does_not_change_bodies_drawn_without_it() -> None:
     assert draw_shape(rng(3, 5, Stage.BODY)) == draw_shape(rng(3, 5, Stage.BODY), sex=None)
     woman = draw_shape(rng(3, 5, Stage.BODY), sex="female")
     assert woman == draw_shape(rng(3, 5, Stage.BODY), sex="female")
     assert woman != draw_shape(rng(3, 5, Stage.BODY), sex="male")
 
 
-def test_an_unknown_sex_is_told_which_there_are() -> None:
+def test_the_error_of_an_unknown_sex_lists_the_known_ones() -> None:
     with pytest.raises(BodyError, match="'Female': give female or male, or None"):
         draw_shape(rng(0, 0, Stage.BODY), sex="Female")
 
@@ -65,10 +65,10 @@ def test_drawn_weights_have_the_mean_and_axes_of_the_adults() -> None:
     drawn = np.array([draw_weights(generator, adults) for _ in range(4000)])
     assert drawn.mean(axis=0) == pytest.approx(adults.mean, abs=0.1)
     assert np.cov(drawn.T) == pytest.approx(axes**2, abs=0.2)
-    assert (np.abs(drawn - adults.mean) <= FURTHEST * np.diag(axes) + 1e-12).all()
+    assert (np.abs(drawn - adults.mean) <= MAX_DEVIATION * np.diag(axes) + 1e-12).all()
 
 
-def test_adults_stay_within_what_the_model_can_show() -> None:
+def test_adults_stay_within_the_range_of_the_model() -> None:
     for sex in ("female", "male"):
         adults = adults_of(sex)
         assert np.linalg.norm(adults.axes, axis=0).max() < 2.5  # standard deviations of the model
@@ -78,8 +78,8 @@ def test_adults_stay_within_what_the_model_can_show() -> None:
 # --------------------------------------------------------------------------------------------------------- calibration
 
 
-def test_the_nearest_covariance_keeps_what_nothing_is_asked_of() -> None:
-    """With a prior of one and a condition on the first axis, only that axis changes."""
+def test_the_nearest_covariance_changes_conditioned_axes_only() -> None:
+    """With an identity prior and a condition on the first axis, only that axis changes."""
     slopes, wanted = np.array([[2.0, 0.0, 0.0]]), np.array([[16.0]])
     assert nearest_covariance(np.eye(3), [(slopes, wanted)]) == pytest.approx(np.diag([4.0, 1.0, 1.0]))
 

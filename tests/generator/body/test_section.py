@@ -4,13 +4,21 @@ import numpy as np
 import pytest
 import trimesh
 
-from gcd_dataset.generator.body.section import clipped, girth, outline, rough_girths, section, section_points, tape
+from gcd_dataset.generator.body.section import (
+    clipped,
+    contour_length,
+    girth,
+    rough_girths,
+    section,
+    section_points,
+    tape,
+)
 
 XZ = [0, 2]
 
 
 def cylinder(radius: float, *, sides: int = 512) -> trimesh.Trimesh:
-    """Upright along y, 10 cm to either side of the origin."""
+    """A cylinder along y, 20 cm long, centred at the origin."""
     shape = trimesh.creation.cylinder(radius, 20.0, sections=sides)
     shape.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     return shape
@@ -20,7 +28,7 @@ def test_girth_of_a_cylinder() -> None:
     shape = cylinder(12.0)
     cut = section(shape.vertices, shape.faces, 1, 3.0)
     assert girth(cut[:, 0][:, XZ]) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
-    assert outline(cut) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
+    assert contour_length(cut) == pytest.approx(2 * np.pi * 12.0, rel=1e-4)
 
 
 @pytest.mark.parametrize("level", [0.37, 0.0])  # 0.0 runs through vertices
@@ -31,7 +39,7 @@ def test_first_points_of_a_section_are_all_its_points(level: float) -> None:
     assert np.abs(cut[:, :, 1] - level).max() < 1e-12
 
 
-def test_points_of_several_sections_are_those_of_each() -> None:
+def test_points_of_several_sections_equal_those_of_each() -> None:
     shape = trimesh.creation.icosphere(subdivisions=3, radius=7.0)
     levels = np.array([-3.1, 0.2, 5.5])
     points, at = section_points(shape.vertices, shape.edges_unique, 1, levels)
@@ -40,17 +48,17 @@ def test_points_of_several_sections_are_those_of_each() -> None:
         assert {tuple(p) for p in points[at == level].round(9)} == {tuple(p) for p in one.round(9)}
 
 
-def test_a_level_that_meets_nothing_has_no_section() -> None:
+def test_a_level_off_the_mesh_has_an_empty_section() -> None:
     shape = trimesh.creation.box((1.0, 1.0, 1.0))
     assert section(shape.vertices, shape.faces, 1, 9.0).shape == (0, 2, 3)
 
 
-def test_a_tape_bridges_hollows_and_an_outline_does_not() -> None:
+def test_a_tape_bridges_hollows_and_a_contour_does_not() -> None:
     corners = np.array([(0, 0), (4, 0), (4, 3), (2, 1), (0, 3)], float)
     notched = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
     in_space = np.stack([notched[..., 0], np.zeros((5, 2)), notched[..., 1]], axis=-1)
     assert girth(corners) == pytest.approx(14.0)
-    assert outline(in_space) == pytest.approx(10.0 + 2 * np.sqrt(8.0))
+    assert contour_length(in_space) == pytest.approx(10.0 + 2 * np.sqrt(8.0))
 
 
 def test_tape_over_one_side_of_a_wedge() -> None:
@@ -61,7 +69,7 @@ def test_tape_over_one_side_of_a_wedge() -> None:
     assert tape(wedge, (1.0, 1.0), over=-1.1) == pytest.approx(12.0)
 
 
-def test_quick_girths_find_the_same_levels() -> None:
+def test_rough_girths_are_close_to_girths() -> None:
     angle = np.linspace(0, 2 * np.pi, 300, endpoint=False)
     rings = [np.stack([a * np.cos(angle), b * np.sin(angle)], axis=1) for a, b in ((10, 10), (13, 8), (9, 9.5))]
     quick = rough_girths(np.concatenate(rings), np.repeat([1.0, 2.0, 3.0], 300))
@@ -73,4 +81,4 @@ def test_half_a_circle_is_clipped_from_a_circle() -> None:
     cut = section(shape.vertices, shape.faces, 1, 3.0)
     half = clipped(cut, (0.0, 0.0, 1.0), np.array([0.0, 0.0, 0.001]))
     assert half[:, :, 2].min() >= 0.001 - 1e-12
-    assert outline(half) == pytest.approx(np.pi * 5.0, abs=0.01)
+    assert contour_length(half) == pytest.approx(np.pi * 5.0, abs=0.01)

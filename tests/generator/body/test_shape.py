@@ -1,4 +1,4 @@
-"""Bodies from the shape space."""
+"""Bodies of the shape space: closed, symmetric, posed, linear in their weights."""
 
 import hashlib
 from importlib.resources import files
@@ -32,7 +32,7 @@ def feet_distance(body: Body) -> float:
     return float(feet[feet[:, 0] > 0, 0].mean() - feet[feet[:, 0] < 0, 0].mean())
 
 
-def test_the_asset_is_small_and_whole() -> None:
+def test_the_asset_is_small_and_has_its_checksum() -> None:
     folder = files("gcd_dataset.generator") / "data"
     content = (folder / "body.npz").read_bytes()
     assert len(content) < 2e6
@@ -49,7 +49,7 @@ def test_skin_is_closed_and_faces_outwards(shape: BodyShape) -> None:
 
 
 @pytest.mark.parametrize("legs_apart", [False, True])
-def test_bodies_stand_on_the_floor_and_look_ahead(legs_apart: bool) -> None:
+def test_bodies_stand_on_the_floor_and_face_z(legs_apart: bool) -> None:
     body = build_body(neutral_shape(legs_apart=legs_apart))
     assert body.vertices[:, 1].min() == pytest.approx(0.0, abs=1e-12)
     feet = body.vertices[body.parts == BodyPart.FEET.value]
@@ -67,7 +67,7 @@ def test_left_is_the_mirror_image_of_right() -> None:
     assert vertices[order] == pytest.approx(mirrored[np.lexsort((mirrored.round(4) + 0.0).T)], abs=1e-3)
 
 
-def test_legs_apart_are_apart_and_change_nothing_above() -> None:
+def test_legs_apart_do_not_change_the_head() -> None:
     straight, apart = build_body(neutral_shape()), build_body(neutral_shape(legs_apart=True))
     assert feet_distance(apart) > feet_distance(straight) + 6.0
     head = straight.parts == BodyPart.HEAD.value
@@ -83,7 +83,7 @@ def test_raising_the_arms_lifts_the_hands() -> None:
 
 
 def test_arms_are_level_in_the_t_pose() -> None:
-    """Forearm and upper arm alike, and the trunk stays as it is."""
+    """Forearm and upper arm are level, and the trunk is unchanged."""
     weights = neutral_shape().weights
     arms = [BodyPart.LEFT_ARM.value, BodyPart.RIGHT_ARM.value]
     standing, level = build_body(BodyShape(weights)), build_body(BodyShape(weights, T_POSE))
@@ -94,7 +94,7 @@ def test_arms_are_level_in_the_t_pose() -> None:
     assert measure(level).waist == pytest.approx(measure(standing).waist, abs=0.01)
 
 
-def test_same_generator_same_body_and_another_one_another() -> None:
+def test_the_same_stream_draws_the_same_body() -> None:
     first, again, other = (draw_shape(rng(3, index, Stage.BODY)) for index in (5, 5, 6))
     assert first == again
     assert np.array_equal(build_body(first).vertices, build_body(again).vertices)
@@ -115,8 +115,8 @@ def test_a_body_is_linear_in_its_weights() -> None:
     assert bodies[2] - bodies[2][0] == pytest.approx(middle - middle[0], abs=1e-9)
 
 
-def test_halves_never_pass_through_each_other() -> None:
-    """Bodies are symmetric, so what crosses x = 0 meets its own mirror image."""
+def test_halves_do_not_cross_the_midplane() -> None:
+    """Bodies are symmetric: skin that crosses x = 0 intersects its mirror image."""
     left = body_model().mean[:, 0] > 1e-9
     for index in range(10):
         drawn = draw_shape(rng(21, index, Stage.BODY))
@@ -134,7 +134,7 @@ def test_parts_lie_where_they_belong() -> None:
     assert height[BodyPart.LEFT_LEG].max() < height[BodyPart.LEFT_ARM].max()
 
 
-def test_unknown_names_and_foreign_weights_are_told() -> None:
+def test_unknown_names_and_wrong_numbers_of_weights_are_errors() -> None:
     with pytest.raises(BodyError, match="no body named giant: there are neutral, female, male"):
         named_shape("giant")
     with pytest.raises(BodyError, match=f"3 shape weights, the body model takes {len(body_model().components)}"):

@@ -1,4 +1,4 @@
-"""Loop's subdivision of a part of a mesh."""
+"""Loop subdivision of a part of a mesh."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_a_closed_mesh_stays_closed_and_keeps_its_numbers(share: float) -> None:
     assert len(faces) >= len(ball.faces) + 3 * marked.sum()
 
 
-def test_every_new_vertex_is_an_average() -> None:
+def test_every_new_vertex_is_a_weighted_mean() -> None:
     ball = trimesh.creation.icosphere(subdivisions=2)
     matrix, _ = refine(np.asarray(ball.faces), np.ones(len(ball.faces), bool), len(ball.vertices))
     assert matrix @ np.ones(len(ball.vertices)) == pytest.approx(np.ones(matrix.shape[0]))
@@ -28,7 +28,7 @@ def test_every_new_vertex_is_an_average() -> None:
 
 
 def test_a_flat_sheet_is_refined_evenly() -> None:
-    """Inside a regular flat lattice Loop's weights reproduce the plane and put new vertices on the middles of edges."""
+    """In a regular flat lattice Loop's weights keep the plane and put new vertices at the midpoints of edges."""
     rows = np.array([(i + 0.5 * j, j * np.sqrt(3) / 2) for j in range(7) for i in range(7)])
     vertices = np.column_stack([rows, np.zeros(49)])
     cell = np.array([7 * j + i for j in range(6) for i in range(6)])

@@ -1,4 +1,4 @@
-"""Nearest points, patched holes and loops, on shapes where they are known."""
+"""Nearest points, patched holes and loops of sections, on shapes with known ones."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,9 @@ import trimesh
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import measures
 from gcd_dataset.generator.body.find import narrowest_ring
-from gcd_dataset.generator.body.geodesic import net_between
+from gcd_dataset.generator.body.geodesic import graph_between
 from gcd_dataset.generator.body.scan import Scan
-from gcd_dataset.generator.body.section import girth, loops, outline, section
+from gcd_dataset.generator.body.section import contour_length, girth, loops, section
 from gcd_dataset.generator.body.surface import SkinSurface
 
 
@@ -18,7 +18,7 @@ def torus() -> trimesh.Trimesh:
     return trimesh.creation.torus(20.0, 5.0, major_sections=256, minor_sections=128)
 
 
-def test_nearest_points_of_a_box_whatever_its_triangles() -> None:
+def test_nearest_points_of_a_box_with_large_triangles() -> None:
     box = trimesh.creation.box((40.0, 100.0, 20.0))
     points = np.array([(30.0, 11.0, 3.0), (1.0, 60.0, 2.0), (25.0, 55.0, 13.0), (19.0, 0.0, 0.0)])
     near = SkinSurface.of(box.vertices, box.faces).nearest(points)
@@ -29,7 +29,7 @@ def test_nearest_points_of_a_box_whatever_its_triangles() -> None:
     assert np.all(near.faces < len(box.faces))
 
 
-def test_a_column_of_slivers_is_not_divided_without_end() -> None:
+def test_subdivision_of_slivers_is_bounded() -> None:
     column = trimesh.creation.cylinder(20.0, 170.0, sections=1000)
     surface = SkinSurface.of(column.vertices, column.faces)
     assert len(surface.corners) < 400_000
@@ -37,13 +37,13 @@ def test_a_column_of_slivers_is_not_divided_without_end() -> None:
     assert near.distances == pytest.approx([10.0, 4.0], abs=0.1)
 
 
-def test_two_loops_of_a_torus_are_told_apart() -> None:
+def test_two_loops_of_a_torus_are_distinguished() -> None:
     shape = torus()
     cut = section(shape.vertices, shape.faces, 1, 0.01)
     loop = loops(cut)
     assert len(np.unique(loop)) == 2
     for each in (0, 1):
-        assert outline(cut[loop == each]) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
+        assert contour_length(cut[loop == each]) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
     assert measures.larger_thigh(cut, 0.0) == pytest.approx(2 * np.pi * 5.0, rel=1e-3)
     assert girth(cut[:, 0][:, [0, 2]]) == pytest.approx(2 * np.pi * 5.0 + 80.0, rel=1e-3)  # one tape round both
 
@@ -66,13 +66,13 @@ def test_distances_are_taken_in_batches() -> None:
     assert measures.around(rings) == pytest.approx([measures.around(ring) for ring in rings])
 
 
-def test_a_way_between_any_two_points_of_a_ball() -> None:
+def test_a_geodesic_between_any_two_points_of_a_ball() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=10.0)
     surface = SkinSurface.of(ball.vertices, ball.faces)
     start, end = surface.nearest(np.array([(1.0, 9.0, 3.0), (9.0, 1.0, -2.0)])).points
-    net, vertices = net_between(ball.vertices, ball.faces, start, end)
+    graph, vertices = graph_between(ball.vertices, ball.faces, start, end)
     angle = np.arccos(start @ end / np.linalg.norm(start) / np.linalg.norm(end))
-    assert net.length(vertices) == pytest.approx(10.0 * angle, rel=0.01)
+    assert graph.length(vertices) == pytest.approx(10.0 * angle, rel=0.01)
 
 
 def test_the_narrowest_ring_of_an_hourglass() -> None:
@@ -88,7 +88,7 @@ def test_the_narrowest_ring_of_an_hourglass() -> None:
     assert found[:, 1] == pytest.approx(found[0, 1])
 
 
-def test_a_limb_without_breadth_has_no_ring() -> None:
+def test_a_flat_limb_has_no_ring() -> None:
     strip = np.array([[-3.0, -9.0, 0.0], [3.0, -9.0, 0.0], [3.0, 9.0, 0.0], [-3.0, 9.0, 0.0]])
     ring = np.array([[-3.0, 0.0, -1.0], [3.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
@@ -109,7 +109,7 @@ def test_a_scan_is_welded_and_its_holes_are_patched() -> None:
     assert scan.vertices[scan.source[5 * 3 + 1]] == pytest.approx(corner)
 
 
-def test_a_scan_of_nothing_is_turned_down() -> None:
+def test_an_empty_scan_is_an_error() -> None:
     with pytest.raises(BodyError, match="0 triangles with an area"):
         Scan.of(np.zeros((3, 3)), np.array([[0, 1, 2]]), "flat")
     with pytest.raises(BodyError, match="names vertex 3 of 3"):

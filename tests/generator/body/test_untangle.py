@@ -1,4 +1,4 @@
-"""Folded skin, on surfaces whose folds are known."""
+"""Removal of folds and creases, on surfaces with known ones."""
 
 from collections.abc import Callable
 
@@ -20,15 +20,15 @@ def ball() -> trimesh.Trimesh:
     return trimesh.creation.icosphere(subdivisions=4, radius=10.0)
 
 
-def test_a_ball_has_no_fold_and_keeps_its_place(ball: trimesh.Trimesh) -> None:
+def test_a_ball_has_no_fold_and_is_unchanged(ball: trimesh.Trimesh) -> None:
     skin = SkinMesh.of(ball.vertices, ball.faces)
     assert not skin.folded(ball.vertices).any()
     stretched = ball.vertices * [1.0, 2.0, 0.7]
     assert skin.flattened(stretched) is stretched
 
 
-def test_a_patch_turned_inside_out_is_drawn_flat_and_the_rest_is_left(ball: trimesh.Trimesh) -> None:
-    """A pole pulled back through the ball's skin beside it, as a nipple may be."""
+def test_an_inverted_patch_is_flattened_and_the_rest_is_unchanged(ball: trimesh.Trimesh) -> None:
+    """A pole pulled over the skin beside it, as a nipple may be."""
     skin = SkinMesh.of(ball.vertices, ball.faces)
     dented = ball.vertices.copy()
     pole = int(dented[:, 1].argmax())
@@ -41,7 +41,7 @@ def test_a_patch_turned_inside_out_is_drawn_flat_and_the_rest_is_left(ball: trim
     assert np.linalg.norm(flat, axis=1) == pytest.approx(np.full(len(flat), 10.0), abs=1.0)
 
 
-def test_vertices_off_the_skin_stay(ball: trimesh.Trimesh) -> None:
+def test_vertices_off_the_skin_do_not_move(ball: trimesh.Trimesh) -> None:
     upper = ball.faces[(ball.vertices[ball.faces][:, :, 1] > 0).all(axis=1)]
     skin = SkinMesh.of(ball.vertices, upper)
     dented = ball.vertices.copy()
@@ -51,7 +51,7 @@ def test_vertices_off_the_skin_stay(ball: trimesh.Trimesh) -> None:
 
 
 def groove(wall: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "v 3"]:
-    """A sheet 10 long with a groove 1 deep along z, whose walls stand ``wall(height)`` to either side."""
+    """A sheet with a groove along z, 10 long and 1 deep; its walls are at x = ± ``wall(height)``."""
     across, along = np.meshgrid(np.linspace(-1.0, 1.0, 41), np.linspace(0.0, 10.0, 31), indexing="ij")
     return np.stack([np.sign(across) * wall(np.abs(across)), np.abs(across), along], axis=-1).reshape(-1, 3)
 
@@ -62,33 +62,33 @@ def groove_faces() -> Int[np.ndarray, "f 3"]:
     return np.concatenate([np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)])
 
 
-def test_walls_of_a_groove_that_have_passed_through_each_other_are_parted() -> None:
-    """None of their faces looks the other way: they lean over the middle by a few degrees."""
+def test_crossed_walls_of_a_groove_are_separated() -> None:
+    """No face is inverted: the walls lean over the middle by a few degrees."""
     skin = SkinMesh.of(groove(lambda height: height), groove_faces())
     closed = groove(lambda height: 0.2 * height * (height - 0.4))
     assert not skin.folded(closed).any()
-    assert len(skin.crossed(closed))
+    assert len(skin.intersecting(closed))
     parted = skin.flattened(closed)
-    assert not len(skin.crossed(parted))
+    assert not len(skin.intersecting(parted))
     assert (np.sign(parted[:, 0]) == np.sign(closed[:, 0])).mean() > 0.9
     upper = closed[:, 1] > 0.7
     assert np.array_equal(parted[upper], closed[upper])
 
 
-def test_a_groove_however_narrow_is_left_as_it_is() -> None:
+def test_a_narrow_groove_is_unchanged() -> None:
     skin = SkinMesh.of(groove(lambda height: height), groove_faces())
     narrow = groove(lambda height: 0.01 * height)
     assert skin.flattened(narrow) is narrow
 
 
 @pytest.mark.parametrize(("seed", "number", "sex"), [(0, 1763, "male"), (1, 1174, "female"), (1, 1450, "female")])
-def test_thighs_and_crotch_of_odd_bodies_stay_outside_each_other(seed: int, number: int, sex: str) -> None:
+def test_thighs_and_crotch_of_unusual_bodies_do_not_intersect(seed: int, number: int, sex: str) -> None:
     body = build_body(draw_shape(rng(seed, number, Stage.BODY), sex=sex))
     assert skin_crossings(body) == 0
 
 
 def test_drawn_bodies_have_no_folds() -> None:
-    """Faces of trunk, arms and legs look where they look on the mean body, give or take a right angle."""
+    """Normals of trunk, arms and legs are within a right angle of the mean body's."""
     model = body_model()
     skin = SkinMesh.of(model.mean, model.faces[(model.parts < BodyPart.HEAD.value)[model.faces].all(axis=1)])
     for index in range(12):
