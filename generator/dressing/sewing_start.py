@@ -15,6 +15,7 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import spsolve
 
+from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.limbs import Limb, limbs_of
 from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
 from gcd_dataset.spec import is_trouser_leg
@@ -30,6 +31,9 @@ WAVE, WAVES = 0.4, 17.0  # cm; radians of wave per radian of turn: a small wave 
 ARM_GAP = 1.5  # cm between a bodice and the inside of an arm
 ARMPIT = 22.0  # cm below the top of the arm's skin, above which an armhole surrounds the arm
 SLICE = 2.0  # cm of height in which widths are compared
+SECTION = 2.0  # cm of distance from the armhole that make a cross section of a sleeve
+SLEEVE_ROOT = 10.0  # cm from the armhole, where a sleeve may lie beside the arm's axis
+ARM_RADIUS = 4.0  # cm that a cross section of a sleeve must reach beyond the arm's axis on either side
 
 
 def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
@@ -38,10 +42,13 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     skirts = (roles == PanelRole.LEG) & ~np.array([is_trouser_leg(name) for name in mesh.panel_names])
     skirt = _Skirt.of(mesh, skirts) if skirts.any() else None
     on_cone = skirt is not None and skirt.is_wide
-    bodice = (roles == PanelRole.BODY).any()
-    if not on_cone and not bodice:
+    bodice, sleeves = (roles == PanelRole.BODY).any(), (roles == PanelRole.ARM).any()
+    if not (on_cone or bodice or sleeves):
         return mesh.vertices
-    limbs = limbs_of(body)
+    try:
+        limbs = limbs_of(body)
+    except BodyError:  # a body without a trunk, as a ball
+        return mesh.vertices
     placed = np.array(mesh.vertices, float)
     if skirt is not None and on_cone:
         skirt.place_on_cone(limbs[BodyPart.TRUNK], placed)
@@ -49,7 +56,32 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
         for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
             if part in limbs:
                 _fit_between_arms(mesh, roles, limbs[part], side, placed)
+    if sleeves:
+        for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
+            if part in limbs:
+                _put_on_arm(mesh, roles, limbs[part], side, placed)
     return placed
+
+
+def _flat_sides(
+    faces: Int[np.ndarray, "f 3"], uv: Float[np.ndarray, "f 3 2"], vertices: int
+) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:
+    """The ends of the faces' sides and their flat lengths [cm]; the shorter length where two panels differ."""
+    ends = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    length = np.concatenate([np.linalg.norm(uv[:, (k + 1) % 3] - uv[:, k], axis=1) for k in range(3)])
+    low, high = np.sort(ends, axis=1).T
+    order = np.lexsort((length, high, low))
+    first = order[np.diff(low[order] * np.int64(vertices) + high[order], prepend=-1) != 0]
+    return np.stack([low[first], high[first]], axis=1), length[first]
+
+
+def _distance_from(
+    start: Int[np.ndarray, " s"], ends: Int[np.ndarray, "e 2"], length: Float[np.ndarray, " e"], vertices: int
+) -> Float[np.ndarray, " v"]:
+    """(v) distance of each vertex from ``start`` along the sides of faces [cm]; 0 for pieces apart from it."""
+    graph = csr_array((length, (ends[:, 0], ends[:, 1])), shape=(vertices, vertices))
+    distance = dijkstra(graph, directed=False, indices=start, min_only=True)
+    return np.where(np.isfinite(distance), distance, 0.0)
 
 
 # --------------------------------------------------------------------------------------------------------------- skirt
@@ -133,22 +165,10 @@ class _Skirt:
 
     @cached_property
     def _sides(self) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:
-        """The ends of each face's sides and their flat lengths [cm]; the shortest where panels differ."""
-        ends = np.concatenate([self.faces[:, [k, (k + 1) % 3]] for k in range(3)])
-        length = np.concatenate([np.linalg.norm(self.uv[:, (k + 1) % 3] - self.uv[:, k], axis=1) for k in range(3)])
-        low, high = np.sort(ends, axis=1).T
-        order = np.lexsort((length, high, low))
-        key = low[order] * np.int64(len(self.mesh.vertices)) + high[order]
-        first = order[np.diff(key, prepend=-1) != 0]
-        return np.stack([low[first], high[first]], axis=1), length[first]
+        return _flat_sides(self.faces, self.uv, len(self.mesh.vertices))
 
     def _distance_from_top(self) -> Float[np.ndarray, " v"]:
-        """(v) distance of each vertex from the top along the sides of faces [cm]; 0 for pieces apart from it."""
-        ends, length = self._sides
-        n = len(self.mesh.vertices)
-        graph = csr_array((length, (ends[:, 0], ends[:, 1])), shape=(n, n))
-        distance = dijkstra(graph, directed=False, indices=self.top, min_only=True)
-        return np.where(np.isfinite(distance), distance, 0.0)
+        return _distance_from(self.top, *self._sides, len(self.mesh.vertices))
 
     def _turns(self) -> Float[np.ndarray, " v"]:
         """(v) angle from the middle of front or back, harmonic in the flat cloth between the side seams [rad].
@@ -205,3 +225,47 @@ def _fit_between_arms(
             room = float((side * arm.skin[beside, 0]).min()) - ARM_GAP
             if 0.0 < room < reach[here].max():
                 placed[bodice[here], 0] *= room / reach[here].max()
+
+
+# -------------------------------------------------------------------------------------------------------------- sleeve
+
+
+def _put_on_arm(mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]) -> None:
+    """Shift the cross sections of a sleeve that hangs beside the arm, in ``placed``, so that each surrounds it.
+
+    A section is the vertices at one distance from the armhole along the cloth. Its middle, in the frontal plane, moves
+    to the point of the arm's axis that is as far from the armhole.
+    """
+    own = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
+    faces = mesh.faces[own]
+    armhole = np.intersect1d(faces, mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
+    if not len(faces) or not len(armhole):
+        return
+    rows = np.unique(faces)
+    ends, length = _flat_sides(faces, mesh.uv[mesh.corners[own]], len(mesh.vertices))
+    away = _distance_from(armhole, ends, length, len(mesh.vertices))[rows]
+    axis = arm.axis[:2] / np.linalg.norm(arm.axis[:2])
+    across = np.array([-axis[1], axis[0]])
+    points = mesh.vertices[rows, :2]
+    offset = (points - arm.origin[:2]) @ across
+    along = (points - arm.origin[:2]) @ axis
+    root = float(along[away <= SECTION].mean())
+    tip = float(((arm.skin[:, :2] - arm.origin[:2]) @ axis).max())
+    middles, targets, fits = [], [], True
+    numbers = np.floor(away / SECTION).astype(int)
+    for number in np.unique(numbers):
+        here = numbers == number
+        target = root + (number + 0.5) * SECTION
+        low, high = offset[here].min(), offset[here].max()
+        if (number + 0.5) * SECTION > SLEEVE_ROOT and target < tip:
+            fits &= bool(low < -ARM_RADIUS and high > ARM_RADIUS)
+        middles.append((number, 0.5 * (low + high), float(along[here].mean())))
+        targets.append(target)
+    if fits:
+        return
+    shift = np.zeros((len(rows), 2))
+    for (number, middle, here_along), target in zip(middles, targets, strict=True):
+        here = numbers == number
+        share = min(1.0, (number + 0.5) * SECTION / SLEEVE_ROOT)
+        shift[here] = share * (-middle * across + (target - here_along) * axis)
+    placed[rows, :2] += shift
