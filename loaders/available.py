@@ -11,7 +11,7 @@ gcd_dataset.errors.ConfigError: no field points: these garments end with stage p
 from collections.abc import Callable, Iterable, Mapping
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.layout import known_fields
+from gcd_dataset.shards.layout import select_fields
 
 __all__ = ["fields_held", "lacking_at", "lacking_where"]
 
@@ -35,8 +35,8 @@ def fields_held(fields: Iterable[str] | None, there: Iterable[str], lacking: Map
     ``lacking``: field to the reason why no garment holds it. Raises ``ConfigError`` with the reason and the fields
     there are.
     """
-    asked = known_fields(fields, there)
-    held = [field for field in known_fields(None, there) if field not in lacking]
+    asked = select_fields(fields, there)
+    held = [field for field in select_fields(None, there) if field not in lacking]
     if fields is None:
         return tuple(held)
     if missing := [field for field in asked if field in lacking]:

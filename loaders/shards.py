@@ -25,10 +25,10 @@ from gcd_dataset.loaders.recipe_source import RECIPE, recipe_folder
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
 from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.foreign_member import decode_member
 from gcd_dataset.shards.layout import FOREIGN, MEMBERS, Bytes, fields_of, key_of, members_of
 from gcd_dataset.shards.npy import write_npy
-from gcd_dataset.shards.plain import decode_member
-from gcd_dataset.shards.reader import ShardReader, Verify, naming_place
+from gcd_dataset.shards.reader import ShardReader, Verify, naming_sample
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import BLOCK, stream_samples
 
@@ -176,7 +176,7 @@ class GarmentDataset(Garments):
 
     def _described(self) -> list[str]:
         splits = dict.fromkeys(part.reader.split for part in self._parts)
-        return [f"{' + '.join(splits)} of {self._parts[0].reader.store.place()}"]
+        return [f"{' + '.join(splits)} of {self._parts[0].reader.store.location()}"]
 
     def _lacking(self) -> dict[str, str]:
         """Field to the reason why no garment holds it, by the sizes in the index."""
@@ -356,7 +356,7 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         """The samples of a stretch."""
         reader = stretch.part.reader
         store, members, left = reader.store, self._streamed, stretch.by_key()
-        place, count = store.place(stretch.name), len(stretch.places)
+        place, count = store.location(stretch.name), len(stretch.places)
         begin = 0 if self._foreign else stretch.begin()
         samples = _foreign_samples if self._foreign else partial(_samples, wanted=members)
         for sample in samples(reader, stretch.name, begin=begin):
@@ -368,7 +368,7 @@ class StreamedGarments(GarmentDataset, IterableDataset):
                 if self._check_stream:
                     _check(place, sample, store.remedy)
             count -= 1
-            with naming_place(partial(_named, place, sample)):
+            with naming_sample(partial(_named, place, sample)):
                 item = self._item(sample, positions.pop(0))
             yield item
             if not count:
@@ -394,7 +394,7 @@ def _samples(reader: ShardReader, shard: str, wanted: Container[str], begin: int
             for key, members in stream_samples(stream, wanted, begin=start):
                 yield {"__key__": key, **members}
     except ShardError as error:
-        place = reader.store.place(shard)
+        place = reader.store.location(shard)
         if str(error).startswith(place):
             raise
         raise ShardError(f"{place}: a damaged archive ({error}): {reader.store.remedy}") from error
@@ -402,7 +402,7 @@ def _samples(reader: ShardReader, shard: str, wanted: Container[str], begin: int
 
 def _foreign_samples(reader: ShardReader, shard: str, begin: int) -> Iterator[Mapping[str, Any]]:
     """The samples of a shard as ``webdataset`` gives them. Raises ``ShardError`` for a damaged archive."""
-    place = reader.store.place(shard)
+    place = reader.store.location(shard)
     try:
         # Opened here, since WDS_SECURE=1 forbids ``webdataset`` to open files.
         with reader.store.stream(shard) as stream:

@@ -119,7 +119,7 @@ def _download(options: argparse.Namespace) -> int:
     from gcd_dataset.hub.site import Remote
     from gcd_dataset.hub.source import Folder, Repo, parse_source
     from gcd_dataset.names import safe_name
-    from gcd_dataset.shards.layout import known_fields
+    from gcd_dataset.shards.layout import select_fields
 
     place = parse_source(options.repo, options.revision)
     if isinstance(place, Folder):
@@ -128,7 +128,7 @@ def _download(options: argparse.Namespace) -> int:
     name = place.name if isinstance(place, Repo) else place.url
     out = options.out or Path(safe_name(name.rpartition("/")[2]))
     fields = None if options.fields is None else [f for entry in options.fields for f in entry.split(",") if f]
-    known_fields(fields)
+    select_fields(fields)
     place, splits = remote_splits(place, remote)
     for split in splits if options.split is None else [options.split]:
         with tqdm(desc=split, unit="B", unit_scale=True, disable=options.quiet, file=sys.stderr) as bar:
@@ -144,7 +144,7 @@ def _download(options: argparse.Namespace) -> int:
 
 
 def _publish(options: argparse.Namespace) -> int:
-    from gcd_dataset.hub.partition import as_shares
+    from gcd_dataset.hub.partition import parse_shares
     from gcd_dataset.hub.publish import Staged
     from gcd_dataset.verbs import publish
 
@@ -158,7 +158,7 @@ def _publish(options: argparse.Namespace) -> int:
         require_folder(options.dataset),
         options.repo,
         out=options.out,
-        shares=as_shares(options.shares),
+        shares=parse_shares(options.shares),
         license=options.license,
         partial=options.partial,
         private=options.private,

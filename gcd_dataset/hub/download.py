@@ -11,14 +11,14 @@ from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.files import make_folder
-from gcd_dataset.hub.checked import CheckedShards
-from gcd_dataset.hub.download_record import begin, end, what_is_there
+from gcd_dataset.hub.checked_shards import CheckedShards
+from gcd_dataset.hub.download_record import begin_split, completed_download, finish_split
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
 from gcd_dataset.hub.source import Repo, Url
 from gcd_dataset.shards.access import locked, writing
 from gcd_dataset.shards.copying import copy_shard
-from gcd_dataset.shards.download_file import Fetched
+from gcd_dataset.shards.download_file import DownloadRecord
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import (
     FOREIGN,
@@ -28,9 +28,9 @@ from gcd_dataset.shards.layout import (
     fields_of,
     garments_layout,
     index_name,
-    known_fields,
     lock_name,
     part_path,
+    select_fields,
     shard_number,
 )
 from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_recipe, keep_split
@@ -55,7 +55,7 @@ def download(
     split: str = "train",
     fields: Sequence[str] | None = None,
     told: Told | None = None,
-) -> Fetched:
+) -> DownloadRecord:
     """Bring a split into ``folder``, as a data set of its own; with ``fields`` nothing else of each sample.
 
     What is whole there is not asked for again: broken off and started again, it goes on. Where ``place`` names another
@@ -67,9 +67,9 @@ def download(
     remote = remote or Remote()
     views = MOST_VIEWS if any(field.startswith("view_") for field in fields or ()) else 0
     everything = GARMENTS if fields is None else garments_layout(caption=True, views=views)
-    names = {META, *known_fields(fields, fields_of(everything.members))}
+    names = {META, *select_fields(fields, fields_of(everything.members))}
     wanted = everything.of([member for field, member in fields_of(everything.members).items() if field in names])
-    if there := what_is_there(folder, place, split, wanted):
+    if there := completed_download(folder, place, split, wanted):
         return there
     site = Site(place, remote)
     place = replace(place, revision=site.revision)
@@ -88,9 +88,9 @@ def download(
         layout = layout.of([member for field, member in held.items() if field in names])
     make_folder(folder)
     with locked(folder / lock_name(split), f"writing split {split}", wait=True):
-        if there := what_is_there(folder, place, split, layout):
+        if there := completed_download(folder, place, split, layout):
             return there  # another process was faster
-        begin(folder, site.source, split, layout, reader.manifest)
+        begin_split(folder, site.source, split, layout, reader.manifest)
         record = reader.manifest.splits[split]
         if layout == reader.layout:
             _bring_whole(folder, site, split, record, told or _silent)
@@ -101,7 +101,7 @@ def download(
         keep_split(folder, split, replace(record, shards=tuple(shards)))
         if reader.manifest.recipe is not None:
             keep_recipe(folder, reader.manifest.recipe)
-        return end(folder, site.source, split, layout)
+        return finish_split(folder, site.source, split, layout)
 
 
 def remote_splits(place: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple[str, ...]]:

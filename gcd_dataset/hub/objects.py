@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gcd_dataset.errors import ConfigError, MissingError, RefusedError, RemoteError
-from gcd_dataset.hub.patience import Outage, Trouble, reason
+from gcd_dataset.hub.retry import Backoff, RetryableError, first_line
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -148,7 +148,7 @@ class Objects:
 
     def _patiently(self, path: str, ask: "Callable[[AbstractFileSystem, str], T]") -> T:
         """What ``ask`` gets from the store for an object, tried again where that may help."""
-        outage = Outage(self.patience)
+        outage = Backoff(self.patience)
         while True:
             try:
                 store = _store(os.getpid(), "/".join(self.base.split("/")[:3]))
@@ -158,9 +158,9 @@ class Objects:
                 trouble = self._trouble(path, error)
             outage.rest(self.address(path), trouble, patient=self._patient, sleep=self._sleep)
 
-    def _trouble(self, path: str, error: Exception) -> Trouble:
+    def _trouble(self, path: str, error: Exception) -> RetryableError:
         """What may pass of an error. Raises what will not."""
-        own, told = self.address(path), reason(error)
+        own, told = self.address(path), first_line(error)
         kinds = " ".join(kind.__name__ for kind in type(error).__mro__)
         if isinstance(error, ImportError):
             raise ConfigError(f"{own}: {_package(self.base, told)}") from error
@@ -177,7 +177,7 @@ class Objects:
             ) from error
         if isinstance(error, WRONG) or "Validation" in kinds or getattr(error, "errno", None) in NEVER:
             raise RemoteError(f"{own}: the store does not take this ({told}): check the address") from error
-        return Trouble(f"no answer ({told})", is_unreachable=True)
+        return RetryableError(f"no answer ({told})", is_unreachable=True)
 
 
 def _info(store: "AbstractFileSystem", name: str) -> Any:

@@ -7,7 +7,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import user_path
 from gcd_dataset.hub.cache import Cache, size_in_bytes
 from gcd_dataset.hub.download import download
-from gcd_dataset.hub.download_record import require_from
+from gcd_dataset.hub.download_record import require_same_source
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
 from gcd_dataset.hub.source import Folder, parse_source
@@ -38,7 +38,7 @@ def open_store(
     if root is not None:
         folder = user_path(root)
         if not remote.allowed:
-            require_from(folder, place)
+            require_same_source(folder, place)
         for split in splits if remote.allowed else ():
             download(place, folder, remote, split=split, fields=fields)
         return FolderStore(folder)

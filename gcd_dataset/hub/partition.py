@@ -12,7 +12,7 @@ from gcd_dataset.shards.layout import FAILED, FIELDS, Bytes, fields_of
 from gcd_dataset.shards.npy import read_npy
 from gcd_dataset.shards.reader import ShardReader
 
-__all__ = ["BODY", "DESIGN", "SHARES", "as_shares", "families", "leaks", "partition"]
+__all__ = ["BODY", "DESIGN", "SHARES", "families", "leaks", "parse_shares", "partition"]
 
 SHARES: Mapping[str, float] = {"train": 0.90, "validation": 0.05, "test": 0.05}
 """Shares of the garments, nearly those of GarmentCodeData's official split."""
@@ -114,7 +114,7 @@ def _chances(reader: ShardReader, family: np.ndarray) -> np.ndarray:
     return np.array([int.from_bytes(digest[:6], "big") / 2**48 for digest in digests])
 
 
-def as_shares(text: str) -> dict[str, float]:
+def parse_shares(text: str) -> dict[str, float]:
     """``90,5,5`` as shares of train, validation and test. Raises ``ConfigError``."""
     try:
         parts: Sequence[float] = [float(part) for part in text.split(",")]

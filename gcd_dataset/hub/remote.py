@@ -11,7 +11,7 @@ from typing import BinaryIO, TypeVar
 
 from gcd_dataset.errors import MissingError, RemoteError, ShardError, did_you_mean, shown
 from gcd_dataset.hub.cache import Cache, CachedMember
-from gcd_dataset.hub.listing import foreign_site_index
+from gcd_dataset.hub.foreign_tars import read_foreign_index
 from gcd_dataset.hub.site import Site
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import GARMENTS, Layout, index_name
@@ -38,12 +38,12 @@ class RemoteStore(Store):
         self.site, self._cache, self.source = site, cache, site.source
         self._shards: dict[str, _RemoteShard] = {}
 
-    def place(self, name: str = "") -> str:
+    def location(self, name: str = "") -> str:
         return f"{self.source}/{shown(name)}" if name else str(self.source)
 
     def manifest(self) -> Manifest | None:
         try:
-            return parse_manifest(self.site.small(MANIFEST), self.place(MANIFEST), self.remedy)
+            return parse_manifest(self.site.small_file(MANIFEST), self.location(MANIFEST), self.remedy)
         except MissingError:
             return None
         except ShardError:
@@ -54,15 +54,15 @@ class RemoteStore(Store):
         manifest, name = self.manifest(), index_name(split)
         if manifest is not None and split not in manifest.splits:
             there = f"there is {', '.join(manifest.splits)}{did_you_mean(split, manifest.splits)}"
-            raise ShardError(f"{self.place()}: no samples of split {split}: {there}")
+            raise ShardError(f"{self.location()}: no samples of split {split}: {there}")
         try:
-            content = self.site.small(name)
-            index = ShardIndex.parse(content, self.place(name), layout, partial=True, remedy=REPUBLISH)
+            content = self.site.small_file(name)
+            index = ShardIndex.parse(content, self.location(name), layout, partial=True, remedy=REPUBLISH)
             self._require_listed(index, split, manifest)
         except MissingError as error:
             if manifest is not None or layout != GARMENTS:
                 raise RemoteError(f"{error}: {REPUBLISH}") from error
-            index = foreign_site_index(self.site, split)
+            index = read_foreign_index(self.site, split)
         except ShardError:
             self.site.forget(name)  # its publisher may be at work
             raise
@@ -101,7 +101,7 @@ class RemoteStore(Store):
             given.update(places.values())
         return samples
 
-    def mend(self, shard: str, number: int, part: MemberLocation) -> memoryview | None:
+    def refetch(self, shard: str, number: int, part: MemberLocation) -> memoryview | None:
         there = self._shards[shard]
         flag = there.flag(number, part.column)
         if self._cache is not None:
@@ -129,7 +129,7 @@ class RemoteStore(Store):
         for part in run:
             if part.size > LARGEST_MEMBER:
                 raise RemoteError(
-                    f"{self.place(shard)}: {there.name_of(part.column)}: has {part.size} bytes by its index, and "
+                    f"{self.location(shard)}: {there.name_of(part.column)}: has {part.size} bytes by its index, and "
                     f"members of up to {LARGEST_MEMBER} are read from servers: leave this field out, or tell its "
                     "publisher"
                 )
@@ -143,7 +143,7 @@ class RemoteStore(Store):
         else:
             assert wrong is not None
             raise RemoteError(
-                f"{self.place(shard)}: {there.name_of(wrong.column)}: other bytes come than were published: nothing of "
+                f"{self.location(shard)}: {there.name_of(wrong.column)}: other bytes come than were published: nothing of "
                 f"it is kept; {self.remedy}"
             )
         if self._cache is not None:
@@ -160,13 +160,13 @@ class RemoteStore(Store):
         found = dict(zip(index.shards, zip(index.length.tolist(), counts, strict=True), strict=True))
         if found != listed:
             odd = sorted(name for name, _ in listed.items() ^ found.items())[0]
-            raise RemoteError(f"{self.place()}: {index_name(split)} and {MANIFEST} differ in {odd}: {REPUBLISH}")
+            raise RemoteError(f"{self.location()}: {index_name(split)} and {MANIFEST} differ in {odd}: {REPUBLISH}")
 
     def _key(self, shard: str, split: str, manifest: Manifest | None) -> str:
         """What the cache knows a shard by: its hash, so that data sets and revisions share what they share."""
         records = manifest.splits[split].shards if manifest is not None else ()
         known = {record.name: record.sha256 for record in records if SHA256.fullmatch(record.sha256)}
-        return known.get(shard) or hashlib.sha256(self.place(shard).encode()).hexdigest()
+        return known.get(shard) or hashlib.sha256(self.location(shard).encode()).hexdigest()
 
 
 class _RemoteShard:

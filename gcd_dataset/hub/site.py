@@ -95,20 +95,20 @@ class Site:
         """The files of a repository. Raises ``ConfigError`` for a URL, which cannot list them."""
         if not isinstance(self._place, Repo):
             raise ConfigError(f"{self._place}: a URL cannot list its files: give a folder, or a repository of the Hub")
-        content = self.kept(LISTING, lambda: self._api(self.revision).get("", LARGEST_LISTING))
+        content = self.cached(LISTING, lambda: self._api(self.revision).get("", LARGEST_LISTING))
         try:
             return tuple(sorted(str(file["rfilename"]) for file in json.loads(content)["siblings"]))
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             self.forget(LISTING)
             raise RemoteError(f"{self._place}: the server's list of files is none of the Hub's: {CHECK}") from error
 
-    def small(self, name: str) -> bytes:
+    def small_file(self, name: str) -> bytes:
         """A small file, asked for once. Raises ``MissingError``, or ``RemoteError`` for one that comes damaged."""
         sign = self._path(f"{name}.missing")
         if sign.exists():
             raise MissingError(f"{self.source}: has no {name}")
         try:
-            return self.kept(name, lambda: self._checked(self.web, name))
+            return self.cached(name, lambda: self._checked(self.web, name))
         except MissingError:
             if isinstance(self._place, Repo):  # at a URL it may come later
                 _keep(sign, b"")
@@ -120,7 +120,7 @@ class Site:
             if self.allowed:
                 self._path(name).unlink(missing_ok=True)
 
-    def kept(self, name: str, get: Callable[[], bytes]) -> bytes:
+    def cached(self, name: str, get: Callable[[], bytes]) -> bytes:
         """What is kept of this revision under a name; gotten and kept where it is not."""
         path = self._path(name)
         with contextlib.suppress(OSError):

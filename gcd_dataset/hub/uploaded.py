@@ -19,15 +19,15 @@ from typing import NamedTuple, TypeVar
 
 from gcd_dataset.errors import ConfigError, MissingError, RefusedError, RemoteError, ShardError
 from gcd_dataset.hub.objects import Objects
-from gcd_dataset.shards.access import read_small
+from gcd_dataset.shards.access import read_limited
 from gcd_dataset.shards.index import ShardIndex, ShardTable
 from gcd_dataset.shards.layout import FAILED, Layout, index_name, shard_name, shard_number
 from gcd_dataset.shards.limits import LARGEST_FILE, LARGEST_MANIFEST
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, ShardRecord, SplitRecord, parse_manifest
-from gcd_dataset.shards.origin import agreed_with
+from gcd_dataset.shards.origin import manifest_record_to_resume
 from gcd_dataset.shards.rejects import REJECTS, merged_rejects
 
-__all__ = ["Uploaded", "UploadedRange", "UploadedShard"]
+__all__ = ["UploadedDataset", "UploadedRange", "UploadedShard"]
 
 R = TypeVar("R")
 
@@ -59,7 +59,7 @@ class UploadedRange:
         return frozenset(index for shard in self.shards.values() for index in shard.table.sample.tolist())
 
 
-class Uploaded:
+class UploadedDataset:
     """A data set in a store. Raises ``RemoteError`` as ``Objects`` does, and for objects of others.
 
     ``asked``: split to how its samples are made, with one size of shards for all; raises ``ConfigError`` for a data set
@@ -70,10 +70,10 @@ class Uploaded:
         self.files, self._asked, self._layout = files, asked, layout
         (self.range_size,) = {record.shard_size for record in asked.values()}
 
-    def sleeping_by(self, sleep: Callable[[float], object]) -> "Uploaded":
+    def sleeping_by(self, sleep: Callable[[float], object]) -> "UploadedDataset":
         """The same, which waits for the store by ``sleep``, until that gives true."""
         files = Objects(self.files.base, patience=self.files.patience, sleep=sleep)
-        return Uploaded(files, self._asked, self._layout)
+        return UploadedDataset(files, self._asked, self._layout)
 
     @property
     def is_begun(self) -> bool:
@@ -112,7 +112,7 @@ class Uploaded:
     def add(self, number: int, folder: Path) -> UploadedRange:
         """Store what a folder holds, which is a range alone, and the note of it. Raises ``ShardError`` for another."""
         names = [MANIFEST, REJECTS, *(index_name(split) for split in self._asked)]
-        small = {name: read_small(folder / name, LARGEST_FILE) for name in names if (folder / name).exists()}
+        small = {name: read_limited(folder / name, LARGEST_FILE) for name in names if (folder / name).exists()}
         found = self._read(number, small, str(folder))
         for shard in found.shards.values():
             self.files.put_file(shard.record.name, folder / shard.record.name)
@@ -164,7 +164,7 @@ class Uploaded:
         if manifest.recipe is not None:
             raise ConfigError(f"{place}: the data set {manifest.recipe.name}: choose another URL")
         for split, asked in self._asked.items():
-            agreed_with(manifest, place, split, asked)
+            manifest_record_to_resume(manifest, place, split, asked)
         return manifest
 
     def _published(self) -> dict[int, UploadedRange]:

@@ -18,16 +18,16 @@ from gcd_dataset.files import make_folder, open_whole, write_whole
 from gcd_dataset.hub.lease import leased, require_free
 from gcd_dataset.hub.objects import Objects
 from gcd_dataset.hub.source import Url
-from gcd_dataset.hub.uploaded import Uploaded, UploadedRange
+from gcd_dataset.hub.uploaded import UploadedDataset, UploadedRange
 from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.layout import GARMENTS, Layout, key_of, part_path
 from gcd_dataset.shards.manifest import SplitRecord
 from gcd_dataset.shards.rejects import REJECTS
 
-__all__ = ["Finished", "RangeOfSamples", "Spool", "StoreTarget", "StoreWriter"]
+__all__ = ["FinishedWriter", "RangeWriter", "Spool", "StoreTarget", "StoreWriter"]
 
 
-class RangeOfSamples(Protocol):
+class RangeWriter(Protocol):
     """The writer of a folder that holds one range."""
 
     @property
@@ -54,7 +54,7 @@ class StoreTarget:
     """Split to how its samples are made."""
     spools: Path
     """Folder for the spools of all URLs."""
-    opened: Callable[[Path], RangeOfSamples]
+    open_writer: Callable[[Path], RangeWriter]
     """Opens the writer of a folder in the spool."""
     layout: Layout = GARMENTS
     patience: float | None = None
@@ -69,7 +69,7 @@ class StoreTarget:
             return frozenset[int]().union(*there, *(spool.done(number) for number in spool.numbers()))
 
     @contextlib.contextmanager
-    def filling(self, count: int) -> Iterator["StoreWriter | Finished"]:
+    def filling(self, count: int) -> Iterator["StoreWriter | FinishedWriter"]:
         """A writer of what is missing of ``count`` samples; the data set shows when the block has ended well.
 
         Broken off, what is in the store and in the spool stays, and the same call goes on with it. Nothing is written
@@ -77,7 +77,7 @@ class StoreTarget:
         """
         uploaded = self._uploaded()
         if self._is_finished(uploaded, count):
-            yield Finished(self.place)
+            yield FinishedWriter(self.place)
             return
         with self._alone(), leased(uploaded.files, self._lease):
             is_begun = uploaded.is_begun
@@ -88,19 +88,19 @@ class StoreTarget:
                 yield writer
             spool.remove()
 
-    def _is_finished(self, uploaded: Uploaded, count: int) -> bool:
+    def _is_finished(self, uploaded: UploadedDataset, count: int) -> bool:
         """Whether readers see ``count`` samples, and no run has begun since."""
         if uploaded.is_begun:
             return False
         there = frozenset[int]().union(*(its.samples for its in uploaded.ranges(count).values()))
         return there.issuperset(range(count))
 
-    def _uploaded(self) -> Uploaded:
-        return Uploaded(Objects(self.place.url, patience=self.patience), self.asked, self.layout)
+    def _uploaded(self) -> UploadedDataset:
+        return UploadedDataset(Objects(self.place.url, patience=self.patience), self.asked, self.layout)
 
     def _spool(self, is_begun: bool) -> "Spool":
         """The spool, without what is left of a run whose objects are gone, or which has finished."""
-        spool = Spool(self.spools / self.place.slug, self.opened)
+        spool = Spool(self.spools / self.place.slug, self.open_writer)
         if not is_begun:
             spool.remove()
         return spool
@@ -114,7 +114,7 @@ class StoreTarget:
 
 
 @dataclass(frozen=True)
-class Finished:
+class FinishedWriter:
     """The writer of a data set that is all there."""
 
     place: Url
@@ -129,7 +129,7 @@ class Spool:
     """Ranges on their way to a store, each in a folder of its own. Raises ``OutputError``."""
 
     folder: Path
-    opened: Callable[[Path], RangeOfSamples]
+    open_writer: Callable[[Path], RangeWriter]
 
     def numbers(self) -> list[int]:
         """The ranges of which something is here."""
@@ -141,9 +141,9 @@ class Spool:
         """The folder of a range."""
         return self.folder / f"{number:05d}"
 
-    def writer(self, number: int) -> RangeOfSamples:
+    def writer(self, number: int) -> RangeWriter:
         """The writer of a range, which goes on with what is here."""
-        return self.opened(self.of(number))
+        return self.open_writer(self.of(number))
 
     def done(self, number: int) -> frozenset[int]:
         """The samples of a range that are whole here."""
@@ -166,11 +166,11 @@ class StoreWriter:
     context; where that ends well, all is sent and shown to readers.
     """
 
-    def __init__(self, uploaded: Uploaded, spool: Spool, count: int) -> None:
+    def __init__(self, uploaded: UploadedDataset, spool: Spool, count: int) -> None:
         self._uploaded, self._spool, self._count = uploaded, spool, count
         self._stopped = threading.Event()
         self._sender = uploaded.sleeping_by(self._stopped.wait)
-        self._open: dict[int, tuple[RangeOfSamples, set[int]]] = {}
+        self._open: dict[int, tuple[RangeWriter, set[int]]] = {}
         self._pool = ThreadPoolExecutor(1, "upload")
         self._going: tuple[int, Future[UploadedRange]] | None = None
         self._there = uploaded.ranges(count)
@@ -208,14 +208,14 @@ class StoreWriter:
 
     # ---------------------------------------------------------------------------------------------------------- ranges
 
-    def _range(self, number: int) -> tuple[RangeOfSamples, set[int]]:
+    def _range(self, number: int) -> tuple[RangeWriter, set[int]]:
         """The writer of a range, and the samples that it lacks."""
         if number not in self._open:
             writer = self._begun(number)
             self._open[number] = writer, set(self._wanted(number)) - writer.done
         return self._open[number]
 
-    def _begun(self, number: int) -> RangeOfSamples:
+    def _begun(self, number: int) -> RangeWriter:
         """The writer of a range, which goes on with what is in the store where that is more than is here."""
         there = self._there.get(number)
         writer = self._spool.writer(number)

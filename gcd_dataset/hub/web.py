@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote, urlsplit
 
 from gcd_dataset.errors import MissingError, RefusedError, RemoteError, shown
-from gcd_dataset.hub.patience import Outage, Trouble, reason
+from gcd_dataset.hub.retry import Backoff, RetryableError, first_line
 
 if TYPE_CHECKING:
     import httpx2
@@ -86,7 +86,7 @@ class Web:
         ``only`` these: a server that sends others with them is not read. Raises ``RemoteError`` for a file that is
         declared to have, or has, more than ``most`` bytes.
         """
-        place, outage = start, Outage(self.patience)
+        place, outage = start, Backoff(self.patience)
         while True:
             before = place
             try:
@@ -97,15 +97,15 @@ class Web:
                     yield piece
                 if end is None or place == end:
                     return
-                trouble = Trouble(f"ends at byte {place} of {end}")
-            except Trouble as error:
+                trouble = RetryableError(f"ends at byte {place} of {end}")
+            except RetryableError as error:
                 trouble = error
             if place > before:
-                outage = Outage(self.patience)
+                outage = Backoff(self.patience)
             outage.rest(self.address(path), trouble, patient=self._patient)
 
     def _once(self, path: str, start: int, end: int | None, only: bool, most: int | None) -> Iterator[bytes]:
-        """One attempt. Raises ``Trouble`` where another may do better."""
+        """One attempt. Raises ``RetryableError`` where another may do better."""
         whole = start == 0 and end is None
         if end is not None and start >= end:
             return
@@ -136,7 +136,7 @@ class Web:
 
     @contextmanager
     def _answer(self, path: str, wanted: Mapping[str, str]) -> Iterator["httpx2.Response"]:
-        """The server's answer. Raises ``Trouble`` for a line that breaks, now or while the answer is read."""
+        """The server's answer. Raises ``RetryableError`` for a line that breaks, now or while the answer is read."""
         import httpx2
         from huggingface_hub import constants
 
@@ -151,21 +151,21 @@ class Web:
             with _client(os.getpid()).stream("GET", url, headers=headers) as response:
                 if url != own and response.status_code in REFUSED | GONE:
                     self._moved.pop(path, None)
-                    raise Trouble(f"its address has expired ({response.status_code})", wait=0.0)
+                    raise RetryableError(f"its address has expired ({response.status_code})", wait=0.0)
                 if response.is_success:
                     self._remember(path, response)
                 yield response
         except (httpx2.UnsupportedProtocol, httpx2.TooManyRedirects) as error:
             raise RemoteError(
-                f"{own}: leads to {shown(str(error.request.url))} ({reason(error)}): up to {MOST_REDIRECTS} redirects "
+                f"{own}: leads to {shown(str(error.request.url))} ({first_line(error)}): up to {MOST_REDIRECTS} redirects "
                 "to http and https are followed: check the address, or tell its publisher"
             ) from error
         except httpx2.TransportError as error:
             self._moved.pop(path, None)
             nobody = isinstance(error, httpx2.ConnectError | httpx2.ConnectTimeout)
-            raise Trouble(f"no connection ({reason(error)})", is_unreachable=nobody) from error
+            raise RetryableError(f"no connection ({first_line(error)})", is_unreachable=nobody) from error
         except httpx2.HTTPError as error:
-            raise RemoteError(f"{own}: cannot be read ({reason(error)}): check the address") from error
+            raise RemoteError(f"{own}: cannot be read ({first_line(error)}): check the address") from error
         except httpx2.InvalidURL as error:
             raise RemoteError(f"{own}: no address ({error}): check it") from error
 
@@ -185,10 +185,10 @@ class Web:
             self._moved[path] = str(response.url)
 
     def _require(self, path: str, response: "httpx2.Response", *, ranged: bool) -> None:
-        """Raise ``Trouble`` or ``RemoteError`` unless the answer holds what was asked for."""
+        """Raise ``RetryableError`` or ``RemoteError`` unless the answer holds what was asked for."""
         status, own = response.status_code, self.address(path)
         if status in BUSY:
-            raise Trouble(f"the server is busy ({status})", wait=_retry_after(response.headers))
+            raise RetryableError(f"the server is busy ({status})", wait=_retry_after(response.headers))
         if status in GONE:
             raise MissingError(f"{own}: not there ({status}): check the name, and the token if it is private")
         if status in REFUSED:

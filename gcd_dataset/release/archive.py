@@ -21,8 +21,8 @@ from jaxtyping import Int
 
 from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.records import Record
-from gcd_dataset.release.gzips import WINDOW, SeekPoint, Unpacking, read_from
-from gcd_dataset.release.memo import keep, kept_path, stamp_of
+from gcd_dataset.release.file_cache import cache_path, file_stamp, write_cache
+from gcd_dataset.release.gzip_index import WINDOW, GzipScanner, SeekPoint, read_from
 from gcd_dataset.release.published_names import ENDINGS, REMEDY
 from gcd_dataset.shards.access import reading
 from gcd_dataset.shards.tar import BLOCK, padded
@@ -61,8 +61,8 @@ class Archive(Record):
 
         Raises ``ShardError`` for a damaged archive, ``OutputError`` where its index cannot be kept.
         """
-        stamp = stamp_of(path)
-        index, windows = (kept_path(path, cache_dir, ending) for ending in (".npz", ".windows"))
+        stamp = file_stamp(path)
+        index, windows = (cache_path(path, cache_dir, ending) for ending in (".npz", ".windows"))
         there = cls._read(path, index, windows, stamp)
         if there is None:
             logger.info("%s: read through once, to know where its garments lie", path)
@@ -198,14 +198,14 @@ def _scan(path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Non
     """Read an archive through, and keep what there is to know about it."""
     with reading(path), path.open("rb") as file:
         packed = os.pread(file.fileno(), 2, 0) == GZIP_MAGIC
-        flow = Unpacking(file.fileno()) if packed else _Plain(file.fileno())
+        flow = GzipScanner(file.fileno()) if packed else _Plain(file.fileno())
         try:
             garments = _garments(flow)
         except DAMAGED as error:
             raise _damaged(path, error) from error
     if not garments:
         raise ShardError(f"{path}: holds no garment of the published layout, as data/rand_…/rand_…_sim.ply: {REMEDY}")
-    points = flow.points if isinstance(flow, Unpacking) else []
+    points = flow.points if isinstance(flow, GzipScanner) else []
     places = np.array([[files.get(kind, (-1, 0)) for kind in ENDINGS] for files in garments.values()], np.int64)
     numbers = [(point.place, point.start, int(point.window is not None)) for point in points]
     arrays: dict[str, Any] = {
@@ -219,8 +219,8 @@ def _scan(path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Non
     content = io.BytesIO()
     np.savez(content, **arrays)
     # The index last: it is what says that all is there.
-    keep(windows, b"".join(point.window or bytes(WINDOW) for point in points))
-    keep(index, content.getvalue())
+    write_cache(windows, b"".join(point.window or bytes(WINDOW) for point in points))
+    write_cache(index, content.getvalue())
 
 
 def _garments(flow: _Flow) -> dict[str, dict[str, tuple[int, int]]]:

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from gcd_dataset.errors import ShardError
 from gcd_dataset.records import Record
 
-__all__ = ["Ply", "first_mentions", "read_ply", "write_ply"]
+__all__ = ["Ply", "read_ply", "weld", "write_ply"]
 
 VERTEX = np.dtype([("place", "<f4", 3), ("texture", "<f8", 2)])
 FACE = np.dtype([("corners", "u1"), ("rows", "<i4", 3)])
@@ -40,12 +40,12 @@ LARGEST = 1e6  # cm
 class Ply(Record):
     """A mesh file; ``c`` vertices as it counts them."""
 
-    places: Float[np.ndarray, "c 3"]
+    vertices: Float[np.ndarray, "c 3"]
     """f32 [cm]"""
     texture: Float[np.ndarray, "c 2"]
     """Texture coordinates, 0 to 1; x and y each by a scale of their own."""
     faces: Int[np.ndarray, "f 3"]
-    """Rows of ``places``."""
+    """Rows of ``vertices``."""
 
 
 def read_ply(content: bytes) -> Ply:
@@ -72,18 +72,18 @@ def read_ply(content: bytes) -> Ply:
 
 def write_ply(mesh: Ply) -> bytes:
     """The mesh as a file."""
-    vertices, faces = np.zeros(len(mesh.places), VERTEX), np.zeros(len(mesh.faces), FACE)
-    vertices["place"], vertices["texture"] = mesh.places, mesh.texture
+    vertices, faces = np.zeros(len(mesh.vertices), VERTEX), np.zeros(len(mesh.faces), FACE)
+    vertices["place"], vertices["texture"] = mesh.vertices, mesh.texture
     faces["corners"], faces["rows"] = 3, mesh.faces
     return HEADER.format(len(vertices), len(faces)).encode() + vertices.tobytes() + faces.tobytes()
 
 
-def first_mentions(*places: Float[np.ndarray, "c 3"]) -> tuple[Int[np.ndarray, " v"], Int[np.ndarray, " c"]]:
+def weld(*vertices: Float[np.ndarray, "c 3"]) -> tuple[Int[np.ndarray, " v"], Int[np.ndarray, " c"]]:
     """Welded vertices: the first row of each, in order, and the vertex of every row.
 
-    Rows are one vertex where all of ``places`` (f32) have the very same bytes.
+    Rows are one vertex where all of ``vertices`` (f32) have the very same bytes.
     """
-    keys = np.ascontiguousarray(np.concatenate(places, axis=1), np.float32)
+    keys = np.ascontiguousarray(np.concatenate(vertices, axis=1), np.float32)
     _, first, vertex = np.unique(keys.view(f"V{keys.shape[1] * 4}").ravel(), return_index=True, return_inverse=True)
     order = np.argsort(first)
     number = np.empty_like(order)

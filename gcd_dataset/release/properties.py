@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.release.memo import keep, kept_path, stamp_of
+from gcd_dataset.release.file_cache import cache_path, file_stamp, write_cache
 from gcd_dataset.release.published_names import REMEDY
 from gcd_dataset.shards.access import reading
 from gcd_dataset.yamlfile import require_shallow
@@ -45,12 +45,12 @@ class Properties:
 
 def read_properties(path: Path, cache_dir: Path | None) -> Properties:
     """The properties of a batch. Raises ``ShardError`` for a broken file, ``OutputError`` where they cannot be kept."""
-    stamp, kept = [SCHEMA, *stamp_of(path)], kept_path(path, cache_dir, ".json")
+    stamp, kept = [SCHEMA, *file_stamp(path)], cache_path(path, cache_dir, ".json")
     there = _kept(kept, stamp)
     if there is not None:
         return there
     properties = _parsed(path)
-    keep(kept, json.dumps({"stamp": stamp} | asdict(properties), separators=(",", ":")).encode())
+    write_cache(kept, json.dumps({"stamp": stamp} | asdict(properties), separators=(",", ":")).encode())
     return properties
 
 

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from gcd_dataset.bodyfiles import parsed_measurements
 from gcd_dataset.errors import BodyError, ShardError, SpecError, shown
 from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Panel, Pattern
-from gcd_dataset.release.ply import Ply, first_mentions, read_ply
+from gcd_dataset.release.ply import Ply, read_ply, weld
 from gcd_dataset.release.properties import Facts
 from gcd_dataset.release.published_names import DEFAULT_BODY, ENDINGS, REMEDY
 from gcd_dataset.spec import pattern_from_spec
@@ -115,7 +115,7 @@ class PublishedGarment:
         first, vertex = self._welded
         panel_of_row = self._panel_of_row
         return BoxMesh(
-            vertices=box.places[first].astype(float),
+            vertices=box.vertices[first].astype(float),
             faces=vertex[box.faces],
             uv=self._in_panel_planes(panel_of_row),
             corners=box.faces,
@@ -130,7 +130,7 @@ class PublishedGarment:
     @functools.cached_property
     def vertices(self) -> Float[np.ndarray, "v 3"]:
         """Positions at rest [cm]."""
-        return self._sim.places[self._welded[0]]
+        return self._sim.vertices[self._welded[0]]
 
     @property
     def faces(self) -> Int[np.ndarray, "f 3"]:
@@ -161,7 +161,7 @@ class PublishedGarment:
     def _box(self) -> Ply:
         """The mesh before sewing, row by row that of the drape."""
         box = self._ply("box")
-        if not np.array_equal(box.faces, self._sim.faces) or len(box.places) != len(self._sim.places):
+        if not np.array_equal(box.faces, self._sim.faces) or len(box.vertices) != len(self._sim.vertices):
             raise self.broken("box", f"not the mesh of {self.name}{ENDINGS['sim']}")
         return box
 
@@ -174,10 +174,10 @@ class PublishedGarment:
     @functools.cached_property
     def _welded(self) -> tuple[Int[np.ndarray, " v"], Int[np.ndarray, " c"]]:
         """First row of each vertex, vertex of each row."""
-        count, sim = len(self._segments), self._sim.places
-        first, vertex = first_mentions(sim)
+        count, sim = len(self._segments), self._sim.vertices
+        first, vertex = weld(sim)
         if len(first) != count:  # vertices that came to lie on each other to the last digit lay apart before
-            first, vertex = first_mentions(sim, self._box.places)
+            first, vertex = weld(sim, self._box.vertices)
         if len(first) != count:
             raise self.broken("segmentation", f"labels {count} vertices, the mesh has {len(first)}")
         return first, vertex
@@ -242,7 +242,7 @@ class PublishedGarment:
         flat = np.zeros((len(texture), 2))
         for row, panel in enumerate(self.pattern.panels):
             own = free & (panel_of_row == row)
-            flat[own] = ((box.places[own] - panel.placement.translation) @ panel.placement.matrix)[:, :2]
+            flat[own] = ((box.vertices[own] - panel.placement.translation) @ panel.placement.matrix)[:, :2]
         scale = _common_scale(texture[free], flat[free], panel_of_row[free])
         scaled = texture * scale
         for row, panel in enumerate(self.pattern.panels):

@@ -19,7 +19,7 @@ from PIL import Image
 from gcd_dataset.bodyfiles import measurements_tree
 from gcd_dataset.errors import ShardError
 from gcd_dataset.records import ANGLES, BoxMesh, Drape, Measurements, Outcome, Record, Sample
-from gcd_dataset.release.ply import Ply, first_mentions, write_ply
+from gcd_dataset.release.ply import Ply, weld, write_ply
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import spec_from_pattern
 
@@ -114,7 +114,7 @@ def _meshes(key: str, mesh: BoxMesh, drape: Drape, drawn: PatternDrawing) -> dic
         for kind, vertices in (("box", mesh.vertices), ("sim", drape.vertices))
     }
     # Readers find a vertex again by its place.
-    if not np.array_equal(first_mentions(positions["sim"])[1], mesh.uv_vertex[rows]):
+    if not np.array_equal(weld(positions["sim"])[1], mesh.uv_vertex[rows]):
         raise ShardError(f"sample {key}: two vertices of its drape lie on each other, or one has no face: leave it out")
     return {kind: write_ply(Ply(places, texture[rows], faces)) for kind, places in positions.items()}
 

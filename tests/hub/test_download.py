@@ -14,14 +14,14 @@ import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, OutputError, RemoteError, ShardError
-from gcd_dataset.hub.checked import CheckedShards
+from gcd_dataset.hub.checked_shards import CheckedShards
 from gcd_dataset.hub.download import download, remote_splits
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.hub.source import Repo, Url
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, read_index, rebuild_index
-from gcd_dataset.shards.download_file import Fetched, read_fetched
+from gcd_dataset.shards.download_file import DownloadRecord, read_download_record
 from gcd_dataset.shards.index import scan_shard
 from gcd_dataset.shards.layout import GARMENTS, MEMBERS
 from gcd_dataset.shards.manifest import RecipeRecord, keep_recipe, read_manifest
@@ -103,7 +103,7 @@ def test_a_tag_is_downloaded_once(
     hub.repos["org/garments"].tags["v1"] = commit
     options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": tmp_path / "cache", "revision": "v1"}
     GarmentDataset("org/garments", root=tmp_path / "data", **options)
-    monkeypatch.setattr(Fetched, "write", lambda self, folder: pytest.fail("begun once more"))
+    monkeypatch.setattr(DownloadRecord, "write", lambda self, folder: pytest.fail("begun once more"))
     for download_ in (True, False):
         ds = GarmentDataset("org/garments", root=tmp_path / "data", download=download_, **options)
         assert_all_same(ds, GarmentDataset(folder))
@@ -112,7 +112,7 @@ def test_a_tag_is_downloaded_once(
 def test_a_download_that_broke_off_goes_on(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.retry.PATIENCE", 0.001)
     hub.faults = [Fault(r"storage/.*train-00000", cut=20000), Fault(r"storage/.*train-00000", drop=True, times=99)]
     with pytest.raises(RemoteError, match="what has come is kept"):
         bring(hub, tmp_path)
@@ -141,7 +141,7 @@ def test_a_download_goes_on_though_the_server_sends_whole_files_only(
 def test_a_download_of_fields_that_broke_off_goes_on(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.retry.PATIENCE", 0.001)
     monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
     hub.faults = [
         Fault(r"storage/.*train-00001.*", times=1, cut=10**9),
@@ -160,7 +160,7 @@ def test_a_download_of_fields_that_broke_off_goes_on(
 def test_a_download_that_broke_off_may_be_one_of_other_fields_next(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: Any, then: Any
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.retry.PATIENCE", 0.001)
     monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
     hub.faults = [Fault(r"storage/.*train-0000[12]", drop=True, times=99)]
     with pytest.raises(RemoteError, match="what has come is kept"):
@@ -264,7 +264,7 @@ def test_a_set_that_has_shrunk_leaves_no_shards_behind(hub: Hub, tmp_path: Path)
 def test_a_shard_of_the_right_length_is_not_believed(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.retry.PATIENCE", 0.001)
     hub.faults = [Fault(r"storage/.*train-00002", drop=True, times=99)]
     with pytest.raises(RemoteError, match="what has come is kept"):
         bring(hub, tmp_path, fields=fields)
@@ -313,7 +313,7 @@ def test_splits_that_come_side_by_side_are_both_there(hub: Hub, tmp_path: Path) 
     hub.publish("org/garments", theirs)
     bring(hub, tmp_path, told=lambda come, total: bring(hub, tmp_path, split="test") and None)
     assert [len(GarmentDataset(tmp_path / "data", split)) for split in ("train", "test")] == [4, 1]
-    note = read_fetched(tmp_path / "data")
+    note = read_download_record(tmp_path / "data")
     assert note is not None
     assert {name: split.whole for name, split in note.splits.items()} == {"train": True, "test": True}
 

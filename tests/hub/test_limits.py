@@ -168,11 +168,11 @@ def test_redirects_that_go_round_are_left(hub: Hub, tmp_path: Path, monkeypatch:
 @pytest.fixture
 def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Seconds that would have been slept."""
-    monkeypatch.setattr("gcd_dataset.hub.patience.FIRST_WAIT", 0.5)
-    monkeypatch.setattr("gcd_dataset.hub.patience.LAST_WAIT", 60.0)
-    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 30.0)
+    monkeypatch.setattr("gcd_dataset.hub.retry.FIRST_WAIT", 0.5)
+    monkeypatch.setattr("gcd_dataset.hub.retry.LAST_WAIT", 60.0)
+    monkeypatch.setattr("gcd_dataset.hub.retry.PATIENCE", 30.0)
     seconds: list[float] = []
-    monkeypatch.setattr("gcd_dataset.hub.patience.time.sleep", seconds.append)
+    monkeypatch.setattr("gcd_dataset.hub.retry.time.sleep", seconds.append)
     return seconds
 
 

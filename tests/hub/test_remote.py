@@ -217,7 +217,7 @@ def test_a_busy_server_is_given_the_time_it_asks_for(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waits: list[float] = []
-    monkeypatch.setattr("gcd_dataset.hub.patience.time.sleep", waits.append)
+    monkeypatch.setattr("gcd_dataset.hub.retry.time.sleep", waits.append)
     hub.faults = [
         Fault("/api/", status=429, headers={"Retry-After": "7"}),
         Fault("storage", status=503, times=2),
@@ -259,7 +259,7 @@ def test_a_server_that_is_gone_for_a_while(
         if len(waits) == 4:
             hub.start()
 
-    monkeypatch.setattr("gcd_dataset.hub.patience.time.sleep", sleep)
+    monkeypatch.setattr("gcd_dataset.hub.retry.time.sleep", sleep)
     assert_all_same([ds[9]], [GarmentDataset(folder, fields=["verts"])[9]])
     assert len(waits) == 4
 

@@ -21,11 +21,11 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample, encode_sample, read_index
 from gcd_dataset.shards.arrays import Column, read_arrays
 from gcd_dataset.shards.codec import decode_field
+from gcd_dataset.shards.foreign_member import decode_member
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import shard_number
 from gcd_dataset.shards.meta import read_meta, sealed
 from gcd_dataset.shards.npy import read_any_npy, read_npy, write_npy
-from gcd_dataset.shards.plain import decode_member
 from gcd_dataset.shards.tar import BLOCK, END, tar_entry
 from tests.shards.folders import fill
 

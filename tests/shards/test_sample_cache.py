@@ -16,14 +16,14 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import MEMBERS
-from gcd_dataset.shards.sample_cache import KeptSamples
+from gcd_dataset.shards.sample_cache import SampleCache
 from tests.shards.folders import RECIPE, SHARD_SIZE, fill
 
 CONTEXT = multiprocessing.get_context("fork")
 
 
-def kept(folder: Path, count: int = 10) -> KeptSamples:
-    return KeptSamples(folder, count, seed=0, recipe=RECIPE, shard_size=SHARD_SIZE)
+def kept(folder: Path, count: int = 10) -> SampleCache:
+    return SampleCache(folder, count, seed=0, recipe=RECIPE, shard_size=SHARD_SIZE)
 
 
 def members(index: int) -> dict[str, bytes]:
@@ -207,10 +207,10 @@ def test_a_kill_while_a_shard_is_mended_loses_nothing(tmp_path: Path, monkeypatc
     damaged[damaged.find(members(6)["box.npy"]) + 200] ^= 1
     shard.write_bytes(damaged)
 
-    def killed(self: KeptSamples) -> ShardWriter:
+    def killed(self: SampleCache) -> ShardWriter:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(KeptSamples, "_writer", killed)
+    monkeypatch.setattr(SampleCache, "_writer", killed)
     with pytest.raises(KeyboardInterrupt):
         keep(tmp_path, [6])
     monkeypatch.undo()

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from gcd_dataset.shards import room
-from gcd_dataset.shards.room import room_for
+from gcd_dataset.shards import buffers
+from gcd_dataset.shards.buffers import read_buffer
 
 LARGE = 100_000
 
 
 def marked(number: int, size: int) -> np.ndarray:
-    memory = room_for(size)
+    memory = read_buffer(size)
     memory[:] = number % 251
     return memory
 
@@ -32,7 +32,7 @@ def test_what_is_held_is_nobody_elses() -> None:
 
 
 def test_a_view_holds_its_memory() -> None:
-    tensor = torch.from_numpy(room_for(LARGE)).view(torch.float32)[5:9]
+    tensor = torch.from_numpy(read_buffer(LARGE)).view(torch.float32)[5:9]
     tensor.fill_(7.0)
     others = [marked(0, LARGE) for _ in range(10)]
     assert tensor.tolist() == 4 * [7.0]
@@ -40,18 +40,18 @@ def test_a_view_holds_its_memory() -> None:
 
 
 def test_memory_is_used_again() -> None:
-    first, second = room_for(LARGE), room_for(LARGE)
+    first, second = read_buffer(LARGE), read_buffer(LARGE)
     places = {first.ctypes.data, second.ctypes.data}
     del first, second
-    again = [room_for(LARGE + 1), room_for(LARGE - 1)]
+    again = [read_buffer(LARGE + 1), read_buffer(LARGE - 1)]
     assert {memory.ctypes.data for memory in again} == places
 
 
 def test_no_more_than_so_much_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    pool = room._Pool()
-    monkeypatch.setattr(room, "_pool", pool)
-    monkeypatch.setattr(room, "KEPT", 3 << 17)
-    memories = [room_for(LARGE) for _ in range(9)]
+    pool = buffers._Pool()
+    monkeypatch.setattr(buffers, "_pool", pool)
+    monkeypatch.setattr(buffers, "MOST_FREE", 3 << 17)
+    memories = [read_buffer(LARGE) for _ in range(9)]
     del memories
     assert [len(free) for free in pool._free.values()] == [3]
     assert not pool._lent

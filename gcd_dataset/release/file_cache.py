@@ -8,10 +8,10 @@ from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.names import safe_name
 from gcd_dataset.shards.access import reading
 
-__all__ = ["keep", "kept_path", "stamp_of"]
+__all__ = ["cache_path", "file_stamp", "write_cache"]
 
 
-def kept_path(source: Path, cache_dir: Path | None, ending: str) -> Path:
+def cache_path(source: Path, cache_dir: Path | None, ending: str) -> Path:
     """Where to keep what is known of ``source``: hidden beside it, or in ``cache_dir`` under a name of its own."""
     if cache_dir is None:
         return source.with_name(f".{source.name}.gcd{ending}")
@@ -19,7 +19,7 @@ def kept_path(source: Path, cache_dir: Path | None, ending: str) -> Path:
     return cache_dir / safe_name(f"{source.parent.parent.name}-{source.parent.name}-{source.name}-{place}{ending}")
 
 
-def keep(path: Path, content: bytes) -> None:
+def write_cache(path: Path, content: bytes) -> None:
     """Keep ``content``, whole or not at all. Raises ``OutputError`` with the way out where that is refused."""
     try:
         make_folder(path.parent)
@@ -28,7 +28,7 @@ def keep(path: Path, content: bytes) -> None:
         raise OutputError(f"{error}, or give another folder as cache_dir, where the index may be kept") from error
 
 
-def stamp_of(source: Path) -> tuple[int, int]:
+def file_stamp(source: Path) -> tuple[int, int]:
     """Size and time of change: another stamp, another file. Raises ``ShardError``."""
     with reading(source):
         status = source.stat()

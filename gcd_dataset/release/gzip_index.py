@@ -1,8 +1,8 @@
 """Gzip files read from anywhere.
 
 A gzip file can be unpacked from its beginning only, or from the start of a block of its compressed stream (RFC 1951)
-for whoever knows the 32 kB of content before it. ``Unpacking`` reads a file once from end to end and notes such starts
-on the way; ``read_from`` begins at one of them.
+for whoever knows the 32 kB of content before it. ``GzipScanner`` reads a file once from end to end and notes such
+starts on the way; ``read_from`` begins at one of them.
 
 Where blocks start is found by trial: a byte may be one where what follows reads as a header. That is so by chance too,
 so a start is taken only if unpacking from it gives, byte for byte, what unpacking from the beginning has given. Only
@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
-__all__ = ["WINDOW", "SeekPoint", "Unpacking", "read_from"]
+__all__ = ["WINDOW", "GzipScanner", "SeekPoint", "read_from"]
 
 WINDOW = 1 << 15  # bytes of content that a block may refer back to
 EVERY = 1 << 24  # bytes of content between points: half of it is unpacked in vain for a garment, some 30 ms
@@ -59,7 +59,7 @@ class SeekPoint:
     """The content before it."""
 
 
-class Unpacking:
+class GzipScanner:
     """The content of a gzip file from beginning to end, as a stream; ``points`` grow while it is read."""
 
     def __init__(self, file: int) -> None:

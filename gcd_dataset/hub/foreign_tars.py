@@ -12,12 +12,12 @@ from gcd_dataset.names import safe_name
 from gcd_dataset.shards.foreign import ForeignSample, foreign_index, foreign_shards, samples_of
 from gcd_dataset.shards.index import ShardIndex
 
-__all__ = ["foreign_site_index"]
+__all__ = ["read_foreign_index"]
 
 log = logging.getLogger(__name__)
 
 
-def foreign_site_index(site: Site, split: str) -> ShardIndex:
+def read_foreign_index(site: Site, split: str) -> ShardIndex:
     """The index of foreign tars of a split; kept with the small files of the site.
 
     Raises ``ShardError`` for a site without any, or with a damaged one.
@@ -28,7 +28,7 @@ def foreign_site_index(site: Site, split: str) -> ShardIndex:
     log.info("%s: no index: all of its %d tars are read through, once", site.source, len(names))
     archives, lengths = {}, []
     for name in names:
-        scanned = json.loads(site.kept(safe_name(f"{name}.json"), partial(_scan, site, name)))
+        scanned = json.loads(site.cached(safe_name(f"{name}.json"), partial(_scan, site, name)))
         archives[name] = [ForeignSample(key, {m: tuple(p) for m, p in content.items()}) for key, content in scanned[1:]]
         lengths.append(scanned[0])
     return foreign_index(archives, lengths)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gcd_dataset.errors import RemoteError
 
-__all__ = ["PATIENCE", "Outage", "Trouble", "reason"]
+__all__ = ["PATIENCE", "Backoff", "RetryableError", "first_line"]
 
 PATIENCE = 30.0  # s of waits between attempts that brought nothing
 FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s: each wait is twice the one before, up to the last
@@ -17,7 +17,7 @@ LONGEST_WAIT = 300.0  # s; a server that asks for more is given up
 log = logging.getLogger(__name__)
 
 
-class Trouble(Exception):  # noqa: N818 - nothing has failed yet
+class RetryableError(Exception):
     """What may pass; ``wait``: seconds that the server asks for; ``is_unreachable``: there is nobody to ask."""
 
     def __init__(self, what: str, wait: float | None = None, *, is_unreachable: bool = False) -> None:
@@ -26,7 +26,7 @@ class Trouble(Exception):  # noqa: N818 - nothing has failed yet
 
 
 @dataclass
-class Outage:
+class Backoff:
     """The attempts since a byte came last."""
 
     patience: float | None = None
@@ -37,7 +37,12 @@ class Outage:
     """Waits that the server asked for."""
 
     def rest(
-        self, where: str, trouble: Trouble, *, patient: bool = True, sleep: Callable[[float], object] | None = None
+        self,
+        where: str,
+        trouble: RetryableError,
+        *,
+        patient: bool = True,
+        sleep: Callable[[float], object] | None = None,
     ) -> None:
         """Wait before the next attempt. Raises ``RemoteError`` with ``where`` if there shall be none.
 
@@ -75,6 +80,6 @@ class Outage:
         return f"after {self.attempts} attempt{'s' if self.attempts > 1 else ''} and {self.waited:.0f} s of waiting"
 
 
-def reason(error: object) -> str:
+def first_line(error: object) -> str:
     """What an error says, in one line."""
     return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

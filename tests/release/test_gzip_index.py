@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gcd_dataset.release import gzips
-from gcd_dataset.release.gzips import SeekPoint, Unpacking, read_from
+from gcd_dataset.release import gzip_index
+from gcd_dataset.release.gzip_index import GzipScanner, SeekPoint, read_from
 
 SIZE = 2_000_000
 
@@ -18,7 +18,7 @@ SIZE = 2_000_000
 @pytest.fixture(autouse=True)
 def close_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """a point every quarter of a megabyte of content, so that small files have several."""
-    monkeypatch.setattr(gzips, "EVERY", 1 << 18)
+    monkeypatch.setattr(gzip_index, "EVERY", 1 << 18)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_any_place_reads_as_it_was_packed(pack: Callable[[bytes], bytes], conten
     path = tmp_path / "file.gz"
     path.write_bytes(pack(content))
     with path.open("rb") as file:
-        flow = Unpacking(file.fileno())
+        flow = GzipScanner(file.fileno())
         assert flow.read(len(content) + 1) == content
         points = flow.points
         for offset in np.random.default_rng(0).integers(0, len(content) - 70_000, 24).tolist():
@@ -57,12 +57,12 @@ def test_points_are_found_inside_a_stream(content: bytes, tmp_path: Path) -> Non
     path = tmp_path / "file.gz"
     path.write_bytes(gzip.compress(content))
     with path.open("rb") as file:
-        flow = Unpacking(file.fileno())
+        flow = GzipScanner(file.fileno())
         flow.skip(len(content))
     inside = [point for point in flow.points if point.window is not None]
     assert len(inside) >= 2
     for point in inside:
-        assert point.window == content[point.start - gzips.WINDOW : point.start]
+        assert point.window == content[point.start - gzip_index.WINDOW : point.start]
 
 
 def test_a_cut_file_says_so(content: bytes, tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_a_cut_file_says_so(content: bytes, tmp_path: Path) -> None:
     path.write_bytes(packed[: len(packed) // 2])
     with path.open("rb") as file:
         with pytest.raises(EOFError):
-            Unpacking(file.fileno()).skip(len(content))
+            GzipScanner(file.fileno()).skip(len(content))
         with pytest.raises(EOFError):
             read_from(file.fileno(), SeekPoint(0, 0, None), len(content) - 5, 5)
 
@@ -82,4 +82,4 @@ def test_a_changed_byte_is_noticed(content: bytes, tmp_path: Path) -> None:
     packed[len(packed) // 2] ^= 1
     path.write_bytes(packed)
     with path.open("rb") as file, pytest.raises(zlib.error):
-        Unpacking(os.dup(file.fileno())).skip(2 * len(content))
+        GzipScanner(os.dup(file.fileno())).skip(2 * len(content))
