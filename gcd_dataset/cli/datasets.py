@@ -137,7 +137,7 @@ def _download(options: argparse.Namespace) -> int:
                 bar.total = total
                 bar.update(come - bar.n)
 
-            note = download(place, out, remote, split=split, fields=fields, told=tell)
+            note = download(place, out, remote, split=split, fields=fields, progress=tell)
         members = ", ".join(member.split(".")[0] for member in note.splits[split].members)
         print(f"{out}: {split} of {note.source}: {members}")
     return 0

@@ -1,4 +1,4 @@
-"""Waiting for a server that is busy, or gone for a while."""
+"""Exponential back-off for servers that are busy or unreachable."""
 
 import logging
 import time
@@ -9,65 +9,68 @@ from gcd_dataset.errors import RemoteError
 
 __all__ = ["PATIENCE", "Backoff", "RetryableError", "first_line"]
 
-PATIENCE = 30.0  # s of waits between attempts that brought nothing
-FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s: each wait is twice the one before, up to the last
-ASKED_WAITS = 6  # in a row that a server may ask for
-LONGEST_WAIT = 300.0  # s; a server that asks for more is given up
+PATIENCE = 30.0  # s of waiting without a received byte
+FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s: each wait is twice the last, up to LAST_WAIT
+REQUESTED_WAITS = 6  # consecutive waits that a server may request (Retry-After)
+LONGEST_WAIT = 300.0  # s; a server that requests a longer wait is given up
 
 log = logging.getLogger(__name__)
 
 
 class RetryableError(Exception):
-    """What may pass; ``wait``: seconds that the server asks for; ``is_unreachable``: there is nobody to ask."""
+    """An error that a retry may cure.
 
-    def __init__(self, what: str, wait: float | None = None, *, is_unreachable: bool = False) -> None:
-        super().__init__(what)
+    ``wait``: seconds to wait, where the server has requested them. ``is_unreachable``: there was no connection.
+    """
+
+    def __init__(self, message: str, wait: float | None = None, *, is_unreachable: bool = False) -> None:
+        super().__init__(message)
         self.wait, self.is_unreachable = wait, is_unreachable
 
 
 @dataclass
 class Backoff:
-    """The attempts since a byte came last."""
+    """Attempts and waits since the last received byte."""
 
     patience: float | None = None
     """Seconds; ``None`` for ``PATIENCE``."""
     attempts: int = 0
     waited: float = 0.0
-    asked: int = 0
-    """Waits that the server asked for."""
+    """Seconds."""
+    requested: int = 0
+    """Waits requested by the server."""
 
-    def rest(
+    def wait(
         self,
-        where: str,
-        trouble: RetryableError,
+        address: str,
+        error: RetryableError,
         *,
-        patient: bool = True,
+        retry_unreachable: bool = True,
         sleep: Callable[[float], object] | None = None,
     ) -> None:
-        """Wait before the next attempt. Raises ``RemoteError`` with ``where`` if there shall be none.
+        """Sleep before the next attempt. Raises ``RemoteError`` with ``address`` when the patience is exhausted.
 
-        Not ``patient``: where nobody answers at all, there is no second attempt. ``sleep`` gives true where the wait
-        was broken off for good.
+        ``retry_unreachable=False``: also for an unreachable server. ``sleep`` returns true to give up.
         """
-        wait = self.next_wait(trouble.wait)
-        if trouble.is_unreachable and not patient:
-            wait = None
-        if wait is not None:
-            log.info("%s: %s: once more in %.1f s", where, trouble, wait)
-        if wait is None or (sleep or time.sleep)(wait):
+        seconds = self.next_wait(error.wait)
+        if error.is_unreachable and not retry_unreachable:
+            seconds = None
+        if seconds is not None:
+            log.info("%s: %s: next attempt in %.1f s", address, error, seconds)
+        if seconds is None or (sleep or time.sleep)(seconds):
             raise RemoteError(
-                f"{where}: {trouble}, {self}: try again later, or with more patience (--patience, patience=); what has "
-                "come is kept"
+                f"{address}: {error}, {self}: try again later, or with more patience (--patience, patience=); received "
+                "data are kept"
             )
 
-    def next_wait(self, asked: float | None) -> float | None:
-        """Seconds to the next attempt, ``asked`` if the server said so; ``None`` where there shall be none."""
+    def next_wait(self, requested: float | None) -> float | None:
+        """Seconds to the next attempt, by default a back-off; ``None`` when the patience is exhausted."""
         self.attempts += 1
         patience = PATIENCE if self.patience is None else self.patience
-        if asked is not None:
-            self.asked += 1
-            wait = asked
-            over = self.asked > ASKED_WAITS or asked > max(LONGEST_WAIT, patience)
+        if requested is not None:
+            self.requested += 1
+            wait = requested
+            over = self.requested > REQUESTED_WAITS or requested > max(LONGEST_WAIT, patience)
         else:
             wait = min(FIRST_WAIT * 2 ** min(self.attempts - 1, 16), LAST_WAIT, patience - self.waited)
             over = wait <= 0
@@ -81,5 +84,5 @@ class Backoff:
 
 
 def first_line(error: object) -> str:
-    """What an error says, in one line."""
+    """The first line of an error's message; its type where the message is empty."""
     return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

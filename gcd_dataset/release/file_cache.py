@@ -1,4 +1,4 @@
-"""What took long to find out about a published file, kept beside it, or in a folder of the user's choice."""
+"""Cache files with data derived from a published file: beside it, or in ``cache_dir``."""
 
 import hashlib
 from pathlib import Path
@@ -12,24 +12,24 @@ __all__ = ["cache_path", "file_stamp", "write_cache"]
 
 
 def cache_path(source: Path, cache_dir: Path | None, ending: str) -> Path:
-    """Where to keep what is known of ``source``: hidden beside it, or in ``cache_dir`` under a name of its own."""
+    """Path of the cache file of ``source``: hidden beside it, or in ``cache_dir`` under a unique name."""
     if cache_dir is None:
         return source.with_name(f".{source.name}.gcd{ending}")
-    place = hashlib.sha256(str(source.resolve()).encode()).hexdigest()[:16]
-    return cache_dir / safe_name(f"{source.parent.parent.name}-{source.parent.name}-{source.name}-{place}{ending}")
+    digest = hashlib.sha256(str(source.resolve()).encode()).hexdigest()[:16]
+    return cache_dir / safe_name(f"{source.parent.parent.name}-{source.parent.name}-{source.name}-{digest}{ending}")
 
 
 def write_cache(path: Path, content: bytes) -> None:
-    """Keep ``content``, whole or not at all. Raises ``OutputError`` with the way out where that is refused."""
+    """Write a cache file, atomically. Raises ``OutputError`` that names ``cache_dir`` as a remedy."""
     try:
         make_folder(path.parent)
         write_whole(path, content)
     except OutputError as error:
-        raise OutputError(f"{error}, or give another folder as cache_dir, where the index may be kept") from error
+        raise OutputError(f"{error}, or give another folder as cache_dir") from error
 
 
 def file_stamp(source: Path) -> tuple[int, int]:
-    """Size and time of change: another stamp, another file. Raises ``ShardError``."""
+    """Size and mtime [ns], to detect a changed file. Raises ``ShardError``."""
     with reading(source):
         status = source.stat()
     return status.st_size, status.st_mtime_ns

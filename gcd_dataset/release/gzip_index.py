@@ -1,16 +1,17 @@
-"""Gzip files read from anywhere.
+"""Random access to gzip files by seek points.
 
-A gzip file can be unpacked from its beginning only, or from the start of a block of its compressed stream (RFC 1951)
-for whoever knows the 32 kB of content before it. ``GzipScanner`` reads a file once from end to end and notes such
-starts on the way; ``read_from`` begins at one of them.
+A gzip file can be unpacked from its beginning, or from the start of a deflate block (RFC 1951) given the 32 kB of
+content before it: the window. ``GzipScanner`` reads a file once from end to end and collects such starts;
+``read_from`` unpacks from one of them.
 
-Where blocks start is found by trial: a byte may be one where what follows reads as a header. That is so by chance too,
-so a start is taken only if unpacking from it gives, byte for byte, what unpacking from the beginning has given. Only
-blocks that start with a byte will do, one in eight: those behind them may be stored ones, which count in whole bytes.
+zlib does not report block starts, so they are found by trial: a byte is a candidate if the following bits parse as a
+block header. Since this happens by chance too, a candidate is accepted only if unpacking from it gives, byte for byte,
+the content unpacked from the beginning. Only blocks that start at a byte boundary, one in eight, are used: a stored
+block further on is aligned to bytes.
 
-Why not a library: neither indexed_gzip 1.10 nor rapidgzip 0.16 tells that a file ends before its time. Measured with an
-archive of 200 MB, 396 published garments, on two cores: CPU time and growth of memory to index it, size of the index,
-CPU time to read a garment of 0.8 MB.
+No library serves: neither indexed_gzip 1.10 nor rapidgzip 0.16 reports a truncated file. Measured with an archive of
+200 MB, 396 published garments, on two cores: CPU time and growth of memory for indexing, size of the index, CPU time
+for reading a garment of 0.8 MB.
 
 =============================  =======  =======  =======  ======
 this module                      2.2 s    11 MB   0.7 MB   31 ms
@@ -32,35 +33,35 @@ from jaxtyping import Bool, Int, UInt8
 __all__ = ["WINDOW", "GzipScanner", "SeekPoint", "read_from"]
 
 WINDOW = 1 << 15  # bytes of content that a block may refer back to
-EVERY = 1 << 24  # bytes of content between points: half of it is unpacked in vain for a garment, some 30 ms
-CHUNK = 1 << 18  # bytes of the file at a time; a block is seldom longer than 40 kB
-PIECE = 1 << 14  # bytes of the file that are unpacked at a time,
-LARGEST_PART = 1 << 20  # and of their content; it may be a thousand times as large as they are
-MOST_SEARCHED = 64 * CHUNK  # bytes of content of a chunk: what unpacks to more has no use for a point
+EVERY = 1 << 24  # bytes of content between seek points: reading a garment unpacks half of it first, about 30 ms
+CHUNK = 1 << 18  # bytes of a read; blocks are seldom longer than 40 kB
+PIECE = 1 << 14  # packed bytes a call of zlib
+LARGEST_PART = 1 << 20  # unpacked bytes a call: deflate packs up to 1 : 1000
+MOST_SEARCHED = 64 * CHUNK  # bytes of content of a chunk: a chunk that unpacks to more gets no seek point
 NOT_ZERO = re.compile(rb"[^\0]")
 GZIP, RAW = 31, -15  # window bits that tell zlib the format
 TRAILER = 8  # bytes after a stream: CRC-32 and length
 LONGEST_MATCH = 258
 CODE_LENGTHS = 19  # of a block's header
 LONGEST_HEADER = 17 + 3 * CODE_LENGTHS  # bits, up to the codes themselves
-MOST_CODES = 29  # beyond 257 and beyond 1
+MOST_CODES = 29  # largest valid HLIT and HDIST
 FULL_CODE = 128  # Kraft sum of a complete code of up to 7 bits, in units of 2⁻⁷
 
 
 @dataclass(frozen=True)
 class SeekPoint:
-    """Where unpacking can begin."""
+    """A position at which unpacking can begin."""
 
-    place: int
-    """In the file: of a block, or of a whole stream where ``window`` is ``None``."""
+    packed: int
+    """Byte of the packed file: start of a block, or of a gzip stream where ``window`` is ``None``."""
     start: int
-    """Place in the content that this is."""
+    """The same position as a byte of the content."""
     window: bytes | None
-    """The content before it."""
+    """The 32 kB of content before it."""
 
 
 class GzipScanner:
-    """The content of a gzip file from beginning to end, as a stream; ``points`` grow while it is read."""
+    """The content of a gzip file as a stream; reading it collects seek points in ``points``."""
 
     def __init__(self, file: int) -> None:
         self.points: list[SeekPoint] = [SeekPoint(0, 0, None)]
@@ -69,7 +70,7 @@ class GzipScanner:
         self._rest = memoryview(b"")
 
     def read(self, size: int) -> bytes:
-        """The next ``size`` bytes, fewer at the end. Raises ``zlib.error``, and ``EOFError`` for a cut file."""
+        """The next ``size`` bytes, fewer at the end. Raises ``zlib.error``, and ``EOFError`` for a truncated file."""
         parts, missing = [], size
         while missing:
             if not self._rest:
@@ -83,38 +84,39 @@ class GzipScanner:
         return b"".join(parts)
 
     def skip(self, size: int) -> None:
-        """Leave out ``size`` bytes. Raises as ``read`` does."""
-        while size and (passed := len(self.read(min(size, CHUNK)))):
-            size -= passed
+        """Skip ``size`` bytes. Raises as ``read`` does."""
+        while size and (skipped := len(self.read(min(size, CHUNK)))):
+            size -= skipped
 
     def _unpacked(self, file: int) -> Iterator[bytes]:
-        streams, place, end, before = _Streams(), 0, 0, b""
-        while chunk := os.pread(file, CHUNK, place):
-            parts, size, inside = [], 0, True
+        """Parts of the content. Adds a seek point every ``EVERY`` bytes, where one is found."""
+        streams, packed, end, before = _Streams(), 0, 0, b""
+        while chunk := os.pread(file, CHUNK, packed):
+            parts, size, in_one_stream = [], 0, True
             for first, part in streams.unpacked(chunk):
                 if first is not None:
-                    inside = False
+                    in_one_stream = False
                     if end + size - self.points[-1].start >= EVERY:
-                        self.points.append(SeekPoint(place + first, end + size, None))
+                        self.points.append(SeekPoint(packed + first, end + size, None))
                 size += len(part)
                 parts.append(part if size <= MOST_SEARCHED else b"")
                 yield from (part,) if part else ()
             content = b"".join(parts)
-            far = end - self.points[-1].start >= EVERY and len(before) == WINDOW
-            if inside and streams.is_open and far and size <= MOST_SEARCHED:
+            is_due = end - self.points[-1].start >= EVERY and len(before) == WINDOW
+            if in_one_stream and streams.is_open and is_due and size <= MOST_SEARCHED:
                 found = _block_start(chunk, before + content)
                 if found is not None:
                     first, start = found
                     window = (before + content)[start : start + WINDOW]
-                    self.points.append(SeekPoint(place + first, end + start, window))
+                    self.points.append(SeekPoint(packed + first, end + start, window))
             before = (before + content)[-WINDOW:] if size <= MOST_SEARCHED else b""
-            place, end = place + len(chunk), end + size
+            packed, end = packed + len(chunk), end + size
         if streams.is_open:
-            raise EOFError(f"ends in the middle, at byte {place}")
+            raise EOFError(f"ends in the middle, at byte {packed}")
 
 
 def read_from(file: int, point: SeekPoint, offset: int, size: int) -> bytes:
-    """``size`` bytes of the content from ``offset`` on, unpacked from a point before it.
+    """``size`` bytes of the content from ``offset`` on, unpacked from a seek point before it.
 
     Raises ``zlib.error`` for a damaged file, ``EOFError`` for one that ends before.
     """
@@ -128,17 +130,17 @@ def read_from(file: int, point: SeekPoint, offset: int, size: int) -> bytes:
 
 
 def _unpacked_from(file: int, point: SeekPoint) -> Iterator[bytes]:
-    """The content from a point on."""
-    streams, place = _Streams(point.window), point.place
-    while chunk := os.pread(file, CHUNK, place):
+    """Parts of the content from a seek point on."""
+    streams, packed = _Streams(point.window), point.packed
+    while chunk := os.pread(file, CHUNK, packed):
         yield from (part for _, part in streams.unpacked(chunk))
-        place += len(chunk)
+        packed += len(chunk)
 
 
 class _Streams:
-    """Gzip streams one behind the other, of which zeros may fill the gaps; ``window``: from inside one on.
+    """Unpacks concatenated gzip streams, with zeros allowed in between; ``window``: starts inside a stream.
 
-    However many streams there are, and however much they unpack to, each step takes little time and memory.
+    Time and memory of each step are bounded, for any number of streams and any compression ratio.
     """
 
     def __init__(self, window: bytes | None = None) -> None:
@@ -152,24 +154,23 @@ class _Streams:
         return not self._stream.eof
 
     def unpacked(self, chunk: bytes) -> Iterator[tuple[int | None, bytes]]:
-        """The content of the next bytes of the file, in parts; for each the byte of the chunk that its stream begins
-        at, where it is the first part of one."""
-        place = 0
-        while place < len(chunk):
+        """Parts of a chunk's content; the first part of a stream comes with the byte at which the stream starts."""
+        position = 0
+        while position < len(chunk):
             if self._stream.eof and self._trailer:
-                passed = min(self._trailer, len(chunk) - place)
-                self._trailer, place = self._trailer - passed, place + passed
+                skipped = min(self._trailer, len(chunk) - position)
+                self._trailer, position = self._trailer - skipped, position + skipped
                 continue
             if self._stream.eof:
-                following = NOT_ZERO.search(chunk, place)
+                following = NOT_ZERO.search(chunk, position)
                 if following is None:
                     return
-                place = following.start()
+                position = following.start()
                 self._stream, self._begins = zlib.decompressobj(GZIP), True
-            first = place if self._begins else None
-            piece = chunk[place : place + PIECE]
+            first = position if self._begins else None
+            piece = chunk[position : position + PIECE]
             part = self._stream.decompress(piece, LARGEST_PART)
-            place += len(piece) - len(self._stream.unused_data) - len(self._stream.unconsumed_tail)
+            position += len(piece) - len(self._stream.unused_data) - len(self._stream.unconsumed_tail)
             self._begins = False
             yield first, part
 
@@ -178,12 +179,12 @@ class _Streams:
 
 
 def _block_start(chunk: bytes, content: bytes) -> tuple[int, int] | None:
-    """The first block that begins with a byte of a chunk: that byte, and how far into what the chunk adds.
+    """The first block that starts at a byte boundary of a chunk: (byte of the chunk, byte of the chunk's content).
 
-    ``content``: the window before, and all that the chunk unpacks to.
+    ``content``: the window before the chunk, and the content of the chunk.
     """
     for first in _header_like(chunk):
-        # The last byte may hold the beginning of a code.
+        # Without the last byte, which may hold the start of a code.
         start = _matching_start(chunk[first:-1], content)
         if start is not None:
             return first, start - WINDOW
@@ -191,7 +192,7 @@ def _block_start(chunk: bytes, content: bytes) -> tuple[int, int] | None:
 
 
 def _matching_start(packed: bytes, content: bytes) -> int | None:
-    """Where in the content the unpacked bytes begin, if they are the content from there nearly to its end."""
+    """The start in ``content`` from which ``packed`` unpacks to it, nearly to its end; ``None`` without one."""
     try:
         zeros, ones = (zlib.decompressobj(RAW, zdict=bytes([fill]) * WINDOW) for fill in (0, 255))
         low, high = (np.frombuffer(stream.decompress(packed), np.uint8) for stream in (zeros, ones))
@@ -199,8 +200,8 @@ def _matching_start(packed: bytes, content: bytes) -> int | None:
         return None
     if len(low) != len(high) or len(low) < WINDOW // 8:
         return None
-    known = np.flatnonzero(low == high)  # what does not depend on the content before
-    # The last byte of the chunk is left out: a few codes, of a byte or a match each.
+    known = np.flatnonzero(low == high)  # bytes that do not depend on the window
+    # The omitted last byte holds a few codes, each a literal or a match.
     latest = len(content) - len(low)
     starts = np.arange(max(WINDOW, latest - 16 * LONGEST_MATCH), latest + 1)
     probes = known[:: max(len(known) // 64, 1)]
@@ -213,24 +214,24 @@ def _matching_start(packed: bytes, content: bytes) -> int | None:
 
 
 def _header_like(chunk: bytes) -> list[int]:
-    """Bytes that may begin a block with codes of its own (RFC 1951, section 3.2.7) other than the last."""
+    """Candidate bytes: a header of a dynamic, non-final block (RFC 1951, section 3.2.7) may start there."""
     bits = np.unpackbits(np.frombuffer(chunk, np.uint8), bitorder="little")
-    places = np.arange(0, max(len(bits) - LONGEST_HEADER, 0), 8)
-    places = places[(bits[places] == 0) & (bits[places + 1] == 0) & (bits[places + 2] == 1)]
-    places = places[(_number(bits, places + 3, 5) <= MOST_CODES) & (_number(bits, places + 8, 5) <= MOST_CODES)]
-    return (places[_has_full_code(bits, places)] // 8).tolist()
+    starts = np.arange(0, max(len(bits) - LONGEST_HEADER, 0), 8)
+    starts = starts[(bits[starts] == 0) & (bits[starts + 1] == 0) & (bits[starts + 2] == 1)]
+    starts = starts[(_number(bits, starts + 3, 5) <= MOST_CODES) & (_number(bits, starts + 8, 5) <= MOST_CODES)]
+    return (starts[_has_full_code(bits, starts)] // 8).tolist()
 
 
-def _has_full_code(bits: UInt8[np.ndarray, " n"], places: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-    """Whether the code for code lengths in a header uses all of its words, as zlib demands."""
-    count = _number(bits, places + 13, 4) + 4
-    total = np.zeros(len(places), np.int64)
+def _has_full_code(bits: UInt8[np.ndarray, " n"], positions: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    """Whether the code-length code of a header is complete (Kraft sum 1), as zlib requires."""
+    count = _number(bits, positions + 13, 4) + 4
+    total = np.zeros(len(positions), np.int64)
     for i in range(CODE_LENGTHS):
-        length = _number(bits, places + 17 + 3 * i, 3)
+        length = _number(bits, positions + 17 + 3 * i, 3)
         total += np.where((i < count) & (length > 0), FULL_CODE >> length, 0)
     return total == FULL_CODE
 
 
-def _number(bits: UInt8[np.ndarray, " n"], places: Int[np.ndarray, " k"], width: int) -> Int[np.ndarray, " k"]:
-    """Numbers of ``width`` bits, the lowest first."""
-    return sum((bits[places + i].astype(np.int64) << i for i in range(width)), np.zeros(len(places), np.int64))
+def _number(bits: UInt8[np.ndarray, " n"], positions: Int[np.ndarray, " k"], width: int) -> Int[np.ndarray, " k"]:
+    """Numbers of ``width`` bits, least significant first."""
+    return sum((bits[positions + i].astype(np.int64) << i for i in range(width)), np.zeros(len(positions), np.int64))

@@ -6,7 +6,7 @@ garments_5000_0/default_body/data.tar.gz                             as download
 garments_5000_0/default_body/data/rand_K3V9QX7T1B/                   extracted; version 1 without ``data``
     rand_K3V9QX7T1B_specification.json                               … and the other files of ``ENDINGS``
 garments_5000_0/random_body/…                                        the same designs on other bodies
-5000_body_shapes_and_measures/                                       those bodies, see ``PublishedPeople``
+5000_body_shapes_and_measures/                                       the random bodies, see ``PublishedPeople``
 """
 
 import re

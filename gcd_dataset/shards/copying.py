@@ -18,7 +18,7 @@ BATCH = 32  # samples in one read
 def copy_shard(
     path: Path, reader: ShardReader, positions: Sequence[int], layout: Layout, progress: Callable[[int], None]
 ) -> tuple[ShardRecord, ShardTable]:
-    """Write the samples at ``positions``, reduced to the members of ``layout``, as the shard ``path``; record and table.
+    """Write the samples at ``positions``, with the members of ``layout``, as the shard ``path``; record and table.
 
     Samples from an interrupted call are kept if their bytes equal the reader's. ``progress`` is called with the number
     of bytes added by each step. Raises ``ShardError`` for a damaged sample, ``OutputError`` where the shard cannot be

@@ -141,7 +141,7 @@ def is_extra(member: str) -> bool:
 
 
 def layout_of(layout: Layout, schema: int, members: Sequence[str]) -> Layout | None:
-    """``layout`` in ``schema``, reduced to these members; ``None`` for an unknown schema, or members of another kind."""
+    """``layout`` in ``schema``, reduced to these members; ``None`` for an unknown schema, or other members."""
     if schema == layout.schema:
         full = layout
     elif schema in SCHEMAS:

@@ -52,7 +52,7 @@ def record_to_resume(
     shards = {folder / name: table for name, table in tables.items()} | _unfinished_shards(folder, split, layout)
     for path, table in shards.items():
         if (table.sample // requested.shard_size != _number(path, split)).any():
-            raise ConfigError(f"{path}: written with another shard size than {requested.shard_size}: give that")
+            raise ConfigError(f"{path}: not written with shard_size={requested.shard_size}: give its own shard_size")
     for path, table in shards.items():
         if len(table):
             return _require_same(path, _record_of_sample(path, table, requested), requested)

@@ -56,7 +56,7 @@ def test_a_cache_that_may_only_be_read_is_read(caplog: pytest.LogCaptureFixture)
             assert reader.read("a", MEMBERS, parts([0])) == {0: piece(0).data}
             reader.keep("a", MEMBERS, [piece(1)])
             assert reader.read("a", MEMBERS, parts([0, 1])) == {0: piece(0).data}
-    assert "going on without keeping what is read" in caplog.text
+    assert "continuing without caching" in caplog.text
 
 
 def test_it_never_holds_more_than_its_limit(tmp_path: Path) -> None:

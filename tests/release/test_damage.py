@@ -84,7 +84,7 @@ def doubling(name: str, times: int) -> bytes:
         ("box", without_elements, "not a binary PLY"),
         ("box", of_thousands_of_digits, "not a binary PLY"),
         ("sim", lambda content: b"", "not a binary PLY"),
-        ("sim", with_number(float("nan")), "a position beyond 1e\\+06, or that is no number"),
+        ("sim", with_number(float("nan")), "a position coordinate that is over 1e\\+06, or NaN"),
         ("sim", with_number(3e38), "a position beyond 1e\\+06"),
         ("box", with_number(float("inf")), "a position beyond 1e\\+06"),
         ("front", with_broken_chunk, "not a picture"),
@@ -99,7 +99,7 @@ def doubling(name: str, times: int) -> bytes:
         ("design", lambda content: b"design: {a: " + b"[" * 100 + b"]" * 100 + b"}", "more than 64 levels"),
         ("design", lambda content: b"design: !!bool maybe", "not YAML"),
         ("measures", lambda content: b"body: {height: " + b"9" * 5000 + b"}", "not YAML|height is"),
-        ("vertex_labels", lambda content: b"a: [99999999]", "is no list of the mesh's vertices"),
+        ("vertex_labels", lambda content: b"a: [99999999]", "is no list of vertices of the mesh"),
         ("segmentation", lambda content: b"stitch_" + b"9" * 5000 + b"\n" + content, "labels"),
         ("segmentation", lambda content: content.replace(b"stitch_0", b"stitch_" + b"9" * 5000), "names a stitch"),
     ],
@@ -116,7 +116,7 @@ def test_a_file_of_another_form_is_named(own: Path, kind: str, change: Callable[
 def test_a_body_that_is_no_map_names_nobody(own: Path) -> None:
     path = file_of(own, TRAIN[0], "measures", BODIES[1])
     path.write_bytes(b"body: text")
-    with pytest.raises(ShardError, match="does not say who wears the garment") as caught:
+    with pytest.raises(ShardError, match="body_sample is missing") as caught:
         PublishedGarmentCodeData(own, bodies="random", fields=["meta"])[0]
     assert str(caught.value).startswith(f"{path}: ")
 

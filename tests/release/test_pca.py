@@ -102,12 +102,12 @@ def nan_in(array: np.ndarray) -> np.ndarray:
         ({"header": (0, 0)}, "beginning with 0 and 0"),
         ({"mean": nan_in(MEAN)}, "no number"),
         ({"components": nan_in(COMPONENTS)}, "no number"),
-        ({"components": COMPONENTS.T.copy()}, "not of length 1 and square"),  # row by row, not component by component
-        ({"components": 2 * COMPONENTS}, "not of length 1 and square"),
+        ({"components": COMPONENTS.T.copy()}, "not orthonormal"),  # row by row, not component by component
+        ({"components": 2 * COMPONENTS}, "not orthonormal"),
         ({"variance": VARIANCE[::-1]}, "do not fall to 0"),
         ({"variance": VARIANCE - 0.02}, "do not fall to 0"),
         ({"variance": 1e4 * VARIANCE}, "moves the skin by 894 cm"),
-        ({"components": 1e200 * COMPONENTS}, "not of length 1 and square"),
+        ({"components": 1e200 * COMPONENTS}, "not orthonormal"),
         ({"mean": 100 * MEAN}, "172 m tall"),
         ({"mean": MEAN[:, [1, 2, 0]]}, "m tall"),
     ],

@@ -49,7 +49,7 @@ def test_measures_nobody_took_stay_unknown() -> None:
 def test_positions_that_are_no_numbers_are_not_stored() -> None:
     broken = np.array(fake_person(3).apart)
     broken[1, 2] = np.nan
-    with pytest.raises(ShardError, match="person fake:3 cannot be stored: apart holds what is no number"):
+    with pytest.raises(ShardError, match="person fake:3 cannot be stored: apart holds NaN or infinity"):
         encode_person(replace(fake_person(3), apart=broken), ORIGIN)
     shape = replace(fake_person(3).shape, arm_angle=np.inf)
     with pytest.raises(ShardError, match="person fake:3 cannot be stored"):

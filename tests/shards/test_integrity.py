@@ -91,7 +91,7 @@ def test_samples_that_were_swapped_in_the_index_are_told(folder: Path) -> None:
     def swap(arrays: dict[str, np.ndarray]) -> None:
         arrays["sample"][[0, 1]] = arrays["sample"][[1, 0]]
 
-    with pytest.raises(ShardError, match=r"index-train\.npz: .*not those that were written.*: delete it"):
+    with pytest.raises(ShardError, match=r"index-train\.npz: .*its digest does not match.*: delete it"):
         GarmentDataset(edited(folder, swap))
 
 
@@ -111,7 +111,7 @@ def test_a_sample_under_another_number_is_told(folder: Path) -> None:
     sample[[0, 1]] = sample[[1, 0]]
     object.__setattr__(index.table, "sample", sample)
     index.write(folder / "index-train.npz")
-    with pytest.raises(ShardError, match=r"train-00000\.tar: sample 1 where the index has gcd_000000000: delete the"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: holds sample 1 where the index has gcd_000000000: delete"):
         GarmentDataset(folder, fields=["meta"])[0]
     with pytest.raises(ShardError, match="sample 0 where the index has gcd_000000001"):
         GarmentDataset(folder, verify="off").verify(1)
@@ -199,7 +199,7 @@ def test_an_index_that_declares_gigabytes_is_refused(folder: Path) -> None:
         GarmentDataset(folder)
     path.write_bytes(b"")
     os.truncate(path, 8 << 30)
-    with pytest.raises(ShardError, match=r"index-train\.npz: 8589934592 bytes, where \d+ are read"):
+    with pytest.raises(ShardError, match=r"index-train\.npz: 8589934592 bytes, over the limit of \d+"):
         GarmentDataset(folder)
 
 
@@ -210,7 +210,7 @@ def test_archives_of_arrays_that_are_none() -> None:
     for content in (b"", b"PK", file.getvalue()[:-30], file.getvalue()[:50] + bytes(40) + file.getvalue()[90:]):
         with pytest.raises(ShardError):
             read_arrays(content, {"a": Column("f", 1)})
-    with pytest.raises(ShardError, match="no column b"):
+    with pytest.raises(ShardError, match="column b is missing"):
         read_arrays(file.getvalue(), {"b": Column("f", 1)})
 
 
@@ -239,7 +239,7 @@ BROKEN_MANIFESTS: dict[str, Callable[[dict[str, Any]], object]] = {
     "kind": changed_split(kind=None),
     "split": lambda manifest: manifest["splits"].update({"../evil": manifest["splits"]["train"]}),
     "splits": lambda manifest: manifest.update(splits=3),
-    "no schema": lambda manifest: manifest.pop("schema"),
+    "schema is missing": lambda manifest: manifest.pop("schema"),
     "true schema": lambda manifest: manifest.update(schema=True),
 }
 
@@ -311,11 +311,11 @@ def test_a_sample_whose_members_do_not_fit_is_one_line() -> None:
     with pytest.raises(ShardError, match="outcome 'FLEW'"):
         drape = {**json.loads(members["meta.json"])["drape"], "outcome": "FLEW"}
         decode_sample(resealed(members, drape=drape))
-    with pytest.raises(ShardError, match=r"gcd_000000000: .*do not fit together"):
+    with pytest.raises(ShardError, match=r"gcd_000000000: .*contradict each other"):
         decode_sample(resealed(members, vertex_labels=["nobody"]))
-    with pytest.raises(ShardError, match=r"gcd_000000000: .*do not fit together"):
+    with pytest.raises(ShardError, match=r"gcd_000000000: .*contradict each other"):
         decode_sample(resealed(members, grade="good"))
-    with pytest.raises(ShardError, match=r"member meta\.json: no pattern"):
+    with pytest.raises(ShardError, match=r"member meta\.json: pattern is missing"):
         meta = json.loads(members["meta.json"])
         del meta["pattern"], meta["crc32_before"]
         decode_sample({**members, "meta.json": sealed(meta)})
@@ -340,7 +340,7 @@ def test_pictures_of_a_hundred_million_pixels_are_not_decoded() -> None:
     with pytest.raises(ShardError, match=r"member front\.jpg: not a picture"):
         decode_field("front", {"front.jpg": png_of(16)})
     for side in (9_000, 13_000, 60_000):
-        with pytest.raises(ShardError, match=r"member seg\.png: not what its name says"):
+        with pytest.raises(ShardError, match=r"member seg\.png: does not match its ending"):
             decode_member("seg.png", png_of(side))
 
 
@@ -359,7 +359,7 @@ def test_foreign_numbers_are_compared_with_their_bytes() -> None:
     assert np.array_equal(read_any_npy(file.getvalue(), "i"), array)
     assert decode_member("a.json", b'{"n": NaN}')["n"] != 0  # Python writes it
     for member, content in (("a.json", DEEP), ("a.json", HUGE), ("a.cls", b"9" * 5000)):
-        with pytest.raises(ShardError, match=rf"member {member}: not what its name says"):
+        with pytest.raises(ShardError, match=rf"member {member}: does not match its ending"):
             decode_member(member, content)
 
 

@@ -87,7 +87,7 @@ def test_of_a_sample_asked_for_twice_both_copies_are_looked_at(folder: Path) -> 
         ) -> Iterable[dict[int, memoryview]]:
             return list(super().read_many(wanted))
 
-        def mend(self, shard: str, number: int, part: MemberLocation) -> memoryview:
+        def refetch(self, shard: str, number: int, part: MemberLocation) -> memoryview:
             return memoryview(encode_sample(fake_sample(0, 5))["verts.npy"])
 
     flip(folder, 5, "verts.npy")
@@ -141,7 +141,7 @@ def test_a_broken_side_file_is_named(folder: Path, name: str) -> None:
 def test_a_split_that_is_not_there(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="no samples of split test: there is train"):
         ShardReader(folder, "test")
-    with pytest.raises(ShardError, match="give a folder that gcd generate"):
+    with pytest.raises(ShardError, match="give a folder made by gcd generate"):
         ShardReader(tmp_path)
     with pytest.raises(ConfigError, match="verify='sometimes'"):
         ShardReader(folder, verify="sometimes")  # type: ignore[arg-type]
@@ -158,7 +158,7 @@ def test_a_run_that_was_killed_early_is_told_as_such(folder: Path) -> None:
 
 @pytest.mark.parametrize("mode", [0o000, 0o444, 0o111])
 def test_a_folder_that_may_not_be_read_is_named(mode: int) -> None:
-    told = r"data.*cannot be read \(Permission denied\): have yourself allowed"
+    told = r"data.*cannot be read \(Permission denied\): ask for the right to read it"
     with public_folder() as place:
         folder = fill(place / "data", range(3))
         with forbidden(folder, mode), pytest.raises(ShardError, match=told):
@@ -201,7 +201,7 @@ def test_a_shard_whose_samples_have_moved_is_told(
         reader.read(position, MEMBERS)
     fill(folder, [1, 5])
     for _ in range(2):
-        with pytest.raises(ShardError, match=r"train-00000\.tar: .*samples were added.*: open the data set again"):
+        with pytest.raises(ShardError, match=r"train-00000\.tar: .*samples were inserted.*: open the data set again"):
             reader.read(1, MEMBERS)
     assert reader.read(2, MEMBERS) == encode_sample(fake_sample(0, 4))  # of a shard that has grown at its end
     assert pickle.loads(pickle.dumps(reader)).read(2, MEMBERS) == encode_sample(fake_sample(0, 4))

@@ -269,7 +269,7 @@ def test_a_file_system_without_locks_is_told(tmp_path: Path, monkeypatch: pytest
 
 
 def test_a_read_only_folder_is_told_as_such() -> None:
-    told = r"cannot be written \(Permission denied\): what is there can be read; to add to it, .*allow writing"
+    told = r"cannot be written \(Permission denied\): its samples can be read; to add some, .*allow writing"
     with public_folder() as folder:
         before = contents(fill(folder, range(3)))
         with forbidden(folder, 0o555), pytest.raises(OutputError, match=told):
@@ -326,7 +326,7 @@ def test_shards_of_another_kind_are_told(tmp_path: Path) -> None:
     write_single(folder / "train-00000.tar", 0, {**members, "meta.json": sealed(meta)})
     for name in ("manifest.json", "index-train.npz"):
         (folder / name).unlink()
-    with pytest.raises(ShardError, match=r"train-00000\.tar: .*no seed"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: .*seed is missing"):
         open_writer(folder)
 
 
@@ -426,7 +426,9 @@ def test_captions_and_views_are_in_every_sample_or_in_none(tmp_path: Path) -> No
         with ShardWriter(tmp_path, seed=0, recipe=RECIPE, shard_size=4, layout=layout) as writer:
             for index in indices:
                 writer.write(captioned(index))
-            with pytest.raises(ShardError, match=r"gcd_000000009 has no caption\.txt, as all samples of this data set"):
+            with pytest.raises(
+                ShardError, match=r"gcd_000000009 has no caption\.txt, which all samples of this data set"
+            ):
                 writer.write(fake_sample(0, 9))
     for streaming in (False, True):
         for index, item in enumerate(GarmentDataset(tmp_path, streaming=streaming)):
@@ -443,7 +445,7 @@ def test_captions_and_views_are_in_every_sample_or_in_none(tmp_path: Path) -> No
     plain = tmp_path / "plain"
     with ShardWriter(plain, seed=0, recipe=RECIPE) as writer:
         writer.write(fake_sample(0, 0))
-        with pytest.raises(ShardError, match=r"gcd_000000001 has caption\.txt, as no other sample"):
+        with pytest.raises(ShardError, match=r"gcd_000000001 has caption\.txt, which no other sample"):
             writer.write(captioned(1))
     with pytest.raises(ConfigError, match="no field caption"):
         GarmentDataset(plain, fields=["caption"])
