@@ -25,34 +25,34 @@ log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
-def leased(files: Objects, own: Path) -> Iterator[None]:
+def leased(files: Objects, local: Path) -> Iterator[None]:
     """Hold the lease, the object ``.writing.json``, while the block runs.
 
-    ``own``: local copy of the lease, which identifies this run again after a kill. Raises ``OutputError`` where another
+    ``local``: local copy of the lease, which identifies this run again after a kill. Raises ``OutputError`` where another
     run holds the lease. On S3 exactly one writer gets it. In a store without conditional writes two writers that start
     at the same instant may both get it, unless the check after writing sees the other's.
     """
-    if not own.exists():
+    if not local.exists():
         lease = {"run": secrets.token_hex(16), "host": socket.gethostname(), "process": os.getpid()}
-        write_whole(own, json.dumps(lease).encode())
-    with reading(own):
-        content = own.read_bytes()
+        write_whole(local, json.dumps(lease).encode())
+    with reading(local):
+        content = local.read_bytes()
     files.put_new(LEASE, content)  # False is fine if it is ours: of a killed run, or of a lost reply
-    require_free(files, own)
+    require_free(files, local)
     try:
         yield
     finally:
-        _release(files, own)
+        _release(files, local)
 
 
-def require_free(files: Objects, own: Path) -> None:
-    """Raise ``OutputError`` where another run holds the lease; ``own``: local copy of this run's lease."""
+def require_free(files: Objects, local: Path) -> None:
+    """Raise ``OutputError`` where another run holds the lease; ``local``: local copy of this run's lease."""
     try:
         content = files.get(LEASE, LARGEST_JSON)
     except MissingError:
         return
-    with reading(own):
-        if own.exists() and own.read_bytes() == content:
+    with reading(local):
+        if local.exists() and local.read_bytes() == content:
             return
     raise OutputError(
         f"{files.base}: another run{_describe(content)} writes there: wait for it; if it was killed and cannot "
@@ -68,12 +68,12 @@ def _describe(content: bytes) -> str:
     return ""
 
 
-def _release(files: Objects, own: Path) -> None:
-    """Remove the lease. If the store does not answer, keep ``own``: this machine can still continue."""
+def _release(files: Objects, local: Path) -> None:
+    """Remove the lease. If the store does not answer, keep ``local``: this machine can still continue."""
     try:
         Objects(files.base, retry_unreachable=False).remove(LEASE)
     except RemoteError as error:
         log.warning("%s; until the lease is removed, only this machine can continue", error)
         return
-    with writing(own):
-        own.unlink(missing_ok=True)
+    with writing(local):
+        local.unlink(missing_ok=True)

@@ -14,7 +14,7 @@ COUNT = 10
 
 @pytest.fixture(autouse=True)
 def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Half a minute's patience in a few milliseconds; no token and no cache but those of the test."""
+    """Patience of milliseconds; no token and no cache of the user."""
     for name, seconds in (("FIRST_WAIT", 0.001), ("LAST_WAIT", 0.001), ("PATIENCE", 0.006)):
         monkeypatch.setattr(retry, name, seconds)
     monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))

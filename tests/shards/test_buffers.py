@@ -1,4 +1,4 @@
-"""Memory is used again, and never while somebody holds a part of it."""
+"""Read buffers are reused, but never while an array refers to them."""
 
 import multiprocessing
 import random
@@ -21,7 +21,7 @@ def marked(number: int, size: int) -> np.ndarray:
     return memory
 
 
-def test_what_is_held_is_nobody_elses() -> None:
+def test_buffers_in_use_are_not_shared() -> None:
     chance, held = random.Random(0), dict[int, np.ndarray]()
     for number in range(2000):
         held[number] = marked(number, chance.choice([100, LARGE, 3 * LARGE]))
@@ -31,7 +31,7 @@ def test_what_is_held_is_nobody_elses() -> None:
     assert all((memory == number % 251).all() for number, memory in held.items())
 
 
-def test_a_view_holds_its_memory() -> None:
+def test_a_view_keeps_its_buffer() -> None:
     tensor = torch.from_numpy(read_buffer(LARGE)).view(torch.float32)[5:9]
     tensor.fill_(7.0)
     others = [marked(0, LARGE) for _ in range(10)]
@@ -39,7 +39,7 @@ def test_a_view_holds_its_memory() -> None:
     assert len({memory.ctypes.data for memory in others}) == 10
 
 
-def test_memory_is_used_again() -> None:
+def test_free_buffers_are_reused() -> None:
     first, second = read_buffer(LARGE), read_buffer(LARGE)
     places = {first.ctypes.data, second.ctypes.data}
     del first, second
@@ -47,7 +47,7 @@ def test_memory_is_used_again() -> None:
     assert {memory.ctypes.data for memory in again} == places
 
 
-def test_no_more_than_so_much_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pool_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     pool = buffers._Pool()
     monkeypatch.setattr(buffers, "_pool", pool)
     monkeypatch.setattr(buffers, "MOST_FREE", 3 << 17)
@@ -61,7 +61,7 @@ def _sums(sizes: Sequence[int]) -> list[int]:
     return [int(marked(number, size).sum(dtype=np.int64)) for number, size in enumerate(sizes)]
 
 
-def test_threads_and_forked_processes_have_their_own() -> None:
+def test_threads_and_forked_processes_do_not_share_buffers() -> None:
     sizes = [LARGE + number for number in range(60)]
     expected = [number % 251 * size for number, size in enumerate(sizes)]
     with ThreadPoolExecutor(4) as threads:

@@ -1,4 +1,4 @@
-"""Edited, damaged and enormous files: told in one line that names the file, before anything large is allocated."""
+"""Edited, damaged and huge files are reported in one line that names the file, before anything large is allocated."""
 
 import io
 import json
@@ -51,14 +51,14 @@ def shard_of(folder: Path, *samples: dict[str, bytes]) -> Path:
 
 
 def resealed(members: dict[str, bytes], **entries: Any) -> dict[str, bytes]:
-    """The sample with other entries in its ``meta.json``, and the checksums that belong to its members."""
+    """The sample with changed entries in its ``meta.json``, and matching checksums."""
     meta = json.loads(members["meta.json"]) | {"crc32": {m: zlib.crc32(members[m]) for m in MEMBERS[1:]}} | entries
     del meta["crc32_before"]
     return {**members, "meta.json": sealed(meta)}
 
 
 def edited(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> Path:
-    """The folder with another index."""
+    """The folder with an edited index."""
     path = folder / "index-train.npz"
     arrays = dict(np.load(path))
     change(arrays)
@@ -70,7 +70,7 @@ def edited(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> P
 
 
 def test_a_flipped_bit_in_meta_is_found_by_every_reader(folder: Path) -> None:
-    """Whichever byte it is in."""
+    """In any byte."""
     path = folder / "train-00000.tar"
     whole = path.read_bytes()
     size = int(whole[124:135], 8)
@@ -87,7 +87,7 @@ def test_a_flipped_bit_in_meta_is_found_by_every_reader(folder: Path) -> None:
         (folder / "kept").rename(folder / "index-train.npz")
 
 
-def test_samples_that_were_swapped_in_the_index_are_told(folder: Path) -> None:
+def test_samples_swapped_in_the_index_are_reported(folder: Path) -> None:
     def swap(arrays: dict[str, np.ndarray]) -> None:
         arrays["sample"][[0, 1]] = arrays["sample"][[1, 0]]
 
@@ -96,7 +96,7 @@ def test_samples_that_were_swapped_in_the_index_are_told(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["sample", "offset", "size", "crc", "settled", "length"])
-def test_every_edited_column_is_told(folder: Path, name: str) -> None:
+def test_every_edited_column_is_reported(folder: Path, name: str) -> None:
     def change(arrays: dict[str, np.ndarray]) -> None:
         arrays[name].reshape(-1)[-1] ^= 1
 
@@ -104,8 +104,8 @@ def test_every_edited_column_is_told(folder: Path, name: str) -> None:
         GarmentDataset(edited(folder, change))
 
 
-def test_a_sample_under_another_number_is_told(folder: Path) -> None:
-    """Where the index is whole, and wrong: made of other shards, or in schema 1."""
+def test_a_sample_under_another_number_is_reported(folder: Path) -> None:
+    """The index is valid but of other shards, or of schema 1."""
     index = read_index(folder)
     sample = index.table.sample.copy()
     sample[[0, 1]] = sample[[1, 0]]
@@ -117,7 +117,7 @@ def test_a_sample_under_another_number_is_told(folder: Path) -> None:
         GarmentDataset(folder, verify="off").verify(1)
 
 
-def test_points_of_damaged_meta_are_not_given(folder: Path) -> None:
+def test_points_of_a_damaged_meta_are_not_decoded(folder: Path) -> None:
     content = bytearray((folder / "train-00000.tar").read_bytes())
     place = content.index(b'"centre":[') + len(b'"centre":[') + 1
     content[place] = ord("9")
@@ -154,7 +154,9 @@ BROKEN_INDICES: dict[str, Callable[[dict[str, np.ndarray]], object]] = {
 
 
 @pytest.mark.parametrize("change", BROKEN_INDICES.values(), ids=BROKEN_INDICES)
-def test_a_broken_index_is_one_line(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> None:
+def test_errors_about_a_broken_index_are_one_line(
+    folder: Path, change: Callable[[dict[str, np.ndarray]], object]
+) -> None:
     with pytest.raises(ShardError, match=r"index-train\.npz: not an index") as error:
         GarmentDataset(edited(folder, change))
     assert "\n" not in str(error.value)
@@ -164,8 +166,8 @@ def test_a_broken_index_is_one_line(folder: Path, change: Callable[[dict[str, np
     ("name", "value"),
     [("offset", 2**63 - 1), ("offset", -5), ("size", 2**32 - 1), ("sample", -1), ("shard", 9), ("length", -1)],
 )
-def test_a_place_outside_the_shard_is_told(folder: Path, name: str, value: int) -> None:
-    """In schema 1 too, whose index has no digest."""
+def test_an_offset_outside_the_shard_is_reported(folder: Path, name: str, value: int) -> None:
+    """Also in schema 1, where the index has no digest."""
     arrays = dict(np.load(folder / "index-train.npz"))
     changed = arrays[name].copy()
     changed.reshape(-1)[-1] = value
@@ -203,7 +205,7 @@ def test_an_index_that_declares_gigabytes_is_refused(folder: Path) -> None:
         GarmentDataset(folder)
 
 
-def test_archives_of_arrays_that_are_none() -> None:
+def test_broken_npz_archives_are_reported() -> None:
     file = io.BytesIO()
     np.savez(file, a=np.zeros(3))
     assert read_arrays(file.getvalue(), {"a": Column("f", 1)})["a"].tolist() == [0, 0, 0]
@@ -245,7 +247,7 @@ BROKEN_MANIFESTS: dict[str, Callable[[dict[str, Any]], object]] = {
 
 
 @pytest.mark.parametrize("change", BROKEN_MANIFESTS.values(), ids=BROKEN_MANIFESTS)
-def test_a_broken_manifest_is_one_line(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
+def test_errors_about_a_broken_manifest_are_one_line(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
     manifest = json.loads((folder / "manifest.json").read_text())
     change(manifest)
     (folder / "manifest.json").write_text(json.dumps(manifest))
@@ -257,7 +259,7 @@ def test_a_broken_manifest_is_one_line(folder: Path, change: Callable[[dict[str,
     "content", [DEEP, HUGE, b"[]", b"\xff", b"NaN"], ids=["deep", "digits", "list", "bytes", "NaN"]
 )
 @pytest.mark.parametrize("name", ["manifest.json", "download.json"])
-def test_side_files_of_strange_json_are_one_line(folder: Path, name: str, content: bytes) -> None:
+def test_errors_about_strange_json_are_one_line(folder: Path, name: str, content: bytes) -> None:
     (folder / name).write_bytes(content)
     with pytest.raises(ShardError, match=rf"{name}: not "):
         GarmentDataset(folder)
@@ -278,7 +280,7 @@ def test_side_files_of_strange_json_are_one_line(folder: Path, name: str, conten
     ids=str,
 )  # fmt: skip
 @pytest.mark.parametrize("streaming", [False, True])
-def test_strange_meta_is_one_line(tmp_path: Path, entries: dict[str, Any], streaming: bool) -> None:
+def test_errors_about_strange_meta_are_one_line(tmp_path: Path, entries: dict[str, Any], streaming: bool) -> None:
     folder = shard_of(tmp_path / "data", resealed(encode_sample(fake_sample(0, 0)), **entries))
     with pytest.raises(ShardError, match=r"train-00000\.tar: sample gcd_000000000"):
         list(GarmentDataset(folder, streaming=streaming))
@@ -296,7 +298,7 @@ def test_strange_meta_is_one_line(tmp_path: Path, entries: dict[str, Any], strea
         ("front.jpg", b"\xff\xd8"), ("front.jpg", b""),
     ],
 )  # fmt: skip
-def test_strange_members_are_told_with_shard_and_sample(tmp_path: Path, member: str, content: bytes) -> None:
+def test_errors_about_strange_members_name_shard_and_sample(tmp_path: Path, member: str, content: bytes) -> None:
     members = resealed({**encode_sample(fake_sample(0, 0)), member: content})
     # Beside a sample that holds every field.
     ds = GarmentDataset(shard_of(tmp_path / "data", members, encode_sample(fake_sample(0, 1))))
@@ -306,7 +308,7 @@ def test_strange_members_are_told_with_shard_and_sample(tmp_path: Path, member: 
         ShardReader(tmp_path / "data").sample(0) if member != "front.jpg" else ds[0]
 
 
-def test_a_sample_whose_members_do_not_fit_is_one_line() -> None:
+def test_errors_about_contradictory_members_are_one_line() -> None:
     members = encode_sample(fake_sample(0, 0))
     with pytest.raises(ShardError, match="outcome 'FLEW'"):
         drape = {**json.loads(members["meta.json"])["drape"], "outcome": "FLEW"}
@@ -375,11 +377,11 @@ def test_a_meta_of_gigabytes_is_refused_before_it_is_read(tmp_path: Path) -> Non
         GarmentDataset(tmp_path)
 
 
-def test_brackets_in_words_are_no_depth() -> None:
+def test_brackets_in_strings_do_not_count_as_nesting() -> None:
     members = encode_sample(fake_sample(0, 0))
     recipe = json.dumps({"note": "[" * 3 * DEEPEST})
     assert read_meta(resealed(members, recipe=recipe)["meta.json"])["recipe"]["note"] == "[" * 3 * DEEPEST
 
 
-def test_a_shard_of_a_number_without_end_is_none() -> None:
+def test_a_shard_number_with_too_many_digits_is_ignored() -> None:
     assert shard_number(f"train-{'9' * 5004}.tar", "train") is None
