@@ -20,11 +20,11 @@ __all__ = ["gpu_idle", "own_rate"]
 
 TOLD_EVERY = 200  # ms between two readings of nvidia-smi
 TRIFLE = 1e-6  # cm
-ORDERED = 256  # more than a GPU drapes at a time
+REQUESTED = 256  # more than a GPU drapes at a time
 
 
 def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pictured: bool = False) -> float:
-    """Garments a second of the draping process alone, which always has more orders than it drapes at a time.
+    """Garments a second of the draping process alone, which always has more requests than it drapes at a time.
 
     ``prepared`` designs come again, on bodies that the draper has not seen; the first ``warm`` are not counted.
     """
@@ -33,17 +33,17 @@ def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pi
     jobs = [DrapeJob(one.box_mesh, one.body, one.size, coarse=one.coarse) for one in worn if one.box_mesh]
     picture = config.picture if pictured else 0
     with SharedDraper(address_for(devices_of(config)[0])) as draper:
-        orders = (DrapeRequest(number, _on_another(job, number), picture) for number, job in enumerate(cycle(jobs)))
-        for order in islice(orders, ORDERED):
-            draper.ask(order)
-        for order in islice(orders, warm):
-            draper.answer()
-            draper.ask(order)
+        requests = (DrapeRequest(number, _on_another(job, number), picture) for number, job in enumerate(cycle(jobs)))
+        for request in islice(requests, REQUESTED):
+            draper.send(request)
+        for request in islice(requests, warm):
+            draper.receive()
+            draper.send(request)
         begun = time.perf_counter()
         while time.perf_counter() - begun < seconds:
-            draper.answer()
+            draper.receive()
             counted += 1
-            draper.ask(next(orders))
+            draper.send(next(requests))
         return counted / (time.perf_counter() - begun)
 
 

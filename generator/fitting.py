@@ -16,8 +16,8 @@ from gcd_dataset.errors import ConfigError, MeshError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.generator.drape import DEFAULT_FABRIC, FABRICS, DrapeJob, Fabric
 from gcd_dataset.generator.drapers import DrapeReply
-from gcd_dataset.generator.drapers.here import DraperHere
 from gcd_dataset.generator.drapers.in_order import Work, in_order
+from gcd_dataset.generator.drapers.local import LocalDraper
 from gcd_dataset.generator.drawing import draw_pattern, png_bytes
 from gcd_dataset.generator.dressing import Dressing, dress, has_legs
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -98,7 +98,7 @@ def drape_patterns(
     seam, and ``ConfigError`` for a device that is not there.
     """
     work = (_work(pattern, wearer, fabric, resolution) for pattern in patterns)
-    with DraperHere(device) as draper:
+    with LocalDraper(device) as draper:
         yield from in_order(work, draper, ahead=draper.at_once, at_once=draper.at_once)
 
 

@@ -198,9 +198,9 @@ def _sample_of(design: DressedDesign, draped: Sequence[DrapeReply], config: Make
 
 
 def _draper_here(config: MakeConfig) -> Draper:
-    from gcd_dataset.generator.drapers.here import DraperHere
+    from gcd_dataset.generator.drapers.local import LocalDraper
 
-    return DraperHere(devices_of(config)[0])
+    return LocalDraper(devices_of(config)[0])
 
 
 def _whole(sample: Sample) -> Sample:
@@ -230,9 +230,9 @@ class _Share:
             if self.place is not None:
                 draper, ahead = opened.enter_context(SharedDraper(self.place)), AHEAD
             elif self.config.stage == "drape":
-                from gcd_dataset.generator.drapers.here import DraperHere
+                from gcd_dataset.generator.drapers.local import LocalDraper
 
-                draper = opened.enter_context(DraperHere("cpu", at_once=1))
+                draper = opened.enter_context(LocalDraper("cpu", at_once=1))
             options = {"draper": draper, "ahead": ahead, "finished": self.finished, "pictured": self.pictured}
             made = produce(self.seed, self.indices, self.config, **options)  # type: ignore[call-overload]
             yield from by_thread(made, READY, name=MAKERS)

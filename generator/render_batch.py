@@ -15,7 +15,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator import render_kernels
 from gcd_dataset.generator.colours import PAPER
 from gcd_dataset.generator.drape import load_kernels, resolve_device
-from gcd_dataset.generator.drape.device import one_at_a_time
+from gcd_dataset.generator.drape.device import launch_lock
 from gcd_dataset.generator.render_kernels import (
     LEVELS,
     Camera,
@@ -54,7 +54,7 @@ def expose(scenes: Sequence[Scene], views: Sequence[View], *, size: int, device:
         raise ConfigError(f"a picture of {size} pixels: give 1 or more")
     device = resolve_device(device)
     load_kernels("renderer", render_kernels, device=device)
-    with one_at_a_time:
+    with launch_lock:
         return Exposure(scenes, views, size, device)
 
 
@@ -72,12 +72,12 @@ class Exposure:
 
     def ready(self) -> bool:
         """Whether ``pictures`` returns at once."""
-        with one_at_a_time:  # an event cannot be asked for while another thread records
+        with launch_lock:  # an event cannot be asked for while another thread records
             return self._taken is None or self._taken.is_complete
 
     def pictures(self) -> list[tuple[Picture, ...]]:
         """The views of each scene, once they are taken. To be called once."""
-        with one_at_a_time:
+        with launch_lock:
             if self._taken is not None:
                 wp.synchronize_event(self._taken)
         each = [picture.copy() for picture in self._pictures]

@@ -165,7 +165,7 @@ def _drape(options: argparse.Namespace) -> int:
 
     from gcd_dataset.files import make_folder
     from gcd_dataset.generator.body import named_body
-    from gcd_dataset.generator.drape import fabric_named, resolve_device, tell_wait
+    from gcd_dataset.generator.drape import fabric_named, log_drape_time, resolve_device
     from gcd_dataset.generator.fitting import Fitting, drape_patterns, read_patterns, write_fitting, write_report
     from gcd_dataset.generator.recipe import check_resolution
     from gcd_dataset.records import Body, Measurements, Outcome
@@ -183,7 +183,7 @@ def _drape(options: argparse.Namespace) -> int:
     wearer(False)  # what is wrong with it is told before anything is written
     folder = make_folder(options.out)
     fittings: list[Fitting] = []
-    tell_wait(len(patterns), device, resolution)
+    log_drape_time(len(patterns), device, resolution)
     try:
         done = drape_patterns(patterns, wearer, fabric=fabric, resolution=resolution, device=device)
         for fitting in tqdm(done, total=len(patterns), unit="garment", disable=options.quiet):

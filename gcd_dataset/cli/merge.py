@@ -12,7 +12,7 @@ from gcd_dataset.cli.verb import add_quiet, add_verb, require_folder, stopped
 from gcd_dataset.errors import ConfigError, shown
 
 if TYPE_CHECKING:
-    from gcd_dataset.verbs import Part
+    from gcd_dataset.verbs import JobPart
 
 __all__ = ["add_shard", "add_verbs", "part_of", "there"]
 
@@ -36,26 +36,26 @@ def add_shard(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def part_of(text: str) -> "Part":
+def part_of(text: str) -> "JobPart":
     """The part that ``I/N`` or ``SLURM/N`` names. Raises ``ConfigError``."""
-    from gcd_dataset.verbs import Part
+    from gcd_dataset.verbs import JobPart
 
     number, _, of = text.partition("/")
     try:
         if number.upper() != SLURM:
-            return Part.parse(text)
-        array = f"submit it with sbatch --array=0-{Part.parse(f'0/{of}').of - 1}"
+            return JobPart.parse(text)
+        array = f"submit it with sbatch --array=0-{JobPart.parse(f'0/{of}').of - 1}"
         if (task := os.environ.get(TASK)) is None:
             raise ConfigError(f"{TASK} is not set: {array}, or give I/{of}")
         try:
-            return Part.parse(f"{task}/{of}")
+            return JobPart.parse(f"{task}/{of}")
         except ConfigError as error:
             raise ConfigError(f"{TASK} is {shown(task)}: {array}") from error
     except ConfigError as error:
         raise ConfigError(f"--shard {shown(text)}: {error}") from error
 
 
-def there(out: Path | str, part: "Part | None") -> Iterator[str]:
+def there(out: Path | str, part: "JobPart | None") -> Iterator[str]:
     """What a run leaves: samples by split where there are several, and what is to be done about parts."""
     from gcd_dataset.shards.job_parts import part_folder, parts_waiting
     from gcd_dataset.shards.manifest import read_manifest

@@ -162,9 +162,9 @@ def generate(
 
 def _tell_wait(task: GarmentPlan) -> None:
     if task.config.stage == "drape":
-        from gcd_dataset.generator.drape import tell_wait
+        from gcd_dataset.generator.drape import log_drape_time
 
-        tell_wait(len(task.missing), task.config.device, task.config.resolution)
+        log_drape_time(len(task.missing), task.config.device, task.config.resolution)
 
 
 def _plain(config: MakeConfig) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 from gcd_dataset.errors import ConfigError, GcdError, OutputError, shown
 from gcd_dataset.generator.drapers import Draper
-from gcd_dataset.generator.drapers.address import DRAPERS
+from gcd_dataset.generator.drapers.address import DRAPERS_PER_GPU
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.generator.recipe import MakeConfig, versions
 from gcd_dataset.records import Sample
@@ -240,9 +240,9 @@ def _make(work: _Range, actors: Sequence[Actor]) -> _Made:
 def _draper(actors: Sequence[Actor], number: int) -> Draper:
     """The draper of a task: the actors, or its CPU where there are none."""
     if not actors:
-        from gcd_dataset.generator.drapers.here import DraperHere
+        from gcd_dataset.generator.drapers.local import LocalDraper
 
-        return DraperHere("cpu", at_once=1)
+        return LocalDraper("cpu", at_once=1)
     import ray
 
     from gcd_dataset.generator.drapers.ray_actor import RayDraper
@@ -417,7 +417,7 @@ def _actors(ray: ModuleType, gpus: int) -> Sequence[Actor]:
     """Those of the GPUs' actors that stand within ``STARTED`` seconds; other jobs may have some of the GPUs."""
     from gcd_dataset.generator.drapers.ray_actor import start_actor
 
-    started = [start_actor("cuda:0", gpus=1 / DRAPERS) for _ in range(gpus * DRAPERS)]
+    started = [start_actor("cuda:0", gpus=1 / DRAPERS_PER_GPU) for _ in range(gpus * DRAPERS_PER_GPU)]
     standing = {actor.ready.remote(): actor for actor in started}
     answered, late = ray.wait(list(standing), num_returns=len(standing), timeout=STARTED)
     _end(ray, [standing[reference] for reference in late])

@@ -1,4 +1,4 @@
-"""Garments that still move, taken over from one batch into the next: they go on as if nothing had happened."""
+"""Copy the state of garments that still move into the next batch, where they continue exactly."""
 
 from collections.abc import Sequence
 from operator import attrgetter
@@ -10,7 +10,7 @@ from gcd_dataset.generator.drape.solver import Solver
 
 __all__ = ["carry_over"]
 
-OF_VERTICES = (
+VERTEX_ARRAYS = (
     "x",
     "v",
     "ahead",
@@ -22,53 +22,53 @@ OF_VERTICES = (
     "search.listed",
     "tangled",
 )
-OF_WORLDS = (
+WORLD_ARRAYS = (
     "time", "status", "held", "loose_after", "frames", "search.moved_far",
     "crossing.due", "crossing.searched", "crossing.least", "crossing.least_at", "crossing.separated",
 )  # fmt: skip
-COUNTS = ("point_count", "edge_count", "long_count", "crossing_count", "overfull")
-THREADS = 256  # for the lists of one garment
+CONTACT_COUNTS = ("point_count", "edge_count", "long_count", "crossing_count", "overfull")
+THREADS = 256  # threads that copy the contact lists of one garment on a GPU
 
 
-def carry_over(old: Solver, new: Solver, places: Sequence[tuple[int, int]]) -> None:
-    """Copy the state of garments, given by their numbers in ``old`` and ``new``, between two frames."""
-    if not places:
+def carry_over(old: Solver, new: Solver, worlds: Sequence[tuple[int, int]]) -> None:
+    """Copy the state of garments between two frames; ``worlds``: pairs of world indices in ``old`` and ``new``."""
+    if not worlds:
         return
-    first, first_new = old.model.topology.vertex_offset, new.model.topology.vertex_offset
-    for name in OF_VERTICES:
-        of = attrgetter(name)
-        source, target = of(old.state), of(new.state)
-        for world, place in places:
-            count = int(first[world + 1] - first[world])
-            wp.copy(target, source, dest_offset=int(first_new[place]), src_offset=int(first[world]), count=count)
-    for name in OF_WORLDS:
-        of = attrgetter(name)
-        _copy_worlds(of(old.state), of(new.state), places)
-    for name in COUNTS:
-        _copy_worlds(getattr(old.state.contacts, name), getattr(new.state.contacts, name), places)
+    first_old, first_new = old.model.topology.vertex_offset, new.model.topology.vertex_offset
+    for name in VERTEX_ARRAYS:
+        array_of = attrgetter(name)
+        source, target = array_of(old.state), array_of(new.state)
+        for before, after in worlds:
+            count = int(first_old[before + 1] - first_old[before])
+            wp.copy(target, source, dest_offset=int(first_new[after]), src_offset=int(first_old[before]), count=count)
+    for name in WORLD_ARRAYS:
+        array_of = attrgetter(name)
+        _copy_worlds(array_of(old.state), array_of(new.state), worlds)
+    for name in CONTACT_COUNTS:
+        _copy_worlds(getattr(old.state.contacts, name), getattr(new.state.contacts, name), worlds)
     device = new.model.device
     threads = 1 if device == "cpu" else THREADS
-    moves = wp.array([_move(old, new, *place) for place in places], dtype=Move, device=device)
+    moves = wp.array([_move(old, new, *pair) for pair in worlds], dtype=Move, device=device)
     wp.launch(
         carry_contacts,
-        dim=(len(places), threads),
+        dim=(len(worlds), threads),
         inputs=[old.model.worlds, new.model.worlds, moves, threads, old.state.contacts],
         outputs=[new.state.contacts],
         device=device,
     )
 
 
-def _copy_worlds(source: wp.array, target: wp.array, places: Sequence[tuple[int, int]]) -> None:
-    values, found = target.numpy().copy(), source.numpy()
-    for world, place in places:
-        values[place] = found[world]
+def _copy_worlds(source: wp.array, target: wp.array, worlds: Sequence[tuple[int, int]]) -> None:
+    values, old_values = target.numpy().copy(), source.numpy()
+    for before, after in worlds:
+        values[after] = old_values[before]
     target.assign(values)
 
 
-def _move(old: Solver, new: Solver, world: int, place: int) -> Move:
+def _move(old: Solver, new: Solver, before: int, after: int) -> Move:
     move = Move()
-    move.leaves, move.joins = world, place
-    before, after = old.model.topology, new.model.topology
-    move.edges = int(after.edge_offset[place] - before.edge_offset[world])
-    move.faces = int(after.face_offset[place] - before.face_offset[world])
+    move.old_world, move.new_world = before, after
+    old_topology, new_topology = old.model.topology, new.model.topology
+    move.edge_shift = int(new_topology.edge_offset[after] - old_topology.edge_offset[before])
+    move.face_shift = int(new_topology.face_offset[after] - old_topology.face_offset[before])
     return move

@@ -1,4 +1,4 @@
-"""Which device Warp runs on, and its kernels loaded there."""
+"""Warp's devices: names, start-up, memory pool, and loading of compiled kernels."""
 
 import contextlib
 import logging
@@ -20,28 +20,32 @@ __all__ = [
     "cores",
     "device_names",
     "every_device",
+    "keep_freed_memory",
     "kernels_cached",
+    "launch_lock",
     "load_kernels",
-    "memory_kept",
-    "one_at_a_time",
     "resolve_device",
 ]
 
 logger = logging.getLogger("gcd_dataset")
 
-# Warp announces every module it loads; in a data loader's workers that drowns what the user prints.
+# Warp logs every module it loads; in a data loader's workers that drowns the user's output.
 wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)
 
-one_at_a_time = threading.RLock()
-"""Held wherever kernels are launched or recorded: on a GPU a recording takes in what any thread launches there. Graphs
-are played without it."""
+launch_lock = threading.RLock()
+"""Hold this lock to launch kernels or capture graphs: on a GPU a capture records the launches of every thread.
+Replaying a graph does not need it."""
 
 _loaded: set[tuple[str, str]] = set()
 
 
 def resolve_device(name: str) -> str:
-    """``auto`` becomes the first GPU or the CPU. Raises ``ConfigError`` where there is no such device."""
-    _begin()
+    """Warp's name of a device; ``auto`` is the first GPU, or the CPU without one. Raises ``ConfigError`` if unknown.
+
+    >>> resolve_device("cpu")
+    'cpu'
+    """
+    _init_warp()
     if name == "auto":
         return "cuda:0" if wp.is_cuda_available() else "cpu"
     known = {device.alias: device.alias for device in wp.get_devices()}
@@ -53,55 +57,55 @@ def resolve_device(name: str) -> str:
 
 
 def every_device() -> tuple[str, ...]:
-    """All GPUs, or the CPU where there is none."""
-    _begin()
+    """All GPUs, or the CPU on a machine without GPUs."""
+    _init_warp()
     return tuple(device.alias for device in wp.get_cuda_devices()) or ("cpu",)
 
 
 def device_names(devices: Iterable[str]) -> dict[str, str]:
-    """What the makers of devices call them, by our name."""
-    _begin()
+    """The product name of each device, such as ``NVIDIA H200``."""
+    _init_warp()
     return {device: wp.get_device(device).name for device in devices}
 
 
 @cache
-def _begin() -> None:
-    """Start Warp without the line that its library prints, past Python, on machines that have no GPU driver.
+def _init_warp() -> None:
+    """Initialise Warp, once, with stderr redirected: its C library prints a warning on machines without a GPU driver.
 
-    Raises ``OutputError`` where no folder can be written that compiled kernels may be kept in.
+    Raises ``OutputError`` if no folder for compiled kernels can be written.
     """
     sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    stderr, devnull = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nowhere, 2)
-        refused = _start_warp()
+        os.dup2(devnull, 2)
+        problem = _init_with_writable_cache()
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
-    if refused is not None:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(devnull)
+    if problem is not None:
         logger.warning(
             "compiled kernels are kept in %s, since %s: set WARP_CACHE_PATH to keep them elsewhere",
             wp.config.kernel_cache_dir,
-            refused,
+            problem,
         )
 
 
-def _start_warp() -> str | None:
-    """Start Warp with a cache that can be written; why it is not Warp's own, if it is not."""
+def _init_with_writable_cache() -> str | None:
+    """Initialise Warp with a writable kernel cache; returns the problem with Warp's default cache, if any."""
     try:
         wp.init()
         with tempfile.TemporaryFile(dir=wp.config.kernel_cache_dir):
             return None
     except OSError as error:
-        refused = f"{error.filename or wp.config.kernel_cache_dir} cannot be written ({error.strerror})"
-    wp.config.kernel_cache_dir = str(_own_folder())
+        problem = f"{error.filename or wp.config.kernel_cache_dir} cannot be written ({error.strerror})"
+    wp.config.kernel_cache_dir = str(_private_folder())
     wp.init()
-    return refused
+    return problem
 
 
-def _own_folder() -> Path:
-    """A folder among the temporary ones that nobody else may write: what lies in it is run."""
+def _private_folder() -> Path:
+    """A temporary folder that only this user may write, since its compiled code is executed."""
     try:
         folder = Path(tempfile.gettempdir()) / f"gcd_dataset-kernels-{os.getuid()}"
         with contextlib.suppress(FileExistsError):
@@ -117,35 +121,38 @@ def _own_folder() -> Path:
 
 
 @contextlib.contextmanager
-def memory_kept(device: str) -> Iterator[None]:
-    """Within the block, this process keeps the memory of a GPU that it has freed.
+def keep_freed_memory(device: str) -> Iterator[None]:
+    """Within the block, CUDA's memory pool keeps freed memory for this process.
 
-    By default CUDA hands it back at every synchronisation, and maps it again for the next batch.
+    By default CUDA returns freed memory at every synchronisation and maps memory anew for the next batch.
     """
-    where = wp.get_device(device)
-    if not (where.is_cuda and where.is_mempool_enabled):
+    gpu = wp.get_device(device)
+    if not (gpu.is_cuda and gpu.is_mempool_enabled):
         yield
         return
-    before = wp.get_mempool_release_threshold(where)
-    wp.set_mempool_release_threshold(where, where.total_memory)
+    before = wp.get_mempool_release_threshold(gpu)
+    wp.set_mempool_release_threshold(gpu, gpu.total_memory)
     try:
         yield
     finally:
-        wp.set_mempool_release_threshold(where, before)
-    wp.synchronize_device(where)  # hands it back
+        wp.set_mempool_release_threshold(gpu, before)
+    wp.synchronize_device(gpu)  # returns the memory
 
 
 def cores() -> int:
-    """Those that this process may use; all of them where the system does not tell, as macOS."""
+    """Cores that this process may use; all cores on systems without affinity, such as macOS."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def load_kernels(task: str, *modules: ModuleType, device: str) -> None:
-    """Have the kernels of ``modules`` ready on a device; says so before it compiles any, which takes time."""
-    _begin()
-    with one_at_a_time:
+    """Load the kernels of ``modules`` on a device; logs a warning before it compiles any.
+
+    ``task`` names the kernels in the warning, such as ``drape``.
+    """
+    _init_warp()
+    with launch_lock:
         missing = [module for module in modules if (module.__name__, device) not in _loaded]
         if missing and not kernels_cached(*missing, device=device):
             logger.warning("compiling the kernels of the %s for %s, once on this machine: half a minute", task, device)
@@ -155,8 +162,8 @@ def load_kernels(task: str, *modules: ModuleType, device: str) -> None:
 
 
 def kernels_cached(*modules: ModuleType, device: str) -> bool:
-    """Whether the kernels of ``modules`` were compiled for a device before."""
-    _begin()
+    """Whether the cache holds the kernels of ``modules``, compiled for a device."""
+    _init_warp()
     return all(_is_cached(wp.get_module(module.__name__), wp.get_device(device)) for module in modules)
 
 

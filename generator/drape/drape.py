@@ -1,4 +1,4 @@
-"""Box meshes and bodies in, garments at rest out."""
+"""The entry points: drape any number of jobs, batched on a GPU, in threads on a CPU."""
 
 import threading
 from collections import deque
@@ -11,26 +11,26 @@ from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
 from gcd_dataset.generator.drape.device import cores, resolve_device
 from gcd_dataset.generator.drape.loading import load_drape
-from gcd_dataset.generator.drape.queue import drape_in_turn
+from gcd_dataset.generator.drape.queue import drape_unordered
 from gcd_dataset.records import Drape
 
-__all__ = ["drape_all", "drape_batch", "places_on"]
+__all__ = ["batch_capacity", "drape_all", "drape_batch"]
 
 DEFAULT = DrapeConfig()
-AT_ONCE = 128  # garments on a GPU: at 1 cm they fill an H200
-ROOM = 100e6  # bytes for each: 60 MB were measured at 1 cm, 12 000 vertices in the mean
-SHARE = 0.7  # of a GPU's free memory
+AT_ONCE = 128  # garments in a GPU batch: at 1 cm they fill an H200
+GARMENT_BYTES = 100e6  # of GPU memory; measured: 60 MB at 1 cm, 12 000 vertices on average
+MEMORY_SHARE = 0.7  # of a GPU's free memory
 
 
 def drape_batch(
     jobs: Sequence[DrapeJob], config: DrapeConfig = DEFAULT, *, device: str = "auto", at_once: int | None = None
 ) -> list[Drape]:
-    """The garments at rest on their bodies, one ``Drape`` for each job, in order.
+    """One ``Drape`` for each job, in order.
 
-    On a GPU ``at_once`` garments are simulated at the same time (128, or as many as its free memory holds), on a CPU so
-    many threads drape one each (as many as there are cores). Each gives the same result alone as in any batch. A
-    garment that does not come to rest, or comes to rest badly, is returned with the ``Outcome`` that says so.
-    Raises ``ConfigError`` for a device that is not there, ``DrapeError`` for a box mesh without faces.
+    ``at_once``: garments in a GPU batch (default: 128, fewer if free memory is short), or threads that drape one
+    garment each on a CPU (default: one for each core). A garment drapes to the same bytes alone and in any batch.
+    ``outcome`` tells whether the garment settled. Raises ``ConfigError`` for an unknown device, ``DrapeError`` for a
+    box mesh without faces.
     """
     return list(drape_all(jobs, config, device=device, at_once=at_once))
 
@@ -38,42 +38,42 @@ def drape_batch(
 def drape_all(
     jobs: Iterable[DrapeJob], config: DrapeConfig = DEFAULT, *, device: str = "auto", at_once: int | None = None
 ) -> Iterator[Drape]:
-    """The same for any number of jobs, which are taken as there is room for them, and given back in their order."""
+    """``drape_batch`` for an iterable of any length: takes jobs as the batch has room, yields drapes in job order."""
     device = resolve_device(device)
     checked = _checked(jobs, device)
     if device == "cpu":
-        yield from _by_threads(checked, config, at_once or places_on(device))
+        yield from _by_threads(checked, config, at_once or batch_capacity(device))
         return
-    early: dict[int, Drape] = {}
-    following = 0
-    for number, drape in drape_in_turn(checked, config, device=device, at_once=at_once or places_on(device)):
-        early[number] = drape
-        while following in early:
-            yield early.pop(following)
-            following += 1
+    finished: dict[int, Drape] = {}
+    next_number = 0
+    for number, drape in drape_unordered(checked, config, device=device, at_once=at_once or batch_capacity(device)):
+        finished[number] = drape
+        while next_number in finished:
+            yield finished.pop(next_number)
+            next_number += 1
 
 
-def places_on(device: str, *, sharers: int = 1) -> int:
-    """Garments that a device drapes at once: enough to fill a GPU, as far as its memory goes; one for each core.
+def batch_capacity(device: str, *, sharers: int = 1) -> int:
+    """Garments that a device drapes at once: as many as fill a GPU and fit in its memory, or one for each CPU core.
 
-    ``sharers``: processes that drape on the GPU, each with as many garments.
+    ``sharers``: processes that share the GPU, with a batch each.
     """
     if device == "cpu":
         return cores()
-    return places_in(wp.get_device(device).free_memory / sharers)
+    return capacity_for(wp.get_device(device).free_memory / sharers)
 
 
-def places_in(free: float) -> int:
-    """The same by its free memory [bytes].
+def capacity_for(free: float) -> int:
+    """Garments in the batch of a GPU with ``free`` bytes of memory.
 
-    >>> places_in(139e9), places_in(8e9), places_in(0.0)
+    >>> capacity_for(139e9), capacity_for(8e9), capacity_for(0.0)
     (128, 56, 1)
     """
-    return min(max(int(SHARE * free / ROOM), 1), AT_ONCE)
+    return min(max(int(MEMORY_SHARE * free / GARMENT_BYTES), 1), AT_ONCE)
 
 
 def _checked(jobs: Iterable[DrapeJob], device: str) -> Iterator[DrapeJob]:
-    """The jobs; kernels are compiled with the first, in the thread that asks, which Ctrl-C reaches."""
+    """The jobs, checked for faces. The first loads the kernels in the calling thread, where Ctrl-C works."""
     for number, job in enumerate(jobs):
         if len(job.box_mesh.faces) == 0:
             raise DrapeError(f"garment {number} has no faces: build its box mesh from a pattern with panels")
@@ -82,39 +82,37 @@ def _checked(jobs: Iterable[DrapeJob], device: str) -> Iterator[DrapeJob]:
         yield job
 
 
-class _Left(Exception):  # noqa: N818 - no error: seen by nobody
-    """Ends a drape that nobody waits for any more."""
+class _Cancelled(Exception):  # noqa: N818 - no error: never leaves this module
+    """Ends a drape after its caller has closed the iterator."""
 
 
 def _by_threads(jobs: Iterable[DrapeJob], config: DrapeConfig, threads: int) -> Iterator[Drape]:
-    """One garment a thread: a graph is played without the interpreter's lock. Those under way stop where the caller
-    does, as by Ctrl-C."""
+    """One garment in each thread: replaying a graph releases the GIL. Closing the iterator cancels running drapes."""
+    cancelled = threading.Event()
 
-    left = threading.Event()
-
-    def require_wanted() -> None:
-        if left.is_set():
-            raise _Left
+    def check_cancelled() -> None:
+        if cancelled.is_set():
+            raise _Cancelled
 
     def drape(job: DrapeJob) -> Drape:
-        [(_, done)] = drape_in_turn([job], config, device="cpu", at_once=1, between=require_wanted)
+        [(_, done)] = drape_unordered([job], config, device="cpu", at_once=1, between=check_cancelled)
         return done
 
-    ahead: deque[Future[Drape]] = deque()
-    waiting, ended = iter(jobs), None
+    running: deque[Future[Drape]] = deque()
+    pending, ended = iter(jobs), None
     with ThreadPoolExecutor(threads) as pool:
         try:
-            while ended is None or ahead:
+            while ended is None or running:
                 try:
-                    while ended is None and len(ahead) < threads:
-                        ahead.append(pool.submit(drape, next(waiting)))
-                except Exception as error:  # noqa: BLE001 - their end, or whatever is wrong with one: told after those before
+                    while ended is None and len(running) < threads:
+                        running.append(pool.submit(drape, next(pending)))
+                except Exception as error:  # noqa: BLE001 - StopIteration, or an error of the jobs: raised after the drapes before
                     ended = error
-                if ahead:
-                    yield ahead.popleft().result()
+                if running:
+                    yield running.popleft().result()
         finally:
-            left.set()
-            for future in ahead:
+            cancelled.set()
+            for future in running:
                 future.cancel()
     if not isinstance(ended, StopIteration):
         raise ended

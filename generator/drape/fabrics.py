@@ -1,8 +1,8 @@
-"""Fabrics by name, with the tests that their figures are from.
+"""Fabrics by name, with the publications of their measurements.
 
-Where a figure is not published for a cloth, its source says of what it is taken. Friction is for all of them that of
-the reference drape, 0.5 against skin: for one cotton on six places of the body Temel et al. (Tribology Letters 70,
-2022) measured 0.25 to 0.79.
+Where a figure is not published for a cloth, ``source`` names the cloth or class it is taken from. All fabrics have the
+reference drape's friction of 0.5 against skin: Temel et al. (Tribology Letters 70, 2022) measured 0.25 to 0.79 for one
+cotton at six sites of the body.
 """
 
 from collections.abc import Mapping
@@ -14,13 +14,14 @@ from gcd_dataset.generator.drape.fabric import Bending, Fabric, Tensile, bias_st
 __all__ = ["DEFAULT_FABRIC", "FABRICS", "fabric_named"]
 
 DEFAULT_FABRIC = "default"
+# ``Fabric.source`` is stored in samples: rewording a source changes their bytes.
 GARMENTCODE = (
     "GarmentCodeData (Korosteleva et al., ECCV 2024): the stiffness that its springs and hinges have in effect, over a "
     "weight of 0.2 kg/m²; hinge stiffness {}"
 )
-# The warp is their v, the stiffer way of their denim. Stretch: their matrix at small strain without its cross term; the
-# shear is half of c33, whose strain is the tensor's. Bending: at small curvature; a mesh of their hinges, which they
-# fitted to strips, has a quarter of a hinge's number as its rigidity.
+# Warp: their v axis, the stiffer direction of their denim. Stretch: their matrix at small strain without the cross
+# term; shear stiffness is half of their c33, which multiplies the tensor shear strain. Bending: at small curvature;
+# they fitted hinge values to strips, and a mesh of hinges has a quarter of the hinge value as its rigidity.
 WANG = (
     "Wang, O'Brien and Ramamoorthi, Data-driven elastic models for cloth, ACM Trans. Graph. 30(4), 2011: {}; "
     "thickness: {}"
@@ -30,7 +31,7 @@ UNKNOWN = "not published, left at what the solver keeps between layers"
 
 
 def _measured(warp: float, weft: float, shear: float) -> Tensile:
-    """Tensile stiffness of a cloth whose shear was measured, and its bias not [N/m]."""
+    """Tensile stiffness of a cloth from measured shear, where the bias was not measured [N/m]."""
     return Tensile(warp, weft, round(bias_stiffness(warp, weft, shear), 1))
 
 
@@ -95,11 +96,11 @@ FABRICS: Mapping[str, Fabric] = MappingProxyType(
         ),
     }
 )
-"""Along the warp and along the weft, see ``Fabric``; what is capped in a drape tells ``Fabric.softened``."""
+"""The built-in fabrics by name. A drape limits their tensile stiffness, see ``Fabric.softened``."""
 
 
 def fabric_named(name: str) -> Fabric:
-    """The fabric of that name. Raises ``ConfigError`` with the names that there are."""
+    """The built-in fabric called ``name``. Raises ``ConfigError``, which lists the names, for any other."""
     if name not in FABRICS:
         raise ConfigError(f"fabric is {name!r}: known are {', '.join(FABRICS)}")
     return FABRICS[name]

@@ -1,9 +1,8 @@
-"""What holds a garment while it falls into place, and which parts of the body do not stop it.
+"""Constraints between a garment and its body: holds, keepers and collision filters; and whether a garment came off.
 
-Held edges are half-spaces, as in Korosteleva et al. (ECCV 2024): the waist of a bottom may not sink below the body's
-waist, a strapless top not below the armpits, and the two halves of a neckline stay near the neck. Unlike theirs, the
-waist of what hangs from the shoulders is left alone: held at the body's waist, a longer bodice is folded there and
-crosses itself.
+Holds are half-spaces, as in Korosteleva et al. (ECCV 2024): the waist of a bottom may not sink below the body's waist,
+a strapless top not below the armpits, and both halves of a neckline stay near the neck. Unlike theirs, a garment that
+hangs from the shoulders has no hold at the waist: a longer bodice held there would fold and cross itself.
 """
 
 from dataclasses import dataclass
@@ -19,38 +18,45 @@ from gcd_dataset.generator.drape.config import DrapeJob
 from gcd_dataset.records import BodyPart, BoxMesh, EdgeRole, Measurements, PanelRole
 from gcd_dataset.spec import is_trouser_leg
 
-__all__ = ["Wear", "fell", "floor_height", "held_from_below", "holds", "off_body", "own_parts", "unseen_parts"]
+__all__ = ["BodyConstraints", "fell", "find_keepers", "floor_height", "holds", "ignored_parts", "off_body", "own_parts"]
 
 NECKLINE = frozenset({EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR})
-SLIDING_DROP = 18.0  # cm below its level at which a held edge counts as slid off: about armpits to waist
-UNDER_HIPS = 4.0  # cm below the hips at which they hold nothing any more
-KNEES = 0.4  # of the waist's height: what hung from the hips up and ends here is off the body
-HIPS = 0.75  # of the same
-TOP = 0.9  # quantile of the heights above which cloth without a labelled edge is taken to hold the rest
-COLLAR_SLACK = 2.0  # cm by which the collar may lie nearer to the middle than the neck is wide
+SLIDING_DROP = 18.0  # cm below its hold at which an edge has slid off: about armpits to waist
+UNDER_HIPS = 4.0  # cm below the hips, from where a waistband finds no support
+KNEES = 0.4  # of the waist's height: a garment that started at hip height and ends here is off the body
+HIPS = 0.75  # of the waist's height
+TOP = 0.9  # quantile of the heights: cloth above it carries a garment without a labelled edge
+COLLAR_SLACK = 2.0  # cm by which the collar may be narrower than the neck
 
 
 @dataclass(frozen=True)
-class Wear:
-    """What is to be known of how a garment is worn, worked out once."""
+class BodyConstraints:
+    """Constraints between a garment and its body; needs no device, so any thread may compute it."""
 
     hold_normal: Float[np.ndarray, "v 3"]
+    """Normals of the hold half-spaces, see ``holds``."""
     hold_offset: Float[np.ndarray, " v"]
-    unseen: Int[np.ndarray, " v"]
+    """Offsets of the half-spaces [cm]."""
+    ignored_parts: Int[np.ndarray, " v"]
+    """Bit set of the body parts that each vertex passes through, see ``ignored_parts``."""
     own_part: Int[np.ndarray, " v"]
+    """Index of the body part that each vertex covers, see ``own_parts``."""
     keepers: Int[np.ndarray, " n"]
+    """Vertices that keep the garment up, see ``find_keepers``."""
     lowest: float
+    """Mean height of the keepers below which the garment has slid off [cm]."""
     floor_height: float
+    """Height that the body stands on [cm]."""
 
     @classmethod
     def of(cls, job: DrapeJob) -> Self:
         return cls(
-            *holds(job), unseen_parts(job.box_mesh), own_parts(job.box_mesh), *held_from_below(job), floor_height(job)
+            *holds(job), ignored_parts(job.box_mesh), own_parts(job.box_mesh), *find_keepers(job), floor_height(job)
         )
 
 
 def holds(job: DrapeJob) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, " v"]]:
-    """Normal and offset [cm] of each vertex's half-space ``x · normal >= offset``; a zero normal for none."""
+    """Normal and offset [cm] of each vertex's hold ``x · normal >= offset``; the normal is zero where there is none."""
     normal = np.zeros((len(job.box_mesh.vertices), 3))
     offset = np.zeros(len(job.box_mesh.vertices))
     for label, (direction, level) in _half_spaces(job.measurements).items():
@@ -73,11 +79,11 @@ def _half_spaces(size: Measurements) -> dict[EdgeRole, tuple[tuple[float, float,
     }
 
 
-def held_from_below(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
-    """The vertices that keep the garment up, by label, and the level below which it has slid off [cm].
+def find_keepers(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
+    """Keepers: the vertices of the edge that keeps the garment up, and the level below which it has slid off [cm].
 
-    What is held at the waist may slide to the hips, which hold it too; a strapless top has slid off at the waist. None
-    for a garment with a neckline: shoulders keep it up, and its waist may hang where it likes.
+    A waistband may slide to the hips, which support it too; a strapless top has slid off at the waist. A garment with a
+    neckline has no keepers: it hangs from the shoulders, and its waist may hang at any height.
     """
     size, labels = job.measurements, job.box_mesh.labels
     drops = {
@@ -92,13 +98,13 @@ def held_from_below(job: DrapeJob) -> tuple[Int[np.ndarray, " n"], float]:
 
 
 def off_body(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
-    """Whether a garment that is not held from below has come off the body without falling past it.
+    """Whether a garment without keepers has come off the body, though it has not fallen to the floor.
 
-    A neckline has where it lies below the waist; a garment without labels that hung from the hips or higher, where its
-    top lies below the knees.
+    True if its neckline lies below the waist; or, without labels, if it started at hip height or above and its top lies
+    below the knees.
     """
     mesh, waist = job.box_mesh, job.measurements.waist_level
-    if len(held_from_below(job)[0]) or not np.isfinite(waist):
+    if len(find_keepers(job)[0]) or not np.isfinite(waist):
         return False
     if _hangs_from_shoulders(job):
         neckline = np.concatenate([mesh.labels[label] for label in sorted(NECKLINE & mesh.labels.keys())])
@@ -109,30 +115,31 @@ def off_body(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
 
 
 def floor_height(job: DrapeJob) -> float:
-    """The height that the body stands on [cm]."""
+    """Height that the body stands on [cm]."""
     return min(0.0, float(job.body.vertices[:, 1].min()))
 
 
 def fell(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
-    """Whether the garment, or a piece that nothing is sewn to, lies below the floor with all of its vertices."""
+    """Whether all vertices of the garment, or of a connected component of it, lie below the floor."""
     low = vertices[:, 1] <= np.float32(floor_height(job))
     if not low.any():
         return False
     sides = job.box_mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
     graph = coo_array((np.ones(len(sides), bool), sides.T), shape=(len(vertices), len(vertices)))
-    _, piece = connected_components(graph, directed=False)
-    return bool((np.bincount(piece, ~low) == 0).any())
+    _, component = connected_components(graph, directed=False)
+    return bool((np.bincount(component, ~low) == 0).any())
 
 
 def _hangs_from_shoulders(job: DrapeJob) -> bool:
     return bool(NECKLINE & job.box_mesh.labels.keys())
 
 
-def unseen_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
-    """Bit set of body parts each vertex passes through: arms for what covers legs, forearms for what that hangs on.
+def ignored_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
+    """Collision filter: bit set of the body parts that each vertex passes through.
 
-    An A-pose hangs the arms where a skirt is drawn together, and a wide skirt would draw waistband and bodice over the
-    hands. A bodice with sleeves meets the whole arm. A seam vertex passes through what all of its panels pass through.
+    Skirts and trousers ignore the arms, sleeveless bodices above them the forearms: in an A-pose the arms hang where a
+    skirt is sewn together, and a wide skirt would pull waistband and bodice over the hands. A seam vertex ignores the
+    parts that all of its panels ignore.
     """
     labels = np.array(mesh.panel_labels)
     on_leg, on_arm = labels == PanelRole.LEG, labels == PanelRole.ARM
@@ -143,22 +150,22 @@ def unseen_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
     touched[mesh.uv_vertex[on_arm[panel_of_row]]] = True
     sewn_to_arm = np.bincount(panel_of_row, touched[mesh.uv_vertex], minlength=len(labels)) > 0
     above_legs = ~on_leg & ~on_arm & on_leg.any() & ~sewn_to_arm
-    unseen = np.full(len(mesh.vertices), arms)
-    np.bitwise_and.at(unseen, mesh.uv_vertex, np.where(on_leg, arms, np.where(above_legs, forearms, 0))[panel_of_row])
-    return unseen
+    ignored = np.full(len(mesh.vertices), arms)
+    np.bitwise_and.at(ignored, mesh.uv_vertex, np.where(on_leg, arms, np.where(above_legs, forearms, 0))[panel_of_row])
+    return ignored
 
 
 def own_parts(mesh: BoxMesh) -> Int[np.ndarray, " v"]:
-    """The axis of ``BodyField.axes`` that each vertex's cloth goes round; -1 where no label tells.
+    """Index into ``BodyField.axes`` of the body part that each vertex covers; -1 for panels without a label.
 
-    Sleeves and trousers by the side that their panel stands on. A seam vertex belongs to the last of its panels.
+    Sleeves and trouser legs take the side on which their panel is placed. A seam vertex takes the last of its panels.
     """
     axes = list(AXES)
     panel_of_row = _panel_of_row(mesh)
-    aside = np.bincount(panel_of_row, mesh.vertices[mesh.uv_vertex, 0], minlength=len(mesh.panel_names))
+    side_sum = np.bincount(panel_of_row, mesh.vertices[mesh.uv_vertex, 0], minlength=len(mesh.panel_names))
     axis = np.full(len(mesh.panel_names), -1)
     for panel, (name, label) in enumerate(zip(mesh.panel_names, mesh.panel_labels, strict=True)):
-        side = "right" if aside[panel] < 0 else "left"
+        side = "right" if side_sum[panel] < 0 else "left"
         if label == PanelRole.BODY:
             axis[panel] = axes.index("trunk")
         elif label == PanelRole.ARM:

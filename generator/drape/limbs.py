@@ -1,4 +1,4 @@
-"""Trunk and arms as tubes: an axis, and an ellipse that all of the part's cross sections lie within."""
+"""Trunk and arms as elliptic tubes: an axis, and an ellipse that contains all cross sections of the part."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,25 +13,26 @@ __all__ = ["Limb", "limbs_of"]
 
 FRONT = np.array([0.0, 0.0, 1.0])
 UP = np.array([0.0, 1.0, 0.0])
-STRAY = 0.5  # percent of a part's vertices that may stray on either side
-NEAR = 5.0  # cm beyond the others from which they do
-FEWEST = 8  # points that make a part
-STEPS = 512  # of a curve round a part
+OUTLIERS = 0.5  # percentile of the vertices at either end of each axis that may be mislabelled
+OUTLIER_DISTANCE = 5.0  # cm beyond that percentile from which a vertex is left out
+MIN_POINTS = 8  # a part with as many points or fewer counts as missing
+STEPS = 512  # segments of a curve round a part
 
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A part of a body, or a stretch of it, along an axis."""
+    """A part of a body, or a section of a part, along an axis."""
 
     skin: Float[np.ndarray, "n 3"]
-    """Points of its skin [cm]."""
+    """Points on the skin of the part [cm]."""
     axis: Float[np.ndarray, "3"]
-    """Unit vector along it: down the arm, up the trunk."""
+    """Unit vector along the part: down the arm, up the trunk."""
     origin: Float[np.ndarray, "3"]
-    """The middle of what is seen of it along the axis [cm]."""
+    """Centre of the enclosing ellipse [cm]."""
     wide: float
-    """Half the width, and half the depth, of an ellipse round all cross sections [cm]."""
+    """Half the width of the ellipse that contains all cross sections [cm]."""
     deep: float
+    """Half the depth of that ellipse [cm]."""
 
     @cached_property
     def frame(self) -> Float[np.ndarray, "3 3"]:
@@ -41,45 +42,45 @@ class Limb:
         return np.stack([across, self.axis, np.cross(across, self.axis)])
 
     def local(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Coordinates across, along and to the front [cm]."""
+        """Coordinates in ``frame`` relative to ``origin`` [cm]."""
         return (np.asarray(points) - self.origin) @ self.frame.T
 
     def world(self, local: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Back from ``local`` [cm]."""
+        """The inverse of ``local`` [cm]."""
         return np.asarray(local) @ self.frame + self.origin
 
-    def stretch(self, low: float, high: float) -> "Limb":
-        """What lies between two places along the axis [cm]; all of it where nothing does."""
+    def section(self, low: float, high: float) -> "Limb":
+        """The section between two positions along the axis [cm]; the whole limb where no skin lies there."""
         along = self.skin @ self.axis
-        there = (along >= low) & (along <= high)
-        return _tube(self.skin[there], self.axis) if there.sum() > FEWEST else self
+        within = (along >= low) & (along <= high)
+        return _tube(self.skin[within], self.axis) if within.sum() > MIN_POINTS else self
 
     def curve(self, offset: float) -> Float[np.ndarray, "n 2"]:
-        """Once round the part, ``offset`` cm outside its ellipse: across and forward, from the middle of the front."""
-        turn = np.linspace(0.0, 2 * np.pi, STEPS + 1)
-        return np.stack([(self.wide + offset) * np.sin(turn), (self.deep + offset) * np.cos(turn)], axis=1)
+        """The ellipse grown by ``offset`` [cm]: a closed polyline of (across, forward) from the front centre."""
+        angle = np.linspace(0.0, 2 * np.pi, STEPS + 1)
+        return np.stack([(self.wide + offset) * np.sin(angle), (self.deep + offset) * np.cos(angle)], axis=1)
 
 
 def limbs_of(body: Body) -> dict[BodyPart, Limb]:
-    """The trunk, with the legs and feet, and the arms there are. Raises ``BodyError`` for a body without a trunk."""
-    core = _piece(body, BodyPart.TRUNK, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG, BodyPart.FEET)
-    if len(core) <= FEWEST:
+    """The trunk with legs and feet, and each arm that the body has. Raises ``BodyError`` for a body without a trunk."""
+    core = _points_of(body, BodyPart.TRUNK, BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG, BodyPart.FEET)
+    if len(core) <= MIN_POINTS:
         raise BodyError(f"body {body.name} has no trunk: give a segmentation")
     limbs = {BodyPart.TRUNK: _tube(core, UP)}
     for part in (BodyPart.LEFT_ARM, BodyPart.RIGHT_ARM):
-        arm = _piece(body, part)
-        if len(arm) > FEWEST:
+        arm = _points_of(body, part)
+        if len(arm) > MIN_POINTS:
             limbs[part] = _arm(arm)
     return limbs
 
 
-def _piece(body: Body, *parts: BodyPart) -> Float[np.ndarray, "n 3"]:
-    """The vertices of parts, without the few that stray: some bodies' segmentations have vertices of other parts."""
+def _points_of(body: Body, *parts: BodyPart) -> Float[np.ndarray, "n 3"]:
+    """The vertices of body parts without outliers, which some segmentations mislabel."""
     points = np.asarray(body.vertices, float)[np.isin(body.parts, [part.value for part in parts])]
     if not len(points):
         return points
-    low, high = np.percentile(points, [STRAY, 100 - STRAY], axis=0)
-    return points[((points >= low - NEAR) & (points <= high + NEAR)).all(axis=1)]
+    low, high = np.percentile(points, [OUTLIERS, 100 - OUTLIERS], axis=0)
+    return points[((points >= low - OUTLIER_DISTANCE) & (points <= high + OUTLIER_DISTANCE)).all(axis=1)]
 
 
 def _arm(arm: Float[np.ndarray, "n 3"]) -> Limb:
@@ -90,9 +91,9 @@ def _arm(arm: Float[np.ndarray, "n 3"]) -> Limb:
 
 def _tube(skin: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]) -> Limb:
     limb = Limb(skin, axis, np.zeros(3), 0.0, 0.0)
-    seen = limb.local(skin)
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    local = limb.local(skin)
+    low, high = local.min(axis=0), local.max(axis=0)
     half, middle = 0.5 * (high - low), 0.5 * (low + high)
     half[1] = 1.0  # a single section has no extent along the axis
-    out = np.sqrt((((seen - middle) / half)[:, [0, 2]] ** 2).sum(axis=1).max())
-    return replace(limb, origin=limb.world(middle), wide=float(out * half[0]), deep=float(out * half[2]))
+    scale = np.sqrt((((local - middle) / half)[:, [0, 2]] ** 2).sum(axis=1).max())
+    return replace(limb, origin=limb.world(middle), wide=float(scale * half[0]), deep=float(scale * half[2]))

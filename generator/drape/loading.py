@@ -1,4 +1,4 @@
-"""The kernels of the drape, and what is waited for: compiling them, and a garment."""
+"""Loading of the drape's kernels, and estimates of how long a drape takes."""
 
 import logging
 import math
@@ -22,7 +22,7 @@ from gcd_dataset.generator.drape.kernels import (
 )
 from gcd_dataset.generator.estimates import core_seconds
 
-__all__ = ["kernels_compiled", "load_drape", "seconds_per_garment", "seconds_to_drape", "tell_wait"]
+__all__ = ["kernels_compiled", "load_drape", "log_drape_time", "seconds_per_garment", "seconds_to_drape"]
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -41,29 +41,29 @@ KERNELS: tuple[ModuleType, ...] = (
     stillness,
     topology,
 )
-GPU_SECONDS = 0.027  # of 1 000 garments at 1 cm on an H200, 128 at a time: benchmarks/reports/drape_sampled.md
-LONG = 10.0  # s: a shorter wait is not worth a line
+GPU_SECONDS = 0.027  # a garment at 1 cm on an H200, 1 000 garments, 128 at once: benchmarks/reports/drape_sampled.md
+LONG = 10.0  # s: shorter times are not logged
 
 
 def load_drape(device: str) -> None:
-    """Have all kernels of the drape ready on a device."""
+    """Load all kernels of the drape on a device; compiles them if the cache has none."""
     load_kernels("drape", *KERNELS, device=device)
 
 
 def kernels_compiled(device: str = "auto") -> bool:
-    """Whether the drape's kernels were compiled for a device before, by this version on this machine.
+    """Whether this machine's cache holds this version's kernels for a device.
 
-    Where they were not, the first drape compiles them, in about half a minute, and says so. Raises ``ConfigError`` for
-    a device that is not there.
+    If not, the first drape compiles them in about half a minute and logs a warning. Raises ``ConfigError`` for an
+    unknown device.
     """
     return kernels_cached(*KERNELS, device=resolve_device(device))
 
 
 def seconds_per_garment(device: str = "auto", spacing: float = 1.0) -> float:
-    """How long a garment takes to drape, in the mean, at a mesh spacing [cm]: on one core of a CPU, or its share on a
-    GPU that drapes many. An estimate from measured figures of other machines; some garments take ten times as long.
+    """Estimated mean time to drape a garment at a mesh spacing [cm]: on one CPU core, or its share of a full GPU batch.
 
-    Raises ``ConfigError`` for a device that is not there.
+    Measured on other machines; single garments take up to ten times as long. Raises ``ConfigError`` for an unknown
+    device.
 
     >>> seconds_per_garment("cpu"), round(seconds_per_garment("cpu", spacing=2.0), 1)
     (7.3, 2.4)
@@ -72,16 +72,16 @@ def seconds_per_garment(device: str = "auto", spacing: float = 1.0) -> float:
 
 
 def seconds_to_drape(garments: int, device: str = "auto", spacing: float = 1.0) -> float:
-    """How long ``garments`` take together, by ``seconds_per_garment``: each core of a CPU drapes one at a time.
+    """Estimated time to drape ``garments`` garments, by ``seconds_per_garment``; each CPU core drapes one at a time.
 
-    Raises ``ConfigError`` for a device that is not there.
+    Raises ``ConfigError`` for an unknown device.
     """
     rounds = math.ceil(garments / cores()) if resolve_device(device) == "cpu" else garments
     return rounds * seconds_per_garment(device, spacing)
 
 
-def tell_wait(garments: int, device: str = "auto", spacing: float = 1.0) -> None:
-    """Log how long ``garments`` will take to drape, where that is long. Raises ``ConfigError`` as the others do."""
+def log_drape_time(garments: int, device: str = "auto", spacing: float = 1.0) -> None:
+    """Log the estimated time to drape ``garments`` if above 10 s. Raises ``ConfigError`` for an unknown device."""
     seconds = seconds_to_drape(garments, device, spacing)
     if seconds > LONG:
         logger.info(

@@ -1,6 +1,6 @@
-"""A batch of garments as the solver sees it: flat arrays on a device, one garment ("world") after the other.
+"""The constant data of a batch on a device: flat arrays, one garment ("world") after the other.
 
-What stays the same during a drape is the ``ClothModel``; what changes is the ``ClothState``.
+``ClothModel`` holds all that stays constant during a drape, ``ClothState`` all that changes.
 """
 
 from collections.abc import Container, Sequence
@@ -11,7 +11,7 @@ import warp as wp
 
 from gcd_dataset.generator.drape.body_field import BodyField, HostField, body_fields
 from gcd_dataset.generator.drape.config import GRAVITY, DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.holds import Wear
+from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.elastic import LOOK_AHEAD, Rows
 from gcd_dataset.generator.drape.kernels.rows import add_inertia
 from gcd_dataset.generator.drape.kernels.world import Cloth, World
@@ -19,32 +19,30 @@ from gcd_dataset.generator.drape.topology import Topology, build_topology
 
 __all__ = ["ClothModel", "build_model"]
 
-STABLE = 4.0 / (1.0 + 2.0 * LOOK_AHEAD)  # of (omega h)²
-SAFETY = 0.9
-LEAVING_SPEED = 80.0  # cm/s
-UNTANGLING = 24000.0  # cm/s²
-PULLING = 12000.0  # cm/s²
-SAMPLE = 8  # every eighth vertex or edge tells what is usual
-COARSE_GAP = 2.5  # distance of layers of coarse cloth, over that of fine cloth
-INERTIA_GAIN = 1.3  # inertia over mass at the typical vertex: a longer step for a slower clock
+STABLE = 4.0 / (1.0 + 2.0 * LOOK_AHEAD)  # stability limit of (omega h)², see kernels/elastic.py
+SAFETY = 0.9  # share of that limit
+LEAVING_SPEED = 80.0  # cm/s, of cloth that leaves the body's inside
+UNTANGLING = 24000.0  # cm/s², acceleration that shortens intersection contours
+PULLING = 12000.0  # cm/s², acceleration of crossing cloth toward its own body part
+SAMPLE = 8  # medians are taken over every eighth vertex or edge
+COARSE_GAP = 2.5  # layer distance of coarse cloth over that of fine cloth
+INERTIA_GAIN = 1.3  # inertia over mass at the median vertex: added inertia allows a longer time step
 
 
 @dataclass(frozen=True)
 class ClothModel:
-    """What a drape needs of the garments and their bodies, on its device."""
+    """Garments, bodies and parameters of a batch. ``w v e f``: worlds, vertices, edges, faces."""
 
     device: str
     worlds: wp.array
-    """(w) ``World``."""
+    """(w) ``World``: parameters of each garment."""
     cloth: Cloth
     rows: Rows
     topology: Topology
     face_world: wp.array
-    """(f) the garment of each face."""
-    usual_length: tuple[float, ...]
-    """(w) median flat length of each garment's edges [cm]."""
+    """(f) world of each face."""
     bodies: tuple[BodyField, ...]
-    """Kept alive for the handles in ``cloth``."""
+    """(w) fields of the bodies; ``cloth`` holds handles to their meshes."""
 
     @property
     def n_worlds(self) -> int:
@@ -65,20 +63,21 @@ def build_model(
     device: str,
     *,
     coarse: Container[int] = (),
-    worn: Sequence[Wear] | None = None,
+    constraints: Sequence[BodyConstraints] | None = None,
     fields: Sequence[HostField | None] | None = None,
 ) -> ClothModel:
-    """The batch on a device, in the order of the jobs; those ``coarse`` are the start of finer ones.
+    """The model of a batch on a device: world ``k`` is ``jobs[k]``.
 
-    Layers of coarse cloth are kept further apart, lest they cross when chords become folds again. ``worn`` and
-    ``fields``: what is known of the jobs already.
+    ``coarse``: the worlds that drape a coarse mesh; their layers keep a larger distance, since refinement turns
+    straight chords into folds, which would cross. ``constraints`` and ``fields``: precomputed for the jobs; computed
+    here if missing.
     """
     jobs = [replace(job, fabric=job.fabric.softened(config.stiffest)) for job in jobs]
-    worn = worn or [Wear.of(job) for job in jobs]
-    topology = build_topology(jobs, [wear.keepers for wear in worn], device)
+    constraints = constraints or [BodyConstraints.of(job) for job in jobs]
+    topology = build_topology(jobs, [each.keepers for each in constraints], device)
     bodies = body_fields([job.body for job in jobs], device, fields)
     field, offsets, parts = _join_fields(bodies, device)
-    steps, lengths = _time_steps(topology), _usual_lengths(topology)
+    steps, lengths = _time_steps(topology), _median_lengths(topology)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0) for k, job in enumerate(jobs)]
     for k, world in enumerate(worlds):
         world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
@@ -86,13 +85,13 @@ def build_model(
         worlds, steps, lengths, topology.vertex_offset, topology.vertex_offset[1:], strict=False
     ):
         _add_garment(world, config, float(step), length, int(start), int(end - start))
-    for world, body, offset, wear in zip(worlds, bodies, offsets, worn, strict=True):
-        world.keepers, world.lowest, world.floor = len(wear.keepers), wear.lowest, wear.floor_height
+    for world, body, offset, each in zip(worlds, bodies, offsets, constraints, strict=True):
+        world.keepers, world.lowest, world.floor = len(each.keepers), each.lowest, each.floor_height
         world.field_offset = offset
         world.field_size = wp.vec3i(*body.distance.shape)
         world.field_origin = wp.vec3(*body.origin)
         world.field_cell = body.cell
-    cloth = _cloth(worn, config, topology, _inertia(topology, steps, device), device)
+    cloth = _cloth(constraints, config, topology, _inertia(topology, steps, device), device)
     cloth.field, cloth.field_parts = field, parts
     cloth.axes = wp.array(np.concatenate([body.axes for body in bodies]), dtype=wp.vec3, device=device)
     cloth.body_mesh = wp.array([body.mesh.id for body in bodies], dtype=wp.uint64, device=device)
@@ -104,13 +103,14 @@ def build_model(
         rows=topology.rows,
         topology=topology,
         face_world=wp.array(face_world, dtype=int, device=device),
-        usual_length=tuple(lengths),
         bodies=bodies,
     )
 
 
-def _cloth(worn: Sequence[Wear], config: DrapeConfig, topology: Topology, inertia: wp.array, device: str) -> Cloth:
-    """All but the bodies."""
+def _cloth(
+    constraints: Sequence[BodyConstraints], config: DrapeConfig, topology: Topology, inertia: wp.array, device: str
+) -> Cloth:
+    """The cloth's arrays; the caller adds those of the bodies."""
 
     def put(arrays: Sequence[np.ndarray], kind: type, dtype: type) -> wp.array:
         return wp.array(np.concatenate(arrays).astype(kind, copy=False), dtype=dtype, device=device)
@@ -121,20 +121,20 @@ def _cloth(worn: Sequence[Wear], config: DrapeConfig, topology: Topology, inerti
     cloth.faces, cloth.edges, cloth.edge_opposite = surface.faces, surface.edges, surface.opposite
     cloth.vertex_faces, cloth.first_face = surface.vertex_faces, surface.first_face
     cloth.vertex_edges, cloth.first_edge = surface.vertex_edges, surface.first_edge
-    cloth.hold_normal = put([config.holds * wear.hold_normal for wear in worn], np.float32, wp.vec3)
-    cloth.hold_offset = put([wear.hold_offset for wear in worn], np.float32, float)
+    cloth.hold_normal = put([config.holds * each.hold_normal for each in constraints], np.float32, wp.vec3)
+    cloth.hold_offset = put([each.hold_offset for each in constraints], np.float32, float)
     cloth.keeper = topology.keeper
-    cloth.unseen_parts = put([config.part_filters * wear.unseen for wear in worn], np.int32, int)
-    cloth.own_part = put([wear.own_part for wear in worn], np.int32, int)
+    cloth.ignored_parts = put([config.part_filters * each.ignored_parts for each in constraints], np.int32, int)
+    cloth.own_part = put([each.own_part for each in constraints], np.int32, int)
     return cloth
 
 
 def _time_steps(topology: Topology) -> np.ndarray:
-    """The longest stable time step of each garment [s]."""
+    """The time step of each garment [s], stable at ``INERTIA_GAIN`` times the median mass per stiffness."""
     ratio = topology.mass.numpy() / np.maximum(topology.stiffness.numpy(), 1e-9)
     spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
-    typical = np.array([np.median(ratio[a:b:SAMPLE]) for a, b in spans])
-    return np.sqrt(SAFETY * STABLE * INERTIA_GAIN * typical)
+    median = np.array([np.median(ratio[a:b:SAMPLE]) for a, b in spans])
+    return np.sqrt(SAFETY * STABLE * INERTIA_GAIN * median)
 
 
 def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
@@ -145,15 +145,15 @@ def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:
     return inertia
 
 
-def _usual_lengths(topology: Topology) -> list[float]:
+def _median_lengths(topology: Topology) -> list[float]:
     """The median flat length of each garment's edges [cm]."""
     flat = topology.hinges.spring.numpy()[:, 1]
     spans = zip(topology.edge_offset[:-1], topology.edge_offset[1:], strict=True)
     return [float(np.median(flat[a:b:SAMPLE])) for a, b in spans]
 
 
-def _world(job: DrapeJob, config: DrapeConfig, apart: float) -> World:
-    """The parameters by options and fabric; layers ``apart`` times as far as in a finished garment."""
+def _world(job: DrapeJob, config: DrapeConfig, gap_factor: float) -> World:
+    """The parameters by options and fabric, with the layer distance multiplied by ``gap_factor``."""
     world = World()
     world.damping = config.damping
     world.sewing_damping = config.sewing_damping
@@ -168,7 +168,7 @@ def _world(job: DrapeJob, config: DrapeConfig, apart: float) -> World:
     world.leaving_speed = LEAVING_SPEED if config.pull_from_body else 0.0
     world.untangling = UNTANGLING if config.untangle else 0.0
     world.pulling = PULLING if config.pull_to_parts else 0.0
-    world.thickness = apart * max(job.fabric.thickness, config.layer_gap)
+    world.thickness = gap_factor * max(job.fabric.thickness, config.layer_gap)
     world.body_gap = config.body_gap
     world.margin = max(config.contact_margin, 1.5 * world.thickness)
     world.travel = 0.4 * (world.margin - world.thickness)
@@ -176,10 +176,11 @@ def _world(job: DrapeJob, config: DrapeConfig, apart: float) -> World:
 
 
 def _add_garment(world: World, config: DrapeConfig, step: float, length: float, first: int, size: int) -> None:
-    """Add the parameters by the time step [s], the usual length of an edge [cm] and the number of vertices."""
+    """Add the parameters by the time step [s], the median edge length [cm] and the number of vertices."""
     frame = config.substeps * step
     world.first, world.size, world.dt = first, size, step
-    # Two usual edges that cross in their middles at the margin; triangles are nearer to their corners.
+    # Worst case: two median edges, a margin apart, that cross in their midpoints. Triangles are nearer to their
+    # corners.
     world.near = float(np.hypot(world.margin, length))
     world.clear = config.body_gap + world.travel + config.search_every * config.max_speed * step
     world.frame = frame
@@ -189,14 +190,14 @@ def _add_garment(world: World, config: DrapeConfig, step: float, length: float, 
 
 
 def _join_fields(bodies: Sequence[BodyField], device: str) -> tuple[wp.array, list[int], wp.array]:
-    """All different fields in one array, and where each world's begins."""
-    different = list({id(body): body for body in bodies}.values())
-    starts = np.cumsum([0, *(body.distance.size for body in different)])
-    where = {id(body): int(start) for body, start in zip(different, starts, strict=False)}
+    """The distinct fields in one array, the offset of each world's field, and the nearest body parts."""
+    distinct = list({id(body): body for body in bodies}.values())
+    starts = np.cumsum([0, *(body.distance.size for body in distinct)])
+    offset = {id(body): int(start) for body, start in zip(distinct, starts, strict=False)}
     values = wp.empty(int(starts[-1]), dtype=float, device=device)
     parts = wp.empty(int(starts[-1]), dtype=wp.uint8, device=device)
-    for body in different:
-        at, size = where[id(body)], body.distance.size
+    for body in distinct:
+        at, size = offset[id(body)], body.distance.size
         wp.copy(values, body.distance.flatten(), dest_offset=at, count=size)
         wp.copy(parts, body.part.flatten(), dest_offset=at, count=size)
-    return values, [where[id(body)] for body in bodies], parts
+    return values, [offset[id(body)] for body in bodies], parts

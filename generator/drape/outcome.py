@@ -1,4 +1,4 @@
-"""How a drape ended: at rest, through the body, through itself, off the body, or below the floor."""
+"""The outcome of each drape of a batch, and its figures: crossings, stretch, frames."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import one_at_a_time
-from gcd_dataset.generator.drape.holds import fell, held_from_below, off_body
+from gcd_dataset.generator.drape.device import launch_lock
+from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.records import Drape, Outcome
@@ -17,11 +17,11 @@ __all__ = ["collect", "slid_off"]
 
 
 def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> list[Drape]:
-    """The drapes of some of a batch's garments: ``jobs`` in the given worlds."""
+    """The drapes of some worlds of a batch; ``jobs[k]`` was draped in ``worlds[k]``."""
     if not worlds:
         return []
     state, topology = solver.state, solver.model.topology
-    with one_at_a_time:
+    with launch_lock:
         chosen = np.isin(np.arange(solver.model.n_worlds), worlds)
         if solver.config.exact_finish:
             solver.leave_skin(chosen)
@@ -49,7 +49,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
 
 
 def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> Outcome:
-    """The first of the failures that applies, gravest first; else settled."""
+    """The gravest failure that applies, else settled."""
     if status == DIVERGED or not np.isfinite(drape.vertices).all():
         return Outcome.DIVERGED
     if overfull:
@@ -70,6 +70,6 @@ def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, ove
 
 
 def slid_off(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> bool:
-    """Whether the edge that keeps the garment up hangs far below where it was held."""
-    ids, lowest = held_from_below(job)
+    """Whether the mean height of the keepers is below the level at which the garment has slid off."""
+    ids, lowest = find_keepers(job)
     return len(ids) > 0 and bool(vertices[ids, 1].mean() < lowest)

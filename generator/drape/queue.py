@@ -1,12 +1,12 @@
-"""Garments that take turns in a batch: one that has come to rest gives its place to the next.
+"""Continuous batching: a garment that has come to rest leaves its world in the batch to the next job.
 
-A garment has two turns, its coarse mesh first and then itself, from the shape that the coarse one has come to. What
-happens in a turn does not depend on when it begins, nor on who else is in the batch.
+A garment takes two passes: first its coarse mesh, then the fine mesh from the coarse drape's shape. A pass gives the
+same result whenever it begins and whatever else is in the batch.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -15,10 +15,10 @@ from jaxtyping import Bool
 from gcd_dataset.generator.drape.arrange import arranged
 from gcd_dataset.generator.drape.body_field import HostField
 from gcd_dataset.generator.drape.carry import carry_over
-from gcd_dataset.generator.drape.coarse_start import go_on_from
+from gcd_dataset.generator.drape.coarse_start import start_from_coarse
 from gcd_dataset.generator.drape.config import DrapeConfig, DrapeJob
-from gcd_dataset.generator.drape.device import one_at_a_time
-from gcd_dataset.generator.drape.holds import Wear
+from gcd_dataset.generator.drape.device import launch_lock
+from gcd_dataset.generator.drape.holds import BodyConstraints
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect
@@ -26,185 +26,200 @@ from gcd_dataset.generator.drape.solver import Solver, nothing
 from gcd_dataset.generator.mesh import Coarse, coarse_start
 from gcd_dataset.records import Drape
 
-__all__ = ["Readied", "drape_in_turn"]
+__all__ = ["PreparedJob", "drape_unordered"]
 
-POLL_EVERY = 4  # frames after which the device is asked which garments still move
-IDLE = 0.5  # share of the places that may stand empty while garments wait for one
+POLL_EVERY = 4  # frames between two reads of the status from the device, each of which waits for it
+IDLE = 0.5  # share of the worlds that may be idle while jobs wait: rebuilding a batch takes time
 
 
 @dataclass(frozen=True)
-class Readied:
-    """A garment with what its turns need of the host: worked out by any thread, while others are draped."""
+class PreparedJob:
+    """A job with its precomputed host data, which any thread may prepare while other garments drape."""
 
     job: DrapeJob
     field: HostField
-    wear: Wear
-    coarse_wear: Wear | None
-    """That of ``job.coarse``."""
+    constraints: BodyConstraints
+    coarse_constraints: BodyConstraints | None
+    """The constraints of ``job.coarse``."""
 
     @classmethod
     def of(cls, job: DrapeJob) -> Self:
-        coarse = Wear.of(replace(job, box_mesh=job.coarse.mesh)) if job.coarse else None
-        return cls(job, HostField.of(job.body), Wear.of(job), coarse)
+        coarse = BodyConstraints.of(replace(job, box_mesh=job.coarse.mesh)) if job.coarse else None
+        return cls(job, HostField.of(job.body), BodyConstraints.of(job), coarse)
 
 
-def no_more() -> int:
-    """How many jobs have arrived that were not there: none."""
+def none_arrived() -> int:
+    """For jobs that are all present from the start."""
     return 0
 
 
-def drape_in_turn(
-    jobs: Iterable[DrapeJob | Readied | None],
+def drape_unordered(
+    jobs: Iterable[DrapeJob | PreparedJob | None],
     config: DrapeConfig,
     *,
     device: str,
     at_once: int,
-    arrived: Callable[[], int] = no_more,
+    arrived: Callable[[], int] = none_arrived,
     between: Callable[[], None] = nothing,
 ) -> Iterator[tuple[int, Drape]]:
-    """The number and the drape of each job, in the order in which they come to rest; ``at_once`` share the device.
+    """Yield the number and drape of each job in the order in which they come to rest; up to ``at_once`` share a batch.
 
-    ``jobs`` may arrive while others are draped: a ``None`` among them, which counts as no job, says that there is none
-    at this moment, and ``arrived`` how many have come since. It ends when all are draped and none is there, or by what
-    ``between`` raises, which is called between steps.
+    ``jobs`` may be fed while others drape: it yields ``None``, which takes no number, if no job is present at the
+    moment. ``arrived`` returns how many jobs ``jobs`` could yield now. The generator ends when all garments are draped
+    and no job is present. ``between`` is called between substeps; an exception that it raises ends the drapes.
     """
-    waiting = _Waiting(jobs, config)
-    turns = waiting.taken(at_once)
-    before = None
-    while turns:
+    pending = _Pending(jobs, config)
+    passes = pending.take(at_once)
+    previous = None
+    while passes:
         between()
-        solver = _begin(turns, before, config, device)
-        running = _run(solver, turns, not waiting.ended, partial(_as_fit, arrived, at_once - len(turns)), between)
+        solver = _next_batch(passes, previous, config, device)
+        running = _run(solver, passes, not pending.ended, partial(_up_to, at_once - len(passes), arrived), between)
         frames = solver.state.frames.numpy()
-        ended = [k for k in np.flatnonzero(~running).tolist() if turns[k].coarse is None]
-        for k, drape in zip(ended, collect(solver, [turns[k].whole for k in ended], ended), strict=True):
-            yield turns[k].number, replace(drape, frames=drape.frames + turns[k].frames_before)
-        going_on = [turns[k].goes_on(k) for k in np.flatnonzero(running).tolist()]
-        refined = [turn.refined(k, int(frames[k])) for k, turn in enumerate(turns) if turn.coarse and not running[k]]
-        turns = going_on + refined
-        turns += waiting.taken(at_once - len(turns))
-        before = solver
-    if waiting.failed is not None:
-        raise waiting.failed
+        ended = [k for k in np.flatnonzero(~running).tolist() if passes[k].coarse is None]
+        for k, drape in zip(ended, collect(solver, [passes[k].fine for k in ended], ended), strict=True):
+            yield passes[k].number, replace(drape, frames=drape.frames + passes[k].coarse_frames)
+        continued = [passes[k].continued(k) for k in np.flatnonzero(running).tolist()]
+        refined = [each.refined(k, int(frames[k])) for k, each in enumerate(passes) if each.coarse and not running[k]]
+        passes = continued + refined
+        passes += pending.take(at_once - len(passes))
+        previous = solver
+    if pending.error is not None:
+        raise pending.error
 
 
 @dataclass(frozen=True)
-class _Turn:
-    """A garment's place in a batch: for its coarse mesh first, if it has one, then for itself."""
+class _Pass:
+    """A garment in a batch: in its coarse pass, if it has a coarse mesh, or in its fine pass."""
 
     number: int
-    whole: DrapeJob
+    fine: DrapeJob
     coarse: Coarse | None
-    frames_before: int = 0
-    """Those of the coarse mesh, once it is done."""
-    old_place: int | None = None
-    """Its world in the batch before."""
-    start_from: Coarse | None = None
-    """The coarse mesh in that place, whose shape this turn starts from."""
-    known: Readied | None = None
-    """What was worked out ahead of its first turn."""
-
-    @cached_property
-    def wear(self) -> Wear:
-        known = None
-        if self.known is not None:
-            known = self.known.wear if self.coarse is None else self.known.coarse_wear
-        return known or Wear.of(self.job)
+    """The coarse mesh in the coarse pass; None in the fine pass."""
+    constraints: BodyConstraints
+    """The constraints of ``job``."""
+    prepared: PreparedJob | None = None
+    coarse_frames: int = 0
+    """Frames of the coarse pass, in the fine pass."""
+    previous_world: int | None = None
+    """The garment's world in the previous batch."""
+    refined_from: Coarse | None = None
+    """The coarse mesh in that world, if this is the first batch of the fine pass."""
 
     @classmethod
-    def first(cls, number: int, given: DrapeJob | Readied, config: DrapeConfig) -> Self:
-        known = given if isinstance(given, Readied) and not config.curved_start else None
-        job = given.job if isinstance(given, Readied) else given
+    def first(cls, number: int, given: DrapeJob | PreparedJob, config: DrapeConfig) -> Self:
+        prepared = given if isinstance(given, PreparedJob) and not config.curved_start else None
+        job = given.job if isinstance(given, PreparedJob) else given
         coarse = (job.coarse or coarse_start(job.box_mesh)) if config.coarse_start else None
         if config.curved_start and coarse:
             coarse = replace(coarse, mesh=arranged(coarse.mesh, job.body))
         elif config.curved_start:
             job = replace(job, box_mesh=arranged(job.box_mesh, job.body))
-        return cls(number, job, coarse, known=known)
+        return cls(number, job, coarse, _constraints(job, coarse, prepared), prepared)
 
     @property
     def job(self) -> DrapeJob:
-        if self.coarse is None:
-            return self.whole
-        return replace(self.whole, box_mesh=self.coarse.mesh)
+        """The job of this pass: with the coarse mesh, or with the fine mesh."""
+        return _job(self.fine, self.coarse)
 
-    def goes_on(self, place: int) -> Self:
-        """The same turn in the next batch."""
-        same = replace(self, old_place=place, start_from=None)
-        same.__dict__["wear"] = self.wear
-        return same
+    def continued(self, world: int) -> Self:
+        """The same pass in the next batch; ``world``: its index in this one."""
+        return replace(self, previous_world=world, refined_from=None)
 
-    def refined(self, place: int, frames: int) -> Self:
-        """The turn after that of the coarse mesh."""
-        return replace(self, coarse=None, frames_before=frames, old_place=place, start_from=self.coarse)
+    def refined(self, world: int, frames: int) -> Self:
+        """The fine pass after a coarse pass of ``frames`` frames in ``world``."""
+        return replace(
+            self,
+            coarse=None,
+            constraints=_constraints(self.fine, None, self.prepared),
+            coarse_frames=frames,
+            previous_world=world,
+            refined_from=self.coarse,
+        )
 
 
-def _as_fit(arrived: Callable[[], int], room: int) -> int:
-    return min(arrived(), room)
+def _job(fine: DrapeJob, coarse: Coarse | None) -> DrapeJob:
+    return fine if coarse is None else replace(fine, box_mesh=coarse.mesh)
 
 
-class _Waiting:
-    """Garments that have no place yet."""
+def _constraints(fine: DrapeJob, coarse: Coarse | None, prepared: PreparedJob | None) -> BodyConstraints:
+    """The constraints of the coarse mesh, or of the fine mesh without one; precomputed where possible."""
+    known = None
+    if prepared is not None:
+        known = prepared.constraints if coarse is None else prepared.coarse_constraints
+    return known or BodyConstraints.of(_job(fine, coarse))
 
-    def __init__(self, jobs: Iterable[DrapeJob | Readied | None], config: DrapeConfig) -> None:
+
+def _up_to(limit: int, arrived: Callable[[], int]) -> int:
+    return min(arrived(), limit)
+
+
+class _Pending:
+    """Jobs that are not in a batch yet."""
+
+    def __init__(self, jobs: Iterable[DrapeJob | PreparedJob | None], config: DrapeConfig) -> None:
         self._jobs, self._config, self._count = iter(jobs), config, 0
         self.ended = False
-        """Whether the last of them has been taken."""
-        self.failed: Exception | None = None
-        """What went wrong with the next; told when those before it are draped."""
+        """Whether the jobs are exhausted, or have failed."""
+        self.error: Exception | None = None
+        """The error of the jobs' iterator; raised after the drapes of the jobs before it."""
 
-    def taken(self, room: int) -> list[_Turn]:
-        """The next that are there, for so many places."""
-        turns: list[_Turn] = []
-        while len(turns) < room and not self.ended:
+    def take(self, limit: int) -> list[_Pass]:
+        """The first passes of up to ``limit`` jobs that are present."""
+        passes: list[_Pass] = []
+        while len(passes) < limit and not self.ended:
             try:
                 job = next(self._jobs)
-            except Exception as error:  # noqa: BLE001 - their end, or whatever is wrong with one
+            except Exception as error:  # noqa: BLE001 - StopIteration, or an error of the jobs
                 self.ended = True
-                self.failed = None if isinstance(error, StopIteration) else error
+                self.error = None if isinstance(error, StopIteration) else error
                 break
             if job is None:
                 break
-            turns.append(_Turn.first(self._count, job, self._config))
+            passes.append(_Pass.first(self._count, job, self._config))
             self._count += 1
-        return turns
+        return passes
 
 
-def _begin(turns: Sequence[_Turn], before: Solver | None, config: DrapeConfig, device: str) -> Solver:
-    """The next batch, with what it takes over from the one before."""
-    with one_at_a_time:
-        coarse = [k for k, turn in enumerate(turns) if turn.coarse]
-        solver = Solver(
-            build_model(
-                [turn.job for turn in turns],
-                config,
-                device,
-                coarse=coarse,
-                worn=[turn.wear for turn in turns],
-                fields=[None if turn.known is None else turn.known.field for turn in turns],
-            ),
+def _next_batch(passes: Sequence[_Pass], previous: Solver | None, config: DrapeConfig, device: str) -> Solver:
+    """A solver for the passes, with the state that continues from the previous batch."""
+    with launch_lock:
+        coarse = [k for k, each in enumerate(passes) if each.coarse]
+        model = build_model(
+            [each.job for each in passes],
             config,
+            device,
+            coarse=coarse,
+            constraints=[each.constraints for each in passes],
+            fields=[None if each.prepared is None else each.prepared.field for each in passes],
         )
-        if before is not None:
-            places = [(t.old_place, k, t.start_from) for k, t in enumerate(turns) if t.old_place is not None]
-            carry_over(before, solver, [(old, new) for old, new, mesh in places if mesh is None])
-            go_on_from(before, solver, [(old, new, mesh) for old, new, mesh in places if mesh is not None])
+        solver = Solver(model, config)
+        if previous is not None:
+            moves = [
+                (p.previous_world, k, p.refined_from) for k, p in enumerate(passes) if p.previous_world is not None
+            ]
+            carry_over(previous, solver, [(old, new) for old, new, mesh in moves if mesh is None])
+            start_from_coarse(previous, solver, [(old, new, mesh) for old, new, mesh in moves if mesh is not None])
     return solver
 
 
 def _run(
     solver: Solver,
-    turns: Sequence[_Turn],
-    any_wait: bool,
+    passes: Sequence[_Pass],
+    any_pending: bool,
     arrived: Callable[[], int],
     between: Callable[[], None],
 ) -> Bool[np.ndarray, " w"]:
-    """Step until nothing moves, or many places stand empty that others wait for; which garments still move."""
-    refining = np.array([turn.coarse is not None for turn in turns])
+    """Step until all worlds rest, or so many are idle that a new batch pays; returns which worlds still move.
+
+    Idle are worlds at rest that a pending job or the garment's own fine pass could use, and free worlds for jobs that
+    have arrived.
+    """
+    refining = np.array([each.coarse is not None for each in passes])
     while True:
         running = solver.state.status.numpy() == RUNNING
-        idle = ~running if any_wait else ~running & refining
-        if not running.any() or idle.sum() + arrived() >= max(1, IDLE * len(turns)):
+        idle = ~running if any_pending else ~running & refining
+        if not running.any() or idle.sum() + arrived() >= max(1, IDLE * len(passes)):
             return running
         for _ in range(POLL_EVERY):
             solver.frame(between)

@@ -1,4 +1,4 @@
-"""The drape's constraints in NumPy, straight from their definitions: what the kernels are tested against."""
+"""NumPy reference of the drape's energies and intersection tests, from their definitions; tests compare the kernels."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,12 +11,12 @@ __all__ = ["bending_energy", "closest_on_triangle", "segment_crosses_triangle", 
 
 
 def stretch_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -> float:
-    """Energy of every triangle by the strains of its sides [g cm²/s²].
+    """Membrane energy of all triangles, from the strains of their sides [g cm²/s²].
 
-    One spring a side, stiffness ``membrane A / L²``, for a fabric that stretches alike in every direction; else that of
-    an orthotropic sheet with the strain that the sides make.
+    An isotropic fabric has a spring on each side, stiffness ``membrane A / L²``; other fabrics are an orthotropic sheet
+    with the strain that the three side strains determine.
 
-    A side shared by two triangles whose panels give it different lengths counts with the shorter for both.
+    A seam edge that has different lengths in its two panels has the shorter rest length in both triangles.
     """
     flat = mesh.uv[mesh.corners]
     area = 0.5 * np.abs(_cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]))
@@ -38,12 +38,11 @@ def stretch_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -
 
 
 def _sheet_energy(corners: Float[np.ndarray, "3 2"], strains: Float[np.ndarray, "3"], fabric: Fabric) -> float:
-    """Twice the energy per area of a sheet with these strains along the sides of a flat triangle; a sliver's is of
-    springs."""
+    """Twice the energy per area of a sheet, from the strains along the sides of a triangle; springs for slivers."""
     along = np.roll(corners, -1, axis=0) - corners
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     rows = np.stack([*(along**2).T, along[:, 0] * along[:, 1]], axis=1)
-    if fabric.alike or abs(np.linalg.det(rows)) < SLIVER:
+    if fabric.isotropic or abs(np.linalg.det(rows)) < SLIVER:
         return float(fabric.membrane * strains @ strains)
     weft, warp, shear = np.linalg.solve(rows, strains)
     compliance = np.array([[1 / fabric.pull.weft, 0.0], [0.0, 1 / fabric.pull.warp]])
@@ -54,12 +53,12 @@ def _sheet_energy(corners: Float[np.ndarray, "3 2"], strains: Float[np.ndarray, 
 
 
 def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -> float:
-    """Quadratic bending energy of every hinge, from the heights of its two triangles [g cm²/s²].
+    """Quadratic bending energy of all hinges (Bergou et al. 2006), from the heights of their triangles [g cm²/s²].
 
     With ``n0, n1`` the in-plane directions from the edge to the two opposite vertices, the bending vector is
-    ``L (n0 + n1)`` of the *deformed* triangles expressed by the *flat* foot points (Bergou et al. 2006). A third of
-    their energy is the sheet's, see ``kernels.sheet``; a hinge that bends by a share of s along the weft has the
-    rigidity ``warp + 3/2 s (weft - warp)``, at least half of the softer one's.
+    ``L (n0 + n1)``, of the *deformed* triangles at the foot points of the *flat* ones. The energy of the sheet is a
+    third of Bergou's, see ``kernels.sheet``. A hinge that bends by a share ``s`` along the weft has the rigidity
+    ``warp + 3/2 s (weft - warp)``, at least half of the softer direction's.
     """
     sides: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for f, face in enumerate(mesh.faces):
@@ -88,7 +87,7 @@ def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -
 
 
 def closest_on_triangle(p: Float[np.ndarray, "3"], corners: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    """The point of a triangle nearest to ``p`` [cm], the best of its inside, its three sides and their ends."""
+    """The point of a triangle nearest to ``p`` [cm]: the best candidate on its interior and its three sides."""
     a, b, c = corners
     inside, *_ = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), p - a, rcond=None)
     candidates = []
@@ -103,7 +102,7 @@ def closest_on_triangle(p: Float[np.ndarray, "3"], corners: Float[np.ndarray, "3
 def segment_crosses_triangle(
     p: Float[np.ndarray, "3"], q: Float[np.ndarray, "3"], corners: Float[np.ndarray, "3 3"]
 ) -> bool:
-    """Whether the segment pq meets the triangle, by the signs of five volumes."""
+    """Whether segment pq intersects the triangle, by the signs of five tetrahedra."""
     a, b, c = corners
 
     def volume(i: np.ndarray, j: np.ndarray, k: np.ndarray, m: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""The time steps of a batch: recorded as graphs, on the CPU as on a GPU, and played until all is at rest."""
+"""The solver of a batch: substeps captured as graphs, on the CPU as on a GPU, and replayed frame by frame."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Int
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drape.body_field import BodyField
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import one_at_a_time
+from gcd_dataset.generator.drape.device import launch_lock
 from gcd_dataset.generator.drape.kernels import boxes, contacts, crossing, finish, search, sides, step, stillness
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.loading import load_drape
@@ -18,134 +18,135 @@ from gcd_dataset.generator.drape.state import new_state
 
 __all__ = ["Solver", "nothing"]
 
-REBUILD_EVERY = 10  # frames after which the tree of boxes is built anew
+REBUILD_EVERY = 10  # frames between two builds of the BVH; in between it is refitted
 FINISHING_ROUNDS = 4
-GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; longer lists are walked in strides
+GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; kernels walk longer lists in strides
 
 
 def nothing() -> None:
-    """What is done between steps by default."""
+    """The default callback between substeps."""
 
 
 class Solver:
-    """Steps a batch frame by frame. The first frame records its graphs; the rest replay them."""
+    """Steps a batch frame by frame. The first frame captures the graphs; later frames replay them."""
 
     def __init__(self, model: ClothModel, config: DrapeConfig) -> None:
         load_drape(model.device)
         self.model, self.config = model, config
         self.state = new_state(model, config)
         self.frames = 0
-        self._bound()
+        self._bound_faces()
         self._bvh = wp.Bvh(self.state.lower, self.state.upper, groups=model.face_world)
         self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
         self._none = wp.zeros_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
 
     def frame(self, between: Callable[[], None] = nothing) -> None:
-        """One frame: ``config.substeps`` time steps, and the count of what still moves.
+        """One frame: ``config.substeps`` substeps, then the status of each world.
 
-        ``between`` is called every few steps; what it raises ends the drape.
+        ``between`` is called every few substeps; an exception that it raises ends the drape.
         """
         if self.frames % REBUILD_EVERY == 0:
-            with one_at_a_time:
-                self._bound()
+            with launch_lock:
+                self._bound_faces()
                 self._bvh.rebuild()
         if not self._graphs:
-            with one_at_a_time:
-                steps = self._recorded(self._record_steps)
+            with launch_lock:
+                steps = self._captured(self._search_and_step)
                 rounds = self.config.substeps // self.config.search_every
-                self._graphs = [self._recorded(self._record_start), *rounds * [steps], self._recorded(self._record_end)]
+                self._graphs = [self._captured(self._begin_frame), *rounds * [steps], self._captured(self._end_frame)]
         for graph in self._graphs:
             between()
             wp.capture_launch(graph)
         self.frames += 1
 
-    def _recorded(self, record: Callable[[], None]) -> wp.Graph:
+    def _captured(self, launches: Callable[[], None]) -> wp.Graph:
         with wp.ScopedCapture(device=self.model.device) as capture:
-            record()
+            launches()
         return capture.graph
 
     def run_for(self, seconds: float) -> None:
-        """Step until every garment has lived so long [s]. Raises ``DrapeError`` where one ends before."""
+        """Step until every garment has reached a simulated time [s]. Raises ``DrapeError`` if one ends earlier."""
         while self.state.time.numpy().min() < seconds:
             if (self.state.status.numpy() != RUNNING).any():
-                raise DrapeError(f"a garment has ended before {seconds} s: give it more frames, and hold it longer")
+                raise DrapeError(f"a garment has ended before {seconds} s: raise max_frames and held_time")
             self.frame()
 
     def leave_skin(self, worlds: Bool[np.ndarray, " w"]) -> None:
-        """Move the cloth of garments at rest off the skin where it crosses it, without a crossing of the cloth."""
+        """Move cloth of the chosen worlds off the skin's triangles, without new crossings of cloth with cloth."""
         m, s = self.model, self.state
-        chosen, through = self._asked(worlds), wp.zeros_like(s.search.listed)
-        free, start, moved = wp.empty_like(s.search.skin), wp.clone(s.x), wp.empty_like(s.x)
-        self._launch(finish.begin_finish, m.n_vertices, [m.worlds, m.cloth], [free])
+        chosen, through = self._chosen(worlds), wp.zeros_like(s.search.listed)
+        allowed, start, moved = wp.empty_like(s.search.skin), wp.clone(s.x), wp.empty_like(s.x)
+        self._launch(finish.reset_allowed_moves, m.n_vertices, [m.worlds, m.cloth], [allowed])
         wp.copy(s.search.searching, chosen)
         self._search()
         threads = 1 if m.device == "cpu" else 256
-        self._launch(finish.bound_moves, (m.n_worlds, threads), [m.worlds, s.contacts, threads, chosen, s.x], [free])
+        self._launch(finish.bound_moves, (m.n_worlds, threads), [m.worlds, s.contacts, threads, chosen, s.x], [allowed])
         for _ in range(FINISHING_ROUNDS):
             self._launch(finish.mark_body_crossings, m.n_edges, [m.cloth, chosen, s.x], [through])
-            inputs = [m.worlds, m.cloth, chosen, through, free, start, s.x]
+            inputs = [m.worlds, m.cloth, chosen, through, allowed, start, s.x]
             self._launch(finish.leave_skin, m.n_vertices, inputs, [moved])
             wp.copy(s.x, moved)
 
     def self_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
-        """Edges of each world that cross its cloth; 0 for those that are not asked for."""
+        """(w) edges of each world's cloth that cross the cloth; 0 outside ``worlds``."""
         m = self.model
-        asked = self._asked(worlds)
+        chosen = self._chosen(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
-        self._fit_tree()
+        self._refit_bvh()
         self._launch(
             crossing.count_self_crossings,
             m.n_edges,
-            [m.cloth, self._bvh.id, self._roots, asked, self.state.x],
+            [m.cloth, self._bvh.id, self._roots, chosen, self.state.x],
             [counts],
         )
         return counts.numpy()
 
     def body_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
-        """Edges of each world that cross its body; 0 for those that are not asked for."""
+        """(w) edges of each world's cloth that cross the skin; 0 outside ``worlds``."""
         m = self.model
-        asked = self._asked(worlds)
+        chosen = self._chosen(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
-        self._launch(crossing.count_body_crossings, m.n_edges, [m.cloth, asked, self.state.x], [counts])
+        self._launch(crossing.count_body_crossings, m.n_edges, [m.cloth, chosen, self.state.x], [counts])
         return counts.numpy()
 
     def body_through(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
-        """Edges of each world's body that cross its cloth; 0 for those that are not asked for."""
+        """(w) edges of each world's skin that cross the cloth; 0 outside ``worlds``."""
         m = self.model
-        asked = self._asked(worlds)
+        chosen = self._chosen(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
         edges = wp.array([_edges_of(body) for body in m.bodies], dtype=crossing.BodyEdges, device=m.device)
-        self._fit_tree()
-        most = max(len(body.edges) for body in m.bodies)
+        self._refit_bvh()
+        most_edges = max(len(body.edges) for body in m.bodies)
         self._launch(
             crossing.count_body_through,
-            (m.n_worlds, most),
-            [m.cloth, edges, self._bvh.id, self._roots, asked, self.state.x],
+            (m.n_worlds, most_edges),
+            [m.cloth, edges, self._bvh.id, self._roots, chosen, self.state.x],
             [counts],
         )
         return counts.numpy()
 
     def stretches(self) -> np.ndarray:
-        """(e) length of every edge over its flat length."""
+        """(e) length over flat length of every edge."""
         m = self.model
         ratio = wp.empty(m.n_edges, dtype=float, device=m.device)
         self._launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.topology.hinges.spring, self.state.x], [ratio])
         return ratio.numpy()
 
-    def _asked(self, worlds: Bool[np.ndarray, " w"] | None) -> wp.array:
+    def _chosen(self, worlds: Bool[np.ndarray, " w"] | None) -> wp.array:
+        """A flag for each world; all worlds for None."""
         every = np.ones(self.model.n_worlds, bool)
         return wp.array((every if worlds is None else worlds).astype(np.int32), dtype=int, device=self.model.device)
 
-    def _record_start(self) -> None:
-        """What begins a frame: cloth that has crossed is looked for, where that is due."""
+    def _begin_frame(self) -> None:
+        """Search for crossings in the worlds where a search is due."""
         m, s, c = self.model, self.state, self.config
         if c.exempt_crossings or c.untangle or c.pull_to_parts:
             wp.capture_if(s.crossing.any_searched, self._find_crossings)
-        self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
+        self._launch(contacts.scan_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
 
-    def _record_steps(self) -> None:
-        """A search where one is due, and the time steps until the next."""
+    def _search_and_step(self) -> None:
+        """Search for contacts in the worlds where a search is due, then ``search_every`` substeps."""
         m, s = self.model, self.state
         s.search.any_search.zero_()
         self._launch(
@@ -155,11 +156,11 @@ class Solver:
             [s.search, s.crossing],
         )
         wp.capture_if(s.search.any_search, self._search)
-        for turn in range(self.config.search_every):
-            self._step(odd=turn % 2 == 1, before_search=turn + 1 == self.config.search_every)
+        for number in range(self.config.search_every):
+            self._step(odd=number % 2 == 1, before_search=number + 1 == self.config.search_every)
 
-    def _record_end(self) -> None:
-        """What ends a frame: garments that rest, and those that have slid off or fallen, are done."""
+    def _end_frame(self) -> None:
+        """Update the status (at rest, slid off, fallen, diverged, out of frames); plan the next crossing search."""
         m, s = self.model, self.state
         s.crossing.any_searched.zero_()
         threads = 1 if m.device == "cpu" else 256
@@ -194,10 +195,10 @@ class Solver:
         )
 
     def _find_crossings(self) -> None:
-        """Where the cloth crosses itself: marked, so that contacts do not lock it in."""
+        """List crossings of cloth with cloth and mark their vertices as tangled."""
         m, s = self.model, self.state
-        self._fit_tree()
-        self._launch(crossing.forget_crossings, m.n_vertices, [m.cloth, s.crossing], [s.tangled])
+        self._refit_bvh()
+        self._launch(crossing.clear_tangled, m.n_vertices, [m.cloth, s.crossing], [s.tangled])
         self._launch(
             crossing.find_crossings,
             m.n_edges,
@@ -206,12 +207,12 @@ class Solver:
         )
 
     def _search(self) -> None:
-        """The pairs that may touch before the next search, of the worlds that need one."""
+        """Find contacts: pairs that may touch before the next search, in the worlds where a search is due."""
         m, s = self.model, self.state
         threads = self._threads
         if self.config.remember_sides:
-            self._keep_sides()
-        self._launch(sides.empty_lists, m.n_worlds, [s.search.searching], [s.contacts])
+            self._keep_passed_pairs()
+        self._launch(sides.clear_lists, m.n_worlds, [s.search.searching], [s.contacts])
         s.newest.fill_(-1)
         self._launch(
             search.fill_grid,
@@ -221,57 +222,57 @@ class Solver:
         )
         per_vertex = 1 if m.device == "cpu" else max(1, min(GPU_THREADS // m.n_vertices, 14))
         self._launch(
-            search.find_near,
+            search.find_near_vertices,
             (m.n_vertices, per_vertex),
             [m.worlds, m.cloth, per_vertex, s.search.searching, s.x, s.newest, s.older],
             [s.search.x, s.search.skin, s.beside, s.contacts],
         )
-        self._launch(search.share_near, m.n_worlds + 1, [m.worlds, s.search.searching], [s.contacts])
+        self._launch(search.scan_near_work, m.n_worlds + 1, [m.worlds, s.search.searching], [s.contacts])
         if self.config.self_contact:
             exempt = s.tangled if self.config.exempt_crossings else self._none
             inputs = [m.worlds, m.cloth, threads, exempt, s.passed, s.x]
-            self._launch(search.find_pairs, threads, inputs, [s.search.listed, s.contacts])
+            self._launch(search.find_contacts, threads, inputs, [s.search.listed, s.contacts])
         if self.config.remember_sides:
             per_world = 1 if m.device == "cpu" else 256
             inputs = [m.worlds, per_world, s.search.searching]
-            self._launch(sides.list_kept, (m.n_worlds, per_world), inputs, [s.search.listed, s.contacts])
+            self._launch(sides.restore_kept, (m.n_worlds, per_world), inputs, [s.search.listed, s.contacts])
         self._launch(
             search.find_long_edges,
             m.n_edges,
             [m.worlds, m.cloth, s.search.searching, s.x],
             [s.search.listed, s.contacts],
         )
-        self._launch(contacts.share_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
+        self._launch(contacts.scan_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
 
-    def _keep_sides(self) -> None:
-        """What has passed through the cloth since the last search keeps the sides it had."""
+    def _keep_passed_pairs(self) -> None:
+        """Set aside the contacts that have passed through each other since the last search, with their old sides."""
         m, s = self.model, self.state
         threads = self._threads
-        for emptied in (s.passed, s.contacts.kept_point_count, s.contacts.kept_edge_count):
-            emptied.zero_()
+        for cleared in (s.passed, s.contacts.kept_point_count, s.contacts.kept_edge_count):
+            cleared.zero_()
         inputs = [m.worlds, s.contacts, threads, s.status, s.search.searching, s.search.x, s.x]
         self._launch(sides.mark_passed, threads, inputs, [s.passed])
         self._launch(
             sides.keep_sides, threads, [m.worlds, threads, s.status, s.search.searching, s.passed], [s.contacts]
         )
 
-    def _fit_tree(self) -> None:
-        """Fit the tree of boxes to the cloth where it is."""
-        self._bound()
+    def _refit_bvh(self) -> None:
+        """Refit the BVH to the current positions."""
+        self._bound_faces()
         self._bvh.refit()
         self._launch(crossing.find_roots, self.model.n_worlds, [self._bvh.id], [self._roots])
 
-    def _bound(self) -> None:
+    def _bound_faces(self) -> None:
         m, s = self.model, self.state
         self._launch(boxes.bound_faces, len(m.face_world), [m.cloth, s.x], [s.lower, s.upper])
 
     @property
     def _threads(self) -> int:
-        """Threads that walk the lists together."""
+        """Threads of the kernels that walk contact lists in strides."""
         return 1 if self.model.device == "cpu" else min(GPU_THREADS, 2 * self.model.n_vertices)
 
     def _launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
-        block = 64 if self.model.n_vertices < GPU_THREADS else 256  # small blocks, lest one garment fills half of a GPU
+        block = 64 if self.model.n_vertices < GPU_THREADS else 256  # small blocks spread a small batch over the GPU
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.model.device, block_dim=block)
 
 

@@ -1,4 +1,4 @@
-"""What changes during a drape, and how it begins."""
+"""The state of a batch during its drape, and the initial state."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -11,73 +11,62 @@ from gcd_dataset.generator.drape.model import ClothModel
 
 __all__ = ["ClothState", "new_state"]
 
-NEVER_COUNTED = 2**31 - 1  # crossings: whatever is found first is fewer
+NOT_COUNTED = 2**31 - 1  # crossings: more than any count
 
 
 @dataclass(frozen=True)
 class ClothState:
-    """What changes during a drape, on the model's device."""
+    """All that changes during a drape, on the model's device. ``w v f``: worlds, vertices, faces."""
 
     x: wp.array
     """(v) positions [cm]."""
     v: wp.array
     """(v) velocities [cm/s]."""
     ahead: wp.array
-    """(v) where forces are taken [cm]."""
+    """(v) predicted positions at which elastic forces are evaluated, see ``kernels.elastic`` [cm]."""
     ahead_next: wp.array
+    """(v) the same for the next substep; the two buffers swap."""
     x_seen: wp.array
-    """(v) positions one frame ago [cm]."""
+    """(v) positions at the end of the last frame [cm]."""
     push: wp.array
-    """(v, 4) displacements asked for by contacts, as whole numbers."""
+    """(v, 4) fixed-point sums over the contacts of a vertex: displacement x, y, z and contact weight, see
+    ``kernels.push``."""
     contact_weight: wp.array
-    """(v) sum of the weights of the contacts announced for this step."""
+    """(v) sum of the weights of a vertex's contacts, from the last substep."""
     beside: wp.array
-    """(v) whether another vertex was near at the last search."""
+    """(v) 1 where the last search found another vertex nearby."""
     tangled: wp.array
-    """(v) whether an edge or a face of the vertex crossed the cloth."""
+    """(v) 1 where an edge or a face of the vertex crosses the cloth."""
     passed: wp.array
-    """(v) whether it was on the wrong side of cloth at the last search."""
+    """(v) 1 where the vertex was on the wrong side of cloth at the last search."""
     time: wp.array
     """(w) simulated time [s]."""
     held: wp.array
-    """(w) whether waist and collar are held."""
+    """(w) 1 while waist and collar are held."""
     loose_after: wp.array
-    """(w) when it may first be found at rest, once it is let go [s]."""
+    """(w) earliest time at which a released garment may count as at rest [s]."""
     status: wp.array
     """(w) ``RUNNING``, ``DONE``, ``DIVERGED`` or ``STOPPED``."""
     frames: wp.array
-    """(w) frames it has run."""
+    """(w) frames run so far."""
     search: SearchState
     counts: FrameCounts
     crossing: CrossingWatch
     newest: wp.array
-    """The grid in which near vertices are found: the last vertex put into each bucket, and the one before each."""
+    """(buckets) hash grid of the broad phase: the first vertex of each bucket's linked list."""
     older: wp.array
+    """(v) the next vertex in the linked list."""
     lower: wp.array
-    """(f) boxes round the faces [cm]."""
+    """(f) lower corners of the faces' bounding boxes [cm]."""
     upper: wp.array
+    """(f) upper corners of the faces' bounding boxes [cm]."""
     contacts: Contacts
 
 
 def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
-    """The start: every garment where its panels hang, at rest."""
+    """The initial state: every garment at rest where its panels are placed."""
     n, worlds, faces = model.n_vertices, model.n_worlds, len(model.face_world)
-    room = config.contact_capacity
-
-    def zeros(size: int, dtype: type) -> wp.array:
-        return wp.zeros(size, dtype=dtype, device=model.device)
-
-    lists = Contacts()
-    lists.room = room
-    lists.near, lists.long_edges, lists.crossings = (zeros(room * n, wp.vec2i) for _ in range(3))
-    lists.points, lists.sides = zeros(room * n, wp.vec4i), zeros(room * n, float)
-    lists.edges, lists.normals = zeros(room * n, wp.vec4i), zeros(room * n, wp.vec3)
-    lists.kept_points, lists.kept_sides = zeros(room * n, wp.vec4i), zeros(room * n, float)
-    lists.kept_edges, lists.kept_normals = zeros(room * n, wp.vec4i), zeros(room * n, wp.vec3)
-    lists.kept_point_count, lists.kept_edge_count = zeros(worlds, int), zeros(worlds, int)
-    lists.near_count, lists.point_count, lists.edge_count = (zeros(worlds, int) for _ in range(3))
-    lists.work, lists.near_work = zeros(worlds + 1, int), zeros(worlds + 1, int)
-    lists.long_count, lists.crossing_count, lists.overfull = (zeros(worlds, int) for _ in range(3))
+    zeros = partial(_zeros, model.device)
     start = model.topology.start
     ones = partial(wp.ones, dtype=int, device=model.device)
     search, counts, crossing = SearchState(), FrameCounts(), CrossingWatch()
@@ -86,7 +75,7 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
     counts.moving, counts.fast, counts.keeper_height = (zeros(worlds, int) for _ in range(3))
     counts.above_floor = zeros(worlds, int)
     crossing.due, crossing.searched, crossing.separated = zeros(worlds, int), ones(worlds), ones(worlds)
-    crossing.least = wp.full(worlds, NEVER_COUNTED, dtype=int, device=model.device)
+    crossing.least = wp.full(worlds, NOT_COUNTED, dtype=int, device=model.device)
     crossing.least_at, crossing.any_searched = zeros(worlds, int), ones(1)
     return ClothState(
         x=wp.clone(start),
@@ -111,5 +100,27 @@ def new_state(model: ClothModel, config: DrapeConfig) -> ClothState:
         older=zeros(n, int),
         lower=zeros(faces, wp.vec3),
         upper=zeros(faces, wp.vec3),
-        contacts=lists,
+        contacts=_empty_contacts(model, config.contact_capacity),
     )
+
+
+def _empty_contacts(model: ClothModel, capacity: int) -> Contacts:
+    """Empty lists with room for ``capacity`` entries for each vertex of a world."""
+    size, worlds = capacity * model.n_vertices, model.n_worlds
+    zeros = partial(_zeros, model.device)
+    lists = Contacts()
+    lists.room = capacity
+    lists.near, lists.long_edges, lists.crossings = (zeros(size, wp.vec2i) for _ in range(3))
+    lists.points, lists.sides = zeros(size, wp.vec4i), zeros(size, float)
+    lists.edges, lists.normals = zeros(size, wp.vec4i), zeros(size, wp.vec3)
+    lists.kept_points, lists.kept_sides = zeros(size, wp.vec4i), zeros(size, float)
+    lists.kept_edges, lists.kept_normals = zeros(size, wp.vec4i), zeros(size, wp.vec3)
+    lists.kept_point_count, lists.kept_edge_count = zeros(worlds, int), zeros(worlds, int)
+    lists.near_count, lists.point_count, lists.edge_count = (zeros(worlds, int) for _ in range(3))
+    lists.work, lists.near_work = zeros(worlds + 1, int), zeros(worlds + 1, int)
+    lists.long_count, lists.crossing_count, lists.overfull = (zeros(worlds, int) for _ in range(3))
+    return lists
+
+
+def _zeros(device: str, size: int, dtype: type) -> wp.array:
+    return wp.zeros(size, dtype=dtype, device=device)

@@ -1,4 +1,4 @@
-"""A batch's box meshes as edges, hinges and rows of elastic weights, on the device that drapes them."""
+"""Topology of a batch on its device: edges, hinges and rows of elastic weights, from the box meshes."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,37 +16,39 @@ from gcd_dataset.records import BoxMesh
 
 __all__ = ["Topology", "build_topology"]
 
-WARP = 32  # threads of a GPU that read together
+WARP = 32  # threads of a CUDA warp
 
 
 @dataclass(frozen=True)
 class Topology:
-    """``v e f`` vertices, edges and faces of all garments, one garment after the other."""
+    """Arrays over the vertices ``v``, edges ``e`` and faces ``f`` of all garments, one garment after the other."""
 
     vertex_world: wp.array
-    """(v) the garment of each vertex."""
+    """(v) world of each vertex."""
     start: wp.array
     """(v) positions before sewing [cm]."""
     surface: kernels.Surface
     hinges: kernels.Hinges
     mass: wp.array
-    """(v) [g]"""
+    """(v) mass [g]."""
     stiffness: wp.array
-    """(v) bound on the part of the vertex in the largest eigenvalue of the stiffness matrix [g/s²]."""
+    """(v) upper bound of the vertex's contribution to the largest eigenvalue of the stiffness matrix [g/s²]."""
     rows: Rows
     keeper: wp.array
-    """(v) 1 where a vertex keeps its garment up."""
+    """(v) 1 at keepers: vertices that keep their garment up."""
     vertex_offset: np.ndarray
-    """(w + 1) first vertex of each garment; so for faces and edges."""
+    """(w + 1) first vertex of each garment, and the number of vertices."""
     face_offset: np.ndarray
+    """(w + 1) the same for faces."""
     edge_offset: np.ndarray
+    """(w + 1) the same for edges."""
 
 
 def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], device: str) -> Topology:
-    """The topology of all garments, in the order of the jobs; ``keepers`` are the vertices that keep each one up."""
+    """The topology of all garments, in the order of the jobs; ``keepers``: vertex indices for each garment."""
     load_drape(device)
     meshes = [job.box_mesh for job in jobs]
-    batch = _Batch(device, *(_offsets(map(len, arrays)) for arrays in zip(*map(_parts, meshes), strict=True)))
+    batch = _Batch(device, *(_offsets(map(len, arrays)) for arrays in zip(*map(_counted_arrays, meshes), strict=True)))
     start = batch.joined([mesh.vertices for mesh in meshes], np.float32, wp.vec3)
     sizes = np.diff(batch.vertices)
     world = wp.array(np.repeat(np.arange(len(jobs), dtype=np.int32), sizes), dtype=int, device=device)
@@ -54,7 +56,7 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
     surface = batch.surface(meshes)
     hinges, edge_offset = batch.describe_edges(surface, start, world, sheets)
     batch.find_neighbours(surface)
-    rows = batch.rows(surface, coupled=not all(job.fabric.alike for job in jobs))
+    rows = batch.rows(surface, coupled=not all(job.fabric.isotropic for job in jobs))
     keeper = batch.marked(keepers)
     n = int(batch.vertices[-1])
     mass, stiffness = batch.empty(n, float), batch.empty(n, float)
@@ -76,7 +78,7 @@ def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], devi
 
 @dataclass(frozen=True)
 class _Batch:
-    """The device of a batch, and where the vertices, corners and faces of each garment begin."""
+    """The device of a batch, and the offsets (w + 1) of vertices, corners (rows of ``uv``) and faces."""
 
     device: str
     vertices: np.ndarray
@@ -84,7 +86,7 @@ class _Batch:
     faces: np.ndarray
 
     def surface(self, meshes: Sequence[BoxMesh]) -> kernels.Surface:
-        """Faces with their corners in the flat; room for the edges, which ``describe_edges`` fills."""
+        """Faces with their flat corner coordinates; ``describe_edges`` adds the edges."""
         count = int(self.faces[-1])
         corner = self.joined([mesh.corners for mesh in meshes], np.int32, wp.vec3i, self.corners)
         uv = self.joined([mesh.uv for mesh in meshes], np.float64, wp.vec2d)
@@ -98,7 +100,7 @@ class _Batch:
     def describe_edges(
         self, surface: kernels.Surface, start: wp.array, world: wp.array, sheets: wp.array
     ) -> tuple[kernels.Hinges, np.ndarray]:
-        """Springs and hinges, and the first edge of each garment; the edges go into ``surface``."""
+        """Fills the edges of ``surface``; returns springs and hinges, and the first edge of each garment."""
         sides = 3 * int(self.faces[-1])
         keys, order, number = self.empty(2 * sides, wp.int64), self.empty(2 * sides, int), self.empty(sides, int)
         self.launch(kernels.key_sides, sides, [surface.faces], [keys, order])
@@ -120,25 +122,25 @@ class _Batch:
         return hinges, offsets
 
     def find_neighbours(self, surface: kernels.Surface) -> None:
-        """List the faces and edges round each vertex in ``surface``."""
+        """Fill the faces and edges round each vertex in ``surface`` (compressed sparse rows)."""
         sides, ends = 3 * int(self.faces[-1]), 2 * len(surface.edges)
-        surface.vertex_faces, surface.first_face = self._round(kernels.key_corners, surface.faces, sides)
-        surface.vertex_edges, surface.first_edge = self._round(kernels.key_ends, surface.edges, ends)
+        surface.vertex_faces, surface.first_face = self._by_vertex(kernels.key_corners, surface.faces, sides)
+        surface.vertex_edges, surface.first_edge = self._by_vertex(kernels.key_ends, surface.edges, ends)
 
-    def _round(self, kernel: wp.Kernel, things: wp.array, size: int) -> tuple[wp.array, wp.array]:
-        """The things round each vertex, one vertex after the other, and where those of each begin."""
-        at, owner, first = (
+    def _by_vertex(self, kernel: wp.Kernel, elements: wp.array, size: int) -> tuple[wp.array, wp.array]:
+        """Faces or edges sorted by vertex, and the first entry of each vertex."""
+        keys, owner, first = (
             self.empty(2 * size, int),
             self.empty(2 * size, int),
             self.empty(int(self.vertices[-1]) + 1, int),
         )
-        self.launch(kernel, size, [things], [at, owner])
-        wp.utils.radix_sort_pairs(at, owner, size)
-        self.launch(kernels.find_firsts, size + 1, [at, size], [first])
+        self.launch(kernel, size, [elements], [keys, owner])
+        wp.utils.radix_sort_pairs(keys, owner, size)
+        self.launch(kernels.find_firsts, size + 1, [keys, size], [first])
         return owner[:size], first
 
     def rows(self, surface: kernels.Surface, *, coupled: bool) -> Rows:
-        """Room for the rows of all vertices; ``coupled``: with the corners of fabrics that have a grain."""
+        """Uninitialised rows for all vertices; ``coupled``: with the corners that fabrics with a grain need."""
         n = int(self.vertices[-1])
         widest = max(USUAL, int(np.diff(surface.first_edge.numpy()).max()))
         if coupled:
@@ -146,15 +148,15 @@ class _Batch:
         rows = Rows()
         rows.count, rows.bend_diagonal = self.empty(n, wp.vec2i), self.empty(n, float)
         rows.lanes, rows.width = 1 if self.device == "cpu" else WARP, widest
-        room = -(-n // rows.lanes) * rows.lanes * widest
-        rows.springs, rows.start_length = self.empty(room, Spring), self.empty(room, float)
-        rows.bends = self.empty(room, Bend)
+        size = -(-n // rows.lanes) * rows.lanes * widest
+        rows.springs, rows.start_length = self.empty(size, Spring), self.empty(size, float)
+        rows.bends = self.empty(size, Bend)
         rows.coupled = int(coupled)
-        rows.corners, rows.corner_count = self.empty(room * coupled, Corner), self.empty(n * coupled, int)
+        rows.corners, rows.corner_count = self.empty(size * coupled, Corner), self.empty(n * coupled, int)
         return rows
 
     def marked(self, vertices: Sequence[np.ndarray]) -> wp.array:
-        """1 at the given vertices of each garment."""
+        """(v) 1 at the given vertices of each garment, 0 elsewhere."""
         marks = np.zeros(int(self.vertices[-1]), np.uint8)
         for first, ids in zip(self.vertices, vertices, strict=False):
             marks[first + ids] = 1
@@ -163,7 +165,7 @@ class _Batch:
     def joined(
         self, arrays: Sequence[np.ndarray], kind: type, dtype: type, shift: np.ndarray | None = None
     ) -> wp.array:
-        """Arrays of all garments one after the other, those of each moved by its ``shift``."""
+        """The arrays of all garments concatenated; each garment's ``shift`` is added to its values."""
         joined = np.empty((sum(map(len, arrays)), *arrays[0].shape[1:]), kind)
         first = 0
         for number, array in enumerate(arrays):
@@ -179,10 +181,10 @@ class _Batch:
         return wp.empty(size, dtype=dtype, device=self.device)
 
 
-def _parts(mesh: BoxMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _counted_arrays(mesh: BoxMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return mesh.vertices, mesh.uv, mesh.faces
 
 
 def _offsets(sizes: Iterable[int]) -> np.ndarray:
-    """Where the part of each garment begins, and the end of the last."""
+    """Offsets of consecutive blocks, ending with the total: sizes 2, 3 give 0, 2, 5."""
     return np.cumsum([0, *sizes])

@@ -1,7 +1,7 @@
-"""Where the draper of a device is met: a folder with a socket, and its start by the first that needs it.
+"""Addresses of draping processes: a folder with a socket; the first client that connects starts the process.
 
-The process that names the place owns it. It holds a record lock there, which no fork inherits and any end of the
-process frees, so that the draper ends with it and not with the worker that has started it.
+The process that creates an address owns it. It holds a record lock in the folder: a fork does not inherit such a lock,
+and any end of the process releases it. So the draping process ends with the owner, not with the worker that started it.
 """
 
 import atexit
@@ -19,41 +19,42 @@ from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, DrapeError
 
-__all__ = ["DRAPERS", "READY", "DraperAddress", "address_for", "addresses_for", "owner_file", "socket_file"]
+__all__ = ["DRAPERS_PER_GPU", "READY", "DraperAddress", "address_for", "addresses_for", "owner_file", "socket_file"]
 
 READY = "ready"
-DRAPERS = 2  # processes on each GPU: one prepares its next batch, or takes pictures, while another simulates
-LONGEST = 90  # characters of a socket's path: systems allow 104 to 108
+DRAPERS_PER_GPU = 2  # processes: one prepares its next batch, or takes pictures, while another simulates
+MAX_SOCKET_PATH = 90  # characters: systems allow 104 to 108
 
-_places: dict[tuple[str, int], "DraperAddress"] = {}
-_held: list[int] = []
-"""The owner's locks: open until the process ends."""
-_started: list[subprocess.Popen[str]] = []
+_addresses: dict[tuple[str, int], "DraperAddress"] = {}
+_owner_locks: list[int] = []
+"""File descriptors of the owner's locks, open until the process ends."""
+_processes: list[subprocess.Popen[str]] = []
+"""Draping processes that this process has started."""
 
 
 @dataclass(frozen=True)
 class DraperAddress:
-    """Where the draper of a device is met; may be pickled, and used in any process of this machine."""
+    """The address of a draping process; may be pickled and used in any process of this machine."""
 
     folder: Path
     device: str
 
     def connect(self) -> Connection:
-        """A connection to the draper, which is started where there is none.
+        """A connection to the draping process; starts it if it does not run.
 
-        Raises ``DrapeError`` where it cannot be started, with the reason that it gives.
+        Raises ``DrapeError``, with the reason that the process prints, if it cannot be started.
         """
-        with self._starting() as lock:
-            connection = self._greeted()
+        with self._start_lock() as lock:
+            connection = self._try_connect()
             if connection is None:
                 self._start(lock)
-                connection = self._greeted()
+                connection = self._try_connect()
         if connection is None:
-            raise DrapeError(f"the process that drapes on {self.device} ended as soon as it had begun: see above")
+            raise DrapeError(f"the process that drapes on {self.device} has ended right after its start: see above")
         return connection
 
-    def _greeted(self) -> Connection | None:
-        """A connection to a draper that has greeted; one that is about to end may still be called, and says nothing."""
+    def _try_connect(self) -> Connection | None:
+        """A connection on which ``READY`` has come. A process about to end may still accept, but sends nothing."""
         try:
             connection = Client(str(socket_file(self.folder)), "AF_UNIX")
         except (FileNotFoundError, ConnectionRefusedError):
@@ -66,13 +67,13 @@ class DraperAddress:
         return connection
 
     @contextlib.contextmanager
-    def _starting(self) -> Iterator[int]:
-        """One process at a time, so that no two drapers are started; the lock, as an open file."""
+    def _start_lock(self) -> Iterator[int]:
+        """Hold the lock that prevents a second start; yields its file descriptor."""
         try:
             file = os.open(self.folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
         except FileNotFoundError as error:
             raise DrapeError(
-                f"{self.folder}: gone with the process that made these garments: make GeneratedGarments anew"
+                f"{self.folder}: removed at the end of the process that created this GeneratedGarments: create it anew"
             ) from error
         try:
             fcntl.flock(file, fcntl.LOCK_EX)
@@ -81,12 +82,12 @@ class DraperAddress:
             os.close(file)
 
     def _start(self, lock: int) -> None:
-        """Begin a draper and wait until it listens; it holds the lock until then, though this process is killed."""
-        # A program of its own, not a child made by ``multiprocessing``: that would run the user's script again, and a
-        # worker may have none.
+        """Start the process and wait until it listens. It inherits the lock, in case this process is killed."""
+        # Not by ``multiprocessing``: a spawned child would import the user's main module, and daemonic workers may have
+        # no children.
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}  # noqa: PTH109
         command = [sys.executable, "-P", "-m", "gcd_dataset.generator.drapers.process", str(self.folder), self.device]
-        draper = subprocess.Popen(
+        process = subprocess.Popen(
             command,
             env=environment,
             stdin=lock,
@@ -94,53 +95,53 @@ class DraperAddress:
             text=True,
             start_new_session=True,
         )
-        _started.append(draper)
-        assert draper.stdout is not None
-        with draper.stdout as said:
-            line = said.readline().strip()
+        _processes.append(process)
+        assert process.stdout is not None
+        with process.stdout as output:
+            line = output.readline().strip()
         if line != READY:
             raise DrapeError(line or f"the process that drapes on {self.device} could not be started: see above")
 
 
 def address_for(device: str, number: int = 0) -> DraperAddress:
-    """The place of a draper, the same for all in this process and those forked from it; starts nothing.
+    """The address of a draping process, one for this process and its forks; starts nothing.
 
-    ``number``: which of several on the device.
+    ``number``: index among several draping processes on the device.
     """
     key = device, number
-    if key not in _places or not _places[key].folder.is_dir():  # left by a process that has ended
-        _places[key] = _made(device)
-    return _places[key]
+    if key not in _addresses or not _addresses[key].folder.is_dir():  # inherited from an owner that has ended
+        _addresses[key] = _create(device)
+    return _addresses[key]
 
 
 def addresses_for(devices: Sequence[str]) -> tuple[DraperAddress | None, ...]:
-    """Where workers have their garments draped, by turns: two processes on each GPU; ``None``: in the worker itself.
+    """The addresses among which workers are distributed: two for each GPU; ``None`` if workers drape by themselves.
 
     >>> addresses_for(["cpu"])
     (None,)
     """
     gpus = [device for device in devices if device != "cpu"]
-    return tuple(address_for(device, number) for number in range(DRAPERS) for device in gpus) or (None,)
+    return tuple(address_for(device, number) for number in range(DRAPERS_PER_GPU) for device in gpus) or (None,)
 
 
 def socket_file(folder: Path) -> Path:
-    """Where the draper listens."""
+    """The socket on which the draping process listens."""
     return folder / "socket"
 
 
 def owner_file(folder: Path) -> Path:
-    """What the owner holds locked while it lives."""
+    """The file that the owner keeps locked."""
     return folder / "owner"
 
 
-def _made(device: str) -> DraperAddress:
+def _create(device: str) -> DraperAddress:
     folder = Path(tempfile.mkdtemp(prefix="gcd-draper-"))
-    if len(str(socket_file(folder))) > LONGEST:
+    if len(str(socket_file(folder))) > MAX_SOCKET_PATH:
         folder.rmdir()
-        raise ConfigError(f"{folder}: too long for a socket's path: set TMPDIR to a shorter one, such as /tmp")
+        raise ConfigError(f"{folder}: too long for a socket's path: set TMPDIR to a shorter folder, such as /tmp")
     file = os.open(owner_file(folder), os.O_RDWR | os.O_CREAT, 0o600)
     fcntl.lockf(file, fcntl.LOCK_EX)
-    _held.append(file)
+    _owner_locks.append(file)
     atexit.register(_remove, folder, os.getpid())
     return DraperAddress(folder, device)
 
@@ -148,8 +149,8 @@ def _made(device: str) -> DraperAddress:
 def _remove(folder: Path, owner: int) -> None:
     if os.getpid() != owner:
         return
-    while _started:  # those of the owner's workers end by themselves
-        draper = _started.pop()
-        draper.kill()
-        draper.wait()
+    while _processes:  # processes that workers have started end when this process releases its lock
+        process = _processes.pop()
+        process.kill()
+        process.wait()
     shutil.rmtree(folder, ignore_errors=True)

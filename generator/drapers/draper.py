@@ -1,4 +1,4 @@
-"""What a draper is: garments are ordered and come back draped, in the order in which they come to rest."""
+"""The draper interface: send requests, receive replies in order of completion."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, Self
@@ -13,72 +13,73 @@ from gcd_dataset.waits import Waits
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
 
-__all__ = ["DrapeReply", "DrapeRequest", "Draper", "draped", "require_faces"]
+__all__ = ["DrapeReply", "DrapeRequest", "Draper", "make_reply", "require_faces"]
 
 
 @dataclass(frozen=True)
 class DrapeRequest:
-    """A garment to be draped."""
+    """A garment to drape."""
 
     number: int
-    """Chosen by the caller; the answer bears it."""
+    """Chosen by the sender; the reply has the same number."""
     job: "DrapeJob"
     picture: int = 0
-    """Side of the pictures to be taken [pixels]; 0 for none."""
-    again: bool = False
-    """A further attempt at a sample for which later ones already wait: it is draped before any other."""
+    """Side of the pictures [pixels]; 0 for none."""
+    retry: bool = False
+    """A further attempt at a sample; draped before all other requests, since later samples wait for it."""
 
 
 @dataclass(frozen=True)
 class DrapeReply:
-    """A garment at rest."""
+    """A draped garment."""
 
     number: int
+    """The number of the request."""
     drape: Drape
     pictures: tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]] | None
-    """From the front and from behind."""
+    """Front and back."""
     seconds: float = 0.0
-    """Time of its batch on the device, divided by the garments in it; 0 where several callers share the device."""
+    """Time of the batch divided by its garments; 0 from a draper that several processes share."""
     waits: Waits = field(default_factory=dict)
-    """How long a draping process has waited for orders since its answer before, by its device."""
+    """How long the draping process has waited for requests since its last reply, by device."""
 
 
 class Draper(Protocol):
-    """Drapes garments on one device. A context manager: leaving the block gives up what is not answered.
+    """Drapes garments on one device. A context manager: leaving the block drops the requests without a reply.
 
-    Implementations: ``DraperHere`` in this process, ``SharedDraper`` in a process for each GPU that many callers share,
-    ``RayDraper`` in a Ray actor. All methods raise ``DrapeError`` where the draper cannot go on.
+    Implementations: ``LocalDraper`` in this process, ``SharedDraper`` in a process that many workers share,
+    ``RayDraper`` in a Ray actor. All methods raise ``DrapeError`` after the draper has failed.
     """
 
     at_once: int
-    """Garments worth having ordered at a time: more of them only wait."""
+    """Requests worth sending ahead; more would only wait."""
 
-    def ask(self, order: DrapeRequest) -> None:
-        """Order a garment. Raises ``DrapeError`` for a mesh without faces."""
+    def send(self, request: DrapeRequest) -> None:
+        """Send a request. Raises ``DrapeError`` for a mesh without faces."""
 
-    def answered(self) -> bool:
-        """Whether ``answer`` returns at once."""
+    def poll(self) -> bool:
+        """Whether ``receive`` would return without waiting."""
 
-    def answer(self) -> DrapeReply:
-        """The next garment at rest."""
+    def receive(self) -> DrapeReply:
+        """Wait for the next reply."""
 
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *_: object) -> None: ...
 
 
-def draped(order: DrapeRequest, drape: Drape, device: str, *, seconds: float = 0.0) -> DrapeReply:
-    """The answer to an order, with its pictures taken on ``device``."""
-    if not order.picture:
-        return DrapeReply(order.number, drape, None, seconds)
+def make_reply(request: DrapeRequest, drape: Drape, device: str, *, seconds: float = 0.0) -> DrapeReply:
+    """The reply to a request, with the pictures that it asks for, rendered on ``device``."""
+    if not request.picture:
+        return DrapeReply(request.number, drape, None, seconds)
     from gcd_dataset.generator.render import render_garment
 
-    mesh, body = order.job.box_mesh, order.job.body
-    pictures = render_garment(drape.vertices, mesh, body, size=order.picture, device=device)
-    return DrapeReply(order.number, drape, pictures, seconds)
+    mesh, body = request.job.box_mesh, request.job.body
+    pictures = render_garment(drape.vertices, mesh, body, size=request.picture, device=device)
+    return DrapeReply(request.number, drape, pictures, seconds)
 
 
-def require_faces(order: DrapeRequest) -> None:
+def require_faces(request: DrapeRequest) -> None:
     """Raise ``DrapeError`` for a mesh without faces."""
-    if not len(order.job.box_mesh.faces):
+    if not len(request.job.box_mesh.faces):
         raise DrapeError("a garment has no faces: build its box mesh from a pattern with panels")

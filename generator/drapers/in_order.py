@@ -1,4 +1,4 @@
-"""Work of which parts are draped, given back in order: the next is prepared while those before are draped."""
+"""Work with drapes, returned in order: the next pieces are prepared while earlier ones are draped."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,114 +18,115 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True)
 class Work(Generic[Made]):
-    """Garments to be draped, and what becomes of them."""
+    """Garments to drape, and the function that makes the result from their drapes."""
 
     jobs: Sequence["DrapeJob"]
     finish: Callable[[Sequence[DrapeReply]], Union[Made, "Work[Made]"]]
-    """From the drapes of ``jobs`` to the result, or to the next attempt."""
+    """From the replies, in the order of ``jobs``, to the result, or to the work of another attempt."""
     picture: int = 0
-    """Side of the pictures to be taken [pixels]; 0 for none."""
+    """Side of the pictures [pixels]; 0 for none."""
 
 
 def in_order(work: Iterable[Work[Made]], draper: Draper | None, *, ahead: int, at_once: int) -> Iterator[Made]:
-    """The results, in the order of ``work``, which may be infinite.
+    """The results in the order of ``work``, which may be infinite.
 
-    Up to ``ahead`` pieces of work are begun before the first is handed out, up to ``at_once`` are draped at a time. One
-    without jobs is finished as it is begun, and needs no ``draper``. Raises ``DrapeError`` where the draper
-    cannot go on.
+    Begins up to ``ahead`` pieces before it yields the first, and drapes up to ``at_once`` pieces at a time. A piece
+    without jobs is finished as it begins and needs no ``draper``. An error of a piece is raised after the results
+    before it. Raises ``DrapeError`` if the draper fails.
     """
-    waiting = iter(work)
-    line: deque[_Place[Made]] = deque()
-    desk = _Desk(draper)
+    upcoming = iter(work)
+    tasks: deque[_Task[Made]] = deque()
+    dispatcher = _Dispatcher(draper)
     ended: Exception | None = None
     while True:
-        while desk.answered():
-            desk.take()
-        # Begin the next before handing out the first: the caller may be away for long.
+        while dispatcher.poll():
+            dispatcher.receive()
+        # Begin the next task before yielding: the consumer may take long, and the draper must not run dry.
         begun = False
-        if ended is None and len(line) < ahead and desk.busy < at_once:
+        if ended is None and len(tasks) < ahead and dispatcher.busy < at_once:
             try:
-                line.append(desk.begin(next(waiting)))
+                tasks.append(dispatcher.begin(next(upcoming)))
                 begun = True
             except Exception as error:  # noqa: BLE001 -- the end of the work, or an error: raised after those before it
                 ended = error
-        if line and line[0].results:
-            yield line.popleft().results.pop()
-        elif line and line[0].error is not None:
-            raise line[0].error
-        elif line and not begun:
-            desk.take()
-        elif not line and ended is not None:
+        if tasks and tasks[0].results:
+            yield tasks.popleft().results.pop()
+        elif tasks and tasks[0].error is not None:
+            raise tasks[0].error
+        elif tasks and not begun:
+            dispatcher.receive()
+        elif not tasks and ended is not None:
             break
     if not isinstance(ended, StopIteration):
         raise ended
 
 
 @dataclass
-class _Place(Generic[Made]):
-    """One piece of work in the line, and the drapes of its present attempt."""
+class _Task(Generic[Made]):
+    """A piece of work that has begun, and the replies of its present attempt."""
 
     work: Work[Made]
-    drapes: dict[int, DrapeReply] = field(default_factory=dict)
+    replies: dict[int, DrapeReply] = field(default_factory=dict)
+    """By index of the job."""
     results: list[Made] = field(default_factory=list)
-    """None, or one."""
+    """Empty, or the result."""
     error: Exception | None = None
-    """The error that ended the work."""
 
 
-class _Desk:
-    """Orders that the draper has not answered."""
+class _Dispatcher:
+    """Sends the jobs of tasks to the draper, and assigns the replies."""
 
     def __init__(self, draper: Draper | None) -> None:
         self._draper = draper
-        self._numbers = 0
-        self._part_of: dict[int, tuple[_Place, int]] = {}
+        self._next_number = 0
+        self._job_of: dict[int, tuple[_Task, int]] = {}
+        """Task and index of the job, by the number of the request."""
         self.busy = 0
-        """Pieces of work at the draper."""
+        """Tasks that are neither finished nor failed."""
 
-    def begin(self, work: Work[Made]) -> _Place[Made]:
-        """Order the garments of a piece of work."""
-        place = _Place(work)
+    def begin(self, work: Work[Made]) -> _Task[Made]:
+        """Send the jobs of a new task."""
+        task = _Task(work)
         self.busy += 1
-        self._order(place, again=False)
-        return place
+        self._send(task, retry=False)
+        return task
 
-    def answered(self) -> bool:
-        """Whether an answer can be taken without waiting."""
-        return self._draper is not None and self.busy > 0 and self._draper.answered()
+    def poll(self) -> bool:
+        """Whether ``receive`` would return without waiting."""
+        return self._draper is not None and self.busy > 0 and self._draper.poll()
 
-    def take(self) -> None:
-        """Wait for one answer."""
-        assert self._draper is not None  # work without jobs is never waited for
-        answer = self._draper.answer()
-        for name, wait in answer.waits.items():
+    def receive(self) -> None:
+        """Wait for one reply; finish its task if that was the last."""
+        assert self._draper is not None  # tasks without jobs are never waited for
+        reply = self._draper.receive()
+        for name, wait in reply.waits.items():
             noted(name, wait)
-        place, part = self._part_of.pop(answer.number)
-        place.drapes[part] = answer
+        task, job = self._job_of.pop(reply.number)
+        task.replies[job] = reply
         try:
-            self._finish(place)
+            self._finish(task)
         except Exception as error:  # noqa: BLE001 -- raised after the results before it
-            place.error = error
+            task.error = error
             self.busy -= 1
 
-    def _order(self, place: _Place, *, again: bool) -> None:
-        place.drapes = {}
-        for part, job in enumerate(place.work.jobs):
+    def _send(self, task: _Task, *, retry: bool) -> None:
+        task.replies = {}
+        for number, job in enumerate(task.work.jobs):
             assert self._draper is not None
-            self._part_of[self._numbers] = place, part
-            self._draper.ask(DrapeRequest(self._numbers, job, place.work.picture, again))
-            self._numbers += 1
-        self._finish(place)
+            self._job_of[self._next_number] = task, number
+            self._draper.send(DrapeRequest(self._next_number, job, task.work.picture, retry))
+            self._next_number += 1
+        self._finish(task)
 
-    def _finish(self, place: _Place) -> None:
-        """Finish the work if all its garments are draped: the result, or another attempt."""
-        count = len(place.work.jobs)
-        if len(place.drapes) < count:
+    def _finish(self, task: _Task) -> None:
+        """If all jobs are draped, store the result or send the next attempt."""
+        count = len(task.work.jobs)
+        if len(task.replies) < count:
             return
-        result = place.work.finish([place.drapes[part] for part in range(count)])
+        result = task.work.finish([task.replies[job] for job in range(count)])
         if isinstance(result, Work):
-            place.work = result
-            self._order(place, again=True)
+            task.work = result
+            self._send(task, retry=True)
         else:
-            place.results.append(result)
+            task.results.append(result)
             self.busy -= 1

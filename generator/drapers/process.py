@@ -1,8 +1,9 @@
-"""The draper: a process that drapes on one device what any number of others ask for.
+"""The draping process: drapes the requests of any number of clients on one device.
 
     python -m gcd_dataset.generator.drapers.process FOLDER DEVICE
 
-Garments of all askers share the device, and take turns there as they come. It ends with the owner of ``FOLDER``.
+The garments of all clients share one batch. The process ends when the owner of ``FOLDER`` ends. The package's docstring
+tells how requests travel.
 """
 
 import contextlib
@@ -23,211 +24,217 @@ from queue import SimpleQueue
 from typing import Protocol
 
 from gcd_dataset.errors import GcdError
-from gcd_dataset.generator.drape import DrapeJob, places_on, resolve_device
+from gcd_dataset.generator.drape import DrapeJob, batch_capacity, resolve_device
 from gcd_dataset.generator.drape.config import DrapeConfig
-from gcd_dataset.generator.drape.device import memory_kept
-from gcd_dataset.generator.drape.queue import Readied, drape_in_turn
-from gcd_dataset.generator.drapers.address import DRAPERS, READY, owner_file, socket_file
+from gcd_dataset.generator.drape.device import keep_freed_memory
+from gcd_dataset.generator.drape.queue import PreparedJob, drape_unordered
+from gcd_dataset.generator.drapers.address import DRAPERS_PER_GPU, READY, owner_file, socket_file
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest
-from gcd_dataset.generator.drapers.parcel import receive_parcel
-from gcd_dataset.generator.drapers.studio import Studio
+from gcd_dataset.generator.drapers.pictures import PictureQueue
+from gcd_dataset.generator.drapers.transport import receive_object
 from gcd_dataset.waits import WaitClock
 
-__all__ = ["Inbox", "main"]
+__all__ = ["RequestQueue", "main"]
 
 CONFIG = DrapeConfig()
 
 
 def main(folder: Path, device: str) -> None:
-    """Listen, and drape until the owner of the folder has ended."""
+    """Listen on the socket in ``folder`` and drape until the owner of the folder ends."""
     threading.Thread(target=_end_with_owner, args=(folder,), daemon=True).start()
-    _allow_many_files()
+    _raise_file_limit()
     try:
         device = resolve_device(device)
     except GcdError as error:
         print(error, flush=True)
         return
-    inbox = Inbox()
-    socket_file(folder).unlink(missing_ok=True)  # of a draper that was killed
+    requests = RequestQueue()
+    socket_file(folder).unlink(missing_ok=True)  # left by a killed process
     listener = Listener(str(socket_file(folder)), "AF_UNIX", backlog=128)
-    threading.Thread(target=_accept, args=(listener, inbox), daemon=True).start()
-    _tell_ready()
+    threading.Thread(target=_accept, args=(listener, requests), daemon=True).start()
+    _report_ready()
     try:
         while True:
-            inbox.drape(device)
+            requests.drape(device)
     except Exception as error:
-        listener.close()  # whoever calls from here on begins the next draper
+        listener.close()  # the next client starts a new process
         reason = " ".join(str(error).split()) or type(error).__name__
-        # Others are of the device, such as a GPU that is lost.
-        inbox.fail(
+        # Errors of other types come from the device, such as a lost GPU.
+        requests.fail(
             reason if isinstance(error, GcdError) else f"{reason}; start again, on other devices if it comes back"
         )
         raise
 
 
-class Caller(Protocol):
-    """Where an order comes from."""
+class Client(Protocol):
+    """The origin of a request."""
 
-    there: bool
-    """Whether anybody waits for the answer."""
+    connected: bool
+    """Whether the client still waits for replies."""
 
-    def tell(self, answer: DrapeReply) -> None:
-        """Take the answer."""
+    def reply(self, reply: DrapeReply) -> None:
+        """Send a reply, without waiting."""
 
 
-class Asker:
-    """One connection: read by a thread, written by another, so that one which does not read holds up no other."""
+class ClientConnection:
+    """A connection with a reader and a writer thread, so that a client that does not read delays no other."""
 
-    def __init__(self, connection: Connection, inbox: "Inbox") -> None:
-        self._connection, self._inbox = connection, inbox
-        self._answers: SimpleQueue[DrapeReply | str | None] = SimpleQueue()
-        self.there = True
+    def __init__(self, connection: Connection, requests: "RequestQueue") -> None:
+        self._connection, self._requests = connection, requests
+        self._replies: SimpleQueue[DrapeReply | str | None] = SimpleQueue()
+        self.connected = True
         self._writer = threading.Thread(target=self._write, daemon=True)
         self._writer.start()
         threading.Thread(target=self._read, daemon=True).start()
 
-    def tell(self, answer: DrapeReply | str) -> None:
-        """Send an answer, if somebody is there to take it."""
-        self._answers.put(answer)
+    def reply(self, reply: DrapeReply | str) -> None:
+        """Have the writer send a reply, or the error that ended the draping."""
+        self._replies.put(reply)
 
     def finish(self) -> None:
-        """Wait until all that was told is sent, as long as that may take for one that is alive."""
-        self._answers.put(None)
-        self._writer.join(timeout=5.0)  # one that was stopped reads nothing
+        """Wait until all replies are sent, at most five seconds."""
+        self._replies.put(None)
+        self._writer.join(timeout=5.0)  # a stopped client reads nothing
 
     def _read(self) -> None:
         try:
-            # A worker that was killed while it sent leaves half an order: that is an error too.
+            # A worker killed while it sends leaves half a request, which raises too.
             with contextlib.suppress(EOFError, OSError):
                 while True:
-                    self._inbox.put(self, receive_parcel(self._connection))
+                    self._requests.put(self, receive_object(self._connection))
         finally:
-            self.there = False
-            self._answers.put(None)
+            self.connected = False
+            self._replies.put(None)
             self._writer.join()
             # Close in the reader thread: the OS reuses the descriptor.
             self._connection.close()
 
     def _write(self) -> None:
         with contextlib.suppress(OSError):
-            while (answer := self._answers.get()) is not None:
-                self._connection.send(answer)
-        self.there = False
+            while (reply := self._replies.get()) is not None:
+                self._connection.send(reply)
+        self.connected = False
 
 
-class Inbox:
-    """Garments that wait to be draped, and those in work."""
+class RequestQueue:
+    """Waiting requests, and the requests of the garments in the batch."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[Caller, DrapeRequest, DrapeJob | Readied]] = deque()
-        self._some = threading.Condition()
-        self._askers: set[Asker] = set()
-        self._at_work: dict[int, tuple[Caller, DrapeRequest]] = {}
+        self._waiting: deque[tuple[Client, DrapeRequest, DrapeJob | PreparedJob]] = deque()
+        self._arrived = threading.Condition()
+        self._connections: set[ClientConnection] = set()
+        self._draping: dict[int, tuple[Client, DrapeRequest]] = {}
+        """By number of the job in the batch."""
         self._clock = WaitClock()
 
-    def put(self, asker: Caller, order: DrapeRequest) -> None:
-        """Add a garment."""
-        ready = _readied(order.job)
-        with self._some:
-            if order.again:
-                self._waiting.appendleft((asker, order, ready))
+    def put(self, client: Client, request: DrapeRequest) -> None:
+        """Prepare the job in the calling thread, and add the request; a retry goes first."""
+        job = _prepared(request.job)
+        with self._arrived:
+            if request.retry:
+                self._waiting.appendleft((client, request, job))
             else:
-                self._waiting.append((asker, order, ready))
-            self._some.notify()
+                self._waiting.append((client, request, job))
+            self._arrived.notify()
 
-    def enter(self, asker: Asker) -> None:
-        """Know somebody who asks, and forget those who have gone."""
-        with self._some:
-            self._askers = {known for known in self._askers if known.there} | {asker}
+    def register(self, connection: ClientConnection) -> None:
+        """Add a connection that ``fail`` informs, and drop closed ones."""
+        with self._arrived:
+            self._connections = {known for known in self._connections if known.connected} | {connection}
 
     def fail(self, reason: str) -> None:
-        """Tell everybody that nothing is draped any more."""
-        for asker in list(self._askers):
-            asker.tell(reason)
-        for asker in list(self._askers):
-            asker.finish()
+        """Send the error that ended the draping to all clients."""
+        for connection in list(self._connections):
+            connection.reply(reason)
+        for connection in list(self._connections):
+            connection.finish()
 
     def drape(self, device: str) -> None:
-        """Wait for a garment, then drape until none is left."""
-        begun = time.perf_counter()
-        with self._some:
-            self._some.wait_for(lambda: bool(self._waiting))
-        self._clock.idle(time.perf_counter() - begun)
-        at_once, arrived, studio = places_on(device, sharers=DRAPERS), self._waiting.__len__, Studio(device)
-        drapes = drape_in_turn(
-            self._jobs(), CONFIG, device=device, at_once=at_once, arrived=arrived, between=studio.go_on
+        """Wait for a request, then drape until no request is left."""
+        begin = time.perf_counter()
+        with self._arrived:
+            self._arrived.wait_for(lambda: bool(self._waiting))
+        self._clock.idle(time.perf_counter() - begin)
+        pictures = PictureQueue(device)
+        drapes = drape_unordered(
+            self._jobs(),
+            CONFIG,
+            device=device,
+            at_once=batch_capacity(device, sharers=DRAPERS_PER_GPU),
+            arrived=self._waiting.__len__,
+            between=pictures.advance,
         )
-        with memory_kept(device):
+        with keep_freed_memory(device):
             for number, drape in drapes:
-                asker, order = self._at_work.pop(number)
-                if asker.there:
-                    studio.take(order, drape, partial(self._answer, asker, device))
-            studio.finish()
+                client, request = self._draping.pop(number)
+                if client.connected:
+                    pictures.add(request, drape, partial(self._reply, client, device))
+            pictures.flush()
 
-    def _answer(self, asker: Caller, device: str, answer: DrapeReply) -> None:
-        """Send an answer, and how long this process has waited since the one before."""
-        asker.tell(replace(answer, waits={device: self._clock.taken()}))
+    def _reply(self, client: Client, device: str, reply: DrapeReply) -> None:
+        """Send a reply, with the time that this process has waited since the last one."""
+        client.reply(replace(reply, waits={device: self._clock.taken()}))
 
-    def _jobs(self) -> Iterator[DrapeJob | Readied | None]:
-        """Those that wait, whenever asked; ``None`` where there is none at this moment."""
+    def _jobs(self) -> Iterator[DrapeJob | PreparedJob | None]:
+        """The jobs of waiting requests, without end; ``None`` whenever no request waits."""
         number = 0
         while True:
-            taken = self._taken()
-            if taken is None:
+            entry = self._pop()
+            if entry is None:
                 yield None
             else:
-                asker, order, ready = taken
-                self._at_work[number] = asker, order
+                client, request, job = entry
+                self._draping[number] = client, request
                 number += 1
-                yield ready
+                yield job
 
-    def _taken(self) -> tuple[Caller, DrapeRequest, DrapeJob | Readied] | None:
-        """The next whose asker is still there."""
-        with self._some:
+    def _pop(self) -> tuple[Client, DrapeRequest, DrapeJob | PreparedJob] | None:
+        """The next request of a connected client."""
+        with self._arrived:
             while self._waiting:
-                taken = self._waiting.popleft()
-                if taken[0].there:
-                    return taken
+                entry = self._waiting.popleft()
+                if entry[0].connected:
+                    return entry
         return None
 
 
-def _readied(job: DrapeJob) -> DrapeJob | Readied:
-    """The job made ready. On failure return the job itself: the drape reports the error."""
+def _prepared(job: DrapeJob) -> DrapeJob | PreparedJob:
+    """The prepared job. On failure the job itself: the drape reports the error."""
     try:
-        return Readied.of(job)
-    except Exception:  # noqa: BLE001 - it comes again in the drape
+        return PreparedJob.of(job)
+    except Exception:  # noqa: BLE001 - raised again in the drape
         return job
 
 
-def _allow_many_files() -> None:
-    """As many as the system lets us have: each garment that waits is one, and 1024 is a common soft limit."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with contextlib.suppress(ValueError, OSError):  # macOS tells of no limit, and has one
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+def _raise_file_limit() -> None:
+    """Raise the limit of open files: each waiting request has one, and the soft limit is often 1024."""
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with contextlib.suppress(ValueError, OSError):  # macOS reports no hard limit, but enforces one
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
 
-def _tell_ready() -> None:
-    """Tell whoever has begun this process, and let go of the lock that it has given along."""
-    with contextlib.suppress(BrokenPipeError):  # killed meanwhile: then the next
+def _report_ready() -> None:
+    """Print ``READY`` for the process that started this one, and close the start lock, inherited as stdin."""
+    with contextlib.suppress(BrokenPipeError):  # the starter was killed; other clients connect
         os.write(1, f"{READY}\n".encode())
-    os.dup2(2, 1)  # nobody reads on; whatever is printed goes where errors go
-    with open(os.devnull) as nothing:  # noqa: PTH123
-        os.dup2(nothing.fileno(), 0)
+    os.dup2(2, 1)  # nothing reads the pipe from now on
+    with open(os.devnull) as devnull:  # noqa: PTH123
+        os.dup2(devnull.fileno(), 0)
 
 
-def _accept(listener: Listener, inbox: Inbox) -> None:
+def _accept(listener: Listener, requests: RequestQueue) -> None:
     while True:
         try:
             connection = listener.accept()
             connection.send(READY)
-        except OSError:  # the caller has gone, or the listener is closed
+        except OSError:  # the client has gone, or the listener is closed
             time.sleep(0.05)
             continue
-        inbox.enter(Asker(connection, inbox))
+        requests.register(ClientConnection(connection, requests))
 
 
 def _end_with_owner(folder: Path) -> None:
-    """End this process when the owner of the folder has ended, however it did."""
+    """End this process when the lock of the folder's owner is released."""
     try:
         file = os.open(owner_file(folder), os.O_RDWR)
         fcntl.lockf(file, fcntl.LOCK_EX)

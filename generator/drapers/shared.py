@@ -1,4 +1,4 @@
-"""The draper that many processes share: a process of its own for each device, reached through a socket."""
+"""The client of a draping process that many processes share, reached through a socket."""
 
 import contextlib
 from multiprocessing.connection import Connection
@@ -7,45 +7,45 @@ from typing import Self
 from gcd_dataset.errors import DrapeError
 from gcd_dataset.generator.drapers.address import DraperAddress
 from gcd_dataset.generator.drapers.draper import DrapeReply, DrapeRequest, require_faces
-from gcd_dataset.generator.drapers.parcel import send_parcel
+from gcd_dataset.generator.drapers.transport import send_object
 
 __all__ = ["AT_ONCE", "SharedDraper"]
 
-AT_ONCE = 24  # garments of each caller: eleven callers fill both batches of a GPU, 2 x 128
+AT_ONCE = 24  # requests of each client: eleven clients fill both batches of a GPU, 2 x 128
 
 
 class SharedDraper:
-    """A connection to the draping process of a place, for one thread.
+    """A connection to the draping process at an address, for one thread; starts the process if there is none.
 
-    Raises ``DrapeError`` where that process cannot be started; its methods where it cannot drape, or has ended.
+    Raises ``DrapeError`` if the process cannot be started; the methods raise it if the process fails or has ended.
     """
 
-    def __init__(self, place: DraperAddress, *, at_once: int = AT_ONCE) -> None:
-        self._place = place
+    def __init__(self, address: DraperAddress, *, at_once: int = AT_ONCE) -> None:
+        self._address = address
         self.at_once = at_once
-        self._connection: Connection = place.connect()
+        self._connection: Connection = address.connect()
 
-    def ask(self, order: DrapeRequest) -> None:
-        require_faces(order)
+    def send(self, request: DrapeRequest) -> None:
+        require_faces(request)
         try:
-            send_parcel(self._connection, order)
+            send_object(self._connection, request)
         except OSError as error:
-            raise self._gone() from error
+            raise self._closed() from error
 
-    def answered(self) -> bool:
+    def poll(self) -> bool:
         try:
             return self._connection.poll()
         except OSError as error:
-            raise self._gone() from error
+            raise self._closed() from error
 
-    def answer(self) -> DrapeReply:
+    def receive(self) -> DrapeReply:
         try:
-            answer = self._connection.recv()
+            reply = self._connection.recv()
         except (EOFError, OSError) as error:
-            raise self._gone() from error
-        if isinstance(answer, str):
-            raise self._failed(answer)
-        return answer
+            raise self._closed() from error
+        if isinstance(reply, str):
+            raise self._failed(reply)
+        return reply
 
     def __enter__(self) -> Self:
         return self
@@ -53,16 +53,16 @@ class SharedDraper:
     def __exit__(self, *_: object) -> None:
         self._connection.close()
 
-    def _gone(self) -> DrapeError:
-        """The error that the draping process sent last, or that it ended without one."""
+    def _closed(self) -> DrapeError:
+        """The last error that the draping process sent; without one, that it has ended."""
         with contextlib.suppress(EOFError, OSError):
             while self._connection.poll():
                 if isinstance(last := self._connection.recv(), str):
                     return self._failed(last)
         return DrapeError(
-            f"the process that drapes on {self._place.device} has ended, killed perhaps for lack of memory: start "
+            f"the process that drapes on {self._address.device} has ended, perhaps killed for lack of memory: start "
             "again, with other programs off that device"
         )
 
     def _failed(self, reason: str) -> DrapeError:
-        return DrapeError(f"while draping on {self._place.device}: {reason}")
+        return DrapeError(f"while draping on {self._address.device}: {reason}")

@@ -18,7 +18,7 @@ ray = pytest.importorskip("ray", reason="ray is not installed: make test-extras"
 from gcd_dataset.cli import main  # noqa: E402
 from gcd_dataset.errors import GcdError  # noqa: E402
 from gcd_dataset.generator.drapers import ray_actor  # noqa: E402
-from gcd_dataset.generator.drapers.here import DraperHere  # noqa: E402
+from gcd_dataset.generator.drapers.local import LocalDraper  # noqa: E402
 from gcd_dataset.generator.drapers.ray_actor import RayDraper, start_actor  # noqa: E402
 from gcd_dataset.generator.maker import produce  # noqa: E402
 from gcd_dataset.generator.recipe import MakeConfig  # noqa: E402
@@ -160,7 +160,7 @@ def test_an_actor_that_dies_is_started_again_and_its_garments_are_draped(node: C
     node(num_gpus=1)
     ray.init(log_to_driver=False)
     actor = start_actor("cpu", gpus=0.5)
-    with DraperHere("cpu") as draper:
+    with LocalDraper("cpu") as draper:
         here = list(produce(5, range(3), DRAPED, draper=draper))
     made: list[Sample] = []
     with RayDraper([actor]) as draper:
@@ -184,7 +184,7 @@ def test_a_node_whose_gpu_falls_out_in_the_middle_is_done_without(
             if not made:
                 cluster.remove_node(nodes[0], allow_graceful=False)
             made.append(sample)
-    with DraperHere("cpu") as draper:
+    with LocalDraper("cpu") as draper:
         here = list(produce(5, range(6), DRAPED, draper=draper))
     assert [sample.key for sample in made] == [sample.key for sample in here]
     for ours, theirs in zip(here, made, strict=True):

@@ -118,13 +118,13 @@ def test_a_failure_waits_for_the_results_before_it() -> None:
     class Backwards:
         at_once = 4
 
-        def ask(self, order: DrapeRequest) -> None:
-            begun.append(order)
+        def send(self, request: DrapeRequest) -> None:
+            begun.append(request)
 
-        def answered(self) -> bool:
+        def poll(self) -> bool:
             return False
 
-        def answer(self) -> DrapeReply:
+        def receive(self) -> DrapeReply:
             return DrapeReply(begun.pop().number, None, None)  # type: ignore[arg-type]
 
         def __enter__(self) -> Self:

@@ -128,27 +128,27 @@ class Failing:
     def __init__(self, times: int, *, but_neutral: bool = False) -> None:
         self.times, self.but_neutral = times, but_neutral
         self.tried = Counter[Measurements]()
-        self.answers = deque[DrapeReply]()
+        self.replies = deque[DrapeReply]()
 
-    def ask(self, order: DrapeRequest) -> None:
-        size = order.job.measurements
+    def send(self, request: DrapeRequest) -> None:
+        size = request.job.measurements
         self.tried[size] += 1
         fails = self.tried[size] <= self.times and not (self.but_neutral and size == NEUTRAL)
         outcome = Outcome.NOT_SETTLED if fails else Outcome.SETTLED
-        drape = Drape(order.job.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0)
-        self.answers.append(DrapeReply(order.number, drape, None))
+        drape = Drape(request.job.box_mesh.vertices, outcome, 1, 0, 0, 1.0, 1.0)
+        self.replies.append(DrapeReply(request.number, drape, None))
 
-    def answered(self) -> bool:
-        return bool(self.answers)
+    def poll(self) -> bool:
+        return bool(self.replies)
 
-    def answer(self) -> DrapeReply:
-        return self.answers.popleft()
+    def receive(self) -> DrapeReply:
+        return self.replies.popleft()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.answers.clear()
+        self.replies.clear()
 
 
 def test_a_drape_that_fails_raises_the_attempt() -> None:

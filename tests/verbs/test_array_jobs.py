@@ -24,7 +24,7 @@ from gcd_dataset.shards.access import locked
 from gcd_dataset.shards.job_parts import part_folder
 from gcd_dataset.shards.layout import lock_name
 from gcd_dataset.verbs import (
-    Part,
+    JobPart,
     Progress,
     convert,
     generate,
@@ -56,7 +56,7 @@ def whole(tmp_path: Path) -> dict[str, bytes]:
 
 
 def part_of(out: Path, number: int, of: int, **options: Any) -> Any:
-    return generate(out, **{"count": COUNT, "config": CUFFED, "part": Part(number, of), **options})
+    return generate(out, **{"count": COUNT, "config": CUFFED, "part": JobPart(number, of), **options})
 
 
 def parts_in(out: Path, of: int) -> Path:
@@ -96,7 +96,7 @@ def test_a_shard_of_one_part_is_moved_not_copied(tmp_path: Path, whole: dict[str
 
 @pytest.mark.parametrize(("of", "count", "wearers"), [(3, 23, 2), (7, 5, 1), (4, 100, 3), (1, 1, 2), (9, 64, 2)])
 def test_parts_share_out_whole_designs(of: int, count: int, wearers: int) -> None:
-    ranges = [Part(number, of).indices(count, wearers=wearers) for number in range(of)]
+    ranges = [JobPart(number, of).indices(count, wearers=wearers) for number in range(of)]
     assert [index for indices in ranges for index in indices] == list(range(count))
     assert all(indices.start % wearers == 0 for indices in ranges if indices)
     assert max(map(len, ranges)) - min(map(len, ranges)) <= 2 * wearers
@@ -164,12 +164,12 @@ def test_parts_of_a_recipe_are_the_data_set_of_its_name(
 
 def test_parts_of_another_recipe_are_refused(tmp_path: Path) -> None:
     recipe = Recipe("flat", "flat", 6, 0, CUFFED, {"train": 1.0})
-    generate_recipe(tmp_path, recipe, part=Part(0, 2))
+    generate_recipe(tmp_path, recipe, part=JobPart(0, 2))
     for other in (replace(recipe, splits={"test": 0.5, "train": 0.5}), replace(recipe, name="other")):
         with pytest.raises(
             ConfigError, match=r"made by recipe flat \(.*\), asked for .*: use the same or another folder"
         ):
-            generate_recipe(tmp_path, other, part=Part(1, 2))
+            generate_recipe(tmp_path, other, part=JobPart(1, 2))
     with pytest.raises(ConfigError, match="go on with --recipe, or choose another folder"):
         part_of(tmp_path, 1, 2, count=12)
     with pytest.raises(ShardError, match=r"part 1/2 is missing: run gcd generate \S+ --recipe FILE\.toml --shard 1/2"):
@@ -181,7 +181,7 @@ def test_a_recipe_that_is_refused_leaves_no_name_among_parts_of_none(tmp_path: P
     part_of(out, 0, 2)
     recipe = Recipe("flat", "flat", 6, 0, CUFFED, {"train": 1.0})
     with pytest.raises(ConfigError, match="parts begun with count=23"):
-        generate_recipe(out, recipe, part=Part(0, 2))
+        generate_recipe(out, recipe, part=JobPart(0, 2))
     with pytest.raises(ConfigError, match="1 of 2 parts are finished"):
         generate_recipe(out, recipe)
     part_of(out, 1, 2)
@@ -203,7 +203,7 @@ def test_a_recipe_whose_merge_was_killed_gets_its_hash_by_the_next(
     recipe = Recipe("flat", "flat", 6, 0, CUFFED, {"train": 1.0})
     generate_recipe(tmp_path / "whole", recipe)
     for number in (0, 1):
-        generate_recipe(tmp_path / "parts", recipe, part=Part(number, 2))
+        generate_recipe(tmp_path / "parts", recipe, part=JobPart(number, 2))
 
     def work(told: Callable[..., None]) -> None:
         monkeypatch.setattr(merging, "seal", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
@@ -334,7 +334,7 @@ def test_a_byte_that_changed_in_a_shared_shard_is_found(tmp_path: Path) -> None:
     [
         ({"seed": 1}, "seed=0, asked for seed=1"),
         ({"count": COUNT + 1}, "count=23, asked for count=24"),
-        ({"part": Part(1, 4)}, "parts=2, asked for parts=4"),
+        ({"part": JobPart(1, 4)}, "parts=2, asked for parts=4"),
         ({"config": replace(CUFFED, bodies="neutral")}, "bodies='both', asked for bodies='neutral'"),
     ],
 )

@@ -23,7 +23,7 @@ from gcd_dataset.loaders import ElasticSampler, GarmentDataset
 from gcd_dataset.records import Drape, Outcome, Sample
 from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
 from gcd_dataset.shards.unfinished import unfinished
-from gcd_dataset.verbs import Part, Progress, export, generate, making, merge, storing
+from gcd_dataset.verbs import JobPart, Progress, export, generate, making, merge, storing
 from tests.verbs.real import contents, killed
 
 COUNT = 8
@@ -183,7 +183,7 @@ def test_a_run_that_was_stopped_leaves_both_splits_unfinished(tmp_path: Path) ->
 def test_parts_of_both_splits_are_one_run(of: int, out: Path, failed: list[int], tmp_path: Path) -> None:
     parts = tmp_path / "parts"
     for number in reversed(range(of)):
-        generate(parts, COUNT, seed=5, config=KEPT, part=Part(number, of))
+        generate(parts, COUNT, seed=5, config=KEPT, part=JobPart(number, of))
     assert merge(parts) == {"train": COUNT - len(failed), "failed": len(failed)}
     assert contents(parts) == contents(out)
 

@@ -10,7 +10,7 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.generator.maker import produce
 from gcd_dataset.shards import read_manifest
-from gcd_dataset.verbs import Part, generate, making, merge, storing
+from gcd_dataset.verbs import JobPart, generate, making, merge, storing
 from tests.verbs.real import COUNT, CUFFED, contents, killed, made_once
 
 
@@ -93,7 +93,7 @@ def test_a_set_that_has_grown_has_the_lines_of_the_larger(tmp_path: Path, whole:
 def test_parts_have_the_lines_of_one_run(tmp_path: Path, whole: dict[str, bytes]) -> None:
     out = tmp_path / "parts"
     for number in (2, 0, 1):
-        generate(out, COUNT, config=CUFFED, part=Part(number, 3))
+        generate(out, COUNT, config=CUFFED, part=JobPart(number, 3))
     merge(out)
     assert (out / "rejects.jsonl").read_bytes() == whole["rejects.jsonl"]
 

@@ -1,4 +1,4 @@
-"""Cloth against the body, by its signed-distance field."""
+"""Contact of cloth with the body, by the body's signed distance field."""
 
 import warp as wp
 
@@ -7,13 +7,13 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, World
 
 wp.set_module_options({"enable_backward": False})
 
-GRIP = 2.0  # friction of an edge that keeps a garment up, over that of its cloth: it is faced with grip tape
-MIDDLE_SHARE = 0.5  # of the gap from the skin, that the middle of an edge keeps
+GRIP = 2.0  # friction factor of keepers: such an edge is faced with grip tape
+MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
 
 
 @wp.func
 def sample_field(world: World, field: wp.array(dtype=float), x: wp.vec3) -> wp.vec4:
-    """Gradient and value of the signed distance at ``x``, trilinear; far outside beyond the grid [1, cm]."""
+    """Unit gradient and value [cm] of the signed distance at ``x``, trilinear; 1000 cm beyond the grid."""
     g = (x - world.field_origin) / world.field_cell
     nx = world.field_size[0]
     ny = world.field_size[1]
@@ -55,7 +55,7 @@ def sample_field(world: World, field: wp.array(dtype=float), x: wp.vec3) -> wp.v
 
 @wp.func
 def nearest_part(world: World, parts: wp.array(dtype=wp.uint8), x: wp.vec3) -> int:
-    """The body part nearest to ``x``, from the voxel it lies in."""
+    """The body part nearest to ``x``, from the voxel that contains ``x``."""
     g = (x - world.field_origin) / world.field_cell
     i = wp.clamp(int(wp.round(g[0])), 0, world.field_size[0] - 1)
     j = wp.clamp(int(wp.round(g[1])), 0, world.field_size[1] - 1)
@@ -64,8 +64,8 @@ def nearest_part(world: World, parts: wp.array(dtype=wp.uint8), x: wp.vec3) -> i
 
 
 @wp.func
-def is_unseen(parts: int, part: int) -> bool:
-    """Whether a part of the body is in a bit set."""
+def is_ignored(parts: int, part: int) -> bool:
+    """Whether a bit set of body parts contains ``part``."""
     return ((parts >> part) & 1) != 0
 
 
@@ -73,8 +73,8 @@ def is_unseen(parts: int, part: int) -> bool:
 def leave_body(depth: float, normal: wp.vec3, step: wp.vec3, friction: float, max_leave: float) -> wp.vec3:
     """Displacement that keeps a vertex off the skin [cm].
 
-    What it came nearer in this step is taken back at once, what was too near before at no more than ``max_leave``;
-    Coulomb friction takes back sliding of up to ``friction`` times that.
+    Undoes this substep's approach in full and older penetration by at most ``max_leave``. Coulomb friction undoes
+    sliding up to ``friction`` times that displacement.
     """
     approach = wp.max(-wp.dot(step, normal), 0.0)
     out = wp.min(depth, approach + max_leave)
@@ -96,7 +96,7 @@ def push_long_edge(
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
 ):
-    """Keep the inside of a long edge off the body."""
+    """Push a long edge off the body at three points of its inside."""
     i = edge[0]
     j = edge[1]
     for quarter in range(1, 4):
@@ -108,7 +108,7 @@ def push_long_edge(
         if depth <= 0.0:
             continue
         part = nearest_part(world, cloth.field_parts, here)
-        if is_unseen(cloth.unseen_parts[i] & cloth.unseen_parts[j], part):
+        if is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], part):
             continue
         add_weight(push, i, 1.0 - t)
         add_weight(push, j, t)
@@ -122,11 +122,11 @@ def push_long_edge(
 
 @wp.func
 def keep_off_body(i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: Cloth) -> wp.vec3:
-    """Displacement that keeps vertex ``i`` its gap from the skin, and friction against it [cm]."""
+    """Displacement of vertex ``i`` by body contact and friction [cm]."""
     near = sample_field(world, cloth.field, here)
     if near[3] >= world.body_gap:
         return wp.vec3(0.0)
-    if is_unseen(cloth.unseen_parts[i], nearest_part(world, cloth.field_parts, here)):
+    if is_ignored(cloth.ignored_parts[i], nearest_part(world, cloth.field_parts, here)):
         return wp.vec3(0.0)
     friction = world.friction
     if cloth.keeper[i] != wp.uint8(0):

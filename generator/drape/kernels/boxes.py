@@ -1,4 +1,4 @@
-"""The boxes in the tree that crossings are looked for in."""
+"""Bounding boxes of the faces, for the BVH."""
 
 import warp as wp
 
@@ -15,7 +15,7 @@ def bound_faces(
     lower: wp.array(dtype=wp.vec3),
     upper: wp.array(dtype=wp.vec3),
 ):
-    """The box round every face [cm]."""
+    """The axis-aligned bounding box of every face [cm]."""
     f = wp.tid()
     a = x[cloth.faces[f][0]]
     b = x[cloth.faces[f][1]]

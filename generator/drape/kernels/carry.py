@@ -1,4 +1,4 @@
-"""The watched contacts of a garment that goes on in another batch."""
+"""Copy the contact lists of a garment that continues in another batch."""
 
 import warp as wp
 
@@ -9,12 +9,12 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Move:
-    """A garment's place in the batch it leaves and in the one it joins."""
+    """A garment that moves from one batch to the next."""
 
-    leaves: int  # world
-    joins: int
-    edges: int  # what is added to the number of an edge
-    faces: int
+    old_world: int
+    new_world: int
+    edge_shift: int  # new minus old index of an edge
+    face_shift: int
 
 
 @wp.kernel
@@ -23,25 +23,27 @@ def carry_contacts(
     new_worlds: wp.array(dtype=World),
     moves: wp.array(dtype=Move),
     threads: int,
-    left: Contacts,
+    old_contacts: Contacts,
     # state out
-    joined: Contacts,
+    new_contacts: Contacts,
 ):
-    """Copy the lists, in which vertices, edges and faces get their new numbers; counts are copied already."""
+    """Copy the contact lists with indices shifted to the new batch; the host has copied the counts."""
     m, thread = wp.tid()
     move = moves[m]
-    world = old_worlds[move.leaves]
-    target = new_worlds[move.joins]
+    world = old_worlds[move.old_world]
+    target = new_worlds[move.new_world]
     shift = target.first - world.first
-    start = left.room * world.first
-    end = joined.room * target.first
-    for k in range(thread, entries(left.point_count, move.leaves, world, left), threads):
-        joined.points[end + k] = left.points[start + k] + wp.vec4i(shift, shift, shift, shift)
-        joined.sides[end + k] = left.sides[start + k]
-    for k in range(thread, entries(left.edge_count, move.leaves, world, left), threads):
-        joined.edges[end + k] = left.edges[start + k] + wp.vec4i(shift, shift, shift, shift)
-        joined.normals[end + k] = left.normals[start + k]
-    for k in range(thread, entries(left.long_count, move.leaves, world, left), threads):
-        joined.long_edges[end + k] = left.long_edges[start + k] + wp.vec2i(shift, shift)
-    for k in range(thread, entries(left.crossing_count, move.leaves, world, left), threads):
-        joined.crossings[end + k] = left.crossings[start + k] + wp.vec2i(move.edges, move.faces)
+    at_old = old_contacts.room * world.first
+    at_new = new_contacts.room * target.first
+    for k in range(thread, entries(old_contacts.point_count, move.old_world, world, old_contacts), threads):
+        new_contacts.points[at_new + k] = old_contacts.points[at_old + k] + wp.vec4i(shift, shift, shift, shift)
+        new_contacts.sides[at_new + k] = old_contacts.sides[at_old + k]
+    for k in range(thread, entries(old_contacts.edge_count, move.old_world, world, old_contacts), threads):
+        new_contacts.edges[at_new + k] = old_contacts.edges[at_old + k] + wp.vec4i(shift, shift, shift, shift)
+        new_contacts.normals[at_new + k] = old_contacts.normals[at_old + k]
+    for k in range(thread, entries(old_contacts.long_count, move.old_world, world, old_contacts), threads):
+        new_contacts.long_edges[at_new + k] = old_contacts.long_edges[at_old + k] + wp.vec2i(shift, shift)
+    for k in range(thread, entries(old_contacts.crossing_count, move.old_world, world, old_contacts), threads):
+        new_contacts.crossings[at_new + k] = old_contacts.crossings[at_old + k] + wp.vec2i(
+            move.edge_shift, move.face_shift
+        )

@@ -1,25 +1,25 @@
-"""What watched pairs ask of their vertices: to keep the cloth's thickness apart, to come apart, to leave the body.
+"""Contact response: displacements from point-triangle, edge-edge and body contacts, and from untangling.
 
-A pair is found in one of the searches, which also settles on which side its two parts belong; until the next search it
-is pushed apart whenever it comes nearer than the cloth's thickness, by where its vertices go without new forces. Both
-parts move, by their inertia.
+The search lists a pair and the side on which each element belongs. Until the next search the pair is pushed apart
+whenever its predicted positions ``x + dt v`` are nearer than the cloth's thickness. Both elements move, weighted by
+inverse inertia.
 """
 
 import warp as wp
 
 from gcd_dataset.generator.drape.kernels.body_contact import push_long_edge
-from gcd_dataset.generator.drape.kernels.crossing import part_crossing
+from gcd_dataset.generator.drape.kernels.crossing import untangle_crossing
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle, separation
 from gcd_dataset.generator.drape.kernels.push import add_push, add_weight
 from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, Contacts, CrossingWatch, World, entries, world_of
 
 wp.set_module_options({"enable_backward": False})
 
-PARTING_SPEED = 50.0  # cm/s at which layers that are already too near part
+SEPARATION_SPEED = 50.0  # cm/s, speed limit at which older overlap of layers is removed
 
 
 @wp.func
-def push_point(
+def push_point_triangle(
     i: int,
     face: wp.vec3i,
     side: float,
@@ -30,7 +30,7 @@ def push_point(
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
 ):
-    """Push a point and a triangle apart if they came too near."""
+    """Contact weights, and the push apart, of a point-triangle contact."""
     a = x[face[0]] + world.dt * v[face[0]]
     b = x[face[1]] + world.dt * v[face[1]]
     c = x[face[2]] + world.dt * v[face[2]]
@@ -43,30 +43,31 @@ def push_point(
     gap = wp.dot(away, normal)
     before = x[i] - (weights[0] * x[face[0]] + weights[1] * x[face[1]] + weights[2] * x[face[2]])
     gap_old = wp.dot(before, normal)
-    beside = wp.length_sq(away) - gap * gap  # off the triangle's rim: an edge or a neighbour sees to it
-    if is_near(gap - wp.max(gap_old - gap, 0.0), beside, world.thickness):
+    lateral_sq = wp.length_sq(away) - gap * gap  # above 0 beside the triangle, where other contacts act too
+    if is_near(gap - wp.max(gap_old - gap, 0.0), lateral_sq, world.thickness):
         add_weight(push, i, 1.0)
         for corner in range(3):
             add_weight(push, face[corner], weights[corner])
-    apart = separation(gap_old, gap, world.thickness, PARTING_SPEED * world.dt)
-    if apart <= 0.0 or not is_near(gap, beside, world.thickness):
+    apart = separation(gap_old, gap, world.thickness, SEPARATION_SPEED * world.dt)
+    if apart <= 0.0 or not is_near(gap, lateral_sq, world.thickness):
         return
-    lever = 1.0 / inertia[i]
-    crowded = contact_weight[i]
+    inverse_mass = 1.0 / inertia[i]
+    weight_sum = contact_weight[i]
     for corner in range(3):
         if weights[corner] > 0.0:
-            lever += weights[corner] * weights[corner] / inertia[face[corner]]
-            crowded = wp.max(crowded, contact_weight[face[corner]])
-    step = (apart * normal + rubbing(away - before, normal, apart, world.layer_friction)) / (lever * crowded)
-    add_push(push, i, step / inertia[i])
+            inverse_mass += weights[corner] * weights[corner] / inertia[face[corner]]
+            weight_sum = wp.max(weight_sum, contact_weight[face[corner]])
+    friction = friction_step(away - before, normal, apart, world.layer_friction)
+    impulse = (apart * normal + friction) / (inverse_mass * weight_sum)
+    add_push(push, i, impulse / inertia[i])
     for corner in range(3):
         if weights[corner] > 0.0:
-            add_push(push, face[corner], (-weights[corner] / inertia[face[corner]]) * step)
+            add_push(push, face[corner], (-weights[corner] / inertia[face[corner]]) * impulse)
 
 
 @wp.func
-def rubbing(moved: wp.vec3, normal: wp.vec3, apart: float, friction: float) -> wp.vec3:
-    """What Coulomb friction takes back of how two layers slide over each other in a step [cm]."""
+def friction_step(moved: wp.vec3, normal: wp.vec3, apart: float, friction: float) -> wp.vec3:
+    """Displacement by Coulomb friction against the sliding of two layers in a substep [cm]."""
     sliding = moved - wp.dot(moved, normal) * normal
     slid = wp.length(sliding)
     if slid == 0.0:
@@ -75,13 +76,13 @@ def rubbing(moved: wp.vec3, normal: wp.vec3, apart: float, friction: float) -> w
 
 
 @wp.func
-def is_near(gap: float, beside_sq: float, thickness: float) -> bool:
-    """Whether a point is nearer than the thickness, by its height over a triangle and how far beside it is."""
-    return wp.max(gap, 0.0) * gap + beside_sq < thickness * thickness
+def is_near(gap: float, lateral_sq: float, thickness: float) -> bool:
+    """Whether a point is nearer to a triangle than ``thickness``, by its height and squared lateral distance."""
+    return wp.max(gap, 0.0) * gap + lateral_sq < thickness * thickness
 
 
 @wp.func
-def push_edges(
+def push_edge_edge(
     ends: wp.vec4i,
     found: wp.vec3,
     world: World,
@@ -91,7 +92,7 @@ def push_edges(
     v: wp.array(dtype=wp.vec3),
     push: wp.array2d(dtype=int),
 ):
-    """Push two edges apart if they came too near; ``found`` is the direction between them when they were found."""
+    """Contact weights, and the push apart, of an edge-edge contact; ``found``: its direction when listed."""
     i = ends[0]
     i1 = ends[1]
     j = ends[2]
@@ -117,33 +118,33 @@ def push_edges(
         add_weight(push, i1, s)
         add_weight(push, j, 1.0 - t)
         add_weight(push, j1, t)
-    apart = separation(gap_old, gap, world.thickness, PARTING_SPEED * world.dt)
+    apart = separation(gap_old, gap, world.thickness, SEPARATION_SPEED * world.dt)
     if apart <= 0.0:
         return
-    lever = (
+    inverse_mass = (
         (1.0 - s) * (1.0 - s) / inertia[i]
         + s * s / inertia[i1]
         + (1.0 - t) * (1.0 - t) / inertia[j]
         + t * t / inertia[j1]
     )
-    crowded = wp.max(wp.max(contact_weight[i], contact_weight[i1]), wp.max(contact_weight[j], contact_weight[j1]))
-    rub = rubbing(between - before, normal, apart, world.layer_friction)
-    step = (apart * normal + rub) / (lever * crowded)
-    add_push(push, i, ((s - 1.0) / inertia[i]) * step)
-    add_push(push, i1, (-s / inertia[i1]) * step)
-    add_push(push, j, ((1.0 - t) / inertia[j]) * step)
-    add_push(push, j1, (t / inertia[j1]) * step)
+    weight_sum = wp.max(wp.max(contact_weight[i], contact_weight[i1]), wp.max(contact_weight[j], contact_weight[j1]))
+    friction = friction_step(between - before, normal, apart, world.layer_friction)
+    impulse = (apart * normal + friction) / (inverse_mass * weight_sum)
+    add_push(push, i, ((s - 1.0) / inertia[i]) * impulse)
+    add_push(push, i1, (-s / inertia[i1]) * impulse)
+    add_push(push, j, ((1.0 - t) / inertia[j]) * impulse)
+    add_push(push, j1, (t / inertia[j1]) * impulse)
 
 
 @wp.kernel
-def share_work(
+def scan_work(
     worlds: wp.array(dtype=World),
     # state in
     status: wp.array(dtype=int),
     # state in and out
     contacts: Contacts,
 ):
-    """Count the entries in the lists of the worlds before each that run; one row more than worlds."""
+    """Prefix sums of contact list entries over the running worlds, with the total in the last entry."""
     w = wp.tid()
     before = int(0)
     for other in range(w):
@@ -173,7 +174,7 @@ def push_contacts(
     time: wp.array(dtype=float),
     push: wp.array2d(dtype=int),
 ):
-    """Walk the lists of all worlds; the first threads also end the step on the worlds' clocks."""
+    """Add the displacements of all contacts to ``push``; the first threads also advance the worlds' time."""
     thread = wp.tid()
     for w in range(thread, worlds.shape[0], threads):
         if status[w] == RUNNING:
@@ -189,13 +190,15 @@ def push_contacts(
         if k < points:
             point = contacts.points[at + k]
             face = wp.vec3i(point[1], point[2], point[3])
-            push_point(point[0], face, contacts.sides[at + k], world, cloth.inertia, contact_weight, x, v, push)
+            push_point_triangle(
+                point[0], face, contacts.sides[at + k], world, cloth.inertia, contact_weight, x, v, push
+            )
         elif k < edges:
             k = k - points
-            push_edges(
+            push_edge_edge(
                 contacts.edges[at + k], contacts.normals[at + k], world, cloth.inertia, contact_weight, x, v, push
             )
         elif k < longs:
             push_long_edge(contacts.long_edges[at + k - edges], world, cloth, contact_weight, x, v, push)
         elif crossing.separated[w] != 0:
-            part_crossing(contacts.crossings[at + k - longs], world, cloth, x, push)
+            untangle_crossing(contacts.crossings[at + k - longs], world, cloth, x, push)

@@ -1,9 +1,9 @@
-"""Edges that cross triangles: found, marked, counted, and moved apart.
+"""Crossings: edges that intersect triangles, of cloth with cloth and with the body; their search, count and untangling.
 
-Cloth that has crossed is moved so that the curve along which it crosses gets shorter (after Volino and
-Magnenat-Thalmann, SIGGRAPH 2006), which needs no knowledge of sides. Displacing an edge by ``d`` against a triangle
-with normal ``N`` moves their crossing point by ``d - (N·d / N·E) E``, ``E`` along the edge; so its projections on the
-curve's directions ``R`` into the edge's faces grow fastest along ``R - (E·R / E·N) N``.
+Untangling moves crossing cloth so that the intersection contour gets shorter (after Volino and Magnenat-Thalmann,
+SIGGRAPH 2006); it needs no knowledge of the right side. Displacing an edge by ``d`` against a triangle with normal
+``N`` moves their crossing point by ``d - (N·d / N·E) E``, ``E`` along the edge. So the crossing point moves fastest
+along the contour's directions ``R`` into the edge's faces for a displacement along ``R - (E·R / E·N) N``.
 """
 
 import warp as wp
@@ -14,7 +14,7 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, CrossingW
 
 wp.set_module_options({"enable_backward": False})
 
-GLANCING = 0.1  # least |E·N| that the step is divided by
+GLANCING = 0.1  # lower limit of |E·N| in the division
 
 
 @wp.kernel
@@ -23,20 +23,20 @@ def find_roots(
     # out
     roots: wp.array(dtype=int),
 ):
-    """Where the tree of each world begins, which takes a search."""
+    """The root of each world's subtree in the BVH, looked up once for all queries."""
     w = wp.tid()
     roots[w] = wp.bvh_get_group_root(bvh, w)
 
 
 @wp.kernel
-def forget_crossings(
+def clear_tangled(
     cloth: Cloth,
     # state in
     crossing: CrossingWatch,
     # state out
     tangled: wp.array(dtype=int),
 ):
-    """Unmark all vertices before crossings are looked for."""
+    """Unmark the vertices of the worlds that search for crossings."""
     i = wp.tid()
     if crossing.searched[cloth.vertex_world[i]] != 0:
         tangled[i] = 0
@@ -58,9 +58,9 @@ def find_crossings(
     listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """List (edge, triangle) for every crossing of the cloth with itself, and mark the vertices of both.
+    """List (edge, triangle) for every crossing of cloth with cloth, and mark the vertices of both as tangled.
 
-    Where an edge crosses a triangle of its own length, vertices of both are near each other; other edges are passed by.
+    Skips short edges whose ends have no other vertex near: an edge that crosses a triangle of its size has one.
     """
     e = wp.tid()
     i = cloth.edges[e][0]
@@ -94,18 +94,18 @@ def find_crossings(
 
 @wp.func
 def into_face(along: wp.vec3, start: wp.vec3, opposite: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    """Direction of the crossing curve from an edge into one of its faces."""
+    """Direction of the intersection contour from an edge into one of its faces."""
     across = opposite - start
     inward = across - wp.dot(across, along) * along
-    curve = wp.normalize(wp.cross(wp.cross(along, inward), normal))
-    if wp.dot(curve, inward) < 0.0:
-        curve = -curve
-    return curve
+    contour = wp.normalize(wp.cross(wp.cross(along, inward), normal))
+    if wp.dot(contour, inward) < 0.0:
+        contour = -contour
+    return contour
 
 
 @wp.func
 def pull_to_part(i: int, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)):
-    """Accelerate a vertex toward the axis of the part of the body that its cloth covers."""
+    """Accelerate a vertex toward the axis of the body part that it covers."""
     part = cloth.own_part[i]
     if part < 0 or world.pulling == 0.0:
         return
@@ -117,10 +117,10 @@ def pull_to_part(i: int, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3),
 
 
 @wp.func
-def part_crossing(
+def untangle_crossing(
     crossing: wp.vec2i, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)
 ):
-    """Accelerate an edge and a triangle that still cross against each other, so that the crossing curve shortens."""
+    """Accelerate an edge and a triangle that still cross in opposite directions; shortens the intersection contour."""
     e = crossing[0]
     face = cloth.faces[crossing[1]]
     i = cloth.edges[e][0]
@@ -132,25 +132,25 @@ def part_crossing(
         return
     normal = wp.normalize(wp.cross(b - a, c - a))
     along = wp.normalize(x[j] - x[i])
-    curve = into_face(along, x[i], x[cloth.edge_opposite[e][0]], normal)
+    contour = into_face(along, x[i], x[cloth.edge_opposite[e][0]], normal)
     if cloth.edge_opposite[e][1] >= 0:
-        curve += into_face(along, x[i], x[cloth.edge_opposite[e][1]], normal)
+        contour += into_face(along, x[i], x[cloth.edge_opposite[e][1]], normal)
     steep = wp.dot(along, normal)
     if wp.abs(steep) < GLANCING:
         steep = wp.sign(steep) * GLANCING
-    way = curve - (wp.dot(along, curve) / steep) * normal
-    way = way / wp.sqrt(wp.length_sq(way) + 0.25)
-    lever = 0.5 * (1.0 / cloth.inertia[i] + 1.0 / cloth.inertia[j])
+    direction = contour - (wp.dot(along, contour) / steep) * normal
+    direction = direction / wp.sqrt(wp.length_sq(direction) + 0.25)
+    inverse_mass = 0.5 * (1.0 / cloth.inertia[i] + 1.0 / cloth.inertia[j])
     if cloth.own_part[i] != cloth.own_part[face[0]]:
         pull_to_part(i, world, cloth, x, push)
         pull_to_part(j, world, cloth, x, push)
         for corner in range(3):
             pull_to_part(face[corner], world, cloth, x, push)
-    step = (world.untangling * world.dt * world.dt / lever) * way
-    add_push(push, i, (0.5 / cloth.inertia[i]) * step)
-    add_push(push, j, (0.5 / cloth.inertia[j]) * step)
+    impulse = (world.untangling * world.dt * world.dt / inverse_mass) * direction
+    add_push(push, i, (0.5 / cloth.inertia[i]) * impulse)
+    add_push(push, j, (0.5 / cloth.inertia[j]) * impulse)
     for corner in range(3):
-        add_push(push, face[corner], (-1.0 / 3.0 / cloth.inertia[face[corner]]) * step)
+        add_push(push, face[corner], (-1.0 / 3.0 / cloth.inertia[face[corner]]) * impulse)
 
 
 @wp.kernel
@@ -159,18 +159,18 @@ def count_self_crossings(
     cloth: Cloth,
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
-    asked: wp.array(dtype=int),
+    chosen: wp.array(dtype=int),
     # state in
     x: wp.array(dtype=wp.vec3),
     # out
     crossings: wp.array(dtype=int),
 ):
-    """Count the edges that cross at least one triangle with which they share no vertex."""
+    """Count the edges of the chosen worlds that cross a triangle with which they share no vertex."""
     e = wp.tid()
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
     w = cloth.vertex_world[i]
-    if asked[w] == 0:
+    if chosen[w] == 0:
         return
     p = x[i]
     q = x[j]
@@ -187,7 +187,7 @@ def count_self_crossings(
 
 @wp.struct
 class BodyEdges:
-    """The edges of one body."""
+    """The edges of a body's skin."""
 
     mesh: wp.uint64
     ends: wp.array(dtype=wp.vec2i)  # vertices of the mesh
@@ -200,15 +200,15 @@ def count_body_through(
     bodies: wp.array(dtype=BodyEdges),
     bvh: wp.uint64,
     roots: wp.array(dtype=int),
-    asked: wp.array(dtype=int),
+    chosen: wp.array(dtype=int),
     # state in
     x: wp.array(dtype=wp.vec3),
     # out
     crossings: wp.array(dtype=int),
 ):
-    """Count the edges of each world's body that cross at least one triangle of its cloth."""
+    """Count the edges of the skin that cross a triangle of the cloth, in the chosen worlds."""
     w, e = wp.tid()
-    if asked[w] == 0 or e >= bodies[w].ends.shape[0]:
+    if chosen[w] == 0 or e >= bodies[w].ends.shape[0]:
         return
     ends = bodies[w].ends[e]
     mesh = wp.mesh_get(bodies[w].mesh)
@@ -225,7 +225,7 @@ def count_body_through(
 
 @wp.func
 def crosses_skin(mesh: wp.uint64, p: wp.vec3, q: wp.vec3) -> bool:
-    """Whether the segment pq meets the skin of a body."""
+    """Whether segment pq intersects the skin of a body."""
     length = wp.length(q - p)
     if length == 0.0:
         return False
@@ -237,17 +237,17 @@ def crosses_skin(mesh: wp.uint64, p: wp.vec3, q: wp.vec3) -> bool:
 def count_body_crossings(
     # model
     cloth: Cloth,
-    asked: wp.array(dtype=int),
+    chosen: wp.array(dtype=int),
     # state in
     x: wp.array(dtype=wp.vec3),
     # out
     crossings: wp.array(dtype=int),
 ):
-    """Count the edges that cross the body's skin."""
+    """Count the edges of the cloth that cross the skin, in the chosen worlds."""
     e = wp.tid()
     i = cloth.edges[e][0]
     w = cloth.vertex_world[i]
-    if asked[w] == 0:
+    if chosen[w] == 0:
         return
     if crosses_skin(cloth.body_mesh[w], x[i], x[cloth.edges[e][1]]):
         wp.atomic_add(crossings, w, 1)

@@ -1,37 +1,36 @@
-"""Stretch and bending: one gather per vertex.
+"""Elastic forces, stretch and bending, by one gather per vertex.
 
-Stretch is a spring along every mesh edge; in a fabric with a grain the springs of a face are also coupled with each
-other, so that it stretches as an orthotropic sheet does. Bending is the quadratic model of Bergou et al. (2006), a
-constant matrix. A vertex walks its springs, then the vertices that only its bending depends on, then its coupled faces.
-On a GPU the rows of 32 vertices lie interleaved, so that the threads of a warp read one stretch of memory together
-(measured on an H200, 924 000 vertices: 91 µs, against 172 with an array for every quantity and 188 with row after row);
-on a CPU a row lies together.
+Stretch: a spring along every mesh edge. In a fabric with a grain the springs of a face are coupled, which makes the
+face an orthotropic sheet. Bending: the quadratic model of Bergou et al. (2006), a constant matrix. The thread of a
+vertex reads its springs, then the vertices that only its bending force depends on, then its coupled faces. On a GPU the
+rows of 32 vertices are interleaved for coalesced reads (H200, 924 000 vertices: 91 µs; one array per quantity 172 µs;
+row after row 188 µs); on a CPU each row is contiguous.
 
-Forces are taken at ``x + theta h v``, a stiffness-proportional damping that fades for slow motions; with it the
-symplectic Euler step is stable for ``(omega h)² (1 + 2 theta) < 4``.
+Forces are evaluated at ``x + theta h v``, a stiffness-proportional damping that fades for slow motions. With it,
+symplectic Euler is stable for ``(omega h)² (1 + 2 theta) < 4``.
 """
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-LOOK_AHEAD = 0.3
-USUAL = wp.constant(6)  # neighbours of a vertex in a regular mesh
+LOOK_AHEAD = 0.3  # theta
+USUAL = wp.constant(6)  # neighbours of a vertex in a regular mesh: the least number of entries in a row
 
 
 @wp.struct
 class Spring:
-    """A neighbour of a vertex."""
+    """The spring from a vertex to a neighbour, and the neighbour's bending weight."""
 
     vertex: int
     stiffness: float  # g/s²
-    length: float  # cm, in the flat
-    bend: float  # g/s², its weight in the bending force
+    length: float  # cm, flat length
+    bend: float  # g/s², weight in the bending force
 
 
 @wp.struct
 class Bend:
-    """A vertex that only the bending force depends on."""
+    """A vertex, not a neighbour, on which the bending force depends."""
 
     vertex: int
     weight: float  # g/s²
@@ -39,44 +38,44 @@ class Bend:
 
 @wp.struct
 class Corner:
-    """A face of a fabric with a grain, from one of its vertices: what couples the stretches of its edges.
+    """Coupling of the edges of a face in a fabric with a grain, as stored at one of its vertices.
 
-    The edges: to the next vertex, to the last, and between those two.
+    The edges lead to the next vertex, to the last vertex, and across, between these two.
     """
 
     next: int
     last: int
-    lengths: wp.vec3  # cm, in the flat
-    next_last: float  # g/s²: pull along the edge to the next vertex by the stretch of that to the last, and vice versa
-    next_across: float  # g/s²
-    last_across: float  # g/s²
+    lengths: wp.vec3  # cm, flat lengths of next, last and across
+    next_last: float  # g/s², force along the next edge per stretch of the last edge, and vice versa
+    next_across: float  # g/s², force along the next edge per stretch of the edge across
+    last_across: float  # g/s², the same along the last edge
 
 
 @wp.struct
 class Rows:
-    """The elastic forces on each vertex as a row of entries; ``lanes`` rows lie interleaved (see ``entry``)."""
+    """The elastic forces on each vertex as a row of entries; ``lanes`` rows are interleaved, see ``entry``."""
 
     lanes: int
-    width: int
+    width: int  # entries of a row
     springs: wp.array(dtype=Spring)
-    start_length: wp.array(dtype=float)  # of the springs, before sewing [cm]
+    start_length: wp.array(dtype=float)  # (as springs) length before sewing [cm]
     bends: wp.array(dtype=Bend)
     coupled: int  # 1 where any garment's fabric has a grain; else there are no corners
     corners: wp.array(dtype=Corner)
     corner_count: wp.array(dtype=int)  # (v)
     count: wp.array(dtype=wp.vec2i)  # (v) springs, bends
-    bend_diagonal: wp.array(dtype=float)
+    bend_diagonal: wp.array(dtype=float)  # (v) weight of the vertex itself in its bending force [g/s²]
 
 
 @wp.func
 def entry(rows: Rows, i: int, k: int) -> int:
-    """Where entry ``k`` of vertex ``i`` is kept."""
+    """Index of entry ``k`` in the row of vertex ``i``."""
     return ((i // rows.lanes) * rows.width + k) * rows.lanes + i % rows.lanes
 
 
 @wp.func
 def spring_force(at: int, sewn: float, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
-    """Of one neighbour: along the edge by its stretch, and by its bending weight."""
+    """Spring and bending force by one neighbour [g cm/s²]."""
     spring = rows.springs[at]
     rest = spring.length
     if sewn < 1.0:
@@ -89,7 +88,7 @@ def spring_force(at: int, sewn: float, x: wp.vec3, rows: Rows, ahead: wp.array(d
 
 @wp.func
 def coupled_force(at: int, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
-    """Of one face: each edge pulls by what the stretches of the other two add to its own."""
+    """Coupling force by one face: each edge pulls by the stretches of the other two [g cm/s²]."""
     corner = rows.corners[at]
     to_next, to_last = ahead[corner.next] - x, ahead[corner.last] - x
     next_length, last_length = wp.length(to_next), wp.length(to_last)
@@ -104,7 +103,7 @@ def coupled_force(at: int, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=wp.vec3
 def elastic_force(i: int, sewn: float, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
     """Stretching and bending force on vertex ``i`` [g cm/s²].
 
-    The first ``USUAL`` entries are there for every vertex, if need be with no weight: so they are read side by side.
+    Every row has at least ``USUAL`` entries, padded with zero weights, so that the first loops do not diverge.
     """
     x = ahead[i]
     force = -rows.bend_diagonal[i] * x
@@ -120,7 +119,7 @@ def elastic_force(i: int, sewn: float, rows: Rows, ahead: wp.array(dtype=wp.vec3
     for k in range(USUAL, count[1]):
         bend = rows.bends[first + k * rows.lanes]
         force -= bend.weight * ahead[bend.vertex]
-    # Panels that are still drawn together are far longer than the cloth they will be: their edges alone pull.
+    # During sewing, seam edges are far longer than flat; the coupling is meant for small strains.
     if rows.coupled != 0 and sewn >= 1.0:
         for k in range(rows.corner_count[i]):
             force += coupled_force(first + k * rows.lanes, x, rows, ahead)

@@ -1,6 +1,6 @@
-"""Fill the signed-distance fields of bodies, and the part of the body nearest to every voxel.
+"""Signed distance fields of bodies: distance and nearest body part of every voxel, coarse blocks first.
 
-All bodies in one launch: a body alone is waited for longer than it is worked at, on a GPU.
+One launch fills the fields of all bodies: for a single body the latency of a launch on a GPU exceeds its work.
 """
 
 import warp as wp
@@ -8,9 +8,9 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 BLOCK = wp.constant(4)  # voxels along a side
-HALF_BLOCK = wp.constant(2.6)  # voxels from the centre of a block to that of its furthest voxel, and a trifle
-ANYWHERE = wp.constant(1.0e3)  # cm
-TRIFLE = wp.constant(1.0e-2)  # cm; single precision holds that 200 m from the origin
+HALF_BLOCK = wp.constant(2.6)  # voxels from a block's centre to its furthest voxel centre, rounded up
+UNLIMITED = wp.constant(1.0e3)  # cm, search radius
+ROUNDING = wp.constant(1.0e-2)  # cm; single precision resolves this 200 m from the origin
 NEAR, INSIDE, OUTSIDE = wp.constant(0.0), wp.constant(1.0), wp.constant(2.0)
 
 
@@ -20,41 +20,41 @@ class Voxels:
 
     mesh: wp.uint64
     face_parts: wp.array(dtype=wp.uint8)
+    """Body part of each face."""
     low: wp.vec3
-    """Centre of the first [cm]."""
-    patched_above: float
-    """Height above which openings of the skin were closed [cm]."""
+    """Centre of the first voxel [cm]."""
+    lids_above: float
+    """Height below which there are no lids over openings [cm]."""
     blocks: wp.array3d(dtype=wp.vec4)
-    """The skin nearest to the centre of each block of voxels [cm], than which none of these need search further.
-
-    Then ``NEAR``, or where in a block no voxel is within the band of the skin ``INSIDE`` or ``OUTSIDE``.
+    """(x, y, z, kind) of each block: the point of the skin nearest to the block's centre [cm], and ``NEAR``; or
+    ``INSIDE`` or ``OUTSIDE`` for a block without voxels in the band. The point limits the search radius of its voxels.
     """
     distance: wp.array3d(dtype=float)
-    """From the skin to the centre of each voxel [cm], negative inside."""
+    """Signed distance of each voxel's centre from the skin [cm], negative inside."""
     part: wp.array3d(dtype=wp.uint8)
-    """Of the nearest skin."""
+    """Body part of the nearest skin."""
 
 
 @wp.func
 def in_body(mesh: wp.uint64, p: wp.vec3):
-    """Whether the skin above a point is seen from behind."""
+    """Whether a point is inside: a ray upward hits the back of the skin first."""
     up = wp.vec3(0.0, 1.0, 0.0)
     skin = wp.mesh_query_ray(mesh, p, up, 1.0e4)
     return skin.result and wp.dot(skin.normal, up) >= 0.0
 
 
 @wp.func
-def place(number: int, rows: int, columns: int):
-    """Of an entry of an array with so many rows and columns."""
+def unravel_index(number: int, rows: int, columns: int):
+    """Index in a 3D array with ``rows`` and ``columns`` along its last two axes."""
     return wp.vec3i(number // (rows * columns), (number // columns) % rows, number % columns)
 
 
 @wp.kernel
 def measure_blocks(bodies: wp.array(dtype=Voxels), cell: float, band: float):
-    """Fill ``blocks``."""
+    """Fill ``Voxels.blocks``."""
     b, number = wp.tid()
     body = bodies[b]
-    at = place(number, body.blocks.shape[1], body.blocks.shape[2])
+    at = unravel_index(number, body.blocks.shape[1], body.blocks.shape[2])
     if at[0] >= body.blocks.shape[0]:
         return
     middle = wp.vec3(float(at[0]), float(at[1]), float(at[2])) + wp.vec3(0.5 - 0.5 / float(BLOCK))
@@ -65,7 +65,7 @@ def measure_blocks(bodies: wp.array(dtype=Voxels), cell: float, band: float):
         if not in_body(body.mesh, p):
             body.blocks[at[0], at[1], at[2]] = wp.vec4(0.0, 0.0, 0.0, OUTSIDE)
             return
-        near = wp.mesh_query_point_no_sign(body.mesh, p, ANYWHERE)
+        near = wp.mesh_query_point_no_sign(body.mesh, p, UNLIMITED)
         where = INSIDE
     skin = wp.mesh_eval_position(body.mesh, near.face, near.u, near.v)
     body.blocks[at[0], at[1], at[2]] = wp.vec4(skin[0], skin[1], skin[2], where)
@@ -79,8 +79,8 @@ def fill_fields(bodies: wp.array(dtype=Voxels), cell: float, band: float):
     """
     b, number = wp.tid()
     body = bodies[b]
-    in_block = place(number % (BLOCK * BLOCK * BLOCK), BLOCK, BLOCK)
-    block_at = place(number // (BLOCK * BLOCK * BLOCK), body.blocks.shape[1], body.blocks.shape[2])
+    in_block = unravel_index(number % (BLOCK * BLOCK * BLOCK), BLOCK, BLOCK)
+    block_at = unravel_index(number // (BLOCK * BLOCK * BLOCK), body.blocks.shape[1], body.blocks.shape[2])
     at = BLOCK * block_at + in_block
     if at[0] >= body.distance.shape[0] or at[1] >= body.distance.shape[1] or at[2] >= body.distance.shape[2]:
         return
@@ -89,16 +89,16 @@ def fill_fields(bodies: wp.array(dtype=Voxels), cell: float, band: float):
         body.distance[at[0], at[1], at[2]] = band
         return
     p = body.low + cell * wp.vec3(float(at[0]), float(at[1]), float(at[2]))
-    reach = wp.length(p - wp.vec3(block[0], block[1], block[2])) + TRIFLE
+    reach = wp.length(p - wp.vec3(block[0], block[1], block[2])) + ROUNDING
     sign = -1.0
     if block[3] == INSIDE:
         near = wp.mesh_query_point_no_sign(body.mesh, p, reach)
     else:
         near = wp.mesh_query_point_sign_normal(body.mesh, p, wp.min(reach, band))
         sign = near.sign
-        if near.result and p[1] > body.patched_above:
-            # Behind lips, where patched skin folds back on itself, normals tell the wrong side; winding numbers cost
-            # more.
+        if near.result and p[1] > body.lids_above:
+            # Behind the lips a lid folds back on the skin and normals give the wrong sign. Elsewhere normals are
+            # faster.
             winding = wp.mesh_query_point_sign_winding_number(body.mesh, p, wp.min(reach, band))
             sign = winding.sign
         if not near.result:

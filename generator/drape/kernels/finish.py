@@ -1,12 +1,12 @@
-"""The last phase: cloth that crosses the skin is moved off the skin itself, and cannot cross other cloth by it.
+"""Last phase: move cloth that crosses the skin off the skin's triangles, without new crossings of cloth with cloth.
 
-The distance field is a centimetre coarse; fingers and toes are finer. A vertex may move by less than half of its
-distance from any cloth that it could meet, so that no two parts of the cloth can change sides.
+The distance field has voxels of one centimetre; fingers and toes are finer. A vertex moves by less than half its
+distance from other cloth, so that no contact can change sides.
 """
 
 import warp as wp
 
-from gcd_dataset.generator.drape.kernels.body_contact import is_unseen, nearest_part
+from gcd_dataset.generator.drape.kernels.body_contact import is_ignored, nearest_part
 from gcd_dataset.generator.drape.kernels.crossing import crosses_skin
 from gcd_dataset.generator.drape.kernels.geometry import closest_on_edges, closest_on_triangle
 from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, entries
@@ -14,20 +14,20 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, en
 wp.set_module_options({"enable_backward": False})
 
 SHARE = 0.45  # of the distance from other cloth, by which a vertex may move
-CLEAR = 0.12  # cm from the skin that is aimed at
-DEEPEST = 3.0  # cm: what is further inside is left there
+CLEAR = 0.12  # cm, target distance from the skin
+DEEPEST = 3.0  # cm: cloth deeper inside stays there
 
 
 @wp.kernel
-def begin_finish(
+def reset_allowed_moves(
     worlds: wp.array(dtype=World),
     cloth: Cloth,
     # state out
-    free: wp.array(dtype=float),
+    allowed: wp.array(dtype=float),
 ):
-    """Every vertex may move within the margin of the search to come."""
+    """Allow every vertex a share of the contact search's margin: unlisted cloth is further away than that."""
     i = wp.tid()
-    free[i] = SHARE * worlds[cloth.vertex_world[i]].margin
+    allowed[i] = SHARE * worlds[cloth.vertex_world[i]].margin
 
 
 @wp.kernel
@@ -39,9 +39,9 @@ def bound_moves(
     chosen: wp.array(dtype=int),
     x: wp.array(dtype=wp.vec3),
     # state in and out
-    free: wp.array(dtype=float),
+    allowed: wp.array(dtype=float),
 ):
-    """Let no vertex move by more than a share of its distance from the cloth that is near it."""
+    """Limit the allowed move of every vertex to a share of its distance from the cloth in its contacts."""
     w, thread = wp.tid()
     if chosen[w] == 0:
         return
@@ -52,13 +52,13 @@ def bound_moves(
         weights = closest_on_triangle(x[pair[0]], x[pair[1]], x[pair[2]], x[pair[3]])
         at = weights[0] * x[pair[1]] + weights[1] * x[pair[2]] + weights[2] * x[pair[3]]
         for corner in range(4):
-            wp.atomic_min(free, pair[corner], SHARE * wp.length(x[pair[0]] - at))
+            wp.atomic_min(allowed, pair[corner], SHARE * wp.length(x[pair[0]] - at))
     for k in range(thread, entries(contacts.edge_count, w, world, contacts), threads):
         pair = contacts.edges[start + k]
         st = closest_on_edges(x[pair[0]], x[pair[1]], x[pair[2]], x[pair[3]])
         between = wp.lerp(x[pair[2]], x[pair[3]], st[1]) - wp.lerp(x[pair[0]], x[pair[1]], st[0])
         for corner in range(4):
-            wp.atomic_min(free, pair[corner], SHARE * wp.length(between))
+            wp.atomic_min(allowed, pair[corner], SHARE * wp.length(between))
 
 
 @wp.kernel
@@ -70,7 +70,7 @@ def mark_body_crossings(
     # state out
     through: wp.array(dtype=int),
 ):
-    """Mark the ends of edges that cross the skin."""
+    """Mark the ends of edges that cross the skin, in the chosen worlds."""
     e = wp.tid()
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
@@ -84,7 +84,7 @@ def mark_body_crossings(
 
 @wp.func
 def nearest_exit(mesh: wp.uint64, p: wp.vec3) -> wp.vec4:
-    """Direction out of the body at ``p``, and how far to go until it is clear of the skin [1, cm]."""
+    """Direction out of the body at ``p``, and the distance to ``CLEAR`` outside the skin [1, cm]."""
     near = wp.mesh_query_point_sign_normal(mesh, p, DEEPEST)
     if not near.result:
         return wp.vec4(0.0)
@@ -104,13 +104,13 @@ def leave_skin(
     # state in
     chosen: wp.array(dtype=int),
     through: wp.array(dtype=int),
-    free: wp.array(dtype=float),
+    allowed: wp.array(dtype=float),
     x_start: wp.array(dtype=wp.vec3),
     x_in: wp.array(dtype=wp.vec3),
     # state out
     x_out: wp.array(dtype=wp.vec3),
 ):
-    """Move the ends of edges that cross the skin out of it, by what the deepest point of their edges needs."""
+    """Move the ends of edges that cross the skin outward, by the need of the deepest sampled point of their edges."""
     i = wp.tid()
     w = cloth.vertex_world[i]
     p = x_in[i]
@@ -125,12 +125,12 @@ def leave_skin(
         for quarter in range(4):
             here = wp.lerp(p, x_in[j], 0.25 * float(quarter))
             part = nearest_part(world, cloth.field_parts, here)
-            if not is_unseen(cloth.unseen_parts[i] & cloth.unseen_parts[j], part):
+            if not is_ignored(cloth.ignored_parts[i] & cloth.ignored_parts[j], part):
                 out = nearest_exit(cloth.body_mesh[w], here)
                 if out[3] > deepest[3]:
                     deepest = out
     moved = p + deepest[3] * wp.vec3(deepest[0], deepest[1], deepest[2]) - x_start[i]
     length = wp.length(moved)
-    if length > free[i]:
-        moved = moved * (free[i] / length)
+    if length > allowed[i]:
+        moved = moved * (allowed[i] / length)
     x_out[i] = x_start[i] + moved

@@ -1,4 +1,4 @@
-"""Points, segments and triangles: nearest points, and whether they cross."""
+"""Points, segments and triangles: nearest points, intersection test, separation distance."""
 
 import warp as wp
 
@@ -43,7 +43,7 @@ def closest_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.ve
 
 @wp.func
 def closest_on_edges(a0: wp.vec3, a1: wp.vec3, b0: wp.vec3, b1: wp.vec3) -> wp.vec2:
-    """Parameters of the two nearest points of two segments (Ericson, 5.1.9)."""
+    """Parameters, 0 to 1, of the two nearest points of two segments (Ericson, 5.1.9)."""
     da = a1 - a0
     db = b1 - b0
     r = a0 - b0
@@ -52,10 +52,10 @@ def closest_on_edges(a0: wp.vec3, a1: wp.vec3, b0: wp.vec3, b1: wp.vec3) -> wp.v
     br = wp.dot(db, r)
     ar = wp.dot(da, r)
     ab = wp.dot(da, db)
-    wide = aa * bb - ab * ab
+    det = aa * bb - ab * ab
     s = 0.5
-    if wide > 1.0e-9 * aa * bb:
-        s = wp.clamp((ab * br - ar * bb) / wide, 0.0, 1.0)
+    if det > 1.0e-9 * aa * bb:  # else parallel
+        s = wp.clamp((ab * br - ar * bb) / det, 0.0, 1.0)
     t = (ab * s + br) / wp.max(bb, 1.0e-12)
     if t < 0.0:
         t = 0.0
@@ -68,7 +68,7 @@ def closest_on_edges(a0: wp.vec3, a1: wp.vec3, b0: wp.vec3, b1: wp.vec3) -> wp.v
 
 @wp.func
 def segment_crosses(p: wp.vec3, q: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> bool:
-    """Whether segment pq crosses triangle abc (Möller–Trumbore, both ends included)."""
+    """Whether segment pq intersects triangle abc (Möller–Trumbore, both ends included)."""
     along = q - p
     ab = b - a
     ac = c - a
@@ -94,6 +94,6 @@ def has_vertex(face: wp.vec3i, i: int) -> bool:
 
 
 @wp.func
-def separation(gap_old: float, gap_new: float, thickness: float, max_part: float) -> float:
-    """How far a pair is pushed apart [cm]: what it came nearer at once, what was too near before little by little."""
-    return wp.clamp(thickness - gap_new, 0.0, wp.max(gap_old - gap_new, 0.0) + max_part)
+def separation(gap_old: float, gap_new: float, thickness: float, max_old: float) -> float:
+    """How far to push a pair apart [cm]: this substep's approach in full, older overlap by at most ``max_old``."""
+    return wp.clamp(thickness - gap_new, 0.0, wp.max(gap_old - gap_new, 0.0) + max_old)

@@ -1,39 +1,39 @@
-"""Displacements that many contacts ask of one vertex, added up as whole numbers.
+"""Sums of contact displacements at each vertex, in fixed point.
 
-Integer addition does not depend on its order, so the sum is the same on every run and device, whatever else is in the
-batch; floating-point atomics would not be.
+Integer addition does not depend on the order, so the sum is the same on every run and in any batch; floating-point
+atomics would not be.
 
-A vertex in several contacts must not be pushed by all of them in full. So a contact adds its weight to its vertices in
-the step before it is expected, and what it pushes is divided by the largest sum of weights among them. Both parts of a
-pair still get the same impulse.
+A vertex in several contacts must not be pushed by each in full. So every contact adds its weight to its vertices one
+substep ahead, and divides its impulse by the largest weight sum among its vertices. Both elements of a pair still get
+the same impulse.
 """
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-PUSH_SCALE = 16777216.0  # 2**24 units in a centimetre: a quantum of 6e-8 cm, overflow at 128 cm
-WEIGHT_SCALE = 65536.0
-HEIGHT_SCALE = 256.0
+PUSH_SCALE = 16777216.0  # 2**24 units in a centimetre: resolution 6e-8 cm, overflow at 128 cm
+WEIGHT_SCALE = 65536.0  # units of contact weight 1
+HEIGHT_SCALE = 256.0  # units in a centimetre of height
 
 
 @wp.func
 def add_weight(push: wp.array2d(dtype=int), i: int, weight: float):
-    """Announce a contact that moves vertex ``i`` by ``weight`` times its depth."""
+    """Add a contact's weight at vertex ``i``, for the next substep."""
     wp.atomic_add(push, i, 3, int(wp.round(weight * WEIGHT_SCALE)))
 
 
 @wp.func
 def take_contact_weight(push: wp.array2d(dtype=int), i: int) -> float:
-    """The weights announced at vertex ``i``, at least 1; cleared for the next step."""
-    announced = float(push[i, 3]) / WEIGHT_SCALE
+    """The sum of weights at vertex ``i``, at least 1; resets the sum."""
+    total = float(push[i, 3]) / WEIGHT_SCALE
     push[i, 3] = 0
-    return wp.max(announced, 1.0)
+    return wp.max(total, 1.0)
 
 
 @wp.func
 def add_push(push: wp.array2d(dtype=int), i: int, displacement: wp.vec3):
-    """Ask vertex ``i`` to move by ``displacement`` [cm]."""
+    """Add a displacement to vertex ``i`` [cm]."""
     wp.atomic_add(push, i, 0, int(wp.round(displacement[0] * PUSH_SCALE)))
     wp.atomic_add(push, i, 1, int(wp.round(displacement[1] * PUSH_SCALE)))
     wp.atomic_add(push, i, 2, int(wp.round(displacement[2] * PUSH_SCALE)))
@@ -41,7 +41,7 @@ def add_push(push: wp.array2d(dtype=int), i: int, displacement: wp.vec3):
 
 @wp.func
 def take_push(push: wp.array2d(dtype=int), i: int) -> wp.vec3:
-    """What vertex ``i`` was asked for in all [cm]; cleared for the next step."""
+    """The sum of displacements of vertex ``i`` [cm]; resets the sum."""
     total = wp.vec3(float(push[i, 0]), float(push[i, 1]), float(push[i, 2])) / PUSH_SCALE
     push[i, 0] = 0
     push[i, 1] = 0

@@ -1,4 +1,4 @@
-"""A coarse cloth's shape handed to the fine cloth that goes on from it."""
+"""Interpolate a coarse drape to the fine mesh that continues from it."""
 
 import warp as wp
 
@@ -25,16 +25,16 @@ def refine(
     x_seen: wp.array(dtype=wp.vec3),
     x_searched: wp.array(dtype=wp.vec3),
 ):
-    """Each vertex between three of the coarse cloth; those without weights stay as they are."""
+    """Interpolate each vertex between three coarse vertices; vertices with zero weights keep their state."""
     i = wp.tid()
-    share = weights[i]
-    if share[0] + share[1] + share[2] == 0.0:
+    weight = weights[i]
+    if weight[0] + weight[1] + weight[2] == 0.0:
         return
     corner = corners[i]
-    here = share[0] * x_coarse[corner[0]] + share[1] * x_coarse[corner[1]] + share[2] * x_coarse[corner[2]]
-    speed = share[0] * v_coarse[corner[0]] + share[1] * v_coarse[corner[1]] + share[2] * v_coarse[corner[2]]
+    here = weight[0] * x_coarse[corner[0]] + weight[1] * x_coarse[corner[1]] + weight[2] * x_coarse[corner[2]]
+    velocity = weight[0] * v_coarse[corner[0]] + weight[1] * v_coarse[corner[1]] + weight[2] * v_coarse[corner[2]]
     x[i] = here
     x_seen[i] = here
     x_searched[i] = here
-    v[i] = speed
-    ahead[i] = here + (LOOK_AHEAD * worlds[vertex_world[i]].dt) * speed
+    v[i] = velocity
+    ahead[i] = here + (LOOK_AHEAD * worlds[vertex_world[i]].dt) * velocity

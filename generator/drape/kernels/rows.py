@@ -1,4 +1,4 @@
-"""The elastic forces at each vertex as rows of springs, hinges and corners, computed on the device of the batch."""
+"""Assemble the rows of springs, bending weights and corners of each vertex, on the device of the batch."""
 
 import warp as wp
 
@@ -8,12 +8,12 @@ from gcd_dataset.generator.drape.kernels.topology import Hinges, Surface, flat_a
 
 wp.set_module_options({"enable_backward": False})
 
-TAPE = 10.0  # stiffness of an edge that keeps a garment up, over that of its cloth: it is taped or faced
+TAPE = 10.0  # stiffness factor of edges between keepers: such an edge is taped or faced
 
 
 @wp.func
 def corner_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int) -> float:
-    """Largest eigenvalue of the two springs of a face at one of its corners, for a membrane of stiffness 1."""
+    """Largest eigenvalue of a face's two springs at one of its corners, for membrane stiffness 1."""
     area = flat_area(flat, f)
     out = flat[f, (corner + 1) % 3] - flat[f, corner]
     back = flat[f, (corner + 2) % 3] - flat[f, corner]
@@ -26,9 +26,9 @@ def corner_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int) -> f
 
 @wp.func
 def grained_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int, springs: wp.mat33d) -> float:
-    """The same for a face of a fabric with a grain, coupled as it will be or not, whichever is stiffer.
+    """``corner_stiffness`` for a fabric with a grain: the larger of coupled and uncoupled springs.
 
-    Three coupled corners can be half as stiff again, moving together, as two spring ends can.
+    The factor 3/2 bounds the coupled case, where three corners move together instead of two spring ends.
     """
     area = flat_area(flat, f)
     last = (corner + 2) % 3
@@ -48,7 +48,7 @@ def grained_stiffness(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int, spr
 
 @wp.func
 def corner_of(surface: Surface, hinges: Hinges, f: int, corner: int, springs: wp.mat33d, membrane: float) -> Corner:
-    """The coupling between the edges of a face, seen from one of its corners."""
+    """Coupling between the edges of a face, for one of its corners."""
     across = (corner + 1) % 3
     last = (corner + 2) % 3
     scale = wp.float64(membrane) * flat_area(surface.flat, f)
@@ -81,7 +81,7 @@ def corner_at(face: wp.vec3i, i: int) -> int:
 
 @wp.func
 def side_across(opposite: wp.vec2i, i: int) -> int:
-    """0 or 1 where vertex ``i`` lies across the hinge in its first or second face; -1 for an edge without a hinge."""
+    """0 or 1: the face of a hinge in which vertex ``i`` is opposite; -1 for an edge without a hinge."""
     if opposite[1] >= 0:
         if opposite[0] == i:
             return 0
@@ -92,7 +92,7 @@ def side_across(opposite: wp.vec2i, i: int) -> int:
 
 @wp.func
 def spring_to(i: int, j: int, surface: Surface) -> int:
-    """The row of the spring from ``i`` to ``j``."""
+    """Position of the spring from ``i`` to ``j`` in the row of ``i``."""
     for at in range(surface.first_edge[i], surface.first_edge[i + 1]):
         ends = surface.edges[surface.vertex_edges[at]]
         if ends[0] == j or ends[1] == j:
@@ -102,7 +102,7 @@ def spring_to(i: int, j: int, surface: Surface) -> int:
 
 @wp.func
 def end_weight(e: int, i: int, surface: Surface, hinges: Hinges) -> float:
-    """The weight of vertex ``i``, an end of a hinge, in its bending vector."""
+    """Weight of end ``i`` of a hinge in its bending vector."""
     if surface.edges[e][0] == i:
         return hinges.weights[e][0]
     return hinges.weights[e][1]
@@ -110,7 +110,7 @@ def end_weight(e: int, i: int, surface: Surface, hinges: Hinges) -> float:
 
 @wp.func
 def fill_springs(i: int, sheet: Sheet, surface: Surface, hinges: Hinges, keeper: wp.array(dtype=wp.uint8), rows: Rows):
-    """Write the springs of a vertex, without bending; returns the taped edges' part of the bound, over the membrane."""
+    """Write the springs of a vertex without bending; returns the added stiffness of tapes, over the membrane's."""
     stiffer = float(0.0)
     for row in range(surface.first_edge[i + 1] - surface.first_edge[i]):
         e = surface.vertex_edges[surface.first_edge[i] + row]
@@ -126,7 +126,7 @@ def fill_springs(i: int, sheet: Sheet, surface: Surface, hinges: Hinges, keeper:
 
 @wp.func
 def add_end_bending(i: int, surface: Surface, hinges: Hinges, rows: Rows):
-    """Add the hinges of which a vertex is an end to its springs; returns their part of the diagonal."""
+    """Add the bending weights of hinges that end in a vertex to its springs; returns their part of the diagonal."""
     diagonal = float(0.0)
     for row in range(surface.first_edge[i + 1] - surface.first_edge[i]):
         e = surface.vertex_edges[surface.first_edge[i] + row]
@@ -144,7 +144,7 @@ def add_end_bending(i: int, surface: Surface, hinges: Hinges, rows: Rows):
 
 @wp.func
 def pad_row(i: int, springs: int, bends: int, rows: Rows):
-    """Fill the row of a vertex up to ``USUAL`` entries, with entries of no weight."""
+    """Pad the row of a vertex to ``USUAL`` entries with zero weights."""
     for row in range(springs, USUAL):
         rows.springs[entry(rows, i, row)] = Spring(i, 0.0, 0.0, 0.0)
         rows.start_length[entry(rows, i, row)] = 0.0
@@ -176,13 +176,14 @@ def weigh_rows(
     stiffness: wp.array(dtype=float),
     rows: Rows,
 ):
-    """One row of springs and bending weights for each vertex, by the fabric of its garment.
+    """Assemble the row of each vertex from the fabric of its garment; also its mass and stiffness bound.
 
-    A spring's stiffness is Van Gelder's (1998) for a membrane: stiffness × area / length², summed over its faces; that
-    of the edges that keep a garment up is ``TAPE`` times as large. In a fabric with a grain it is the spring's own part
-    of the face's energy (``springs_of``), and the rest of that couples the edges.
-    ``stiffness`` over inertia bounds the squared frequencies, however the faces are turned: a spring's energy is at
-    most twice that of its two ends moving alone, and the springs of a face lie in its plane.
+    Spring stiffness after Van Gelder (1998): membrane stiffness × area / length², summed over the faces of the edge;
+    ``TAPE`` times as much between keepers. In a fabric with a grain it is the diagonal of the face's energy
+    (``springs_of``), whose other entries couple the edges.
+
+    ``stiffness`` over inertia bounds the squared angular frequencies at any orientation of the faces: a spring's energy
+    is at most twice the sum of its ends moving alone, and the springs of a face lie in its plane.
     """
     i = wp.tid()
     sheet = sheets[vertex_world[i]]
@@ -237,6 +238,6 @@ def add_inertia(
     # out
     inertia: wp.array(dtype=float),
 ):
-    """Inertia: the mass, or more where the time step is stable only with more."""
+    """Inertial mass: the mass, or more where the time step would be unstable."""
     i = wp.tid()
     inertia[i] = wp.max(mass[i], stiffness[i] * step_sq[vertex_world[i]])

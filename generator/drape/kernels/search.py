@@ -1,7 +1,8 @@
-"""Which pairs of points and triangles, and of edges, may touch soon: found anew when a garment has moved far enough.
+"""Search for contacts, repeated whenever a garment has moved far enough: broad phase, then narrow phase.
 
-Vertices that come near each other without being neighbours are found first, by a grid; a pair of parts that is nearer
-than the margin has two such vertices, the nearest on either side, and is found round them alone.
+The broad phase lists pairs of near vertices that are not neighbours, by a hash grid. The narrow phase tests the faces
+and edges round these vertices: two elements nearer than the margin have near vertices, the nearest of each, and are
+found from this pair alone.
 """
 
 import warp as wp
@@ -28,10 +29,10 @@ from gcd_dataset.generator.drape.kernels.world import (
 
 wp.set_module_options({"enable_backward": False})
 
-ROUND = wp.constant(8)  # about as many as a vertex has edges
-SHARERS = wp.constant(16)  # threads that share a pair of vertices
-OWN_CELL = wp.constant(13)  # of 27
-SHORT_EDGE = 1.5  # cm: of longer edges the middle keeps off the body too
+STRIDE = wp.constant(8)  # threads that share a vertex's faces and edges; a vertex has about six
+THREADS_PER_PAIR = wp.constant(16)  # threads that share a pair of vertices: 2 STRIDE
+OWN_CELL = wp.constant(13)  # index of the centre among 27 cells
+SHORT_EDGE = 1.5  # cm: longer edges have body contacts along their inside too
 
 
 @wp.kernel
@@ -42,7 +43,7 @@ def plan_search(
     search: SearchState,
     crossing: CrossingWatch,
 ):
-    """Mark the worlds to be searched."""
+    """Mark the worlds in which contacts are searched now."""
     w = wp.tid()
     search.searching[w] = 0
     if status[w] != RUNNING or search.moved_far[w] == 0:
@@ -65,13 +66,13 @@ def are_neighbours(i: int, j: int, cloth: Cloth) -> bool:
 
 @wp.func
 def cell_of(p: wp.vec3, width: float) -> wp.vec3i:
-    """The cell of the grid that a point lies in."""
+    """The grid cell of a point."""
     return wp.vec3i(int(wp.floor(p[0] / width)), int(wp.floor(p[1] / width)), int(wp.floor(p[2] / width)))
 
 
 @wp.func
 def bucket_of(cell: wp.vec3i, w: int, buckets: int) -> int:
-    """Where the vertices of a world in a cell are kept (Teschner et al., 2003); ``buckets`` is a power of two."""
+    """Hash bucket of a world's cell (Teschner et al., 2003); ``buckets`` is a power of two."""
     mixed = (cell[0] * 73856093) ^ (cell[1] * 19349663) ^ (cell[2] * 83492791) ^ (w * 28411639)
     return (mixed ^ (mixed >> 15)) & (buckets - 1)
 
@@ -91,7 +92,7 @@ def fill_grid(
     beside: wp.array(dtype=int),
     listed: wp.array(dtype=int),
 ):
-    """Put every vertex before the others in its bucket: ``newest`` begins a chain that ``older`` continues."""
+    """Prepend every vertex to its bucket's linked list: ``newest`` is the head, ``older`` the next vertex."""
     i = wp.tid()
     w = cloth.vertex_world[i]
     if searching[w] == 0:
@@ -103,7 +104,7 @@ def fill_grid(
 
 
 @wp.kernel
-def find_near(
+def find_near_vertices(
     # model
     worlds: wp.array(dtype=World),
     cloth: Cloth,
@@ -119,9 +120,9 @@ def find_near(
     beside: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """List the pairs of vertices near each other, and note how far every vertex is from the skin.
+    """Broad phase: list pairs of near vertices, and store the distance of every vertex from the skin.
 
-    A vertex looks into half of the cells round it, since others look into its own.
+    A vertex visits its own cell and half of the neighbouring cells; vertices of the other half visit its cell.
     """
     i, thread = wp.tid()
     w = cloth.vertex_world[i]
@@ -131,8 +132,8 @@ def find_near(
     p = x[i]
     if thread == 0:
         x_searched[i] = p
-        near = sample_field(world, cloth.field, p)
-        skin[i] = near[3]
+        nearest = sample_field(world, cloth.field, p)
+        skin[i] = nearest[3]
     own = cell_of(p, world.near)
     for neighbour in range(OWN_CELL + thread, 27, threads):
         cell = own + wp.vec3i(neighbour % 3 - 1, (neighbour // 3) % 3 - 1, neighbour // 9 - 1)
@@ -140,8 +141,8 @@ def find_near(
         while j >= 0:
             q = x[j]
             if (neighbour > OWN_CELL or j < i) and wp.length_sq(q - p) <= world.near * world.near:
-                ours = j >= world.first and j < world.first + world.size
-                if ours and cell_of(q, world.near) == cell and not are_neighbours(i, j, cloth):
+                same_world = j >= world.first and j < world.first + world.size
+                if same_world and cell_of(q, world.near) == cell and not are_neighbours(i, j, cloth):
                     beside[i] = 1
                     beside[j] = 1
                     slot = take_slot(contacts.near_count, w, world, contacts)
@@ -162,7 +163,7 @@ def crosses_near(i: int, j: int, corner: int, cloth: Cloth, x: wp.array(dtype=wp
 
 
 @wp.func
-def watch_point(
+def list_point_triangle(
     i: int,
     j: int,
     f: int,
@@ -175,7 +176,10 @@ def watch_point(
     listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """List vertex ``i`` with face ``f`` where it is near, and nearest to the face's corner ``j``."""
+    """List vertex ``i`` with face ``f`` if nearer than the margin.
+
+    Only from the pair of ``i`` with the face's nearest corner ``j``, so that each contact is listed once.
+    """
     face = cloth.faces[f]
     point = wp.vec4i(i, face[0], face[1], face[2])
     if has_vertex(face, i) or point_passed(point, passed):
@@ -199,7 +203,7 @@ def watch_point(
             ends = cloth.edges[cloth.vertex_edges[at]]
             for k in range(3):
                 if crosses_near(ends[0], ends[1], face[k], cloth, x):
-                    return  # on which side it belongs cannot be told
+                    return  # the cloth crosses here: the right side is unknown
     side = float(1.0)
     if wp.dot(away, wp.cross(b - a, c - a)) < 0.0:
         side = -1.0
@@ -211,7 +215,7 @@ def watch_point(
 
 
 @wp.func
-def watch_edges(
+def list_edge_edge(
     i: int,
     j: int,
     e: int,
@@ -225,7 +229,10 @@ def watch_edges(
     listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """List two edges where they are near, inside both and nearest to their ends ``i`` and ``j``."""
+    """List edges ``e`` and ``g`` if they are nearest inside both, and nearer than the margin.
+
+    Only from the pair of their nearest ends ``i`` and ``j``, so that each contact is listed once.
+    """
     i1 = cloth.edges[e][0] + cloth.edges[e][1] - i
     j1 = cloth.edges[g][0] + cloth.edges[g][1] - j
     ends = wp.vec4i(i, i1, j, j1)
@@ -233,7 +240,7 @@ def watch_edges(
         return
     st = closest_on_edges(x[i], x[i1], x[j], x[j1])
     if st[0] <= 0.0 or st[0] > 0.5 or st[1] <= 0.0 or st[1] > 0.5:
-        return  # nearest at an end: a point and a triangle see to it; or another pair of ends does
+        return  # nearest at an end: a point-triangle contact; in another half: listed from there
     between = wp.lerp(x[j], x[j1], st[1]) - wp.lerp(x[i], x[i1], st[0])
     gap = wp.length(between)
     if gap > world.margin or gap < 1.0e-6:
@@ -250,14 +257,14 @@ def watch_edges(
 
 
 @wp.kernel
-def share_near(
+def scan_near_work(
     worlds: wp.array(dtype=World),
     # state in
     searching: wp.array(dtype=int),
     # state in and out
     contacts: Contacts,
 ):
-    """Count the near pairs of the worlds before each, so that threads can share them all; one row more than worlds."""
+    """Prefix sums of near pairs over the searching worlds, with the total in the last entry."""
     w = wp.tid()
     before = int(0)
     for other in range(w):
@@ -267,7 +274,7 @@ def share_near(
 
 
 @wp.kernel
-def find_pairs(
+def find_contacts(
     # model
     worlds: wp.array(dtype=World),
     cloth: Cloth,
@@ -280,12 +287,12 @@ def find_pairs(
     listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """List the points and triangles, and the edges, near each other round every near pair of vertices."""
-    total = SHARERS * contacts.near_work[contacts.near_work.shape[0] - 1]
+    """Narrow phase: list point-triangle and edge-edge contacts round every near pair of vertices."""
+    total = THREADS_PER_PAIR * contacts.near_work[contacts.near_work.shape[0] - 1]
     for task in range(wp.tid(), total, threads):
-        item = task // SHARERS
-        turn = task % ROUND
-        half = (task % SHARERS) // ROUND
+        item = task // THREADS_PER_PAIR
+        lane = task % STRIDE
+        half = (task % THREADS_PER_PAIR) // STRIDE
         w = world_of(item, contacts.near_work)
         world = worlds[w]
         pair = contacts.near[contacts.room * world.first + item - contacts.near_work[w]]
@@ -296,13 +303,13 @@ def find_pairs(
         if half == 1:
             p = j
             q = i
-        for at in range(cloth.first_face[q] + turn, cloth.first_face[q + 1], ROUND):
-            watch_point(p, q, cloth.vertex_faces[at], w, world, cloth, tangled, passed, x, listed, contacts)
-        for at in range(cloth.first_edge[i] + turn, cloth.first_edge[i + 1], ROUND):
+        for at in range(cloth.first_face[q] + lane, cloth.first_face[q + 1], STRIDE):
+            list_point_triangle(p, q, cloth.vertex_faces[at], w, world, cloth, tangled, passed, x, listed, contacts)
+        for at in range(cloth.first_edge[i] + lane, cloth.first_edge[i + 1], STRIDE):
             e = cloth.vertex_edges[at]
             for to in range(cloth.first_edge[j] + half, cloth.first_edge[j + 1], 2):
                 g = cloth.vertex_edges[to]
-                watch_edges(i, j, e, g, w, world, cloth, tangled, passed, x, listed, contacts)
+                list_edge_edge(i, j, e, g, w, world, cloth, tangled, passed, x, listed, contacts)
 
 
 @wp.kernel
@@ -317,7 +324,7 @@ def find_long_edges(
     listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """List the long edges whose middle may come near the skin: of coarse cloth, and of seams not yet closed."""
+    """List long edges whose midpoint may come near the skin: edges of coarse cloth, and of seams not closed yet."""
     e = wp.tid()
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]

@@ -1,4 +1,4 @@
-"""A fabric on a mesh: how stiff the springs of a face and the hinge of an edge are, by their directions in the flat."""
+"""A fabric on a mesh: stiffness of a face's springs and an edge's hinge, by their directions relative to the grain."""
 
 import warp as wp
 
@@ -6,31 +6,31 @@ from gcd_dataset.generator.drape.fabric import DYNE_CM, DYNES_PER_CM, POISSON, F
 
 wp.set_module_options({"enable_backward": False})
 
-# Bergou et al.'s energy takes the jump of the slope over each edge for the curvature round it. Where positions are
-# known at the vertices alone the jumps alternate: on equilateral triangles their squares make three times the sheet's.
+# Bergou et al. (2006) take the jump of the slope over each edge for the curvature there. With positions at vertices
+# only, the jumps alternate: on equilateral triangles the sum of their squares is three times that of the smooth sheet.
 EXCESS = 3.0
-SLIVER = 0.12  # sin a sin b sin c of a face's angles: about 7° and two of 86°
-LEAST_BEND = 0.5  # of the softer direction's rigidity
+SLIVER = 0.12  # product of the sines of a face's angles below which it is a sliver: 7° and two of 86°
+LEAST_BEND = 0.5  # least rigidity of a hinge over that of the softer direction
 
 
 @wp.struct
 class Sheet:
-    """A fabric."""
+    """A fabric in the units of the kernels."""
 
     mass: float  # g/cm²
     membrane: float  # g/s², along the warp
-    bend_warp: float  # g cm²/s², that Bergou et al.'s energy is multiplied by
+    bend_warp: float  # g cm²/s², factor of Bergou et al.'s energy: rigidity over ``EXCESS``
     bend_weft: float  # g cm²/s²
-    grained: int  # 1 where it stretches otherwise along the weft or the bias than along the warp
-    stretch: wp.mat33d  # tension by strain over ``membrane``: along the weft, along the warp, in shear
+    grained: int  # 1 for an anisotropic tensile stiffness
+    stretch: wp.mat33d  # stiffness matrix over ``membrane``, rows and columns: weft, warp, shear
 
 
 def sheet_of(fabric: Fabric) -> Sheet:
-    """The fabric as the kernels want it."""
+    """The kernels' struct of a fabric."""
     sheet = Sheet()
     sheet.mass, sheet.membrane = fabric.mass, fabric.membrane
     sheet.bend_warp, sheet.bend_weft = (rigidity * DYNE_CM / EXCESS for rigidity in fabric.bend)
-    sheet.grained = int(not fabric.alike)
+    sheet.grained = int(not fabric.isotropic)
     warp, weft, _ = fabric.pull
     plain = 1 / (1 - POISSON**2)
     across = POISSON * (warp * weft) ** 0.5
@@ -42,16 +42,16 @@ def sheet_of(fabric: Fabric) -> Sheet:
 
 @wp.func
 def strain_row(flat: wp.array2d(dtype=wp.vec2d), f: int, side: int) -> wp.vec3d:
-    """What strains along weft and warp and a shear add to the strain of a side."""
+    """Coefficients of weft strain, warp strain and shear in the strain along a side."""
     along = wp.normalize(flat[f, (side + 1) % 3] - flat[f, side])
     return wp.vec3d(along[0] * along[0], along[1] * along[1], along[0] * along[1])
 
 
 @wp.func
 def springs_of(flat: wp.array2d(dtype=wp.vec2d), f: int, sheet: Sheet) -> wp.mat33d:
-    """The energy of a face by the strains of its sides, times two, over area and membrane stiffness.
+    """Matrix of a face's energy in the strains of its sides: twice the energy over area and membrane stiffness.
 
-    Any three sides tell the whole strain, so this is the sheet itself; slivers are left with three equal springs.
+    Three side strains determine the strain of the face, so this is exact. Slivers get three equal springs.
     """
     rows = wp.matrix_from_rows(strain_row(flat, f, 0), strain_row(flat, f, 1), strain_row(flat, f, 2))
     if wp.abs(wp.determinant(rows)) < wp.float64(SLIVER):
@@ -62,17 +62,17 @@ def springs_of(flat: wp.array2d(dtype=wp.vec2d), f: int, sheet: Sheet) -> wp.mat
 
 @wp.func
 def bend_share(flat: wp.array2d(dtype=wp.vec2d), f: int, side: int) -> wp.float64:
-    """How far cloth that is folded along a side bends along the weft: 1 all, 0 along the warp."""
+    """Share of the weft in the bending of cloth folded along a side: 1 along the weft, 0 along the warp."""
     along = wp.normalize(flat[f, (side + 1) % 3] - flat[f, side])
     return along[1] * along[1]
 
 
 @wp.func
 def hinge_rigidity(sheet: Sheet, share: wp.float64) -> float:
-    """Of a hinge, so that a mesh of equilateral triangles with a side along the weft bends as the fabric does.
+    """Rigidity of a hinge with which equilateral triangles with a side along the weft bend like the fabric.
 
-    Bent along the warp only hinges along the weft move (share 0), bent along the weft (share 3/4 and 0) all do: with
-    their jumps 2, 2 and -1 the sheet's rigidity is 8/9 and 1/9 of theirs.
+    Bending along the warp moves only hinges along the weft (share 0); bending along the weft moves all hinges (shares
+    3/4 and 0), with jumps 2, 2 and -1, so the sheet's rigidity is 8/9 and 1/9 of theirs.
     """
     if sheet.bend_warp == sheet.bend_weft:
         return sheet.bend_warp

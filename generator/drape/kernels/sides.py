@@ -1,8 +1,8 @@
-"""On which side of each other two parts of the cloth belong: remembered from before they passed through each other.
+"""Sides of contacts: detect pairs that have passed through each other, and keep their old sides.
 
-Whatever may touch before the next search is listed before it touches, with its side. A listed pair that is on the other
-side at the next search, its point right above the triangle then and now, has passed through; going round a rim takes
-longer. Until it is back, only the sides listed before count where it is.
+A pair is listed with its side before it touches. If it is on the other side at the next search, and the point's
+projection lies within the triangle both times, it has passed through: a way round the rim takes longer. Until the pair
+is back, its vertices get no new contacts with each other, only the contacts listed before, with the old side.
 """
 
 import warp as wp
@@ -15,7 +15,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def height_over(point: wp.vec4i, x: wp.array(dtype=wp.vec3)) -> float:
-    """How high a vertex is over a triangle in multiples of its double area, or 0 where it is not above or below it."""
+    """Signed height over a triangle times its double area; 0 if the vertex projects outside the triangle."""
     a = x[point[1]]
     b = x[point[2]]
     c = x[point[3]]
@@ -26,8 +26,8 @@ def height_over(point: wp.vec4i, x: wp.array(dtype=wp.vec3)) -> float:
 
 
 @wp.func
-def way_between(ends: wp.vec4i, x: wp.array(dtype=wp.vec3)) -> wp.vec3:
-    """The way from one edge to another, or zero where they are nearest at an end."""
+def gap_between(ends: wp.vec4i, x: wp.array(dtype=wp.vec3)) -> wp.vec3:
+    """Vector between the nearest points of two edges; zero if one of these points is an end."""
     p = x[ends[0]]
     p1 = x[ends[1]]
     q = x[ends[2]]
@@ -39,9 +39,9 @@ def way_between(ends: wp.vec4i, x: wp.array(dtype=wp.vec3)) -> wp.vec3:
 
 
 @wp.func
-def mark(part: wp.vec4i, passed: wp.array(dtype=int)):
-    for corner in range(4):
-        passed[part[corner]] = 1
+def mark(vertices: wp.vec4i, flags: wp.array(dtype=int)):
+    for k in range(4):
+        flags[vertices[k]] = 1
 
 
 @wp.kernel
@@ -58,7 +58,7 @@ def mark_passed(
     # state out
     passed: wp.array(dtype=int),
 ):
-    """Mark the vertices of listed pairs that are not on the side of each other that they were listed with."""
+    """Mark the vertices of contacts that are now on the other side than listed."""
     for item in range(wp.tid(), contacts.work[contacts.work.shape[0] - 1], threads):
         w = world_of(item, contacts.work)
         if searching[w] == 0 or status[w] != RUNNING:
@@ -72,20 +72,20 @@ def mark_passed(
                 mark(point, passed)
         elif k < points + entries(contacts.edge_count, w, worlds[w], contacts):
             ends = contacts.edges[at + k - points]
-            if wp.dot(contacts.normals[at + k - points], way_between(ends, x)) < 0.0:
-                if wp.length_sq(way_between(ends, x_searched)) > 0.0:
+            if wp.dot(contacts.normals[at + k - points], gap_between(ends, x)) < 0.0:
+                if wp.length_sq(gap_between(ends, x_searched)) > 0.0:
                     mark(ends, passed)
 
 
 @wp.func
 def point_passed(point: wp.vec4i, passed: wp.array(dtype=int)) -> bool:
-    """Whether a vertex and a triangle are where cloth has passed through cloth."""
+    """Whether the vertex and a vertex of the triangle are marked as passed."""
     return passed[point[0]] != 0 and passed[point[1]] + passed[point[2]] + passed[point[3]] != 0
 
 
 @wp.func
 def edges_passed(ends: wp.vec4i, passed: wp.array(dtype=int)) -> bool:
-    """Whether two edges are where cloth has passed through cloth."""
+    """Whether both edges have a vertex marked as passed."""
     return passed[ends[0]] + passed[ends[1]] != 0 and passed[ends[2]] + passed[ends[3]] != 0
 
 
@@ -101,9 +101,9 @@ def keep_sides(
     # state in and out
     contacts: Contacts,
 ):
-    """Put the pairs where cloth has passed through cloth aside, before the lists are made anew.
+    """Copy the contacts between passed vertices to the ``kept`` lists, before the contact lists are cleared.
 
-    There is room for all: no more are put aside than were listed.
+    The capacity suffices: the copies are no more than the contacts.
     """
     for item in range(wp.tid(), contacts.work[contacts.work.shape[0] - 1], threads):
         w = world_of(item, contacts.work)
@@ -127,12 +127,12 @@ def keep_sides(
 
 
 @wp.kernel
-def empty_lists(
+def clear_lists(
     searching: wp.array(dtype=int),
     # state out
     contacts: Contacts,
 ):
-    """Empty the lists of the worlds that are searched."""
+    """Clear the contact lists of the searching worlds."""
     w = wp.tid()
     if searching[w] != 0:
         contacts.near_count[w] = 0
@@ -142,7 +142,7 @@ def empty_lists(
 
 
 @wp.kernel
-def list_kept(
+def restore_kept(
     # model
     worlds: wp.array(dtype=World),
     threads: int,
@@ -152,7 +152,7 @@ def list_kept(
     listed: wp.array(dtype=int),
     contacts: Contacts,
 ):
-    """Put back into the lists what was put aside."""
+    """Append the ``kept`` contacts to the new contact lists."""
     w, thread = wp.tid()
     if searching[w] == 0:
         return

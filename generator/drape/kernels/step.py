@@ -1,4 +1,4 @@
-"""A time step of every vertex: symplectic Euler with what contacts ask for, holds and the body."""
+"""A substep of every vertex: symplectic Euler, then displacements by contacts, holds and the body."""
 
 import warp as wp
 
@@ -9,15 +9,15 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING, Cloth, SearchStat
 
 wp.set_module_options({"enable_backward": False})
 
-HOLDING_SPEED = 60.0  # cm/s at which a held edge returns to its half-space
+HOLDING_SPEED = 60.0  # cm/s, speed limit of a held edge that returns to its half-space
 
 
 @wp.func
 def accelerate(i: int, w: int, world: World, time: float, cloth: Cloth, v: wp.vec3, elastic: wp.vec3) -> wp.vec3:
-    """Velocity after a step under elastic forces, weight and drag [cm/s].
+    """Velocity after a substep under elastic forces, weight and drag [cm/s].
 
-    A vertex that forces slow down is braked harder: so what swings or rings comes to rest in a cycle or two, and what
-    falls is not delayed.
+    Where forces decelerate a vertex the drag is larger: swinging and ringing end in a cycle or two, and free fall is
+    not delayed.
     """
     force = elastic
     drag = world.sewing_damping
@@ -27,12 +27,11 @@ def accelerate(i: int, w: int, world: World, time: float, cloth: Cloth, v: wp.ve
         drag = world.damping
     if wp.dot(v, force) < 0.0:
         drag = wp.max(drag, world.braking)
-    return slower((v + (world.dt / cloth.inertia[i]) * force) * wp.exp(-drag * world.dt), world.max_speed)
+    return limit_speed((v + (world.dt / cloth.inertia[i]) * force) * wp.exp(-drag * world.dt), world.max_speed)
 
 
 @wp.func
-def slower(v: wp.vec3, limit: float) -> wp.vec3:
-    """The velocity, cut to ``limit``."""
+def limit_speed(v: wp.vec3, limit: float) -> wp.vec3:
     speed = wp.length(v)
     if speed > limit:
         return v * (limit / speed)
@@ -43,11 +42,11 @@ def slower(v: wp.vec3, limit: float) -> wp.vec3:
 def hold(i: int, here: wp.vec3, before: wp.vec3, world: World, cloth: Cloth) -> wp.vec3:
     """Displacement of a held vertex toward its half-space [cm]."""
     normal = cloth.hold_normal[i]
-    short = cloth.hold_offset[i] - wp.dot(here, normal)
-    if short <= 0.0 or wp.length_sq(normal) == 0.0:
+    depth = cloth.hold_offset[i] - wp.dot(here, normal)
+    if depth <= 0.0 or wp.length_sq(normal) == 0.0:
         return wp.vec3(0.0)
     approach = wp.max(-wp.dot(here - before, normal), 0.0)
-    return wp.min(short, approach + HOLDING_SPEED * world.dt) * normal
+    return wp.min(depth, approach + HOLDING_SPEED * world.dt) * normal
 
 
 @wp.kernel
@@ -71,7 +70,7 @@ def step(
     ahead_out: wp.array(dtype=wp.vec3),
     contact_weight: wp.array(dtype=float),
 ):
-    """Move every vertex by its forces, then off what it must not enter; mark worlds that have moved far."""
+    """Integrate every vertex, then apply its contacts, hold and body contact; mark worlds that need a search."""
     i = wp.tid()
     w = cloth.vertex_world[i]
     if status[w] != RUNNING:
@@ -79,20 +78,20 @@ def step(
     world = worlds[w]
     before = x[i]
     elastic = elastic_force(i, sewn_share(world, time[w]), rows, ahead_in)
-    speed = accelerate(i, w, world, time[w], cloth, v[i], elastic)
+    velocity = accelerate(i, w, world, time[w], cloth, v[i], elastic)
     moved = wp.vec3(0.0)
     if search.listed[i] != 0:
         moved = take_push(push, i)
         contact_weight[i] = take_contact_weight(push, i)
-    here = before + world.dt * speed
+    here = before + world.dt * velocity
     if held[w] != 0:
         moved += hold(i, here + moved, before, world, cloth)
     if search.skin[i] < world.clear:
         moved += keep_off_body(i, here + moved, before, world, cloth)
     here += moved
-    speed = slower(speed + moved / world.dt, world.max_speed)
+    velocity = limit_speed(velocity + moved / world.dt, world.max_speed)
     x[i] = here
-    v[i] = speed
-    ahead_out[i] = here + (LOOK_AHEAD * world.dt) * speed
+    v[i] = velocity
+    ahead_out[i] = here + (LOOK_AHEAD * world.dt) * velocity
     if before_search and wp.length_sq(here - search.x[i]) > world.travel * world.travel:
         search.moved_far[w] = 1

@@ -1,4 +1,4 @@
-"""The end of a frame: which garments hang still, have slid off, fallen or diverged, and which have not."""
+"""The end of a frame: detect garments at rest, slid off, fallen or diverged; and the stretch of every edge."""
 
 import warp as wp
 
@@ -16,13 +16,13 @@ from gcd_dataset.generator.drape.kernels.world import (
 
 wp.set_module_options({"enable_backward": False})
 
-CROSSINGS_EVERY = 2  # frames
-PATIENCE = 40  # frames in which crossings must become fewer, or the cloth is left to rest with them
+CROSSINGS_EVERY = 2  # frames between two searches for crossings of a garment without any
+PATIENCE = 40  # frames without a new minimum of crossings after which untangling stops
 
 
 @wp.func
 def still_limit(world: World, frame: int) -> float:
-    """How far a vertex may move in a frame and count as resting [cm]: more in the second half of the time."""
+    """Motion in a frame below which a vertex is at rest [cm]; rises linearly over the second half of the frames."""
     late = wp.max(2.0 * float(frame) / float(world.max_frames) - 1.0, 0.0)
     return wp.lerp(world.still, world.calm, late)
 
@@ -42,9 +42,7 @@ def watch_frame(
     # state out
     counts: FrameCounts,
 ):
-    """Count the vertices that moved in the frame, those that moved fast, and those above the floor; add up the heights
-    of the keepers.
-    """
+    """Count moving vertices, fast vertices and vertices above the floor; sum the keepers' heights."""
     w, thread = wp.tid()
     if status[w] != RUNNING:
         return
@@ -92,10 +90,11 @@ def end_frame(
     counts: FrameCounts,
     crossing: CrossingWatch,
 ):
-    """Let go of garments that have fallen into place; end the drape of those that then rest, or that nothing keeps up.
+    """Update the status of each world, end holds, and plan the next search for crossings.
 
-    Crossings are searched in the next frame where the garment has moved, in every second frame if it had none. Where
-    their number does not fall any more, they are no longer separated: pushed without end, a garment would never rest.
+    A hold ends when the garment has fallen into place. The next frame searches for crossings if the garment has moved;
+    without crossings, only every second frame. If the number of crossings stops falling, untangling stops: pushed
+    forever, the garment would never rest.
     """
     w = wp.tid()
     if status[w] == RUNNING:

@@ -1,8 +1,8 @@
 """Edges and hinges of a batch from its triangles, computed on the device of the batch.
 
-Everything is taken from the flat corner coordinates of the faces, so it does not matter where the panels stand. Sides
-(``3 face + corner``, from that corner to the next) are sorted by their two vertices; those of one edge then lie beside
-each other. Where more than two panels meet along an edge, its first two faces make the hinge.
+Rest lengths and hinges come from the flat corner coordinates, whatever the placement of the panels. Sides
+(``3 face + corner``, from that corner to the next) are sorted by their two vertices, so the sides of an edge are
+adjacent. Where more than two panels meet along an edge, its first two faces form the hinge.
 """
 
 import warp as wp
@@ -11,19 +11,19 @@ from gcd_dataset.generator.drape.kernels.sheet import Sheet, bend_share, hinge_r
 
 wp.set_module_options({"enable_backward": False})
 
-LARGEST_BEND_WEIGHT = 8.0  # about two corners of 14°: hinges of sharper slivers bend more easily than they should
+LARGEST_BEND_WEIGHT = 8.0  # about two corners of 14°: hinges of sharper slivers are softened, for stability
 
 
 @wp.struct
 class Surface:
-    """The triangles of a batch, and which edges and faces lie round each vertex."""
+    """The triangles of a batch, their edges, and the edges and faces of each vertex."""
 
     faces: wp.array(dtype=wp.vec3i)
-    flat: wp.array2d(dtype=wp.vec2d)  # (f, 3) corners in the flat [cm]
-    edges: wp.array(dtype=wp.vec2i)  # lower and higher vertex, in the order of both
-    opposite: wp.array(dtype=wp.vec2i)  # (e) the vertices across, in the first and second face; -1 for no second face
-    side_edge: wp.array(dtype=int)  # (3 f) the edge of each side
-    vertex_faces: wp.array(dtype=int)  # the faces round each vertex, from first_face[v] to first_face[v + 1]
+    flat: wp.array2d(dtype=wp.vec2d)  # (f, 3) flat coordinates of the corners [cm]
+    edges: wp.array(dtype=wp.vec2i)  # (e) lower and higher vertex, sorted by both
+    opposite: wp.array(dtype=wp.vec2i)  # (e) opposite vertices in the first and second face; -1 for no second face
+    side_edge: wp.array(dtype=int)  # (3 f) edge of each side
+    vertex_faces: wp.array(dtype=int)  # faces of vertex v: entries first_face[v] to first_face[v + 1]
     first_face: wp.array(dtype=int)
     vertex_edges: wp.array(dtype=int)
     first_edge: wp.array(dtype=int)
@@ -33,9 +33,9 @@ class Surface:
 class Hinges:
     """Springs and hinges of the edges of a batch."""
 
-    spring: wp.array(dtype=wp.vec3)  # (e) stiffness over the membrane's; flat length; start length [1, cm, cm]
-    weights: wp.array(dtype=wp.vec4)  # (e) of the ends and of the vertices across, in the bending vector
-    scale: wp.array(dtype=float)  # (e) factor of its square in the energy [g cm²/s² over cm²]
+    spring: wp.array(dtype=wp.vec3)  # (e) stiffness over the membrane stiffness; flat length; start length [1, cm, cm]
+    weights: wp.array(dtype=wp.vec4)  # (e) weights of both ends and both opposite vertices in the bending vector
+    scale: wp.array(dtype=float)  # (e) factor of the squared bending vector in the energy [g/s²]
 
 
 @wp.kernel
@@ -58,7 +58,7 @@ def key_sides(
     keys: wp.array(dtype=wp.int64),
     sides: wp.array(dtype=int),
 ):
-    """The lower and the higher vertex of every side, as one number."""
+    """Sort key of every side: lower vertex * 2^32 + higher vertex."""
     side = wp.tid()
     i = faces[side // 3][side % 3]
     j = faces[side // 3][(side + 1) % 3]
@@ -72,7 +72,7 @@ def mark_firsts(
     # out
     firsts: wp.array(dtype=int),
 ):
-    """1 where an edge begins among the sorted sides."""
+    """1 at the first side of each edge among the sorted sides, else 0."""
     s = wp.tid()
     firsts[s] = int(s == 0 or keys[s] != keys[wp.max(s - 1, 0)])
 
@@ -84,7 +84,7 @@ def count_edges(
     # out
     edge_offset: wp.array(dtype=int),
 ):
-    """Edges before each garment, whose sides begin at ``first_sides``."""
+    """First edge of each garment, from its first side and the scanned edge numbers of the sorted sides."""
     w = wp.tid()
     edge_offset[w] = 0
     if first_sides[w] > 0:
@@ -93,7 +93,7 @@ def count_edges(
 
 @wp.func
 def cotangent(flat: wp.array2d(dtype=wp.vec2d), f: int, corner: int) -> wp.float64:
-    """Of the angle of a face at one of its corners."""
+    """Cotangent of a face's angle at one of its corners."""
     a = flat[f, corner]
     out = flat[f, (corner + 1) % 3] - a
     back = flat[f, (corner + 2) % 3] - a
@@ -123,10 +123,10 @@ def describe_edges(
     # out
     hinges: Hinges,
 ):
-    """Ends, vertices across, sides, spring and hinge of every edge; the first three go into ``surface``.
+    """Fill the edges, opposite vertices and side edges of ``surface``, and the springs and hinges.
 
-    The spring: area over squared length summed over the faces, each times its spring's share of the membrane
-    stiffness; flat length, the shorter where a gathered seam joins two; start length. A hinge is Bergou et al.'s (A
+    Spring stiffness: the sum over the faces of area / length², times the face's spring factor (``springs_of``). Flat
+    length: the shorter of both where a gathered seam joins edges of different length. Hinges: Bergou et al. (A
     Quadratic Bending Model for Inextensible Surfaces, 2006).
     """
     s = wp.tid()
@@ -137,7 +137,7 @@ def describe_edges(
     low = int(keys[s] / wp.int64(4294967296))
     high = int(keys[s] % wp.int64(4294967296))
     surface.edges[e] = wp.vec2i(low, high)
-    spread = wp.float64(0.0)
+    stiffness = wp.float64(0.0)
     shortest = wp.float64(1.0e30)
     area = wp.float64(0.0)
     across = wp.vec2i(-1, -1)
@@ -155,9 +155,9 @@ def describe_edges(
         length_sq = wp.length_sq(surface.flat[f, (corner + 1) % 3] - surface.flat[f, corner])
         shortest = wp.min(shortest, wp.sqrt(length_sq))
         if sheet.grained != 0:
-            spread += springs_of(surface.flat, f, sheet)[corner, corner] * flat_area(surface.flat, f) / length_sq
+            stiffness += springs_of(surface.flat, f, sheet)[corner, corner] * flat_area(surface.flat, f) / length_sq
         else:
-            spread += flat_area(surface.flat, f) / length_sq
+            stiffness += flat_area(surface.flat, f) / length_sq
         if met < 2:
             share += wp.float64(0.5) * bend_share(surface.flat, f, corner)
             across[met] = surface.faces[f][(corner + 2) % 3]
@@ -172,7 +172,7 @@ def describe_edges(
         met += 1
         at += 1
     surface.opposite[e] = across
-    hinges.spring[e] = wp.vec3(float(spread), float(shortest), wp.length(start[high] - start[low]))
+    hinges.spring[e] = wp.vec3(float(stiffness), float(shortest), wp.length(start[high] - start[low]))
     hinges.weights[e] = wp.vec4(0.0)
     hinges.scale[e] = 0.0
     if met > 1:
@@ -189,7 +189,7 @@ def key_corners(
     keys: wp.array(dtype=int),
     owner: wp.array(dtype=int),
 ):
-    """The vertex and the face of every corner."""
+    """The vertex (key) and the face (owner) of every corner."""
     c = wp.tid()
     keys[c] = faces[c // 3][c % 3]
     owner[c] = c // 3
@@ -202,7 +202,7 @@ def key_ends(
     keys: wp.array(dtype=int),
     owner: wp.array(dtype=int),
 ):
-    """The vertex and the edge of every end."""
+    """The vertex (key) and the edge (owner) of every edge end."""
     c = wp.tid()
     keys[c] = edges[c // 2][c % 2]
     owner[c] = c // 2
@@ -215,7 +215,7 @@ def find_firsts(
     # out
     first: wp.array(dtype=int),
 ):
-    """Where the entries of each vertex begin among those sorted by vertex; one more row than vertices."""
+    """First entry of each vertex among entries sorted by vertex (CSR offsets); one more row than vertices."""
     s = wp.tid()
     here = int(first.shape[0] - 1)
     before = int(-1)

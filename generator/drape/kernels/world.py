@@ -1,4 +1,4 @@
-"""What the kernels must know of a garment, its body and its cloth; and which contacts are being watched."""
+"""Structs of the kernels: parameters of a world, the cloth of all worlds, contact lists, and counters of a frame."""
 
 import warp as wp
 
@@ -7,45 +7,45 @@ wp.set_module_options({"enable_backward": False})
 RUNNING = 0
 DONE = 1
 DIVERGED = 2
-STOPPED = 3  # out of frames, sliding off, or below the floor
+STOPPED = 3  # out of frames, slid off, or below the floor
 
 
 @wp.struct
 class World:
-    """One garment on one body."""
+    """Parameters of one garment on one body."""
 
     first: int  # its first vertex
-    size: int  # its vertices
-    dt: float  # s
-    damping: float  # 1/s
-    sewing_damping: float  # 1/s
-    braking: float  # 1/s, where forces slow a vertex down
+    size: int  # number of its vertices
+    dt: float  # s, length of a substep
+    damping: float  # 1/s, drag after sewing
+    sewing_damping: float  # 1/s, drag during sewing
+    braking: float  # 1/s, drag where forces decelerate a vertex
     sewing_time: float  # s
-    held_time: float  # s, after sewing, for which waist and collar are held at least
-    longest_hold: float  # s, after sewing
+    held_time: float  # s after sewing, shortest hold of waist and collar
+    longest_hold: float  # s after sewing
     gravity: float  # cm/s²
-    weight_from: float  # s
+    weight_from: float  # s, time at which gravity sets in
     max_speed: float  # cm/s
     friction: float
     layer_friction: float
-    leaving_speed: float  # cm/s at which cloth that is inside the body comes out
-    untangling: float  # cm/s², acceleration of cloth that crosses, along what shortens the curve of crossing
-    pulling: float  # cm/s², the same toward its own part of the body
-    thickness: float  # cm, between layers
-    body_gap: float  # cm, from the skin
-    margin: float  # cm, pairs nearer than this are watched
-    near: float  # cm, vertices nearer than this may belong to such a pair
-    travel: float  # cm that a vertex may move until the next search
-    clear: float  # cm from the skin, from where no vertex reaches it before the next search
+    leaving_speed: float  # cm/s, speed limit of cloth that leaves the body's inside
+    untangling: float  # cm/s², acceleration of crossing cloth that shortens the intersection contour
+    pulling: float  # cm/s², acceleration of crossing cloth toward its own body part
+    thickness: float  # cm, distance of layers
+    body_gap: float  # cm, distance of cloth from the skin
+    margin: float  # cm, the narrow phase lists pairs nearer than this
+    near: float  # cm, the broad phase lists vertices nearer than this
+    travel: float  # cm that a vertex may move before the next search
+    clear: float  # cm from the skin, beyond which no vertex reaches it before the next search
     max_frames: int
-    still: float  # cm in a frame: a vertex that moves less rests
-    calm: float  # cm in a frame: one that moves less counts as resting in the last frame
+    still: float  # cm in a frame: a vertex that moves less is at rest
+    calm: float  # cm in a frame: the same in the last frame, see ``still_limit``
     restless: float  # vertices that may move in a garment at rest
-    falling: float  # vertices that may move fast in a garment that is let go
-    frame: float  # s
-    lowest: float  # cm, below which the mean of the vertices that keep it up has slid off
-    floor: float  # cm, below which a garment has fallen
-    keepers: int  # how many vertices keep it up
+    falling: float  # vertices that may be fast in a garment whose hold ends
+    frame: float  # s, length of a frame
+    lowest: float  # cm, mean height of the keepers below which the garment has slid off
+    floor: float  # cm, height below which a garment has fallen
+    keepers: int  # number of vertices that keep the garment up
     field_offset: wp.int64  # first voxel of the body's distance field
     field_size: wp.vec3i  # voxels along x, y, z
     field_origin: wp.vec3  # cm, centre of the first voxel
@@ -54,117 +54,117 @@ class World:
 
 @wp.struct
 class Cloth:
-    """The cloth of all worlds; ``v e f`` vertices, edges and faces of all garments together."""
+    """The cloth of all worlds; ``v e f``: vertices, edges and faces of all garments together."""
 
     vertex_world: wp.array(dtype=int)
-    mass: wp.array(dtype=float)  # (v) what weighs [g]
-    inertia: wp.array(dtype=float)  # (v) what resists acceleration [g]
+    mass: wp.array(dtype=float)  # (v) gravitational mass [g]
+    inertia: wp.array(dtype=float)  # (v) inertial mass: the mass, or more where stability needs it [g]
     faces: wp.array(dtype=wp.vec3i)
     edges: wp.array(dtype=wp.vec2i)
-    edge_opposite: wp.array(dtype=wp.vec2i)  # (e) the vertices across, -1 for no second face
-    vertex_faces: wp.array(dtype=int)  # the faces round each vertex, from first_face[v] to first_face[v + 1]
+    edge_opposite: wp.array(dtype=wp.vec2i)  # (e) opposite vertices of its two faces, -1 for no second face
+    vertex_faces: wp.array(dtype=int)  # faces of vertex v: entries first_face[v] to first_face[v + 1]
     first_face: wp.array(dtype=int)
     vertex_edges: wp.array(dtype=int)
     first_edge: wp.array(dtype=int)
-    hold_normal: wp.array(dtype=wp.vec3)  # (v) direction in which a held vertex is pushed; zero for none
-    hold_offset: wp.array(dtype=float)  # (v) it is pushed while ``x · normal`` is less than this [cm]
-    own_part: wp.array(dtype=int)  # (v) row of ``axes``
-    axes: wp.array2d(dtype=wp.vec3)  # (2 w, parts) ends of the axis of every part of a body [cm]
+    hold_normal: wp.array(dtype=wp.vec3)  # (v) normal of the hold half-space; zero for no hold
+    hold_offset: wp.array(dtype=float)  # (v) the hold is ``x · hold_normal >= hold_offset`` [cm]
+    own_part: wp.array(dtype=int)  # (v) body part that the vertex covers, a column of ``axes``; -1 for none
+    axes: wp.array2d(dtype=wp.vec3)  # (2 w, parts) upper and lower end of the axis of every body part [cm]
     keeper: wp.array(dtype=wp.uint8)  # (v) 1 where a vertex keeps the garment up
-    unseen_parts: wp.array(dtype=int)  # (v) bit set of the body parts that do not stop it
-    field: wp.array(dtype=float)
-    field_parts: wp.array(dtype=wp.uint8)
-    body_mesh: wp.array(dtype=wp.uint64)  # (w) the skin
+    ignored_parts: wp.array(dtype=int)  # (v) bit set of the body parts that the vertex passes through
+    field: wp.array(dtype=float)  # signed distances of all bodies' voxels, see ``World.field_offset`` [cm]
+    field_parts: wp.array(dtype=wp.uint8)  # body part nearest to each voxel
+    body_mesh: wp.array(dtype=wp.uint64)  # (w) mesh of the skin
 
 
 @wp.struct
 class Contacts:
-    """Lists of what may touch before the next search. Those of a world begin at ``room * world.first``."""
+    """Contact lists: pairs that may touch before the next search. A world's entries begin at ``room * world.first``."""
 
-    room: int  # entries for each vertex
-    near: wp.array(dtype=wp.vec2i)  # vertices
-    points: wp.array(dtype=wp.vec4i)  # vertex, the three of its face
-    sides: wp.array(dtype=float)  # of the face: 1 for its right one, -1
-    edges: wp.array(dtype=wp.vec4i)  # two vertices, two vertices
-    normals: wp.array(dtype=wp.vec3)  # from the first edge to the second
-    kept_points: wp.array(dtype=wp.vec4i)  # what has passed through, with the sides it had before
+    room: int  # capacity of each list, for each vertex of a world
+    near: wp.array(dtype=wp.vec2i)  # broad phase: pairs of vertices
+    points: wp.array(dtype=wp.vec4i)  # point-triangle contacts: vertex, three vertices of the face
+    sides: wp.array(dtype=float)  # side of the face on which the point belongs: 1 along its normal, -1 against it
+    edges: wp.array(dtype=wp.vec4i)  # edge-edge contacts: two vertices, two vertices
+    normals: wp.array(dtype=wp.vec3)  # direction from the first edge to the second when found
+    kept_points: wp.array(dtype=wp.vec4i)  # contacts that have passed through each other, with their old sides
     kept_sides: wp.array(dtype=float)
     kept_edges: wp.array(dtype=wp.vec4i)
     kept_normals: wp.array(dtype=wp.vec3)
-    long_edges: wp.array(dtype=wp.vec2i)
-    crossings: wp.array(dtype=wp.vec2i)  # edge, face
-    near_count: wp.array(dtype=int)  # (w), as the other counts
+    long_edges: wp.array(dtype=wp.vec2i)  # edges whose inside may touch the body
+    crossings: wp.array(dtype=wp.vec2i)  # edge, face that it crosses
+    near_count: wp.array(dtype=int)  # (w) entries asked for, which may exceed the capacity; as the other counts
     point_count: wp.array(dtype=int)
     edge_count: wp.array(dtype=int)
     kept_point_count: wp.array(dtype=int)
     kept_edge_count: wp.array(dtype=int)
     long_count: wp.array(dtype=int)
     crossing_count: wp.array(dtype=int)
-    overfull: wp.array(dtype=int)
-    work: wp.array(dtype=int)  # (w + 1) entries of all lists but ``near`` in the worlds before, of those that run
-    near_work: wp.array(dtype=int)  # (w + 1) entries of ``near`` in the worlds before, of those being searched
+    overfull: wp.array(dtype=int)  # (w) 1 where a list has run over its capacity
+    work: wp.array(dtype=int)  # (w + 1) prefix sums over running worlds: entries of all lists but ``near``
+    near_work: wp.array(dtype=int)  # (w + 1) prefix sums over searching worlds: entries of ``near``
 
 
 @wp.struct
 class SearchState:
-    """The last search for contacts."""
+    """State of the contact search."""
 
-    x: wp.array(dtype=wp.vec3)  # (v) positions then [cm]
-    skin: wp.array(dtype=float)  # (v) distance from the skin then [cm]
-    listed: wp.array(dtype=int)  # (v) 1 where the vertex is in any list of contacts
-    moved_far: wp.array(dtype=int)  # (w) 1 where a vertex has moved so far since that contacts must be searched anew
-    searching: wp.array(dtype=int)  # (w) 1 where contacts are searched now
-    any_search: wp.array(dtype=int)  # (1) whether contacts are searched in any world
+    x: wp.array(dtype=wp.vec3)  # (v) positions at the last search [cm]
+    skin: wp.array(dtype=float)  # (v) distance from the skin at the last search [cm]
+    listed: wp.array(dtype=int)  # (v) 1 where the vertex is in any contact list
+    moved_far: wp.array(dtype=int)  # (w) 1 where a vertex has moved more than ``World.travel`` since the last search
+    searching: wp.array(dtype=int)  # (w) 1 in the worlds of the present search
+    any_search: wp.array(dtype=int)  # (1) 1 if any world searches
 
 
 @wp.struct
 class FrameCounts:
-    """Counts of this frame, for each world."""
+    """Counts of the present frame, (w) each."""
 
-    moving: wp.array(dtype=int)  # vertices that moved
-    fast: wp.array(dtype=int)  # vertices that moved fast
-    keeper_height: wp.array(dtype=int)  # sum of the heights of the vertices that keep the garment up
+    moving: wp.array(dtype=int)  # vertices that are not at rest
+    fast: wp.array(dtype=int)  # vertices faster than ``World.calm``
+    keeper_height: wp.array(dtype=int)  # sum of the keepers' heights [cm / HEIGHT_SCALE]
     above_floor: wp.array(dtype=int)  # vertices above the floor
 
 
 @wp.struct
 class CrossingWatch:
-    """When crossings of the cloth with itself are searched, and whether they are separated, for each world."""
+    """Schedule of the search for crossings of cloth with cloth, and of untangling, (w) each."""
 
-    due: wp.array(dtype=int)  # 1 where the garment has moved since the last search for crossings
-    searched: wp.array(dtype=int)  # 1 where crossings are searched in this frame
-    least: wp.array(dtype=int)  # fewest crossings since the garment was let go
-    least_at: wp.array(dtype=int)  # the frame in which they were found
-    separated: wp.array(dtype=int)  # 1 where crossing cloth is pushed apart
-    any_searched: wp.array(dtype=int)  # (1) whether crossings are searched in any world
+    due: wp.array(dtype=int)  # 1 where contacts were searched since the last search for crossings
+    searched: wp.array(dtype=int)  # 1 where this frame searches for crossings
+    least: wp.array(dtype=int)  # fewest crossings found since the hold ended
+    least_at: wp.array(dtype=int)  # frame of that count
+    separated: wp.array(dtype=int)  # 1 where crossing cloth is untangled
+    any_searched: wp.array(dtype=int)  # (1) 1 if any world searches for crossings
 
 
 @wp.func
 def sewn_share(world: World, time: float) -> float:
-    """How far the seams are closed, 0 to 1; smooth at both ends."""
+    """How far the seams are closed, 0 to 1, by a smooth step."""
     s = wp.clamp(time / world.sewing_time, 0.0, 1.0)
     return s * s * (3.0 - 2.0 * s)
 
 
 @wp.func
 def take_slot(count: wp.array(dtype=int), w: int, world: World, contacts: Contacts) -> int:
-    """The next free slot of a world's list, or -1 and a mark on the world."""
-    taken = wp.atomic_add(count, w, 1)
-    if taken >= contacts.room * world.size:
+    """The next free slot of a world's list; marks the world overfull and returns -1 if there is none."""
+    slot = wp.atomic_add(count, w, 1)
+    if slot >= contacts.room * world.size:
         contacts.overfull[w] = 1
         return -1
-    return contacts.room * world.first + taken
+    return contacts.room * world.first + slot
 
 
 @wp.func
 def entries(count: wp.array(dtype=int), w: int, world: World, contacts: Contacts) -> int:
-    """Entries in a world's list."""
+    """Number of entries in a world's list."""
     return wp.min(count[w], contacts.room * world.size)
 
 
 @wp.func
 def world_of(item: int, work: wp.array(dtype=int)) -> int:
-    """The world that an item of work belongs to; ``work`` holds the items of the worlds before each."""
+    """The world of a work item, by binary search in the prefix sums ``work``."""
     low = int(0)
     high = int(work.shape[0] - 1)
     while high - low > 1:

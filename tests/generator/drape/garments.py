@@ -1,7 +1,7 @@
-"""Garments on the neutral body, and how they lie round its arms and legs.
+"""Garments draped on the neutral body, and measures of how they lie round its arms and legs.
 
-A limb is taken as the straight line that its skin lies nearest to. A rim is a ring of cloth edges with a face on one
-side: the end of a sleeve, an armhole, a hem.
+A limb is reduced to its axis, the straight line that fits its skin. A rim is a closed ring of border edges: the end of
+a sleeve, an armhole, a hem.
 """
 
 from collections.abc import Iterable
@@ -39,22 +39,22 @@ class Worn:
     body: Body
 
     def vertices_of(self, *panels: str) -> Int[np.ndarray, " n"]:
-        """The vertices of all panels whose names begin like one of ``panels``."""
+        """The vertices of all panels whose names start with one of ``panels``."""
         rows = [row for row, name in enumerate(self.mesh.panel_names) if name.startswith(panels)]
         return np.unique(self.mesh.faces[np.isin(self.mesh.panel_id, rows)])
 
     def openings(self, limb: str) -> list[Int[np.ndarray, " n"]]:
-        """The rims round a limb of ``LIMBS`` or beyond its tip, where it comes out."""
+        """The rims round a limb of ``LIMBS``, or round its axis beyond its tip."""
         axis = Axis.of(self.body, limb)
         at = self.drape.vertices
         return [rim for rim in rims(self.mesh.faces) if axis.winding(at[rim]) and axis.share(at[rim]).mean() > 0.0]
 
     def from_skin(self, vertices: Int[np.ndarray, " n"], limb: str) -> float:
-        """How far the vertex lies off that is furthest from the limb's skin [cm]."""
+        """Largest distance of the vertices from the limb's skin [cm]."""
         return float(cKDTree(skin(self.body, limb)).query(self.drape.vertices[vertices])[0].max())
 
     def under_soles(self, *, inset: float) -> Int[np.ndarray, " n"]:
-        """The vertices below the floor that a foot stands on, more than ``inset`` [cm] within its outline."""
+        """The vertices below the floor and more than ``inset`` [cm] inside the outline of a foot."""
         below = np.flatnonzero(self.drape.vertices[:, 1] < 0.0)
         points = shapely.points(self.drape.vertices[below][:, [0, 2]])
         feet = self.body.vertices[self.body.parts == BodyPart.FEET.value][:, [0, 2]]
@@ -62,7 +62,7 @@ class Worn:
         return below[shapely.contains(shapely.union_all(soles).buffer(-inset), points)]
 
     def most_stretched(self, rim: Int[np.ndarray, " n"]) -> float:
-        """Length over flat length of the edge of a rim that is stretched most."""
+        """Largest length over flat length of the edges of a rim."""
         mesh = self.mesh
         sides = np.concatenate([mesh.corners[:, [0, 1]], mesh.corners[:, [1, 2]], mesh.corners[:, [2, 0]]])
         flat = np.linalg.norm(mesh.uv[sides[:, 1]] - mesh.uv[sides[:, 0]], axis=1)
@@ -74,13 +74,13 @@ class Worn:
 
 @cache
 def neutral(*, legs_apart: bool = False) -> tuple[Body, Measurements]:
-    """The neutral body and its measures, which are taken with legs together."""
+    """The neutral body, and its measures with legs together."""
     shape = neutral_shape()
     return build_body(replace(shape, legs_apart=legs_apart)), measure(build_body(shape))
 
 
 def skin(body: Body, limb: str) -> Float[np.ndarray, "n 3"]:
-    """The skin of a limb of ``LIMBS`` with its hand or foot [cm]."""
+    """Vertices of a limb of ``LIMBS`` with its hand or foot [cm]."""
     side = SIDES[limb.split()[0]]
     tip = BodyPart.HANDS if limb.endswith("arm") else BodyPart.FEET
     own = (body.parts == LIMBS[limb].value) | ((body.parts == tip.value) & (side * body.vertices[:, 0] > 0.0))
@@ -88,12 +88,12 @@ def skin(body: Body, limb: str) -> Float[np.ndarray, "n 3"]:
 
 
 def stouter(size: Measurements, factor: float) -> Measurements:
-    """A wearer as tall, with a trunk so many times as wide."""
+    """Measures of a wearer of the same height with ``factor`` times the girths of the trunk."""
     return replace(size, **{girth: factor * getattr(size, girth) for girth in GIRTHS})
 
 
 def wear(design: OutfitDesign, *, cut_for: Measurements | None = None, spacing: float = 3.0) -> Worn:
-    """A design on the neutral body, cut for it or for another wearer whose waist is brought to its height."""
+    """Drape a design on the neutral body; ``cut_for``: measures it is cut for, its waist moved to the body's waist."""
     legs_apart = design.meta.bottom is Bottom.PANTS
     body, size = neutral(legs_apart=legs_apart)
     other = cut_for or size
@@ -105,14 +105,14 @@ def wear(design: OutfitDesign, *, cut_for: Measurements | None = None, spacing: 
 
 @dataclass(frozen=True)
 class Axis:
-    """The straight line in a limb, from the trunk outward [cm]."""
+    """The axis of a limb, from the trunk outward [cm]."""
 
     start: Float[np.ndarray, "3"]
     end: Float[np.ndarray, "3"]
 
     @classmethod
     def of(cls, body: Body, limb: str) -> "Axis":
-        """The line in a limb of ``LIMBS`` with its hand or foot."""
+        """The axis of a limb of ``LIMBS`` with its hand or foot."""
         points, upper = skin(body, limb), body.vertices[body.parts == LIMBS[limb].value]
         middle = upper.mean(axis=0)
         along = np.linalg.svd(upper - middle, full_matrices=False)[2][0]
@@ -125,24 +125,24 @@ class Axis:
         return float(np.linalg.norm(self.end - self.start))
 
     def share(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """How far out along the limb, 0 at its start and 1 at its tip."""
+        """Position along the limb, 0 at its start and 1 at its tip."""
         return (points - self.start) @ self._along / self.length
 
     def winding(self, ring: Float[np.ndarray, "n 3"]) -> int:
-        """How often a ring goes round the line, either way."""
+        """Absolute winding number of a ring round the axis."""
         across = np.linalg.svd(self._along[None])[2][1:]
         x, y = across @ (ring - self.start).T
         turns = np.angle(np.roll(x + 1j * y, -1) / (x + 1j * y)).sum() / (2 * np.pi)
         return abs(round(float(turns)))
 
     def pierces(self, triangles: Float[np.ndarray, "f 3 3"]) -> int:
-        """How many triangles the line crosses between the limb's start and its tip."""
+        """Number of triangles that the axis crosses between the limb's start and its tip."""
         a, b, c = triangles.transpose(1, 0, 2)
-        normal, way = np.cross(b - a, c - a), self.end - self.start
-        steep = normal @ way
-        steep[steep == 0.0] = np.inf  # no triangle's plane is crossed along it
+        normal, direction = np.cross(b - a, c - a), self.end - self.start
+        steep = normal @ direction
+        steep[steep == 0.0] = np.inf  # parallel to the axis
         t = ((a - self.start) * normal).sum(axis=1) / steep
-        hit = self.start + t[:, None] * way
+        hit = self.start + t[:, None] * direction
         inside = [(np.cross(v - u, hit - u) * normal).sum(axis=1) >= 0.0 for u, v in ((a, b), (b, c), (c, a))]
         return int((np.all(inside, axis=0) & (t > 0.0) & (t <= 1.0)).sum())
 
@@ -152,7 +152,7 @@ class Axis:
 
 
 def rims(faces: Int[np.ndarray, "f 3"]) -> list[Int[np.ndarray, " n"]]:
-    """The rings of edges with one face, each in order."""
+    """The closed rings of border edges, each as its vertices in order."""
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     whole = {tuple(side) for side in sides.tolist()}
     following: dict[int, list[int]] = {}
@@ -163,7 +163,7 @@ def rims(faces: Int[np.ndarray, "f 3"]) -> list[Int[np.ndarray, " n"]]:
 
 
 def _rings(following: dict[int, list[int]]) -> Iterable[Int[np.ndarray, " n"]]:
-    """Rings may touch in a vertex."""
+    """Follow the successors of each vertex; several rings may share a vertex."""
     while following:
         ring = [next(iter(following))]
         while (at := ring[-1]) in following:

@@ -1,4 +1,4 @@
-"""Kernels that ask one device function for its answer."""
+"""Kernels that call one device function for each element, for tests."""
 
 import warp as wp
 

@@ -1,4 +1,4 @@
-"""Panels bent round the body: as long as they were cut, outside the body, each on its side and in its layer."""
+"""Curved start: bent panels keep their lengths, stay outside the body, on their side and in their layer."""
 
 from dataclasses import replace
 
@@ -16,12 +16,12 @@ from tests.generator.dressing.test_openings import tube
 from tests.helpers import SIZE, body_from
 
 RADIUS = 14.0
-HALF_GIRTH = np.pi * (RADIUS + 2.0)  # round the ellipse that arrange lays its innermost panels on
+HALF_GIRTH = np.pi * (RADIUS + 2.0)  # of the ellipse on which ``arrange`` wraps the innermost panels
 
 
 @pytest.fixture(scope="module")
 def barrel() -> Body:
-    """A trunk with the section of a circle."""
+    """A trunk with circular cross sections."""
     cylinder = trimesh.creation.cylinder(radius=RADIUS, height=SIZE.waist_level, sections=64)
     cylinder.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     cylinder.apply_translation([0.0, SIZE.waist_level / 2, 0.0])
@@ -29,13 +29,13 @@ def barrel() -> Body:
 
 
 def box_mesh(wide: float, *, label: str = "leg") -> BoxMesh:
-    """Two panels before and behind, 40 cm tall, sewn at the sides."""
+    """A front and a back panel, 40 cm tall, sewn at the sides."""
     pattern = tube(wide, 40.0, y=60.0)
     return build_box_mesh(replace(pattern, panels=tuple(replace(p, label=label) for p in pattern.panels)), spacing=2.0)
 
 
 def side_lengths(points: np.ndarray, mesh: BoxMesh) -> np.ndarray:
-    """Edges of the faces without a seam vertex [cm]."""
+    """Edge lengths of the faces without a seam vertex [cm]."""
     faces = mesh.faces[(mesh.faces >= mesh.n_seam_vertices).all(axis=1)]
     return np.asarray(np.linalg.norm(points[faces] - points[np.roll(faces, 1, axis=1)], axis=2))
 
@@ -51,7 +51,7 @@ def test_a_bent_panel_keeps_its_lengths_and_stays_outside(barrel: Body) -> None:
 
 
 def test_seams_begin_nearly_closed(barrel: Body) -> None:
-    """Cut for the girth, the sides meet: flat, they hang 40 cm apart."""
+    """Cut for the girth, the side edges meet; flat, they hang 40 cm apart."""
     mesh = box_mesh(HALF_GIRTH)
     seam = mesh.faces[(mesh.faces < mesh.n_seam_vertices).any(axis=1)]
 
@@ -63,14 +63,14 @@ def test_seams_begin_nearly_closed(barrel: Body) -> None:
 
 
 @pytest.mark.parametrize("wide", [30.0, HALF_GIRTH, 90.0, 200.0])
-def test_each_panel_stays_before_or_behind(barrel: Body, wide: float) -> None:
+def test_each_panel_stays_in_front_or_behind(barrel: Body, wide: float) -> None:
     mesh = box_mesh(wide)
     start, free = arrange(mesh, barrel), np.arange(len(mesh.vertices)) >= mesh.n_seam_vertices
     assert (np.sign(start[free, 2]) == np.sign(mesh.vertices[free, 2])).all()
     assert (start[free, 0] * mesh.vertices[free, 0] > -1e-9).all()
 
 
-def test_panels_that_hang_over_each_other_stay_as_they_are(barrel: Body) -> None:
+def test_overlapping_panels_stay_flat(barrel: Body) -> None:
     inner = tube(HALF_GIRTH, 40.0, y=60.0)
     outer = [replace(_further(panel, 1.5), name=f"outer_{panel.name}") for panel in inner.panels]
     mesh = build_box_mesh(Pattern("layers", (*inner.panels, *outer), inner.seams), spacing=2.0)
@@ -88,7 +88,7 @@ def test_a_bodice_stays_outside_the_band_below_it(barrel: Body) -> None:
     assert np.median(by_panel[3]) > np.median(by_panel[1]) + 1.0
 
 
-def test_a_panel_that_lies_level_stays(barrel: Body) -> None:
+def test_a_level_panel_stays_flat(barrel: Body) -> None:
     level = replace(
         tube(30.0, 30.0).panels[0], placement=Placement(np.array([0, 120.0, 0]), np.array([np.pi / 2, 0, 0]))
     )
@@ -96,7 +96,7 @@ def test_a_panel_that_lies_level_stays(barrel: Body) -> None:
     assert np.allclose(arrange(mesh, barrel), mesh.vertices, atol=1e-9)
 
 
-def test_limbs_hold_their_part_and_point_away_from_the_trunk() -> None:
+def test_limbs_contain_their_part_and_point_away_from_the_trunk() -> None:
     arm = trimesh.creation.cylinder(radius=4.0, segment=[[20, 130, 0], [60, 90, 0]], sections=32)
     trunk = trimesh.creation.box(
         extents=[36, 140, 20], transform=trimesh.transformations.translation_matrix([0, 70, 0])
@@ -117,13 +117,13 @@ def test_a_body_without_a_trunk_is_refused(barrel: Body) -> None:
         limbs_of(replace(barrel, parts=np.full(len(barrel.vertices), BodyPart.HEAD.value, np.uint8)))
 
 
-def test_a_skirt_started_round_the_body_settles(barrel: Body) -> None:
+def test_a_skirt_with_a_curved_start_settles(barrel: Body) -> None:
     mesh = box_mesh(HALF_GIRTH + 2.0)
     held = {"lower_interface": np.flatnonzero(mesh.vertices[:, 1] > 99.9)}
     config = DrapeConfig(curved_start=True, max_frames=200)
     lifted = replace(mesh, vertices=mesh.vertices + [0.0, SIZE.waist_level - 100.0, 0.0], labels=held)
     [drape] = drape_batch([DrapeJob(lifted, barrel, SIZE)], config, device="cpu")
-    assert drape.outcome in (Outcome.SETTLED, Outcome.SLID_OFF)  # nothing but friction keeps it on a barrel
+    assert drape.outcome in (Outcome.SETTLED, Outcome.SLID_OFF)  # only friction keeps it on a barrel
     assert (drape.self_crossings, drape.body_crossings) == (0, 0)
 
 

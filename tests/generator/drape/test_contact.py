@@ -1,4 +1,4 @@
-"""Cloth on bodies and on cloth: what two things that touch may and may not do."""
+"""Contacts of cloth with bodies and with cloth: distances, friction, momentum, crossings."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])  # the patch's right sid
 INTERNAL = BodyPart.INTERNAL.value
 QUICK = DrapeConfig(
     sewing_time=0.002, held_time=10.0, max_frames=10_000, braking=0.0
-)  # so that no garment is found at rest
+)  # no garment comes to rest in these tests
 
 
 def test_nearest_point_of_a_triangle() -> None:
@@ -59,7 +59,7 @@ def test_the_field_of_a_ball_is_the_distance_to_it(radius: float) -> None:
 
 
 def test_each_of_several_bodies_has_its_own_field() -> None:
-    """The long, the flat and the thick, of which one comes twice; the distance to a box is known at every voxel."""
+    """Boxes of different shape, one of them twice; the distance to a box is known at every voxel."""
     extents = ((3.0, 70.0, 4.0), (41.0, 2.3, 23.0), (31.0, 30.0, 29.0))
     bodies = [body_from(trimesh.creation.box(extents).subdivide().subdivide()) for extents in extents]
     together = body_fields([*bodies, bodies[0]], "cpu")
@@ -74,15 +74,15 @@ def test_each_of_several_bodies_has_its_own_field() -> None:
         assert np.abs(field.distance.numpy() - np.minimum(expected, 4.0)).max() < 1e-3
 
 
-def test_what_many_wear_alike_is_worked_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_field_of_a_shared_body_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     body = body_from(trimesh.creation.icosphere(subdivisions=2, radius=7.7))
     monkeypatch.setattr(HostField, "of", of := Mock(wraps=HostField.of))
     body_fields([body] * 3, "cpu")
     of.assert_called_once()
 
 
-def test_what_lies_inside_a_body_changes_nothing_of_its_field() -> None:
-    """A ball with an eye in it, and with a socket that opens outwards, is a ball where cloth can get."""
+def test_internal_parts_do_not_change_the_field_of_a_body() -> None:
+    """A ball with an eye inside, and a ball with an open socket, have the field of the ball outside."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=12.0)
     eye = trimesh.creation.icosphere(subdivisions=2, radius=4.0)
     with_eye = body_from(trimesh.util.concatenate([ball, eye]))
@@ -173,7 +173,7 @@ def test_cloth_lies_on_cloth_at_its_thickness() -> None:
 
 
 def test_layers_that_touch_exchange_momentum() -> None:
-    """Two sheets that meet in the air keep the speed of their common centre of mass."""
+    """Two sheets that meet in the air keep the velocity of their common centre of mass."""
     lower = patch(8, 8, place=LYING, origin=(-4.0, 100.0, 4.0))
     upper = patch(7, 7, spacing=1.05, place=LYING, origin=(-3.7, 100.25, 3.6))
     config = DrapeConfig(sewing_time=1e6, sewing_damping=0.0, braking=0.0)
@@ -187,12 +187,12 @@ def test_layers_that_touch_exchange_momentum() -> None:
         solver.frame()
     after = (inertia * solver.state.v.numpy()).sum(axis=0)
     first = (inertia * solver.state.v.numpy())[: len(lower.vertices)].sum(axis=0)
-    assert first[1] < 0.2 * before[1] < 0, "the lower sheet was not met"
+    assert first[1] < 0.2 * before[1] < 0, "the sheets did not touch"
     assert np.abs(after - before).max() < 0.02 * abs(before[1])
 
 
-def test_a_search_finds_whatever_is_near() -> None:
-    """Points and faces of two crumpled sheets, nearer than the margin, against all pairs tried one by one."""
+def test_a_search_lists_all_near_pairs() -> None:
+    """Points and faces of two crumpled sheets nearer than the margin, compared with a brute-force search."""
     rng = np.random.default_rng(3)
     lower = patch(9, 9, place=LYING, origin=(0.0, 100.0, 0.0))
     upper = patch(8, 8, spacing=1.05, place=LYING, origin=(0.3, 100.35, -0.2))
@@ -206,7 +206,7 @@ def test_a_search_finds_whatever_is_near() -> None:
     found = {tuple(pair) for pair in contacts.points.numpy()[: contacts.point_count.numpy()[0]].tolist()}
     assert len(found) == contacts.point_count.numpy()[0], "a pair is listed twice"
     sheet = np.arange(len(mesh.vertices)) >= len(lower.vertices)
-    # No point of a triangle of these sheets is 3 cm from its first corner.
+    # Triangles of these sheets lie within 3 cm of their first corner, which prefilters the pairs.
     away = np.linalg.norm(mesh.vertices[:, None] - mesh.vertices[mesh.faces[:, 0]], axis=2)
     sides = np.linalg.norm(mesh.vertices[mesh.faces] - np.roll(mesh.vertices[mesh.faces], 1, axis=1), axis=2)
     assert sides.max() < 3.0
@@ -223,7 +223,7 @@ def test_a_search_finds_whatever_is_near() -> None:
 
 
 def test_crossed_sheets_come_apart() -> None:
-    """A corner that pokes through a sheet is drawn back by the shortening of the crossing curve."""
+    """Shortening the intersection contour draws a corner back that pokes through a sheet."""
     sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))
     corner_first = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])
     other = patch(6, 6, place=corner_first, origin=(0.0, 100.0, -1.7))
@@ -237,7 +237,7 @@ def test_crossed_sheets_come_apart() -> None:
 
 @pytest.mark.parametrize("share", [0.3, 0.8])
 def test_cloth_that_has_passed_through_returns_to_its_side(share: float) -> None:
-    """Even where most of a sheet is on the wrong side: the crossing curve alone would draw the rest after it."""
+    """Even if most of a sheet is on the wrong side: the intersection contour alone would draw the rest there too."""
     lower = patch(12, 12, place=LYING, origin=(-6.0, 100.0, 6.0))
     upper = patch(7, 7, spacing=1.05, place=LYING, origin=(-3.7, 100.25, 3.6))
     config = DrapeConfig(sewing_time=1e6, braking=0.0)
@@ -256,8 +256,8 @@ def test_cloth_that_has_passed_through_returns_to_its_side(share: float) -> None
     assert heights[above].min() > heights[~above].mean()
 
 
-def test_crossings_get_fewer_from_the_first_count_on() -> None:
-    """A garment that was let go before it came into its batch, as after a coarse start, is no exception."""
+def test_the_first_count_of_crossings_is_the_first_minimum() -> None:
+    """Also for a garment whose hold ended before it joined its batch, as after a coarse pass."""
     upright = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
     lying = patch(6, 6, place=LYING, origin=(-3.0, 50.3, 3.0))
     mesh = joined(lying, patch(6, 6, place=upright, origin=(-2.7, 47.1, 0.2)))

@@ -1,4 +1,4 @@
-"""Whole drapes: outcomes, and that nothing but the garment decides them."""
+"""Whole drapes: outcomes, and independence of batch, order and device sharing."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -9,12 +9,12 @@ import trimesh
 
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape import FABRICS, DrapeConfig, DrapeJob, Fabric, drape_all, drape_batch
-from gcd_dataset.generator.drape.coarse_start import go_on_from
-from gcd_dataset.generator.drape.holds import held_from_below, holds
+from gcd_dataset.generator.drape.coarse_start import start_from_coarse
+from gcd_dataset.generator.drape.holds import find_keepers, holds
 from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect, slid_off
-from gcd_dataset.generator.drape.queue import drape_in_turn
+from gcd_dataset.generator.drape.queue import drape_unordered
 from gcd_dataset.generator.drape.solver import Solver
 from gcd_dataset.generator.mesh import coarsen
 from gcd_dataset.records import BoxMesh, Drape, Outcome
@@ -24,7 +24,7 @@ LYING = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
 
 
 def on_a_ball(columns: int, *, labels: dict[str, np.ndarray] | None = None) -> DrapeJob:
-    """A cloth to be thrown over a ball whose top is at the waist of ``SIZE``."""
+    """A square cloth above a ball with its top at the waist of ``SIZE``."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=12.0)
     ball.apply_translation([0.0, SIZE.waist_level - 12.0, 0.0])
     half = 2.0 * columns / 2
@@ -68,8 +68,8 @@ def test_too_few_frames_are_reported() -> None:
     assert drape.frames == 5
 
 
-def test_late_it_is_enough_to_be_calm() -> None:
-    """What never hangs quite still is let pass in the second half of the frames, if it is slow enough."""
+def test_the_threshold_of_rest_rises_in_the_second_half() -> None:
+    """A garment that never rests fully settles in the second half of the frames if it is slow enough."""
     never_still = DrapeConfig(still_speed=1e-9, max_frames=60)
     [slow] = drape_batch([on_a_ball(5)], never_still, device="cpu")
     assert slow.outcome is Outcome.SETTLED
@@ -79,20 +79,20 @@ def test_late_it_is_enough_to_be_calm() -> None:
 
 
 @pytest.mark.parametrize("few", [1, 10_000])
-def test_a_garment_drapes_alike_whoever_leaves_and_joins_its_batch(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a coarse start and without: garments change places, are carried over and go on from coarse ones."""
+def test_a_garment_drapes_alike_as_others_leave_and_join_its_batch(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With and without coarse passes: garments move to new batches and continue from coarse drapes."""
     monkeypatch.setattr("gcd_dataset.generator.mesh.coarse.FEW", few)
     jobs = [on_a_ball(columns) for columns in (9, 5, 8, 6, 7)]
     config = DrapeConfig(max_frames=60)
-    alone = [drape for job in jobs for _, drape in drape_in_turn([job], config, device="cpu", at_once=1)]
-    in_turn = dict(drape_in_turn(iter(jobs), config, device="cpu", at_once=3))
+    alone = [drape for job in jobs for _, drape in drape_unordered([job], config, device="cpu", at_once=1)]
+    in_turn = dict(drape_unordered(iter(jobs), config, device="cpu", at_once=3))
     assert [in_turn[number] for number in range(len(jobs))] == alone
-    assert len({drape.frames for drape in alone}) > 2  # they did not end together
+    assert len({drape.frames for drape in alone}) > 2  # they end at different times
     assert drape_batch(jobs, config, device="cpu", at_once=2) == alone
 
 
 @pytest.mark.parametrize("at_once", [1, 2, 3])
-def test_what_is_wrong_with_a_job_is_told_after_those_before_it(at_once: int) -> None:
+def test_an_error_of_the_jobs_is_raised_after_the_drapes_before_it(at_once: int) -> None:
     def jobs() -> Iterator[DrapeJob]:
         yield from (on_a_ball(4), on_a_ball(5), on_a_ball(4))
         raise OSError("the disk is gone")
@@ -104,7 +104,7 @@ def test_what_is_wrong_with_a_job_is_told_after_those_before_it(at_once: int) ->
     assert len(drapes) == 3
     in_turn = []
     with pytest.raises(OSError, match="the disk is gone"):
-        for number, _ in drape_in_turn(jobs(), config, device="cpu", at_once=at_once):
+        for number, _ in drape_unordered(jobs(), config, device="cpu", at_once=at_once):
             in_turn.append(number)
     assert sorted(in_turn) == [0, 1, 2]
 
@@ -119,7 +119,7 @@ def test_a_coarse_start_comes_to_the_same_shape(monkeypatch: pytest.MonkeyPatch)
     assert with_start.vertices == pytest.approx(without.vertices, abs=1.0)
 
 
-def test_what_nothing_holds_up_slides_off() -> None:
+def test_a_garment_beside_its_body_slides_off() -> None:
     job = on_a_ball(4)
     mesh = job.box_mesh
     aside = BoxMesh(
@@ -134,18 +134,18 @@ def test_what_nothing_holds_up_slides_off() -> None:
     assert drape.frames < DrapeConfig().max_frames
 
 
-def test_what_slides_is_not_at_rest_where_it_hangs_at_the_very_limit() -> None:
-    """Heights are added up in 1/256 cm: by that the kernel may find a garment too low, and its vertices not."""
+def test_a_garment_at_the_very_limit_of_sliding_is_not_settled() -> None:
+    """The kernel sums heights in units of 1/256 cm, so it may stop a garment that ``slid_off`` accepts."""
     job = on_a_ball(4, labels={"lower_interface": np.arange(25)})
     job = replace(job, measurements=replace(SIZE, hips_line=20.0 - 1.0 / 512))
-    lowest = held_from_below(job)[1]
+    lowest = find_keepers(job)[1]
     solver = Solver(build_model([job], DrapeConfig(), "cpu"), DrapeConfig())
     x = solver.state.x.numpy()
     x[:] = x + [60.0, 0.0, 0.0]
     x[:, 1] = lowest + 1e-4
     solver.state.held.zero_()
     solver.state.time.fill_(1.0)
-    solver._record_end()
+    solver._end_frame()
     assert solver.state.status.numpy()[0] != RUNNING
     assert not slid_off(job, x)
     [drape] = collect(solver, [job], [0])
@@ -153,7 +153,7 @@ def test_what_slides_is_not_at_rest_where_it_hangs_at_the_very_limit() -> None:
 
 
 def test_a_dress_hangs_from_its_shoulders() -> None:
-    """What has a neckline cannot slide off, however low its waist hangs; a skirt can."""
+    """A garment with a neckline cannot slide off, however low its waist hangs; a skirt can."""
     skirt = on_a_ball(5, labels={"lower_interface": np.arange(6)})
     dress = on_a_ball(5, labels={"lower_interface": np.arange(6), "left_collar": np.arange(6, 9)})
     lying_low = np.array(skirt.box_mesh.vertices) - [0.0, 40.0, 0.0]
@@ -163,7 +163,7 @@ def test_a_dress_hangs_from_its_shoulders() -> None:
     assert np.flatnonzero(holds(dress)[0].any(axis=1)).tolist() == list(range(6, 9))  # at the neck alone
 
 
-def test_contacts_without_room_are_reported() -> None:
+def test_an_overfull_contact_list_is_reported() -> None:
     job = on_a_ball(6)
     folded = np.array(job.box_mesh.vertices)
     folded[:, 1] = SIZE.waist_level + 5.0 + 0.001 * folded[:, 0]
@@ -174,19 +174,19 @@ def test_contacts_without_room_are_reported() -> None:
     assert drape.outcome is Outcome.OVERFULL
 
 
-def test_contacts_without_room_in_a_coarse_start_are_reported() -> None:
+def test_an_overfull_contact_list_of_the_coarse_pass_is_reported() -> None:
     job, config = on_a_ball(9), DrapeConfig()
     coarse = coarsen(job.box_mesh)
     first = Solver(build_model([replace(job, box_mesh=coarse.mesh)], config, "cpu", coarse=[0]), config)
     first.state.contacts.overfull.fill_(1)
     then = Solver(build_model([job], config, "cpu"), config)
-    go_on_from(first, then, [(0, 0, coarse)])
+    start_from_coarse(first, then, [(0, 0, coarse)])
     [drape] = collect(then, [job], [0])
     assert drape.outcome is Outcome.OVERFULL
 
 
 def test_a_band_cut_too_small_is_overstretched() -> None:
-    """A ring cut for half the girth that it is put round is stretched to twice its length."""
+    """A ring cut for half the girth of its body is stretched to twice its length."""
     barrel = trimesh.creation.cylinder(radius=12.0, height=60.0, sections=48)
     barrel.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     barrel.apply_translation([0.0, 30.0, 0.0])
@@ -198,7 +198,7 @@ def test_a_band_cut_too_small_is_overstretched() -> None:
         assert drape.outcome is outcome
 
 
-def test_a_system_that_does_not_tell_a_process_its_cores_drapes_on_all_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_without_cpu_affinity_drapes_on_all_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr("os.sched_getaffinity", raising=False)
     [drape] = drape_batch([on_a_ball(4)], DrapeConfig(max_frames=1), device="cpu")
     assert drape.frames == 1
@@ -208,7 +208,7 @@ def test_no_jobs_give_no_drapes() -> None:
     assert drape_batch([], device="cpu") == []
 
 
-def test_a_device_that_is_not_there_is_named() -> None:
+def test_an_unknown_device_is_named() -> None:
     with pytest.raises(ConfigError, match=r"device cuda:7: there is .*cpu"):
         drape_batch([on_a_ball(4)], device="cuda:7")
 

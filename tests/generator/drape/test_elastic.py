@@ -1,4 +1,4 @@
-"""Stretch and bending against their definitions and the laws they come from."""
+"""Stretch and bending forces, compared with their energies and with physical laws."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,38 +19,38 @@ FABRIC = Fabric(tensile=50.0, bending=2e-5)
 GRAINED = Fabric(tensile=Tensile(60.0, 30.0, 12.0), bending=Bending(3e-5, 1e-5))
 STILL_AIR = DrapeConfig(sewing_time=1e-6, damping=0.0, sewing_damping=0.0, max_speed=1e9)
 
-fabrics = pytest.mark.parametrize("fabric", [FABRIC, GRAINED], ids=["alike", "grained"])
+fabrics = pytest.mark.parametrize("fabric", [FABRIC, GRAINED], ids=["isotropic", "grained"])
 
 
 def irregular_patch(rng: np.random.Generator) -> BoxMesh:
-    """A patch whose inner vertices lie off the grid, in the flat as in space."""
+    """A patch with vertices off the grid, flat and in space."""
     mesh = patch(4, 3, spacing=1.3)
     uv = mesh.uv + 0.2 * rng.standard_normal(mesh.uv.shape)
     return replace(mesh, uv=uv, vertices=np.pad(uv, ((0, 0), (0, 1))))
 
 
 def force_on(model: ClothModel, x: np.ndarray) -> np.ndarray:
-    """What the kernel makes of positions ``x`` once all is sewn, as a force [g cm/s²]."""
+    """The kernel's elastic force at positions ``x`` after sewing [g cm/s²]."""
     at = wp.array(x.astype(np.float32), dtype=wp.vec3, device="cpu")
     force = wp.empty_like(at)
     wp.launch(elastic_kernel, dim=len(x), inputs=[model.rows, 1.0, at], outputs=[force], device="cpu")
     return np.asarray(force.numpy())
 
 
-def slope_of(energy: Callable[[np.ndarray], float], x: np.ndarray) -> np.ndarray:
-    """By central differences."""
-    slope, step = np.zeros_like(x), 1e-5
+def gradient_of(energy: Callable[[np.ndarray], float], x: np.ndarray) -> np.ndarray:
+    """The gradient, by central differences."""
+    gradient, step = np.zeros_like(x), 1e-5
     for i in range(len(x)):
         for axis in range(3):
             ahead, behind = x.copy(), x.copy()
             ahead[i, axis] += step
             behind[i, axis] -= step
-            slope[i, axis] = (energy(ahead) - energy(behind)) / (2 * step)
-    return slope
+            gradient[i, axis] = (energy(ahead) - energy(behind)) / (2 * step)
+    return gradient
 
 
 @fabrics
-def test_force_is_the_slope_of_the_energy(fabric: Fabric) -> None:
+def test_force_is_the_negative_gradient_of_the_energy(fabric: Fabric) -> None:
     rng = np.random.default_rng(1)
     mesh = irregular_patch(rng)
     model = build_model([DrapeJob(mesh, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
@@ -59,14 +59,14 @@ def test_force_is_the_slope_of_the_energy(fabric: Fabric) -> None:
     def energy(at: np.ndarray) -> float:
         return stretch_energy(mesh, at, fabric) + bending_energy(mesh, at, fabric)
 
-    slope = slope_of(energy, x)
+    gradient = gradient_of(energy, x)
     force = force_on(model, x)
-    assert np.linalg.norm(force + slope) < 2e-3 * np.linalg.norm(slope)
+    assert np.linalg.norm(force + gradient) < 2e-3 * np.linalg.norm(gradient)
 
 
 @fabrics
-def test_three_sheets_sewn_along_one_edge_pull_as_their_energy_says(fabric: Fabric) -> None:
-    """The hinge of an edge with three faces is that of the first two; its spring is that of all three."""
+def test_three_sheets_sewn_along_one_edge_follow_their_energy(fabric: Fabric) -> None:
+    """The first two faces of an edge with three form its hinge; all three add to its spring."""
     rng = np.random.default_rng(6)
     sheet = patch(2, 1, spacing=1.2)
     others = [np.where(sheet.faces > 2, sheet.faces + shift, sheet.faces) for shift in (0, 3, 6)]
@@ -84,12 +84,12 @@ def test_three_sheets_sewn_along_one_edge_pull_as_their_energy_says(fabric: Fabr
     )
     model = build_model([DrapeJob(book, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
     x = np.asarray(book.vertices + 0.2 * rng.standard_normal(book.vertices.shape))
-    slope = slope_of(lambda at: stretch_energy(book, at, fabric) + bending_energy(book, at, fabric), x)
-    assert np.linalg.norm(force_on(model, x) + slope) < 2e-3 * np.linalg.norm(slope)
+    gradient = gradient_of(lambda at: stretch_energy(book, at, fabric) + bending_energy(book, at, fabric), x)
+    assert np.linalg.norm(force_on(model, x) + gradient) < 2e-3 * np.linalg.norm(gradient)
 
 
-def test_an_edge_that_keeps_a_garment_up_is_taped() -> None:
-    """Pulled along, it resists as ten edges do."""
+def test_edges_between_keepers_are_taped() -> None:
+    """They are ten times as stiff."""
     plain = patch(4, 4)
     top = np.arange(20, 25)
     taped = replace(plain, labels={"lower_interface": top})
@@ -104,7 +104,7 @@ def test_an_edge_that_keeps_a_garment_up_is_taped() -> None:
 
 
 @fabrics
-def test_inner_forces_keep_momentum_and_spin(fabric: Fabric) -> None:
+def test_elastic_forces_conserve_momentum_and_angular_momentum(fabric: Fabric) -> None:
     rng = np.random.default_rng(2)
     mesh = irregular_patch(rng)
     model = build_model([DrapeJob(mesh, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")
@@ -116,7 +116,7 @@ def test_inner_forces_keep_momentum_and_spin(fabric: Fabric) -> None:
 
 
 @fabrics
-def test_flat_cloth_is_at_rest_wherever_it_lies(fabric: Fabric) -> None:
+def test_flat_cloth_is_at_rest_in_any_orientation(fabric: Fabric) -> None:
     mesh = irregular_patch(np.random.default_rng(3))
     turned, _ = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))
     model = build_model([DrapeJob(mesh, far_ball(), SIZE, fabric)], STILL_AIR, "cpu")

@@ -1,4 +1,4 @@
-"""Fabrics: that cloth on a mesh stretches, bends and hangs as its figures say, in each direction of the grain."""
+"""Fabrics: meshed cloth has the stretch, bending and hang of its fabric, in each direction of the grain."""
 
 from dataclasses import replace
 
@@ -22,31 +22,31 @@ SEWN = DrapeConfig(sewing_time=1e-6, max_speed=1e9, damping=0.0)
 
 
 def tension(mesh: BoxMesh, fabric: Fabric, strain: np.ndarray) -> np.ndarray:
-    """(2, 2) mean tension of a sheet strained alike everywhere [N/m], from the forces on its vertices."""
+    """(2, 2) mean tension of a uniformly strained sheet [N/m], from the forces on its vertices."""
     model = build_model([strip_job(mesh, fabric)], SEWN, "cpu")
     flat = mesh.uv @ (np.eye(2) + strain)
-    at = wp.array(np.pad(flat, ((0, 0), (0, 1))).astype(np.float32), dtype=wp.vec3, device="cpu")
-    pulls = wp.empty_like(at)
-    wp.launch(elastic_kernel, dim=len(flat), inputs=[model.rows, 1.0, at], outputs=[pulls], device="cpu")
-    force = pulls.numpy()[:, :2]
+    x = wp.array(np.pad(flat, ((0, 0), (0, 1))).astype(np.float32), dtype=wp.vec3, device="cpu")
+    forces = wp.empty_like(x)
+    wp.launch(elastic_kernel, dim=len(flat), inputs=[model.rows, 1.0, x], outputs=[forces], device="cpu")
+    force = forces.numpy()[:, :2]
     out, back = (mesh.uv[mesh.corners[:, k]] - mesh.uv[mesh.corners[:, 0]] for k in (1, 2))
     area = 0.5 * np.abs(out[:, 0] * back[:, 1] - out[:, 1] * back[:, 0]).sum()
     return np.asarray(-(force.T @ mesh.uv) / area / 1e3)
 
 
 def stiffnesses(mesh: BoxMesh, fabric: Fabric) -> Tensile:
-    """What a pull along warp, weft and bias finds of a sheet whose other sides are free."""
+    """Tensile stiffness of a sheet pulled along warp, weft and bias, with its other sides free."""
     small = 2e-3
     strains = [np.array(e) * small for e in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 0.5], [0.5, 0]])]
     found = [(tension(mesh, fabric, s) - tension(mesh, fabric, -s)) / (2 * small) for s in strains]
-    give = np.linalg.inv(np.stack([[t[0, 0], t[1, 1], 0.5 * (t[0, 1] + t[1, 0])] for t in found], axis=1))
+    compliance = np.linalg.inv(np.stack([[t[0, 0], t[1, 1], 0.5 * (t[0, 1] + t[1, 0])] for t in found], axis=1))
     pulls = {"warp": [0.0, 1.0, 0.0], "weft": [1.0, 0.0, 0.0], "bias": [0.5, 0.5, 0.5]}
-    return Tensile(**{name: float(1 / (np.array(p) @ give @ np.array(p))) for name, p in pulls.items()})
+    return Tensile(**{name: float(1 / (np.array(p) @ compliance @ np.array(p))) for name, p in pulls.items()})
 
 
 @pytest.mark.parametrize("fabric", [GRAINED, FABRICS["interlock"], FABRICS["wool_light"].softened()])
 @pytest.mark.parametrize("spacing", [1.0, 2.5])
-def test_a_sheet_resists_a_pull_as_its_fabric_does_whatever_the_mesh(fabric: Fabric, spacing: float) -> None:
+def test_a_sheet_has_the_tensile_stiffness_of_its_fabric_on_any_mesh(fabric: Fabric, spacing: float) -> None:
     sheet = strip(15.0, 13.0, spacing)
     assert stiffnesses(sheet, fabric) == pytest.approx(tuple(fabric.pull), rel=1e-3)
     rng = np.random.default_rng(1)
@@ -54,14 +54,14 @@ def test_a_sheet_resists_a_pull_as_its_fabric_does_whatever_the_mesh(fabric: Fab
     assert stiffnesses(replace(sheet, uv=uneven), fabric) == pytest.approx(tuple(fabric.pull), rel=1e-3)
 
 
-def test_springs_make_a_sheet_that_is_alike_in_every_direction() -> None:
-    """But for its border, whose half triangles are none of equilateral ones."""
+def test_springs_make_an_isotropic_sheet() -> None:
+    """Except at the border, where the triangles are halved."""
     found = stiffnesses(strip(40.0, 40.0, 1.0), Fabric(tensile=80.0))
     assert found == pytest.approx((80.0, 80.0, 80.0), rel=0.04)
 
 
 @pytest.mark.parametrize("grain", ["warp", "weft"])
-def test_a_hanging_strip_gives_by_its_weight_along_the_grain(grain: Grain) -> None:
+def test_a_hanging_strip_stretches_by_its_weight_along_the_grain(grain: Grain) -> None:
     """A strip of length L held at its top grows by rho g L² / (2 E)."""
     fabric, length = Fabric(tensile=Tensile(40.0, 25.0, 15.0), bending=1e-6), 30.0
     down = {"warp": [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]], "weft": [[0.0, 1.0], [1.0, 0.0], [0.0, 0.0]]}[grain]
@@ -91,7 +91,7 @@ def test_a_strip_held_at_both_ends_hangs_as_a_catenary() -> None:
 
 
 def settled(mesh: BoxMesh, fabric: Fabric, held: np.ndarray, *, seconds: float) -> np.ndarray:
-    """Where the vertices are after a time, some of them held [cm]."""
+    """Positions after ``seconds``, with some vertices held [cm]."""
     config = DrapeConfig(sewing_time=1e-4, held_time=1e6, max_frames=10_000, damping=8.0)
     solver = Solver(build_model([strip_job(mesh, fabric)], config, "cpu"), config)
     hold_fast(solver.model, held)
@@ -101,19 +101,19 @@ def settled(mesh: BoxMesh, fabric: Fabric, held: np.ndarray, *, seconds: float) 
 
 @pytest.mark.parametrize("fabric", [GRAINED, FABRICS["denim"]], ids=["made_up", "denim"])
 @pytest.mark.parametrize("grain", ["warp", "weft"])
-def test_a_strip_over_an_edge_shows_its_bending_length(fabric: Fabric, grain: Grain) -> None:
-    """A strip is free to curl across, which on this mesh lets it bend by 4 % more than a wide sheet; so its border."""
+def test_a_strip_over_an_edge_has_its_bending_length(fabric: Fabric, grain: Grain) -> None:
+    """Factor 0.95: a strip may curl across, and with its border bends 4 % more on this mesh than a wide sheet."""
     assert cantilever(fabric, grain, spacing=0.5) == pytest.approx(0.95 * bending_length(fabric, grain), rel=0.03)
 
 
-def test_bias_of_a_sheet_that_is_alike_in_every_direction() -> None:
+def test_bias_stiffness_of_an_isotropic_sheet() -> None:
     shear = 80.0 / (2 * (1 + POISSON))
     assert bias_stiffness(80.0, 80.0, shear) == pytest.approx(80.0)
     assert shear_stiffness(Tensile(80.0, 80.0, 80.0)) == pytest.approx(shear)
-    assert bias_stiffness(1e9, 1e9, 30.0) == pytest.approx(4 * 30.0)  # threads that do not give: E45 = 4 G
+    assert bias_stiffness(1e9, 1e9, 30.0) == pytest.approx(4 * 30.0)  # inextensible threads: E45 = 4 G
 
 
-def test_a_softened_fabric_gives_no_more_than_asked_and_keeps_its_shear() -> None:
+def test_a_softened_fabric_has_limited_stiffness_and_keeps_its_shear() -> None:
     wool = FABRICS["wool_light"]
     soft = wool.softened(500.0)
     assert (soft.pull.warp, soft.pull.weft) == pytest.approx((84.0, 84.0))
@@ -125,14 +125,14 @@ def test_a_softened_fabric_gives_no_more_than_asked_and_keeps_its_shear() -> Non
         assert max(fabric.softened().pull) <= 500.0 * fabric.density * (1 + 1e-9)
 
 
-def test_the_solver_takes_what_is_softened_at_its_word_unless_told_otherwise() -> None:
+def test_the_solver_softens_fabrics_up_to_the_limit_of_its_options() -> None:
     sheet, wool = strip(6.0, 6.0, 1.0), FABRICS["wool_light"]
     usual = build_model([strip_job(sheet, wool)], DrapeConfig(), "cpu")
     stiff = build_model([strip_job(sheet, wool)], DrapeConfig(stiffest=1e9), "cpu")
     assert stiff.worlds.numpy()["dt"][0] < 0.3 * usual.worlds.numpy()["dt"][0]
 
 
-def test_every_named_fabric_says_where_its_figures_are_from() -> None:
+def test_every_named_fabric_has_a_source() -> None:
     assert len(FABRICS) >= 10
     for name, fabric in FABRICS.items():
         assert fabric_named(name) is fabric
@@ -141,7 +141,7 @@ def test_every_named_fabric_says_where_its_figures_are_from() -> None:
     assert fabric_named("default") == Fabric()
 
 
-def test_a_fabric_that_is_not_there_is_told_with_those_that_are() -> None:
+def test_an_unknown_fabric_is_an_error_that_lists_the_known() -> None:
     with pytest.raises(ConfigError, match=r"'denin': known are default, gcd_soft, .*denim"):
         fabric_named("denin")
 
@@ -155,6 +155,6 @@ def test_a_fabric_that_is_not_there_is_told_with_those_that_are() -> None:
         ({"tensile": Tensile(100.0, 50.0, 400.0)}, "on the bias is 400.0 N/m: .* below 194"),
     ],
 )
-def test_a_fabric_that_cannot_be_is_refused(wrong: dict[str, object], message: str) -> None:
+def test_an_impossible_fabric_is_refused(wrong: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Fabric(**wrong)  # type: ignore[arg-type]

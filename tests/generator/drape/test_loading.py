@@ -1,4 +1,4 @@
-"""What is waited for, where compiled kernels are kept, and how a drape is left."""
+"""The kernel cache, log lines about waiting, and cancelled drapes."""
 
 import os
 import stat
@@ -17,9 +17,9 @@ from gcd_dataset.generator.drape import (
     DrapeJob,
     drape_all,
     kernels_compiled,
+    log_drape_time,
     seconds_per_garment,
     seconds_to_drape,
-    tell_wait,
 )
 from gcd_dataset.generator.drape import device as devices
 from gcd_dataset.generator.drape.kernels import refine
@@ -28,7 +28,7 @@ from tests.helpers import SIZE, far_ball, patch
 
 
 def started(home: Path | str, code: str) -> subprocess.CompletedProcess[str]:
-    """A fresh interpreter whose home is another."""
+    """Run ``code`` in a new interpreter with another home folder."""
     bare = {key: value for key, value in os.environ.items() if key not in ("WARP_CACHE_PATH", "XDG_CACHE_HOME")}
     environment = {**bare, "HOME": str(home), "TMPDIR": str(home) if Path(home).is_dir() else "/tmp"}
     return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
@@ -37,8 +37,8 @@ def started(home: Path | str, code: str) -> subprocess.CompletedProcess[str]:
 START = "from gcd_dataset.generator.drape import resolve_device; print(resolve_device('cpu'), resolve_device('cpu'))"
 
 
-def test_kernels_are_kept_elsewhere_where_the_home_cannot_be_written(tmp_path: Path) -> None:
-    """And that is said once."""
+def test_kernels_go_to_a_temporary_folder_if_the_home_cannot_be_written(tmp_path: Path) -> None:
+    """With one warning."""
     home = tmp_path / "home"
     home.mkdir()
     (home / ".cache").write_text("no folder")
@@ -51,16 +51,16 @@ def test_kernels_are_kept_elsewhere_where_the_home_cannot_be_written(tmp_path: P
     assert stat.S_IMODE(kept.stat().st_mode) == 0o700
 
 
-def test_a_folder_that_others_may_write_keeps_no_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What lies in it is run."""
+def test_no_kernels_in_a_folder_that_others_may_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled kernels are executed."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    own = devices._own_folder()
-    assert devices._own_folder() == own
+    own = devices._private_folder()
+    assert devices._private_folder() == own
     own.chmod(0o777)
-    assert devices._own_folder() != own
+    assert devices._private_folder() != own
 
 
-def test_kernels_that_are_compiled_are_told_of_once(
+def test_compiling_is_logged_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert devices.resolve_device("cpu") == "cpu"
@@ -77,24 +77,24 @@ def test_kernels_that_are_compiled_are_told_of_once(
     assert [record.getMessage().split(",")[0] for record in caplog.records] == [
         "compiling the kernels of the test for cpu"
     ]
-    assert caplog.records[0].levelname == "WARNING"  # seen in a program that has set up no logging
+    assert caplog.records[0].levelname == "WARNING"  # shown by a program without logging setup
 
 
-def test_waits_grow_with_garments_and_finer_meshes(
+def test_estimates_grow_with_garments_and_finer_meshes(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("gcd_dataset.generator.drape.loading.cores", lambda: 2)
     assert seconds_to_drape(5, "cpu", 1.0) == 3 * seconds_per_garment("cpu", 1.0)
     assert seconds_per_garment("cpu", 2.0) < seconds_per_garment("cpu", 1.0) / 2.5
     with caplog.at_level("INFO", logger="gcd_dataset"):
-        tell_wait(1, "cpu", 5.0)
+        log_drape_time(1, "cpu", 5.0)
         assert not caplog.records
-        tell_wait(40, "cpu", 1.0)
+        log_drape_time(40, "cpu", 1.0)
     assert "40 garments at 1 cm on this CPU takes about 2 min" in caplog.text
 
 
-def test_garments_under_way_stop_where_nobody_waits_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those after the first would fall for hundreds of frames: none is begun once its drape is not wanted any more."""
+def test_closing_the_iterator_stops_running_drapes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The garments after the first would fall for hundreds of frames."""
     frames: list[float] = []
     frame = Solver.frame
 
@@ -113,7 +113,7 @@ def test_garments_under_way_stop_where_nobody_waits_for_them(monkeypatch: pytest
     drapes = drape_all(jobs(), device="cpu", at_once=2)
     assert isinstance(drapes, Generator)
     next(drapes)
-    left = time.perf_counter()
+    closed = time.perf_counter()
     drapes.close()
     assert threading.active_count() == before
-    assert sum(moment > left for moment in frames) <= 2  # one for each thread
+    assert sum(moment > closed for moment in frames) <= 2  # one for each thread

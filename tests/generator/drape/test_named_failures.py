@@ -1,6 +1,6 @@
-"""What Korosteleva et al. (ECCV 2024) name as failures of their drapes, each with a garment that asks for it.
+"""The failures that Korosteleva et al. (ECCV 2024) name, each with a garment prone to it.
 
-Cuffs beside the wrist, arms under the shirt, skirts and trousers caught on the feet, and what slides off.
+Cuffs beside the wrist, arms under the shirt, skirts and trousers caught on the feet, garments that slide off.
 """
 
 from dataclasses import replace
@@ -24,10 +24,10 @@ from tests.generator.drape.garments import LIMBS, SIDES, Axis, Worn, neutral, ri
 from tests.helpers import tube
 
 ARMS = ("left arm", "right arm")
-FOREARM_FROM = 0.45  # of the way from shoulder to finger tips
+FOREARM_FROM = 0.45  # share of the way from shoulder to finger tips
 INSTEP = 5.0  # cm
-UNDER_TOES = 2.0  # cm by which cloth that hangs over the toes may swing back below them, where there is no floor
-TOES = 10  # edges of cloth of 3 cm that may cross toes, which are thinner
+UNDER_TOES = 2.0  # cm that cloth over the toes may reach back below them: there is no floor
+TOES = 10  # cloth edges that may cross toes, which are thinner than the 3 cm spacing
 
 SHIRT = MetaDesign(upper=Upper.SHIRT)
 WIDE = ShirtDesign(width=1.3, length=1.5, flare=1.3)
@@ -50,8 +50,8 @@ BOTTOMS = {
 }
 
 
-def test_a_ring_of_cloth_goes_round_what_is_in_it() -> None:
-    """Once round the axis of a tube, not round a line beside it, which goes through its wall if it is oblique."""
+def test_winding_and_piercing_of_a_tube() -> None:
+    """A rim winds once round the tube's axis, not round a line beside it; an oblique line pierces the wall."""
     cloth = tube(12, 6, radius=4.0, spacing=2.0)
     upper, lower = rims(cloth.faces)
     assert len(upper) == len(lower) == 12
@@ -63,7 +63,7 @@ def test_a_ring_of_cloth_goes_round_what_is_in_it() -> None:
     assert [axis.pierces(triangles) for axis in (inside, beside, oblique)] == [0, 0, 1]
 
 
-def test_arms_lie_in_their_axes() -> None:
+def test_axes_follow_the_arms() -> None:
     body, _ = neutral()
     for arm in ARMS:
         axis = Axis.of(body, arm)
@@ -74,7 +74,7 @@ def test_arms_lie_in_their_axes() -> None:
 
 @pytest.mark.parametrize(("kind", "clear"), [(Cuff.BAND, 2.5), (Cuff.BAND_SKIRT, 6.0)])
 def test_hands_come_out_of_cuffs(kind: Cuff, clear: float) -> None:
-    """Every cuff lies round its own forearm, no further off the skin than a band or a small skirt may stand."""
+    """Every cuff lies round its own forearm, as near to the skin as a band or a small skirt may be."""
     cuff = SleeveCuffDesign(type=kind, cuff_len=0.2, top_ruffle=2.0)
     worn = wear(OutfitDesign(meta=SHIRT, sleeve=SleeveDesign(sleeveless=False, length=0.95, cuff=cuff)))
     assert worn.drape.outcome is Outcome.SETTLED
@@ -90,7 +90,7 @@ def test_hands_come_out_of_cuffs(kind: Cuff, clear: float) -> None:
     "sleeve", [SleeveDesign(connecting_width=1.5), SleeveDesign(sleeveless=False, length=0.2, connecting_width=1.5)]
 )
 def test_arms_are_not_under_a_loose_shirt(sleeve: SleeveDesign) -> None:
-    """Each arm goes through its own sleeve or armhole, and neither through the hem nor through the cloth."""
+    """Each arm goes through its own sleeve or armhole, not through the hem or the cloth."""
     worn = wear(OutfitDesign(meta=SHIRT, shirt=WIDE, sleeve=sleeve))
     assert worn.drape.outcome is Outcome.SETTLED
     for arm in ARMS:
@@ -100,15 +100,15 @@ def test_arms_are_not_under_a_loose_shirt(sleeve: SleeveDesign) -> None:
 
 
 def assert_comes_out(worn: Worn, arm: str, hole: np.ndarray) -> None:
-    """The arm comes out of one rim alone, that of ``hole``, and goes through no cloth."""
+    """The arm comes out of one rim, on the vertices ``hole``, and pierces no cloth."""
     [rim] = worn.openings(arm)
-    assert np.isin(rim, hole).mean() > 0.9  # labels leave out where seams end
+    assert np.isin(rim, hole).mean() > 0.9  # seam ends have no label
     axis = Axis.of(worn.body, arm)
     assert axis.pierces(worn.drape.vertices[worn.mesh.faces]) == 0
 
 
-def test_an_arm_under_the_shirt_would_be_seen() -> None:
-    """A shirt that was drawn down until its armholes lie under the arms has the arms in its sides."""
+def test_an_arm_under_the_shirt_is_detected() -> None:
+    """A shirt moved down until its armholes lie below the arms has the arms in its sides."""
     worn = wear(OutfitDesign(meta=SHIRT, shirt=WIDE, sleeve=SleeveDesign(connecting_width=1.5)))
     lower = worn.drape.vertices - np.array([0.0, 30.0, 0.0])
     for arm in ARMS:
@@ -117,7 +117,7 @@ def test_an_arm_under_the_shirt_would_be_seen() -> None:
 
 
 def test_a_skirt_to_the_floor_is_not_caught_on_the_feet() -> None:
-    """Both feet are in its hem, which hangs round or below them without strain, and not under the soles."""
+    """Both feet are inside the hem, which hangs round or below them, unstretched and not under the soles."""
     worn = wear(FULL_SKIRT)
     assert worn.drape.outcome is Outcome.SETTLED
     [left], [right] = (worn.openings(leg) for leg in ("left leg", "right leg"))
@@ -126,7 +126,7 @@ def test_a_skirt_to_the_floor_is_not_caught_on_the_feet() -> None:
 
 
 def test_trousers_longer_than_the_legs_are_not_caught_on_the_feet() -> None:
-    """Each foot is in its own hem: the trousers are cut for a wearer who is 12 cm taller."""
+    """Each foot is inside its own hem; the trousers are cut for a wearer 12 cm taller."""
     _, size = neutral()
     worn = wear(WIDE_TROUSERS, cut_for=replace(size, height=size.height + 12.0))
     assert worn.drape.outcome is Outcome.SETTLED
@@ -144,8 +144,8 @@ def assert_hem_is_free(worn: Worn, hem: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("kind", BOTTOMS)
-def test_what_is_cut_too_wide_slides_off_and_is_found_early(kind: str) -> None:
-    """What fits stays up; cut for a trunk half as wide again it slides off, within a quarter of the frames."""
+def test_a_garment_cut_too_wide_slides_off_early(kind: str) -> None:
+    """Well cut it stays up; cut for 1.5 times the girths it slides off, within a quarter of the frames."""
     _, size = neutral()
     fits, slides = wear(BOTTOMS[kind]), wear(BOTTOMS[kind], cut_for=stouter(size, 1.5))
     assert fits.drape.outcome is Outcome.SETTLED

@@ -1,4 +1,4 @@
-"""Garments that do not stay on the body, and crossings of cloth and body counted both ways."""
+"""Outcomes of garments that come off the body, and counts of crossings between cloth and body."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ HOOD = MakeConfig(
         {"meta": {"upper": {"options": ["Shirt", "FittedShirt"]}}, "collar": {"component": {"style": "Hood2Panels"}}}
     ),
 )
-EARS_OUT = (5, 3)  # seed and number of a design whose hood the ears come through
+EARS_OUT = (5, 3)  # seed and number of a design with ears through its hood
 
 
 def table() -> Body:
@@ -47,8 +47,8 @@ def beside(mesh: BoxMesh) -> BoxMesh:
 SHEET = patch(16, 16, place=LYING, origin=(-8.0, 72.0, 8.0))
 
 
-def test_a_garment_that_falls_past_the_body_fell_below_the_floor() -> None:
-    """Whoever is in the batch, and as soon as all of it is below."""
+def test_a_garment_beside_the_body_falls_below_the_floor() -> None:
+    """In any batch; it ends as soon as all of it is below."""
     falls, stays = on_a_table(beside(SHEET)), on_a_table(SHEET)
     together = drape_batch([stays, falls], device="cpu")
     assert [drape.outcome for drape in together] == [Outcome.SETTLED, Outcome.FELL]
@@ -57,21 +57,21 @@ def test_a_garment_that_falls_past_the_body_fell_below_the_floor() -> None:
     assert together[1].frames < DrapeConfig().max_frames
 
 
-def test_a_piece_that_nothing_is_sewn_to_fell_alone() -> None:
+def test_a_loose_component_falls_alone() -> None:
     scrap = patch(4, 4, place=LYING, origin=(80.0, 66.0, 1.0))
     [drape] = drape_batch([on_a_table(joined(SHEET, scrap))], DrapeConfig(max_frames=100), device="cpu")
     assert drape.outcome is Outcome.FELL
     assert drape.vertices[0, 1] > 70.0
 
 
-def test_a_hem_below_the_floor_is_no_fall() -> None:
+def test_a_hem_below_the_floor_is_not_a_fall() -> None:
     mesh = patch(4, 30, origin=(0.0, -10.0, 0.0))
     assert not fell(DrapeJob(mesh, far_ball(), SIZE), mesh.vertices)
     assert fell(DrapeJob(mesh, far_ball(), SIZE), mesh.vertices - [0.0, 20.0, 0.0])
 
 
 def test_a_ring_at_rest_round_the_feet_has_slid_off() -> None:
-    """Nothing is labelled: a wide ring drops from the waist onto the foot of a post, and lies there still."""
+    """Without labels: a wide ring drops from the waist onto the foot of a post and rests there."""
     post = trimesh.creation.cylinder(radius=6.0, height=130.0, sections=24)
     foot = trimesh.creation.cylinder(radius=40.0, height=6.0, sections=48)
     shape = trimesh.util.concatenate([post, foot])
@@ -95,7 +95,7 @@ def test_a_neckline_belongs_above_the_waist() -> None:
 
 
 def test_edges_of_a_spike_through_cloth_are_counted() -> None:
-    """Its tip comes through the middle of a face, in which no edge of the cloth is hit: three edges of the body."""
+    """The tip pierces the inside of a face: no cloth edge crosses, but three edges of the body do."""
     spike = trimesh.Trimesh(
         [[50.0, 105.0, -25.0], [40.0, 60.0, -20.0], [60.0, 60.0, -20.0], [50.0, 60.0, -40.0]],
         [[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]],
@@ -108,8 +108,8 @@ def test_edges_of_a_spike_through_cloth_are_counted() -> None:
     assert solver.body_through(np.array([True, False])).tolist() == [0, 0]
 
 
-def test_what_is_inside_a_body_does_not_come_through_cloth() -> None:
-    """An eye is no skin, and neither is the lid over the opening that it leaves."""
+def test_internal_parts_and_lids_do_not_count_as_skin_through_cloth() -> None:
+    """An eye, and the lid over its opening."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
     ball.apply_translation([0.0, 100.0, 0.0])
     inside = ball.vertices[:, 1] > 106.0
@@ -126,7 +126,7 @@ def test_what_is_inside_a_body_does_not_come_through_cloth() -> None:
 
 @pytest.fixture(scope="module")
 def hooded() -> tuple[DrapeJob, Float[np.ndarray, "v 3"]]:
-    """A hood at rest, with the ears through it."""
+    """A draped hood with the ears through it."""
     [worn] = prepare(*EARS_OUT, HOOD).dressed
     assert worn.box_mesh is not None
     job = DrapeJob(worn.box_mesh, worn.body, worn.size)
@@ -148,7 +148,7 @@ def test_ears_through_a_hood_are_counted(hooded: tuple[DrapeJob, Float[np.ndarra
 def test_crossings_agree_with_exact_arithmetic(
     hooded: tuple[DrapeJob, Float[np.ndarray, "v 3"]], shift: tuple[float, float, float]
 ) -> None:
-    """A garment moved through its wearer: the skin's edges against all triangles near them, by signs of volumes."""
+    """A garment moved through its body: every skin edge against all near triangles, by signs of volumes."""
     job, vertices = hooded
     solver = Solver(build_model([job], DrapeConfig(), "cpu"), DrapeConfig())
     moved = (vertices + shift).astype(np.float32)
@@ -176,7 +176,7 @@ def piercing(job: DrapeJob, vertices: Float[np.ndarray, "v 3"]) -> Int[np.ndarra
 
 
 def crosses(*points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Whether segments pq cross triangles abc: the ends on either side, and the line on one side of all three sides."""
+    """Whether segments pq cross triangles abc, by the signs of five volumes."""
     p, q, a, b, c = points
     apart = volume(a, b, c, p) * volume(a, b, c, q) <= 0
     sides = np.sign([volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)])

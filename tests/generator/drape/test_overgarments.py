@@ -1,4 +1,4 @@
-"""Capes and ponchos come to rest on shoulders and arms."""
+"""Capes and ponchos settle on shoulders and arms."""
 
 import pytest
 

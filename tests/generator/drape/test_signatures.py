@@ -1,4 +1,4 @@
-"""Every kernel's signature tells its traffic: arrays it writes stand under ``# … out``, and under nothing else."""
+"""Kernel signatures group arguments by comments: all arrays that a kernel writes stand under ``# … out``."""
 
 import ast
 import re
@@ -10,7 +10,7 @@ KERNELS = Path(__file__).resolve().parents[3] / "generator" / "drape" / "kernels
 WRITERS = ("atomic_add", "atomic_max", "atomic_min", "atomic_cas", "atomic_exch")
 MOST_ARGUMENTS = 14
 PASSES = {"add_push": 0, "add_weight": 0, "take_push": 0, "take_contact_weight": 0, "mark": 1, "take_slot": 0}
-"""Functions that write into an argument, and which one."""
+"""Functions that write into an argument, and its index."""
 
 
 def kernels() -> list[tuple[str, ast.FunctionDef, list[str]]]:
@@ -24,7 +24,7 @@ def kernels() -> list[tuple[str, ast.FunctionDef, list[str]]]:
 
 
 def groups_of(kernel: ast.FunctionDef, lines: list[str]) -> dict[str, str]:
-    """Argument to the comment that it stands under."""
+    """The comment above each argument."""
     groups, group, argument_lines = {}, "", {arg.lineno: arg.arg for arg in kernel.args.args}
     for number in range(kernel.lineno, kernel.body[0].lineno):
         if comment := re.fullmatch(r"\s*# (.*)", lines[number - 1]):
@@ -35,14 +35,14 @@ def groups_of(kernel: ast.FunctionDef, lines: list[str]) -> dict[str, str]:
 
 
 def root_of(node: ast.expr) -> str:
-    """The variable that an element or a field is of."""
+    """The variable of an expression like ``a.b[i]``."""
     while isinstance(node, ast.Subscript | ast.Attribute):
         node = node.value
     return node.id if isinstance(node, ast.Name) else ""
 
 
 def written_by(kernel: ast.FunctionDef) -> set[str]:
-    """Variables of which a kernel writes an element, itself or by ``atomic_…`` and the functions of ``PASSES``."""
+    """Variables with elements that a kernel writes, directly or by ``atomic_…`` and the functions of ``PASSES``."""
     found = set()
     for node in ast.walk(kernel):
         targets: list[ast.expr] = []
@@ -52,14 +52,14 @@ def written_by(kernel: ast.FunctionDef) -> set[str]:
             targets = [node.target] if isinstance(node.target, ast.Subscript | ast.Attribute) else []
         elif isinstance(node, ast.Call):
             name = ast.unparse(node.func).rpartition(".")[2]
-            place = 0 if name in WRITERS else PASSES.get(name)
-            targets = [] if place is None else [node.args[place]]
+            written = 0 if name in WRITERS else PASSES.get(name)
+            targets = [] if written is None else [node.args[written]]
         found |= {root_of(target) for target in targets}
     return found
 
 
 @pytest.mark.parametrize(("name", "kernel", "lines"), kernels(), ids=[name for name, *_ in kernels()])
-def test_what_a_kernel_writes_stands_under_out(name: str, kernel: ast.FunctionDef, lines: list[str]) -> None:
+def test_written_arguments_stand_under_out(name: str, kernel: ast.FunctionDef, lines: list[str]) -> None:
     groups = groups_of(kernel, lines)
     written = written_by(kernel) & set(groups)
     assert written <= {argument for argument, group in groups.items() if group.endswith("out")}, name
@@ -69,5 +69,5 @@ def test_what_a_kernel_writes_stands_under_out(name: str, kernel: ast.FunctionDe
 
 
 @pytest.mark.parametrize(("name", "kernel", "lines"), kernels(), ids=[name for name, *_ in kernels()])
-def test_a_kernel_takes_structs_rather_than_many_arrays(name: str, kernel: ast.FunctionDef, lines: list[str]) -> None:
+def test_kernels_have_few_arguments(name: str, kernel: ast.FunctionDef, lines: list[str]) -> None:
     assert len(kernel.args.args) <= MOST_ARGUMENTS, f"{name} has {len(kernel.args.args)} arguments"

@@ -1,0 +1,71 @@
+"""Each reply has the pictures of its own garment."""
+
+import numpy as np
+import pytest
+
+from gcd_dataset.generator.drape import DrapeJob
+from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
+from gcd_dataset.generator.drapers.pictures import PictureQueue
+from gcd_dataset.generator.pipeline import prepare
+from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.generator.render import render_garment
+from gcd_dataset.records import Drape, Outcome
+
+GARMENTS = MakeConfig(stage="mesh", bodies="both", resolution=10.0)
+
+
+@pytest.fixture(scope="module")
+def jobs() -> list[DrapeJob]:
+    worn = [worn for number in range(2) for worn in prepare(1, number, GARMENTS).dressed]
+    return [DrapeJob(one.box_mesh, one.body, one.size) for one in worn if one.box_mesh]
+
+
+def at_rest(job: DrapeJob) -> Drape:
+    """A settled drape at the start positions."""
+    return Drape(job.box_mesh.vertices.astype(np.float32), Outcome.SETTLED, 1, 0, 0, 1.0, 1.0)
+
+
+def assert_own_pictures(replies: list[DrapeReply], requests: list[DrapeRequest]) -> None:
+    """One reply for each request, with its garment from front and back."""
+    by_number = {reply.number: reply for reply in replies}
+    assert len(by_number) == len(replies) == len(requests)
+    for request in requests:
+        mesh, body, reply = request.job.box_mesh, request.job.body, by_number[request.number]
+        assert np.array_equal(reply.drape.vertices, mesh.vertices.astype(np.float32))
+        if not request.picture:
+            assert reply.pictures is None
+            continue
+        alone = render_garment(reply.drape.vertices, mesh, body, size=request.picture, device="cpu")
+        assert reply.pictures is not None
+        assert all(map(np.array_equal, reply.pictures, alone))
+
+
+@pytest.mark.parametrize("batch_size", [1, 2, 3])
+def test_every_garment_gets_its_own_pictures(
+    jobs: list[DrapeJob], batch_size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the batch size; sizes change, and some requests ask for no pictures."""
+    monkeypatch.setattr(PictureQueue, "_batch_size", lambda *_: batch_size)
+    sizes = [24, 24, 32, 0, 24, 24, 24, 0]
+    requests = [DrapeRequest(number, jobs[number % len(jobs)], picture=size) for number, size in enumerate(sizes)]
+    replies: list[DrapeReply] = []
+    queue = PictureQueue("cpu")
+    for request in requests:
+        queue.add(request, at_rest(request.job), replies.append)
+    queue.flush()
+    assert_own_pictures(replies, requests)
+    pictured = [reply.number for reply in replies if reply.pictures]
+    assert pictured == sorted(pictured)
+
+
+def test_pictures_do_not_wait_for_a_full_batch(jobs: list[DrapeJob]) -> None:
+    """``advance`` renders and replies while other garments drape."""
+    replies: list[DrapeReply] = []
+    queue, request = PictureQueue("cpu"), DrapeRequest(7, jobs[0], picture=24)
+    queue.add(request, at_rest(request.job), replies.append)
+    for _ in range(2):
+        queue.advance()
+    assert_own_pictures(replies, [request])
+    queue.advance()
+    queue.flush()
+    assert len(replies) == 1
