@@ -28,9 +28,9 @@ log = logging.getLogger(__name__)
 def leased(files: Objects, local: Path) -> Iterator[None]:
     """Hold the lease, the object ``.writing.json``, while the block runs.
 
-    ``local``: local copy of the lease, which identifies this run again after a kill. Raises ``OutputError`` where another
-    run holds the lease. On S3 exactly one writer gets it. In a store without conditional writes two writers that start
-    at the same instant may both get it, unless the check after writing sees the other's.
+    ``local``: file with a copy of the lease, which identifies this run after a kill. Raises ``OutputError`` where
+    another run holds the lease. On S3 exactly one writer gets it. In a store without conditional writes two writers
+    that start at the same instant may both get it, unless the check after writing sees the other's.
     """
     if not local.exists():
         lease = {"run": secrets.token_hex(16), "host": socket.gethostname(), "process": os.getpid()}

@@ -10,7 +10,7 @@ from gcd_dataset.shards.access import locked
 
 
 def test_a_process_forked_under_the_lock_does_not_keep_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ``DataLoader`` forks workers while a thread of the parent holds the cache lock and another process waits for it."""
+    """Workers forked by a parent that holds the cache lock; another process waits for the lock."""
     first, real = locked(tmp_path / ".lock", "writing", wait=True), fcntl.flock
     ended, end = os.pipe()
     first.__enter__()
