@@ -293,7 +293,7 @@ def test_a_place_in_a_release(victims: Path, name: str) -> None:
     parts = Path(name).parts
     if all(safe_name(part) == part for part in parts):
         return
-    told = pytest.raises(ShardError, match=r"a garment's place: .* cannot be a file's name")
+    told = pytest.raises(ShardError, match=r"a garment's path: .* cannot be a file's name")
     with told, release_draft(victims / "out", "some") as draft:
         draft.holds(Path("batch", "data", *parts))
 

@@ -63,28 +63,16 @@ def download(
     mismatch. ``progress``: see ``Progress``. Raises ``RemoteError`` for a server that fails for longer than the
     patience, ``ConfigError`` for a folder that holds another data set, ``OutputError`` for one that cannot be written.
     """
-    remote = remote or Remote()
-    views = MOST_VIEWS if any(field.startswith("view_") for field in fields or ()) else 0
-    full = GARMENTS if fields is None else garments_layout(caption=True, views=views)
-    names = {META, *select_fields(fields, fields_of(full.members))}
-    wanted = full.of([member for field, member in fields_of(full.members).items() if field in names])
+    wanted = _wanted_layout(fields)
     if completed := completed_download(folder, source, split, wanted):
         return completed
-    site = Site(source, remote)
+    site = Site(source, remote or Remote())
     source = replace(source, revision=site.revision)
-    store = RemoteStore(site, None)
-    reader = ShardReader(store, split)
+    reader = ShardReader(RemoteStore(site, None), split)
     if reader.manifest is None or reader.layout.kind == FOREIGN:
         raise _foreign_error(site)
-    for name in reader.index.shards:  # equal to those of the manifest: RemoteStore.index has checked
-        if shard_number(name, split) is None:
-            raise ShardError(f"{site.source}: lists a shard {name!r}, which is no valid name: tell its publisher")
-    layout = reader.layout
-    if fields is not None:
-        available = fields_of(layout.members)
-        if missing := sorted(names - available.keys()):
-            raise ConfigError(f"{site.source}: its garments have no {missing[0]}: there are {', '.join(available)}")
-        layout = layout.of([member for field, member in available.items() if field in names])
+    _require_shard_names(site, reader)
+    layout = reader.layout if fields is None else _reduced_layout(site, reader.layout, wanted)
     make_folder(folder)
     with locked(folder / lock_name(split), f"writing split {split}", wait=True):
         if completed := completed_download(folder, source, split, layout):
@@ -113,6 +101,31 @@ def remote_splits(source: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple
     if manifest is None:
         raise _foreign_error(site)
     return replace(source, revision=site.revision), tuple(manifest.splits)
+
+
+def _wanted_layout(fields: Sequence[str] | None) -> Layout:
+    """The members to download, ``meta.json`` included, by their current names. Raises ``ConfigError``."""
+    if fields is None:
+        return GARMENTS
+    views = MOST_VIEWS if any(field.startswith("view_") for field in fields) else 0
+    full = garments_layout(caption=True, views=views)
+    names = {META, *select_fields(fields, fields_of(full.members))}
+    return full.of([member for field, member in fields_of(full.members).items() if field in names])
+
+
+def _require_shard_names(site: Site, reader: ShardReader) -> None:
+    """Raise ``ShardError`` for an unsafe shard name; ``RemoteStore.index`` has compared them with the manifest's."""
+    for name in reader.index.shards:
+        if shard_number(name, reader.split) is None:
+            raise ShardError(f"{site.source}: lists a shard {name!r}, which is no valid name: tell its publisher")
+
+
+def _reduced_layout(site: Site, layout: Layout, wanted: Layout) -> Layout:
+    """The published layout reduced to the fields of ``wanted``. Raises ``ConfigError`` for a missing field."""
+    names, available = fields_of(wanted.members).keys(), fields_of(layout.members)
+    if missing := sorted(names - available.keys()):
+        raise ConfigError(f"{site.source}: its garments have no {missing[0]}: there are {', '.join(available)}")
+    return layout.of([member for field, member in available.items() if field in names])
 
 
 def _foreign_error(site: Site) -> ConfigError:

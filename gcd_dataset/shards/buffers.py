@@ -28,9 +28,8 @@ class _Pool:
 
     def __init__(self) -> None:
         self._free: dict[int, list[np.ndarray]] = defaultdict(list)
-        self._kinds: dict[
-            int, type[ctypes.Array]
-        ] = {}  # cached: making a ctypes type takes longer than reading a garment
+        # Cached: making a ctypes type takes longer than reading a garment.
+        self._kinds: dict[int, type[ctypes.Array]] = {}
         self._lent: dict[int, tuple[weakref.ref, np.ndarray]] = {}
 
     def lend(self, size: int) -> ctypes.Array:

@@ -391,9 +391,8 @@ class _Descriptor:
     def __init__(self, fd: int) -> None:
         self.fd = fd
 
-    def __del__(
-        self, close: Callable[[int], None] = os.close
-    ) -> None:  # bound here: the module may be gone at interpreter exit
+    # ``close`` is bound here: the os module may be gone at interpreter exit.
+    def __del__(self, close: Callable[[int], None] = os.close) -> None:
         close(self.fd)
 
 

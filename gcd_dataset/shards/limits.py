@@ -11,6 +11,6 @@ LARGEST_SAMPLE = 1 << 29
 LARGEST_FILE = 1 << 32
 """Bytes of an index; for ten million garments it has 3.3 GB."""
 LARGEST_INDEX = 64
-"""Compression ratio of an index: bytes of its arrays a byte of the file; ours is written uncompressed."""
+"""Compression ratio of an index: bytes of its arrays per byte of the file; we write it uncompressed."""
 MOST_PIXELS = 1 << 26
 """Pixels of a picture: 8192 a side."""

@@ -242,13 +242,13 @@ def edited(path: Path, pattern: str, put: str) -> None:
 @pytest.mark.parametrize(
     ("pattern", "put", "told"),
     [
-        (r"^v (\S+) ", "v nan ", "a position that is no number"),
+        (r"^v (\S+) ", "v nan ", "a position that is NaN or infinite"),
         (r"^v (\S+) \S+ \S+", r"v \1", "a vertex that is not three numbers"),
         (r"^f (.*)$", r"f \1 4", r"a face that is no triangle \(f 1 3 2 4\)"),
         (r"^f (.*)$", "f 1 2 9", "a face with a vertex that is not one of its 4"),
         (r"^f (.*)$", "f 1 2 x", "a face without vertex numbers"),
         (r"^f (.*)$", "f 3 2 1", "another mesh than 00000_straight.obj: all people must be on one mesh"),
-        (r"^v (\S+) (\S+) (\S+)$", r"v 0 0 0\nv \1 \2 \3", "not the mesh of"),
+        (r"^v (\S+) (\S+) (\S+)$", r"v 0 0 0\nv \1 \2 \3", "another mesh than"),
         (r"^v (\S+) (1\.\S+) ", r"v \1 \g<2>e3 ", "m tall: published meshes are in metres"),
     ],
 )
