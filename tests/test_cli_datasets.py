@@ -171,9 +171,9 @@ def test_a_set_whose_making_was_stopped_says_so(
         capsys
     )
     assert main(["verify", str(out)]) == 1
-    assert "split train is not whole: 3 of 8 samples" in said(capsys)
+    assert "split train is unfinished: 3 of 8 samples" in said(capsys)
     assert main(publish) == 2
-    assert "split train is not whole: 3 of 8 samples" in (told := capsys.readouterr().err)
+    assert "split train is unfinished: 3 of 8 samples" in (told := capsys.readouterr().err)
     assert "publish it with --partial" in told
     assert not (out / "published").exists()
     assert main([*publish, "--partial"]) == 0

@@ -18,7 +18,7 @@ SHARES: Mapping[str, float] = {"train": 0.90, "validation": 0.05, "test": 0.05}
 """Split to its share of the garments, close to GarmentCodeData's official split."""
 
 META, DESIGN, BODY = "meta", "design", "body"  # fields
-NEUTRAL = "neutral"  # name of the mean body in a sample
+NEUTRAL = "neutral"  # name of the neutral body in a sample
 
 
 def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict[str, list[int]]:

@@ -168,7 +168,7 @@ def test_the_path_of_a_file_is_no_repository(hub: Hub, tmp_path: Path, monkeypat
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "train.h5").touch()
     for source in ("data/train.h5", Path("data/train.h5")):
-        with pytest.raises(ConfigError, match=r"data/train\.h5: a file: give a folder of shards.*Hdf5Garments"):
+        with pytest.raises(ConfigError, match=r"data/train\.h5: a file, not a folder of shards.*Hdf5Garments"):
             GarmentDataset(source)
     assert not hub.asked()
 

@@ -449,7 +449,7 @@ def test_shards_beside_the_parts_are_not_replaced(tmp_path: Path, whole: dict[st
 def test_a_broken_note_is_told(name: str, content: bytes, tmp_path: Path) -> None:
     parts_in(tmp_path, 2)
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(GcdError, match=rf"{re.escape(name)}: .*(run this part again|make the parts anew)"):
+    with pytest.raises(GcdError, match=rf"{re.escape(name)}: .*(run this part again|make the parts again)"):
         merge(tmp_path)
 
 
