@@ -1,7 +1,7 @@
 # make demo         install into .venv, make a few garments on the CPU, load them, leave pictures in demo/
 # make test         install into .venv, then lint, types and tests
-# make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks, and
-#                   make garments on a Ray cluster of several nodes
+# make test-extras  install into .venv-extras, then run the recipes of docs/training.md with their frameworks,
+#                   make garments on a Ray cluster of several nodes, and check a Croissant description
 # make fuzz N=10000  give every reader of files N damaged inputs, and print what came of them
 # make lint         format and lint in place
 
@@ -44,5 +44,5 @@ $(INSTALLED): pyproject.toml constraints.txt
 # Apart from .venv: what frameworks pull in is not to change what the other tests run with.
 $(EXTRAS_INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-extras
-	$(EXTRAS)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,frameworks,ray]'
+	$(EXTRAS)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,frameworks,ray,croissant]'
 	touch $@

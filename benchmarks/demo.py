@@ -46,10 +46,10 @@ def main() -> None:
     print(f"Making {2 * DESIGNS} garments: {DESIGNS} designs, each for two bodies, draped at 2 cm on the CPU")
     with tqdm(total=2 * DESIGNS, unit="garment") as bar:
 
-        def told(progress: Progress) -> None:
+        def report(progress: Progress) -> None:
             bar.update(progress.done - bar.n)
 
-        made = generate(out / "garments", 2 * DESIGNS, seed=SEED, config=config, told=told)
+        made = generate(out / "garments", 2 * DESIGNS, seed=SEED, config=config, on_progress=report)
     print(", ".join(f"{count} {outcome.lower()}" for outcome, count in made.outcomes.items()) or "all there already")
 
     dataset = GarmentDataset(out / "garments")

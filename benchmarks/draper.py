@@ -30,7 +30,9 @@ def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pi
     """
     counted = 0
     worn = [worn for number in range(prepared) for worn in prepare(1, number, config).dressed]
-    jobs = [DrapeJob(one.box_mesh, one.body, one.size, coarse=one.coarse) for one in worn if one.box_mesh]
+    jobs = [
+        DrapeJob(one.box_mesh, one.body, one.size, coarse=one.coarse, start=one.start) for one in worn if one.box_mesh
+    ]
     picture = config.picture if pictured else 0
     with SharedDraper(address_for(devices_of(config)[0])) as draper:
         requests = (DrapeRequest(number, _on_another(job, number), picture) for number, job in enumerate(cycle(jobs)))

@@ -1,7 +1,7 @@
 """Made-to-measure garments with their sewing patterns, for PyTorch.
 
 ``gcd_dataset.loaders`` serves them to a ``DataLoader``, ``gcd_dataset.generator`` makes them, ``gcd`` is the command
-line. This module brings NumPy and the records alone: torch and warp come with what uses them.
+line. This module imports NumPy and the records only; torch and Warp are imported by the modules that use them.
 """
 
 from gcd_dataset.records import (

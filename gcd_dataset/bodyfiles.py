@@ -1,4 +1,4 @@
-"""What is told about a body in files: GarmentCode's measurement YAML and its part segmentation JSON."""
+"""Files that describe a body: GarmentCode's measurement YAML and part segmentation JSON."""
 
 import reprlib
 from collections.abc import Mapping
@@ -18,22 +18,22 @@ from gcd_dataset.records import BodyPart, Measurements
 from gcd_dataset.yamlfile import LARGEST_YAML, strict_yaml
 
 __all__ = [
-    "file_content",
     "measurements_text",
-    "parsed_measurements",
+    "parse_measurements",
+    "read_body_file",
     "read_body_parts",
     "read_measurements",
     "write_measurements",
 ]
 
-LARGEST_BODY_FILE = 512 << 20  # bytes: of a mesh, or of a shape space with its components
-LONGEST_NAME = 40  # letters of a name, in a message
-LONGEST_NUMBER = 10**15  # from here on a whole number is not printed
+LARGEST_BODY_FILE = 512 << 20  # bytes: a mesh, or a shape space with its components
+LONGEST_NAME = 40  # characters of a name in a message
+LONGEST_NUMBER = 10**15  # messages do not print larger integers
 SHORT = reprlib.Repr()
 SHORT.maxlevel = 2
 
 LIMBS = frozenset({"left_arm", "right_arm", "left_leg", "right_leg"})
-"""Parts without which no garment can be put on."""
+"""Parts that a segmentation file must list: no garment can be draped without them."""
 
 SEGMENTS = {
     "body": BodyPart.TRUNK,
@@ -46,17 +46,17 @@ SEGMENTS = {
     "feet": BodyPart.FEET,
     "face_internal": BodyPart.INTERNAL,
 }
-"""Names in a segmentation file; those without a part of their own here count as trunk, as do unlisted vertices."""
+"""Part names of a segmentation file. Vertices under other names, and unlisted vertices, count as trunk."""
 
 
 def read_measurements(path: Path | str) -> Measurements:
     """The measures in a YAML file with a ``body:`` map. Raises ``BodyError`` with the file, the key and a remedy."""
     path = Path(path)
-    return parsed_measurements(_read_yaml(path), str(path))
+    return parse_measurements(_read_yaml(path), str(path))
 
 
-def parsed_measurements(table: Mapping[str, Any], path: str) -> Measurements:
-    """The measures in the parsed content of the file at ``path``. Raises ``BodyError``."""
+def parse_measurements(table: Mapping[str, Any], path: str) -> Measurements:
+    """The measures in ``table``, the parsed content of the file ``path``. Raises ``BodyError``."""
     values = table.get("body")
     if not isinstance(values, dict):
         raise BodyError(f"{path}: no map named body: a measurement file begins with 'body:' and one 'key: cm' a line")
@@ -71,22 +71,25 @@ def parsed_measurements(table: Mapping[str, Any], path: str) -> Measurements:
 
 
 def write_measurements(measurements: Measurements, path: Path | str) -> None:
-    """The measures and what GarmentCode derives from them, as YAML with every digit. Raises ``OutputError``."""
+    """Write the measures and GarmentCode's derived values as YAML with every digit. Raises ``OutputError``."""
     write_whole(path, measurements_text(measurements).encode())
 
 
 def measurements_text(measurements: Measurements) -> str:
-    """What ``write_measurements`` writes."""
+    """YAML text of a measurement file, as ``write_measurements`` writes it."""
     return str(yaml.safe_dump({"body": measurements_tree(measurements)}))
 
 
 def measurements_tree(measurements: Measurements) -> dict[str, float]:
-    """The measures and what GarmentCode derives from them: cm, inclinations in degrees."""
+    """The measures and GarmentCode's derived values: cm, inclinations in degrees."""
     return measurements.to_file_values() | _derived(measurements)
 
 
 def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray, " v"]:
-    """``BodyPart`` of each vertex. Raises ``BodyError``."""
+    """``BodyPart`` value of each vertex, from a segmentation JSON. Raises ``BodyError``.
+
+    ``mesh``: the file of the mesh, named in errors.
+    """
     lists = read_json(path, "segmentation JSON", error=BodyError)
     if not isinstance(lists, dict):
         raise BodyError(f"{path}: a {type(lists).__name__}: give a map from part names to lists of vertex ids")
@@ -102,19 +105,19 @@ def read_body_parts(path: Path, n_vertices: int, mesh: Path) -> UInt8[np.ndarray
                 "give the segmentation of this mesh"
             )
         if not vertices and name in LIMBS:
-            raise BodyError(f"{path}: {name} has no vertices: name those of the limb")
+            raise BodyError(f"{path}: {name} has no vertices: list the vertices of the limb")
         parts[vertices] = SEGMENTS.get(name, BodyPart.TRUNK).value
     return parts
 
 
 def _vertex_ids(path: Path, name: str, ids: Any) -> list[int]:
-    if not isinstance(ids, list) or not all(type(i) is int and i >= 0 for i in ids):  # True is an int, too
+    if not isinstance(ids, list) or not all(type(i) is int and i >= 0 for i in ids):  # isinstance(True, int) holds
         raise BodyError(f"{path}: {name} is no list of vertex ids: give whole numbers of 0 and more")
     return ids
 
 
 def _derived(size: Measurements) -> dict[str, float]:
-    """The keys with a leading underscore that GarmentCode's files hold beside the measures."""
+    """GarmentCode's derived values; their keys begin with an underscore."""
     derived = {
         "_armscye_depth": size.eased_armscye_depth,
         "_base_sleeve_balance": size.sleeve_balance,
@@ -131,7 +134,7 @@ def _derived(size: Measurements) -> dict[str, float]:
 
 
 BROKEN_SCALARS = (ValueError, KeyError, IndexError, AttributeError)
-"""What PyYAML lets through of a date that is none, an integer of thousands of digits, ``!!bool maybe``, …"""
+"""Exceptions that PyYAML leaks for malformed scalars: an impossible date, a huge integer, ``!!bool maybe``, …"""
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
@@ -139,7 +142,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     try:
         table = strict_yaml(content)
     except yaml.MarkedYAMLError as error:
-        raise BodyError(f"{path}: not YAML ({_told(error)}): mend that line") from error
+        raise BodyError(f"{path}: not YAML ({_yaml_problem(error)}): mend that line") from error
     except (yaml.YAMLError, *BROKEN_SCALARS) as error:
         raise BodyError(
             f"{path}: not YAML ({' '.join(str(error).split())[:160]}): give one 'key: number' a line"
@@ -149,10 +152,10 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     return table if isinstance(table, dict) else {}
 
 
-def _told(error: yaml.MarkedYAMLError) -> str:
+def _yaml_problem(error: yaml.MarkedYAMLError) -> str:
     mark = error.problem_mark or error.context_mark
-    place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-    return f"{place}{shown(str(error.problem or error.context)[:160])}"
+    position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+    return f"{position}{shown(str(error.problem or error.context)[:160])}"
 
 
 def _is_measure(known: Measure, value: Any) -> bool:
@@ -160,12 +163,12 @@ def _is_measure(known: Measure, value: Any) -> bool:
 
 
 def _found(value: Any) -> str:
-    """A value as it stands in a message: short, whatever it is."""
+    """Short text of any value, for messages."""
     if isinstance(value, int) and abs(value) >= LONGEST_NUMBER:
         return f"{'-' if value < 0 else ''}10**15 or more"
     return SHORT.repr(value)[:100]
 
 
-def file_content(path: Path) -> bytes:
+def read_body_file(path: Path) -> bytes:
     """All bytes of a file. Raises ``BodyError``."""
     return read_whole(path, "file of a body", limit=LARGEST_BODY_FILE, error=BodyError)

@@ -1,7 +1,7 @@
-"""Where the outline of a panel meets itself, other than in a corner.
+"""Self-intersections of panel outlines: edges that meet anywhere but in a shared corner.
 
-Nearly all edges are proved innocent by their hulls, four points a curve stays between; only the others are sampled
-and searched. Points are complex numbers here, since a turn is then a product.
+The broad phase clears nearly all edges by their hulls, four points each; the narrow phase samples the remaining edges
+and intersects the polylines. Points are complex numbers here, since a rotation is then a product.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,30 +18,31 @@ from gcd_dataset.records import Panel
 
 __all__ = ["Crossing", "edge_hulls", "find_crossings"]
 
-TOUCH = 0.01  # cm: how far from a corner two edges of it may still touch; further off they cross
-SAMPLING = 0.15  # cm between the points that stand for a curve when crossings are looked for, on the average
-FEW = 64  # edges of a panel up to which all pairs are compared at once, the quickest way; more are swept
-AT_ONCE = 1 << 19  # pairs of edges that are compared at once: 30 MB
-MOST_TOLD = 100  # crossings of one panel; nobody reads more
+TOUCH = 0.01  # cm: two edges may touch this far from their shared corner; further off they cross
+SAMPLING = 0.15  # cm: mean distance of the points that sample a curve
+FEW = 64  # edges: up to here all pairs of a panel are compared, which is fastest; larger panels are swept
+AT_ONCE = 1 << 19  # pairs of edges compared at once: 30 MB
+MOST_CROSSINGS = 100  # reported for one panel
 APART = 1e-6  # cm between two boxes, rad between two sectors: more than rounding
 
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
-    """A place where an edge meets another, or itself."""
+    """An intersection of an edge with another edge, or with itself."""
 
     edge: int
     other: int
-    """The same as ``edge`` where it meets itself."""
-    place: tuple[float, float]
-    """[cm]; of an edge that meets itself, its start."""
+    """Equal to ``edge`` for an edge that meets itself."""
+    point: tuple[float, float]
+    """In the panel's plane [cm]; for an edge that meets itself, its start."""
 
 
 def edge_hulls(panel: Panel) -> Complex[np.ndarray, "e 4"]:
-    """Four points of the panel's plane [cm] for each edge, the first and last its ends, whose hull holds the edge.
+    """Four points in the panel's plane [cm] for each edge; their convex hull contains the edge.
 
-    A Bézier curve has its control points, as a cubic; an arc the tangents at its ends and in its middle. The arcs'
-    radii must span their chords.
+    The first and the last point are the edge's ends. The inner two of a Bézier curve are its control points as a cubic;
+    of an arc, the points where its middle tangent meets the tangents at its ends. Every arc's radius must span its
+    chord.
     """
     corners = (panel.vertices @ [1, 1j]).tolist()
     return np.array([_hull(corners[edge.start], corners[edge.end], edge.curve) for edge in panel.edges], complex)
@@ -50,42 +51,41 @@ def edge_hulls(panel: Panel) -> Complex[np.ndarray, "e 4"]:
 def find_crossings(
     panels: Sequence[Panel], hulls: Sequence[Complex[np.ndarray, "e 4"]], lengths: Sequence[Sequence[float]]
 ) -> Iterator[tuple[int, Crossing]]:
-    """For each panel, by its number: edges that cross or touch themselves; then pairs that do, other than in a corner
-    they share. Of one panel no more than ``MOST_TOLD``.
+    """Number of a panel and crossing, panel by panel: first edges that meet themselves, then pairs of edges.
 
-    ``hulls`` are the panels' ``edge_hulls``, ``lengths`` those of their edges [cm]. All panels are proved innocent
-    together; only what is left is looked at one by one.
+    ``hulls``: ``edge_hulls`` of each panel; ``lengths``: of its edges [cm]. The broad phase runs over all panels
+    together. At most ``MOST_CROSSINGS`` for one panel.
     """
-    for number, alone, pairs in _suspects(hulls):
-        for crossing in islice(_searched(panels[number], alone, pairs, lengths[number]), MOST_TOLD):
+    for number, singles, pairs in _broad_phase(hulls):
+        for crossing in islice(_narrow_phase(panels[number], singles, pairs, lengths[number]), MOST_CROSSINGS):
             yield number, crossing
 
 
-def _searched(
-    panel: Panel, alone: Int[np.ndarray, " a"], pairs: Int[np.ndarray, "p 2"], lengths: Sequence[float]
+def _narrow_phase(
+    panel: Panel, singles: Int[np.ndarray, " a"], pairs: Int[np.ndarray, "p 2"], lengths: Sequence[float]
 ) -> Iterator[Crossing]:
-    """The suspects that cross or touch themselves, then the pairs that do, other than in a corner they share."""
-    indices = np.unique(np.concatenate([alone, pairs.ravel()])).tolist()
+    """Crossings among the candidates: edges that meet themselves, then pairs that meet outside a shared corner."""
+    indices = np.unique(np.concatenate([singles, pairs.ravel()])).tolist()
     lines = dict(zip(indices, (_polyline(panel, index, lengths) for index in indices), strict=True))
-    for index in alone.tolist():
+    for index in singles.tolist():
         if not lines[index].is_simple:
             yield Crossing(index, index, panel.edge_ends(index)[0])
     table = np.array([lines.get(index) for index in range(len(panel.edges))], object)
-    met = pairs[shapely.intersects(table[pairs[:, 0]], table[pairs[:, 1]])]
-    for i, j in met.tolist():
+    meeting = pairs[shapely.intersects(table[pairs[:, 0]], table[pairs[:, 1]])]
+    for i, j in meeting.tolist():
         points = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
         far = points[_distance_to(points, _shared_corners(panel, i, j)) > TOUCH]
         if len(far):
             yield Crossing(i, j, (float(far[0, 0]), float(far[0, 1])))
 
 
-# --------------------------------------------------------------------------------------------------------------- proofs
+# ---------------------------------------------------------------------------------------------------------- broad phase
 
 
 def _hull(start: complex, end: complex, curve: Curve) -> tuple[complex, complex, complex, complex]:
     chord = end - start
     match curve:
-        case Quadratic((a, b)):  # as a cubic: two thirds of the way to the control point
+        case Quadratic((a, b)):  # degree elevation to a cubic
             lift = 2 / 3 * complex(a, b) * chord
             return start, start + lift, end - 2 / 3 * chord + lift, end
         case Cubic((a0, b0), (a1, b1)):
@@ -100,15 +100,15 @@ def _hull(start: complex, end: complex, curve: Curve) -> tuple[complex, complex,
             return start, start + chord / 3, end - chord / 3, end
 
 
-def _suspects(
+def _broad_phase(
     hulls: Sequence[Complex[np.ndarray, "e 4"]],
 ) -> Iterator[tuple[int, Int[np.ndarray, " a"], Int[np.ndarray, "p 2"]]]:
-    """The panels that are not proved innocent: number, edges that may meet themselves, pairs that may meet."""
+    """Panels with candidates: panel number, edges that may meet themselves, pairs of edges that may meet."""
     if not hulls:
         return
     edges, sizes = np.concatenate(hulls), [len(panel) for panel in hulls]
     first = np.cumsum([0, *sizes])
-    alone = np.flatnonzero(~_monotone(edges))
+    singles = np.flatnonzero(~_monotone(edges))
     one, other = _near_pairs(edges, sizes, first[:-1].tolist())
     follower = np.concatenate(
         [start + np.roll(np.arange(size), -1) for start, size in zip(first[:-1], sizes, strict=True)]
@@ -119,22 +119,23 @@ def _suspects(
     order = np.argsort(of_panel, kind="stable")
     pairs = np.stack([one[meet], other[meet]], axis=1)[order]
     cuts = np.searchsorted(of_panel[order], np.arange(len(sizes) + 1))
-    ends = np.searchsorted(alone, first)
-    for number in np.flatnonzero((np.diff(cuts) > 0) | (np.diff(ends) > 0)).tolist():
-        own = slice(*cuts[number : number + 2])
-        yield number, alone[slice(*ends[number : number + 2])] - first[number], pairs[own] - first[number]
+    single_cuts = np.searchsorted(singles, first)
+    for number in np.flatnonzero((np.diff(cuts) > 0) | (np.diff(single_cuts) > 0)).tolist():
+        panel_singles = singles[slice(*single_cuts[number : number + 2])]
+        panel_pairs = pairs[slice(*cuts[number : number + 2])]
+        yield number, panel_singles - first[number], panel_pairs - first[number]
 
 
 def _near_pairs(
     hulls: Complex[np.ndarray, "e 4"], sizes: Sequence[int], first: Sequence[int]
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """All pairs of edges of one panel whose bounding boxes touch, in order; panels begin at ``first``."""
+    """All pairs of edges of one panel with touching bounding boxes, in order; panels begin at ``first``."""
     found, few, count = [], [np.empty((2, 0), int)], 0
     for size, start in zip(sizes, first, strict=True):
         if size > FEW:
-            found.append(_swept(hulls[start : start + size]) + start)
+            found.append(_sweep(hulls[start : start + size]) + start)
             continue
-        few.append(_pairs_of(size) + start)
+        few.append(_all_pairs(size) + start)
         count += few[-1].shape[1]
         if count > AT_ONCE:
             found.append(_touching(hulls, np.concatenate(few, axis=1)))
@@ -148,13 +149,12 @@ def _touching(hulls: Complex[np.ndarray, "e 4"], pairs: Int[np.ndarray, "2 n"]) 
 
 
 @lru_cache(maxsize=FEW)
-def _pairs_of(size: int) -> Int[np.ndarray, "2 n"]:
-    """All pairs of ``size`` edges."""
+def _all_pairs(size: int) -> Int[np.ndarray, "2 n"]:
     return np.stack(np.triu_indices(size, k=1))
 
 
-def _swept(hulls: Complex[np.ndarray, "e 4"]) -> Int[np.ndarray, "2 n"]:
-    """The pairs of edges of a panel whose bounding boxes touch, in order: a sweep along that axis which parts more."""
+def _sweep(hulls: Complex[np.ndarray, "e 4"]) -> Int[np.ndarray, "2 n"]:
+    """Pairs of edges of a panel with touching bounding boxes, in order: sweep and prune along the better axis."""
     low = [part.min(axis=1) for part in (hulls.real, hulls.imag)]
     high = [part.max(axis=1) for part in (hulls.real, hulls.imag)]
     orders = [np.argsort(part, kind="stable") for part in low]
@@ -175,12 +175,12 @@ def _swept(hulls: Complex[np.ndarray, "e 4"]) -> Int[np.ndarray, "2 n"]:
 
 
 def _cuts(counts: Int[np.ndarray, " e"]) -> Int[np.ndarray, " c"]:
-    """Where to cut a sweep so that its pieces have about ``AT_ONCE`` pairs."""
+    """Positions that cut a sweep into pieces of about ``AT_ONCE`` pairs."""
     return np.flatnonzero(np.diff(np.cumsum(counts) // AT_ONCE)) + 1
 
 
 def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
-    """Which edges always go on towards their end, and so cannot come back to themselves."""
+    """Edges that advance along their chord throughout, by their hulls, and so cannot meet themselves."""
     legs = np.diff(hulls, axis=1)
     return ((legs * (hulls[:, -1:] - hulls[:, :1]).conj()).real >= 0).all(axis=1)
 
@@ -188,7 +188,7 @@ def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
 def _boxes_apart(
     hulls: Complex[np.ndarray, "e 4"], one: Int[np.ndarray, " n"], other: Int[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Which pairs of edges have bounding boxes that do not touch."""
+    """Pairs of edges with disjoint bounding boxes."""
     apart = np.zeros(len(one), bool)
     for part in (hulls.real, hulls.imag):
         low, high = part.min(axis=1), part.max(axis=1)
@@ -197,8 +197,8 @@ def _boxes_apart(
 
 
 def _sectors_apart(before: Complex[np.ndarray, "e 4"], after: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
-    """Whether edges and those that follow them lie in two sectors round their common corner."""
-    with np.errstate(all="ignore"):  # chords of nearly no length give NaN, which no sector holds
+    """Pairs of consecutive edges in disjoint sectors round their common corner: they meet in that corner only."""
+    with np.errstate(all="ignore"):  # a chord of almost no length gives NaN, which compares as not apart
         middle_before, half_before = _sector(before[:, ::-1])
         middle_after, half_after = _sector(after)
         between = np.abs(np.angle(middle_before / middle_after))
@@ -207,18 +207,18 @@ def _sectors_apart(before: Complex[np.ndarray, "e 4"], after: Complex[np.ndarray
 
 
 def _sector(hulls: Complex[np.ndarray, "e 4"]) -> tuple[Complex[np.ndarray, " e"], Float[np.ndarray, " e"]]:
-    """Middle direction, as a number on the unit circle, and half angle [rad] of hulls seen from their first point."""
+    """The sector that a hull spans, seen from its first point: middle direction (unit complex), half angle [rad]."""
     chord = hulls[:, 3] - hulls[:, 0]
     angles = np.angle((hulls[:, 1:] - hulls[:, :1]) / chord[:, None])
     low, high = angles.min(axis=1), angles.max(axis=1)
     return chord / np.abs(chord) * np.exp(0.5j * (low + high)), 0.5 * (high - low)
 
 
-# --------------------------------------------------------------------------------------------------------------- search
+# --------------------------------------------------------------------------------------------------------- narrow phase
 
 
 def _polyline(panel: Panel, index: int, lengths: Sequence[float]) -> shapely.LineString:
-    """An edge as a shapely line, finely enough for ``TOUCH``."""
+    """An edge as a polyline, sampled finely enough for ``TOUCH``."""
     curve, ends = panel.edges[index].curve, panel.edge_ends(index)
     if isinstance(curve, Line):
         return shapely.LineString(ends)

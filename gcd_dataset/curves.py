@@ -1,8 +1,8 @@
-"""The four kinds of curve a pattern edge can be, and their geometry in the panel's plane.
+"""The four curve types of a pattern edge and their geometry in the panel's plane.
 
 Control points are kept in the *edge frame* of the specification format: for an edge from ``S`` to ``E``, the pair
 ``(a, b)`` stands for ``S + a e + b n`` with ``e = E - S`` and ``n = (-e_y, e_x)``, the left normal of the same length.
-A curve therefore follows when its end points move. An arc keeps its radius in centimetres.
+Control points therefore move with the end points. An arc keeps its radius in centimetres.
 
 >>> quarter = Arc(radius=10.0, large=False, right=True)
 >>> round(curve_length((0, 0), (10, 10), quarter), 4)
@@ -53,7 +53,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Quadratic:
-    """A quadratic Bézier curve; the control point stands in the edge frame."""
+    """A quadratic Bézier curve; the control point is in the edge frame."""
 
     control: Point
     kind: ClassVar[str] = "quadratic"
@@ -61,7 +61,7 @@ class Quadratic:
 
 @dataclass(frozen=True, slots=True)
 class Cubic:
-    """A cubic Bézier curve; both control points stand in the edge frame."""
+    """A cubic Bézier curve; both control points are in the edge frame."""
 
     control0: Point
     control1: Point
@@ -126,7 +126,7 @@ def curve_length(start: Point, end: Point, curve: Curve) -> float:
     return _bezier_length((start[0], start[1]), (end[0], end[1]), curve)
 
 
-@lru_cache(maxsize=4096)  # an edge is measured when it is drawn, sewn and checked
+@lru_cache(maxsize=4096)  # drawing, sewing and checking measure the same edge
 def _bezier_length(start: Point, end: Point, curve: Quadratic | Cubic) -> float:
     nodes = 0.5 * (QUADRATURE_NODES + 1)
     speed = np.linalg.norm(curve_tangents(start, end, curve, nodes), axis=1)
@@ -146,7 +146,7 @@ def sample_curve(start: Point, end: Point, curve: Curve, count: int) -> Float[np
 def _equal_arc_length(
     start: Point, end: Point, curve: Quadratic | Cubic, shares: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """The curve parameters at which the given shares of the arc length are reached."""
+    """Curve parameters at the given shares of the arc length."""
     knots = np.linspace(0.0, 1.0, max(129, 2 * len(shares) + 1))
     speed = np.linalg.norm(curve_tangents(start, end, curve, knots), axis=1)
     middle = np.linalg.norm(curve_tangents(start, end, curve, 0.5 * (knots[1:] + knots[:-1])), axis=1)
@@ -158,7 +158,7 @@ def _equal_arc_length(
 
 
 def reversed_curve(curve: Curve) -> Curve:
-    """The same curve, walked from its end to its start."""
+    """The same curve, from its end to its start."""
     match curve:
         case Quadratic((a, b)):
             return Quadratic((1 - a, -b))
@@ -195,7 +195,7 @@ def to_frame(start: Point, end: Point, absolute: Point) -> Point:
     ex, ey = end[0] - start[0], end[1] - start[1]
     square = ex * ex + ey * ey
     if square == 0.0:
-        raise PatternError(f"edge from {tuple(start)} to {tuple(end)} has no length, so it has no frame")
+        raise PatternError(f"edge from {tuple(start)} to {tuple(end)} has no length: move one of its ends")
     dx, dy = absolute[0] - start[0], absolute[1] - start[1]
     return ((dx * ex + dy * ey) / square, (dy * ex - dx * ey) / square)
 
@@ -213,15 +213,15 @@ def control_points(start: Point, end: Point, curve: Line | Quadratic | Cubic) ->
 
 
 def arc_centre(start: Point, end: Point, arc: Arc) -> tuple[Float[np.ndarray, "2"], float, float]:
-    """Centre [cm], angle of the start seen from it and signed sweep [rad] of an arc.
+    """Centre [cm], angle of the start as seen from the centre [rad], and signed sweep [rad] of an arc.
 
-    Raises ``PatternError`` where the radius is under half the chord.
+    Raises ``PatternError`` if the radius is under half the chord.
     """
     along, across = end[0] - start[0], end[1] - start[1]
     chord = hypot(along, across)
     if chord == 0.0 or arc.radius < 0.5 * chord * (1 - ARC_TOLERANCE):
         raise PatternError(f"arc of radius {arc.radius:.6g} cm cannot span a chord of {chord:.6g} cm")
-    side = 1.0 if arc.right != arc.large else -1.0  # on which side of the chord the centre lies; +1: left
+    side = 1.0 if arc.right != arc.large else -1.0  # side of the chord with the centre; +1: left
     height = side * sqrt(max(arc.radius**2 - 0.25 * chord**2, 0.0)) / chord
     x, y = 0.5 * (start[0] + end[0]) - height * across, 0.5 * (start[1] + end[1]) + height * along
     half = asin(min(0.5 * chord / arc.radius, 1.0))

@@ -1,4 +1,4 @@
-"""Everything that can go wrong, as one tree.
+"""The exceptions of this package.
 
     GcdError
     ├── SpecError           a specification file that cannot be read
@@ -10,12 +10,12 @@
     ├── ShardError          a data set on disk that is broken, foreign or too new
     │   └── RemoteError      a server that does not answer, refuses, or sends something else
     │       ├── MissingError a file or repository that the server does not have
-    │       └── RefusedError one that the server does not show
+    │       └── RefusedError a file or repository that the server denies access to
     ├── ConfigError         options that do not fit together, or that this machine cannot serve
     ├── TransformError      a transform that failed on a garment; its own error is the cause
-    └── OutputError         a place that cannot be written
+    └── OutputError         a file or folder that cannot be written
 
-Messages are one line and say what was met, where, and what to do about it: ``gcd`` prints them as they are.
+Messages are one line: file or object, fault, remedy. ``gcd`` prints them unchanged.
 """
 
 from collections.abc import Iterable
@@ -41,24 +41,28 @@ __all__ = [
 
 
 def shown(text: str) -> str:
-    """Text from outside as it may stand in a message: in quotes, escaped, where something in it does not print."""
+    """The text for a message: unchanged if printable, else quoted and escaped.
+
+    >>> shown("train"), shown("a\\nb")
+    ('train', "'a\\\\nb'")
+    """
     return text if text.isprintable() else ascii(text)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown word: the nearest of those that are known, if one is near.
+    """The end of a message about an unknown word: the most similar known word, if there is one.
 
     >>> did_you_mean("drap", ["body", "drape"]), did_you_mean("xyz", ["body"])
     (': did you mean drape?', '')
     """
-    import difflib  # only where something has gone wrong
+    import difflib  # slow to import, and needed for errors only
 
     nearest = difflib.get_close_matches(word, list(known), 1)
     return f": did you mean {nearest[0]}?" if nearest else ""
 
 
 class GcdError(Exception):
-    """Any error of this package; its message is one line, whatever was quoted in it.
+    """Base of all errors of this package; the message is one line: control characters are escaped.
 
     >>> str(GcdError("split a\\nb is empty"))
     'split a\\\\nb is empty'
@@ -69,7 +73,7 @@ class GcdError(Exception):
 
 
 def _one_line(text: str) -> str:
-    """The text with what does not print, line breaks too, as escapes."""
+    """The text with unprintable characters, line breaks included, as escapes."""
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
@@ -104,7 +108,7 @@ class ShardError(GcdError):
 
 
 class RemoteError(ShardError):
-    """A server that does not answer, refuses, or sends something else than what was published."""
+    """A server that does not answer, refuses, or sends other bytes than were published."""
 
 
 class MissingError(RemoteError):
@@ -112,11 +116,11 @@ class MissingError(RemoteError):
 
 
 class RefusedError(RemoteError):
-    """A file or repository that the server does not show, to this token at least."""
+    """A file or repository that the server denies access to with this token."""
 
 
 class ConfigError(GcdError):
-    """Options that do not fit together."""
+    """Options that do not fit together, or that this machine cannot serve."""
 
 
 class TransformError(GcdError):
@@ -124,4 +128,4 @@ class TransformError(GcdError):
 
 
 class OutputError(GcdError):
-    """A place that cannot be written."""
+    """A file or folder that cannot be written."""

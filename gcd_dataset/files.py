@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and the folders that users name."""
+"""Atomic file writes, size-limited reads, and paths given by users; system errors become one-line messages."""
 
 import contextlib
 import errno
@@ -14,8 +14,8 @@ from gcd_dataset.errors import GcdError, OutputError, shown
 
 __all__ = ["drafted", "make_folder", "open_whole", "read_whole", "user_path", "write_whole", "writing_to"]
 
-URL = re.compile(r"[a-z][a-z0-9+-]+:/")  # what a path keeps of s3://bucket
-DRAFTS = 8  # names of drafts that the writers of one file share; more writers at once take names by chance
+URL = re.compile(r"[a-z][a-z0-9+-]+:/")  # pathlib turns s3://bucket into s3:/bucket
+DRAFTS = 8  # numbered draft names for one target; further concurrent writers use random names
 REMEDIES = {
     "make room there, or choose another folder": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
     "choose a folder that you may write to": (errno.EACCES, errno.EPERM, errno.EROFS),
@@ -33,10 +33,13 @@ REMEDY_OF = {code: remedy for remedy, codes in REMEDIES.items() for code in code
 
 
 def read_whole(path: Path | str, kind: str, *, limit: int, error: type[GcdError]) -> bytes:
-    """All bytes of a file. Raises ``error``, which asks for a ``kind``, where it is missing or over ``limit`` bytes."""
+    """All bytes of a file.
+
+    Raises ``error`` if it is missing, unreadable or larger than ``limit`` bytes; the message asks for a ``kind``.
+    """
     try:
         with Path(path).open("rb") as file:
-            size = os.fstat(file.fileno()).st_size  # of a device 0
+            size = os.fstat(file.fileno()).st_size  # 0 for a device, so the read is limited too
             content = file.read(limit + 1) if size <= limit else b""
     except FileNotFoundError as cause:
         raise error(f"{path}: no such file: give the path of a {kind}") from cause
@@ -52,14 +55,14 @@ def read_whole(path: Path | str, kind: str, *, limit: int, error: type[GcdError]
 
 
 def write_whole(path: Path | str, content: bytes) -> None:
-    """``content`` in ``path``. Raises ``OutputError`` where that fails; what stood there before then still does."""
+    """Write ``content`` to ``path`` atomically. Raises ``OutputError``; an existing file is then unchanged."""
     with open_whole(path) as file:
         file.write(content)
 
 
 @contextlib.contextmanager
 def open_whole(path: Path | str) -> Iterator[BinaryIO]:
-    """A file open for writing that takes the name ``path`` when the block ends well, and vanishes when it does not.
+    """A file open for writing, renamed to ``path`` when the block succeeds and deleted when it raises.
 
     Raises ``OutputError`` with the file, the system's reason and a remedy.
     """
@@ -69,17 +72,16 @@ def open_whole(path: Path | str) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def drafted(path: Path | str) -> Iterator[Path]:
-    """An empty file to fill; it takes the name ``path`` when the block ends well, else it vanishes.
+    """Path of an empty draft file, renamed to ``path`` when the block succeeds and deleted when it raises.
 
-    Its writer holds a lock on it (``flock``), so that the drafts of killed writers are told from those of living ones:
-    the next writer of ``path`` removes them, except on file systems without locks. Raises ``OutputError`` as
-    ``open_whole`` does.
+    The writer holds a lock on its draft (``flock``). The next writer of ``path`` deletes unlocked drafts, left behind
+    by killed writers; on file systems without locks they stay. Raises ``OutputError`` as ``open_whole`` does.
     """
     path = Path(path)
     if not path.name or "\0" in str(path):
         raise OutputError(f"{shown(str(path))}: names no file: give a file name")
     with writing_to(path):
-        draft, held = _begin_draft(path)
+        draft, descriptor = _begin_draft(path)
         try:
             yield draft
             with draft.open("rb+") as file:
@@ -88,66 +90,66 @@ def drafted(path: Path | str) -> Iterator[Path]:
         finally:
             with contextlib.suppress(OSError):
                 draft.unlink(missing_ok=True)
-            os.close(held)
+            os.close(descriptor)
 
 
 def _begin_draft(path: Path) -> tuple[Path, int]:
-    """An empty draft of ``path`` and its locked descriptor; drafts of dead writers go. Raises ``OSError``."""
-    ours: tuple[Path, int] | None = None
+    """An empty draft of ``path`` and its locked descriptor; deletes drafts of dead writers. Raises ``OSError``."""
+    chosen: tuple[Path, int] | None = None
     for number in range(DRAFTS):
         draft = path.with_name(f".{path.name}.{number}.part")
-        if ours is not None and not os.path.lexists(draft):
+        if chosen is not None and not os.path.lexists(draft):
             continue
-        held = _claimed(draft)
-        if held is None:
+        descriptor = _lock_draft(draft)
+        if descriptor is None:
             continue
-        if ours is None:
-            os.ftruncate(held, 0)
-            ours = draft, held
+        if chosen is None:
+            os.ftruncate(descriptor, 0)
+            chosen = draft, descriptor
         else:
             with contextlib.suppress(OSError):
                 draft.unlink()
-            os.close(held)
-    if ours is None:
+            os.close(descriptor)
+    if chosen is None:
         draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-        ours = draft, os.open(draft, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-    return ours
+        chosen = draft, os.open(draft, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+    return chosen
 
 
-def _claimed(draft: Path) -> int | None:
-    """The draft, made if need be, open and locked; ``None`` where it is another's, or cannot be locked.
+def _lock_draft(draft: Path) -> int | None:
+    """Descriptor of the draft, created if missing, with a lock; ``None`` if another writer has it or locks fail.
 
     Raises ``OSError`` for a folder that cannot be written.
     """
     try:
-        file = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+        descriptor = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     except OSError:
-        if os.path.lexists(draft):  # another user's, or no file
+        if os.path.lexists(draft):  # owned by another user, or not a regular file
             return None
         raise
-    with contextlib.suppress(BlockingIOError, FileNotFoundError):  # in work, or just finished by its writer
+    with contextlib.suppress(BlockingIOError, FileNotFoundError):  # locked by its writer, or just renamed by it
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise
         except OSError:  # no locks on this file system
             draft.unlink()
         else:
-            if os.path.samestat(os.fstat(file), os.lstat(draft)):
-                return file
-    os.close(file)
+            if os.path.samestat(os.fstat(descriptor), os.lstat(draft)):
+                return descriptor
+    os.close(descriptor)
     return None
 
 
 def make_folder(path: Path | str) -> Path:
-    """The folder, made with its parents if it was not there. Raises ``OutputError``."""
+    """The folder, created with its parents if missing. Raises ``OutputError``."""
     path = Path(path)
     if "\0" in str(path):
         raise OutputError(f"{shown(str(path))}: names no folder: give a folder name")
     if URL.match(str(path)):
         raise OutputError(
-            f"{shown(str(path))}: a URL, where a folder of this machine is written: give a folder, or, where URLs are "
-            "taken, the URL as text"
+            f"{shown(str(path))}: a URL, where a local folder is needed: give a folder; a function that takes URLs "
+            "takes them as str, not as Path"
         )
     with writing_to(path):
         path.mkdir(parents=True, exist_ok=True)
@@ -155,16 +157,16 @@ def make_folder(path: Path | str) -> Path:
 
 
 def user_path(path: Path | str) -> Path:
-    """The path that a user has written: a ``~`` or ``~USER`` at its beginning is that home, where there is one."""
+    """The path with a leading ``~`` or ``~USER`` expanded, if that user exists."""
     try:
         return Path(path).expanduser()
-    except RuntimeError:  # nobody is called so: a plain name that begins with it
+    except RuntimeError:  # no such user: a file name that begins with ~
         return Path(path)
 
 
 @contextlib.contextmanager
 def writing_to(path: Path) -> Iterator[None]:
-    """Turn the system's errors into an ``OutputError`` with the file or folder, the system's reason and a remedy."""
+    """Turn ``OSError`` into an ``OutputError`` with the file or folder, the system's reason and a remedy."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""JSON by people and by other programs: read and checked, with errors that name the file and the place in it."""
+"""JSON from outside: strict parsing and type checks, with errors that name the file and the position in it."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ from gcd_dataset.files import read_whole
 __all__ = ["LARGEST_JSON", "JsonPath", "found", "loads", "parse_json", "read_json"]
 
 LARGEST_JSON = 32 << 20  # bytes; a published pattern has 60 kB, and a parsed file takes up to twenty times its size
-LARGEST_NUMBER = 1e12  # no length, angle or count comes near; its square is a number still
+LARGEST_NUMBER = 1e12  # larger than any length, angle or count; its square is finite
 DEEPEST = 64  # levels of lists and objects; a pattern has nine
 
 TOO_DEEP = f"more than {DEEPEST} levels deep"
@@ -28,11 +28,11 @@ def parse_json(
     error: type[GcdError] = SpecError,
     limit: int = LARGEST_JSON,
 ) -> Any:
-    """The value that a JSON text of at most ``limit`` bytes holds.
+    """The parsed value of a JSON text of at most ``limit`` bytes.
 
-    Raises ``error``, whose message begins with ``source`` and ends with ``remedy``, for what is no JSON in UTF-8, and
-    for what JSON allows and no reader takes: more than 64 levels, numbers beyond float64 or of thousands of digits,
-    a key twice in one object, half a surrogate pair.
+    Raises ``error``, whose message begins with ``source`` and ends with ``remedy``, for text that is not JSON in UTF-8,
+    and for JSON that readers disagree on: more than 64 levels, numbers beyond float64 or of thousands of digits, a
+    repeated key, a lone surrogate.
     """
     try:
         encoded = content.encode() if isinstance(content, str) else bytes(content)
@@ -42,8 +42,8 @@ def parse_json(
         if b"\\u" in encoded:
             json.dumps(value, ensure_ascii=False).encode()
     except json.JSONDecodeError as cause:
-        place = f"line {cause.lineno}, column {cause.colno}"
-        raise error(f"{source}: {place}: {cause.msg}: {remedy}") from cause
+        position = f"line {cause.lineno}, column {cause.colno}"
+        raise error(f"{source}: {position}: {cause.msg}: {remedy}") from cause
     except UnicodeError as cause:
         raise error(f"{source}: not UTF-8 ({cause.reason}): {remedy}") from cause  # type: ignore[attr-defined]
     except ValueError as cause:
@@ -52,7 +52,7 @@ def parse_json(
 
 
 def loads(text: str, *, decode: Callable[[str], Any] = json.loads) -> Any:
-    """The value of a JSON text, as ``decode`` parses it.
+    """The value of a JSON text, parsed by ``decode``.
 
     Raises ``ValueError`` for broken JSON, numbers of thousands of digits, and more than 64 levels.
     """
@@ -66,27 +66,33 @@ def loads(text: str, *, decode: Callable[[str], Any] = json.loads) -> Any:
 
 
 def read_json(path: Path, kind: str, *, error: type[GcdError] = SpecError) -> Any:
-    """What is in the file. Raises ``error``, which asks for a ``kind``, where it is missing, broken or too large."""
+    """The parsed JSON of a file. Raises ``error``, which asks for a ``kind``, if it is missing, broken or too large."""
     content = read_whole(path, kind, limit=LARGEST_JSON, error=error)
     return parse_json(content, source=str(path), error=error)
 
 
 @dataclass(frozen=True)
 class JsonPath:
-    """Where the reading stands, for errors; and the checks that need it."""
+    """A position in a JSON file, named in errors; its methods check the type of a value found there.
+
+    >>> JsonPath("a.json").within("panel front").number("wide", "width")
+    Traceback (most recent call last):
+    gcd_dataset.errors.SpecError: a.json: panel front: width must be a number, found "wide"
+    """
 
     source: str
+    """The file."""
     path: str = ""
 
     def within(self, part: str) -> "JsonPath":
         return replace(self, path=f"{self.path}, {part}" if self.path else part)
 
-    def error(self, what: str) -> SpecError:
-        return SpecError(f"{self.source}: {self.path + ': ' if self.path else ''}{what}")
+    def error(self, fault: str) -> SpecError:
+        return SpecError(f"{self.source}: {self.path + ': ' if self.path else ''}{fault}")
 
-    def mapping(self, value: Any, what: str) -> Mapping[str, Any]:
+    def mapping(self, value: Any, name: str) -> Mapping[str, Any]:
         if not isinstance(value, Mapping):
-            raise self.error(f"{what or 'the file'} must be a JSON object, found {found(value)}")
+            raise self.error(f"{name or 'the file'} must be a JSON object, found {found(value)}")
         return value
 
     def list_of(self, holder: Mapping[str, Any], key: str) -> Sequence[Any]:
@@ -95,34 +101,34 @@ class JsonPath:
             raise self.error(f"{key} must be a list, found {found(value)}")
         return value
 
-    def numbers(self, value: Any, count: int, what: str) -> tuple[float, ...]:
+    def numbers(self, value: Any, count: int, name: str) -> tuple[float, ...]:
         if not (isinstance(value, list | tuple) and len(value) == count and all(_is_number(n) for n in value)):
-            raise self.error(f"{what} must be {count} numbers, found {found(value)}")
+            raise self.error(f"{name} must be {count} numbers, found {found(value)}")
         return tuple(float(n) for n in value)
 
-    def number(self, value: Any, what: str) -> float:
+    def number(self, value: Any, name: str) -> float:
         if not _is_number(value):
-            raise self.error(f"{what} must be a number, found {found(value)}")
+            raise self.error(f"{name} must be a number, found {found(value)}")
         return float(value)
 
-    def index(self, value: Any, what: str) -> int:
+    def index(self, value: Any, name: str) -> int:
         if not (isinstance(value, int) and _is_number(value)):
-            raise self.error(f"{what} must be a whole number, found {found(value)}")
+            raise self.error(f"{name} must be a whole number, found {found(value)}")
         return value
 
-    def text(self, value: Any, what: str) -> str:
+    def text(self, value: Any, name: str) -> str:
         if not isinstance(value, str):
-            raise self.error(f"{what} must be a string, found {found(value)}")
+            raise self.error(f"{name} must be a string, found {found(value)}")
         return value
 
     def require_flat(self, value: Any) -> None:
-        """Raise ``SpecError`` for what is nested so deep that it could not be written again."""
+        """Raise ``SpecError`` for a value nested too deep to be written again."""
         if not _is_flat(value):
             raise self.error(f"{TOO_DEEP}: flatten it")
 
 
 def found(value: Any) -> str:
-    """A value as errors show it: cut where it is long."""
+    """The value as JSON for an error message, cut to 60 characters."""
     try:
         text = json.dumps(value, default=str) if value is not None else "nothing"
     except (RecursionError, TypeError, ValueError):  # too deep, an odd key, a number of thousands of digits
@@ -156,7 +162,7 @@ DECODER = json.JSONDecoder(object_pairs_hook=_unique, parse_float=_finite, parse
 
 
 def _surely_flat(content: bytes) -> bool:
-    """Whether the brackets alone say that there are no more than ``DEEPEST`` levels; those in strings confuse it."""
+    """Whether the brackets alone prove at most ``DEEPEST`` levels; fast. Brackets in strings may hide a flat value."""
     if content.count(b"[") + content.count(b"{") <= DEEPEST:
         return True
     brackets = content.translate(None, NOT_BRACKETS)
@@ -176,7 +182,7 @@ def _is_flat(value: Any) -> bool:
 
 
 def _first_sentence(error: ValueError) -> str:
-    """What Python says of an integer of thousands of digits, without its advice to programmers."""
+    """Python's message without its advice on ``sys.set_int_max_str_digits``."""
     return str(error).partition(";")[0]
 
 

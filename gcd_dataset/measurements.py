@@ -1,7 +1,7 @@
-"""A tailor's measures: each is one field of ``Measurements``, with its meaning, unit and the way it is taken.
+"""A tailor's measures: each is one field of ``Measurements``, with its meaning, unit and formula.
 
-Names and meaning are those of GarmentCode's measurement files. A field more, and bodies are measured for it
-(``generator.body.measure``), files and shards hold it, and garments may use it.
+Names and meanings are those of GarmentCode's measurement files. To add a measure, add a field: bodies are then measured
+for it (``generator.body.measure``), files and shards store it, and garments can use it.
 
 >>> MEASURE["hips_line"].unit, MEASURE["hip_inclination"].unit
 ('cm', 'degrees')
@@ -19,14 +19,14 @@ __all__ = ["ANGLES", "MEASURE", "MEASURES", "Measure", "Measurements", "Tape"]
 
 ARMSCYE_EASE = 2.5  # cm, GarmentCode body_params.py
 SLEEVE_BALANCE = 2.0  # cm, GarmentCode body_params.py
-LARGEST = 1e4  # cm, or degrees: no giant has more
-SIDEWAYS = -0.4  # a tape's normal may lean this far away and still count as front or back, GarmentCodeData
+LARGEST = 1e4  # cm, or degrees: larger than any body
+SIDEWAYS = -0.4  # least cosine between skin normal and tape direction, GarmentCodeData
 
 Unit: TypeAlias = Literal["cm", "degrees"]
 
 
 class Tape(Protocol):
-    """What a body is measured with: landmarks, rings and level sections go by their names. In cm and radians."""
+    """A measuring tape on one body. Landmarks, rings and level sections have names; results in cm and radians."""
 
     def height(self) -> float:
         """Soles to the top of the head, vertically."""
@@ -41,10 +41,10 @@ class Tape(Protocol):
         """From point to point, vertically."""
 
     def sinking(self, start: str, end: str) -> float:
-        """How far the way from point to point sinks below the horizontal."""
+        """Angle of the line from ``start`` to ``end`` below the horizontal."""
 
     def leaning(self, upper: str, lower: str) -> float:
-        """How far the way down from point to point leans outwards on the right, from the vertical."""
+        """Angle between the line from ``upper`` to ``lower`` and the vertical; positive outwards, on the right side."""
 
     def along(self, ring: str) -> float:
         """Along the points of an open ring."""
@@ -53,7 +53,7 @@ class Tape(Protocol):
         """Along the points of a closed ring."""
 
     def down_arm(self) -> float:
-        """From shoulder to wrist over the skin, the shortest way."""
+        """From shoulder to wrist, the shortest path over the skin."""
 
     def girth(self, section: str) -> float:
         """Tape round a level section of the trunk."""
@@ -68,38 +68,41 @@ class Tape(Protocol):
         """Tape down the upright section of the spine."""
 
     def over_breast(self, level: str, facing: tuple[float, float], over: float) -> float:
-        """Tape over the right breast's upright section, from the shoulder to the level of a point.
+        """Tape over the right breast's upright section, from the shoulder to the height of the landmark ``level``.
 
-        It touches skin whose normal (forward, up) agrees with ``facing`` by at least the cosine ``over``.
+        It runs over skin whose normal (forward, up) has a cosine of at least ``over`` with ``facing``.
         """
 
 
 @dataclass(frozen=True)
 class Measure:
-    """What is known of a measure."""
+    """Name, unit and formula of one measure."""
 
     name: str
     unit: Unit
-    """In files; angles are in radians in ``Measurements``."""
-    taken: Callable[[Tape], float]
+    """In files; ``Measurements`` holds angles in radians."""
+    formula: Callable[[Tape], float]
+    """How it is measured [cm, rad]."""
     optional: bool
     """Whether a measurement file may leave it out."""
     on_arms: bool
-    """Whether it hangs on landmarks that arms held otherwise than in the A-pose make unsure."""
+    """Whether it uses landmarks that are uncertain unless the arms are in the A-pose."""
 
     def holds(self, value: float) -> bool:
-        """Whether a number in a file may be this measure."""
+        """Whether a number in a file is in this measure's range."""
         return abs(value) <= LARGEST and (self.unit == "degrees" or value > 0)
 
 
-def measure(taken: Callable[[Tape], float], *, unit: Unit = "cm", optional: bool = False, on_arms: bool = False) -> Any:
+def measure(
+    formula: Callable[[Tape], float], *, unit: Unit = "cm", optional: bool = False, on_arms: bool = False
+) -> Any:
     """A field of ``Measurements``; see ``Measure``."""
-    return field(default=np.nan, metadata={"taken": taken, "unit": unit, "optional": optional, "on_arms": on_arms})
+    return field(default=np.nan, metadata={"formula": formula, "unit": unit, "optional": optional, "on_arms": on_arms})
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """A tailor's measures [cm]; inclinations [rad]. NaN marks a measure nobody took."""
+    """A tailor's measures [cm]; inclinations [rad]. NaN marks a missing measure."""
 
     height: float = measure(lambda tape: tape.height())
     """Soles to the top of the head, vertically."""
@@ -160,12 +163,12 @@ class Measurements:
 
     @classmethod
     def from_file_values(cls, values: Mapping[str, float]) -> Self:
-        """From the numbers of a measurement file: angles in degrees, derived keys (leading ``_``) left out."""
+        """From the numbers of a measurement file: angles in degrees; unknown and derived (``_…``) keys are ignored."""
         known = {key: float(value) for key, value in values.items() if key in MEASURES}
         return cls(**{key: float(np.radians(value)) if key in ANGLES else value for key, value in known.items()})
 
     def to_file_values(self) -> dict[str, float]:
-        """The numbers as a measurement file holds them: angles in degrees, measures nobody took left out."""
+        """The numbers as a measurement file holds them: angles in degrees, without missing measures."""
         values = {key: float(getattr(self, key)) for key in MEASURES}
         return {
             key: float(np.degrees(value)) if key in ANGLES else value
@@ -174,7 +177,7 @@ class Measurements:
         }
 
     def require(self, *names: str) -> Self:
-        """These measurements, or ``BodyError`` with the names of those that nobody took."""
+        """These measurements. Raises ``BodyError`` with the names that are missing."""
         missing = [name for name in names if np.isnan(getattr(self, name))]
         if missing:
             raise BodyError(f"measures {', '.join(missing)} are missing: add them to the measurement file")
@@ -197,14 +200,14 @@ class Measurements:
 
     @property
     def drawn_bust_line(self) -> float:
-        """The bust line as the patterns use it: two thirds vertical, one third over the bust [cm]."""
+        """Bust line for drawing patterns: two thirds vertical, one third over the bust [cm]."""
         if np.isnan(self.vert_bust_line):
             return self.bust_line
         return 2 / 3 * self.vert_bust_line + 1 / 3 * self.bust_line
 
     @property
     def drawn_hip_inclination(self) -> float:
-        """Half the hips' inclination, as the patterns use it [rad]."""
+        """Hip inclination for drawing patterns: half the measured one [rad]."""
         return self.hip_inclination / 2
 
     @property
@@ -214,7 +217,7 @@ class Measurements:
 
 
 MEASURE: Mapping[str, Measure] = {entry.name: Measure(entry.name, **entry.metadata) for entry in fields(Measurements)}
-"""What is known of each measure, by its name."""
+"""Name, unit and formula of each measure, by name."""
 MEASURES: tuple[str, ...] = tuple(MEASURE)
 """The keys of a GarmentCode measurement file, 26, and those of further measures: cm; inclinations in degrees."""
 ANGLES = frozenset(name for name, known in MEASURE.items() if known.unit == "degrees")

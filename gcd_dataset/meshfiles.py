@@ -15,28 +15,28 @@ SKIN, CLOTH = (205, 196, 188, 255), (120, 150, 190, 255)
 def obj_bytes(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> bytes:
     """Wavefront OBJ [cm]: one vertex list, texture coordinates in the panels' planes [cm], one group a panel.
 
-    The vertices keep their numbers, which an OBJ export through triangle corners would not. White space in a panel's
-    name becomes an underscore: the format would read it as several groups.
+    Vertex numbers are those of the mesh. White space in a panel's name becomes an underscore, since OBJ would read
+    several groups.
     """
     lines = ["# gcd_dataset: centimetres, y up; vt: panel-plane coordinates in centimetres"]
     lines += [f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in vertices]
     lines += [f"vt {u:.6g} {v:.6g}" for u, v in mesh.uv]
     for panel, name in enumerate(mesh.panel_names):
-        own = mesh.panel_id == panel
+        of_panel = mesh.panel_id == panel
         lines.append(f"g {'_'.join(name.split())}")
-        for corner, face in zip(mesh.corners[own] + 1, mesh.faces[own] + 1, strict=True):
+        for corner, face in zip(mesh.corners[of_panel] + 1, mesh.faces[of_panel] + 1, strict=True):
             lines.append("f " + " ".join(f"{v}/{c}" for v, c in zip(face, corner, strict=True)))
     return ("\n".join(lines) + "\n").encode()
 
 
 def ply_bytes(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> bytes:
     """Binary PLY [cm]."""
-    return _plain(vertices, mesh).export(file_type="ply")
+    return _trimesh(vertices, mesh).export(file_type="ply")
 
 
 def glb_bytes(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body) -> bytes:
     """Binary glTF [m]: the garment on its body."""
-    garment = _plain(vertices, mesh)
+    garment = _trimesh(vertices, mesh)
     garment.visual.face_colors = CLOTH
     skin = trimesh.Trimesh(body.vertices, body.faces, process=False)
     skin.visual.face_colors = SKIN
@@ -44,5 +44,5 @@ def glb_bytes(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh, body: Body) -> 
     return scene.scaled(CM_IN_METRE).export(file_type="glb")
 
 
-def _plain(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> trimesh.Trimesh:
+def _trimesh(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(np.asarray(vertices, np.float32), mesh.faces, process=False)

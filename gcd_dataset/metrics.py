@@ -1,11 +1,11 @@
-"""How close a predicted pattern is to the true one, whatever it calls its panels and wherever its loops start.
+"""Scores of a predicted pattern against the true one.
 
-Panels are matched by what they are in space: their outlines, and where they hang. Renaming or reordering panels, moving
-the first corner of a loop or a panel's local origin, or drawing a panel from its other side changes no score. Which way
-a panel's own axes point is part of its placement: they count in ``rot_deg``.
+Panels are matched by outline and placement in space. Renaming or reordering panels, moving the first corner of a loop
+or a panel's local origin, or drawing a panel from its other side changes no score. The direction of a panel's axes is
+part of its placement and counts in ``rot_deg``.
 
-No garment is left out of a mean: what cannot be matched counts as missing, and a prediction without one match gets the
-worst value there is.
+Means include every garment: an unmatched panel counts as missing, and a prediction without any match gets the worst
+score.
 """
 
 from collections.abc import Sequence
@@ -24,61 +24,61 @@ from gcd_dataset.validate import Severity, check_pattern
 
 __all__ = ["PanelShape", "PatternScore", "bootstrap_interval", "mean_scores", "resample_loop", "score_pattern"]
 
-CURVE_SAMPLES = 33  # points that stand for a curved edge: an arc of a quarter circle is 0.1 permille of r off
+CURVE_SAMPLES = 33  # points of a curved edge: off by 1e-4 r for a quarter circle
 CONTOUR_POINTS = 256
-SHIFTS = 64  # first guesses of where the other contour starts, beside its corners
-DISTANCE_SCALE = 20.0  # cm apart that weigh as much as outlines that do not overlap
-ANGLE_SCALE = np.pi / 2  # the same for how far panels are turned against each other
-FAR = 40.0  # cm: panels further apart are one panel only if their outlines say so
-ALIKE = 0.5  # intersection over union from which they do
-SMALLEST_AREA = 1.0  # cm²: nobody sews less
+SHIFTS = 64  # initial guesses for the start of the other contour, beside its corners
+DISTANCE_SCALE = 20.0  # cm: a distance that costs as much as outlines without overlap
+ANGLE_SCALE = np.pi / 2  # a rotation that costs as much
+FAR = 40.0  # cm: panels further apart match only if their outlines are alike
+ALIKE = 0.5  # least intersection over union of outlines that are alike
+SMALLEST_AREA = 1.0  # cm²: a panel to sew is larger
 
 
 @dataclass(frozen=True, slots=True)
 class PatternScore:
-    """Scores of one predicted pattern, or their means. Shares are in [0, 1], and 1 is best; distances are best at 0."""
+    """Scores of one predicted pattern, or their means. Shares lie in [0, 1], 1 is best; distances are best at 0."""
 
     valid: float
-    """1 where it can be sewn: no fault of ``check_pattern``, no panel of 1 cm² or less."""
+    """1 for a pattern that can be sewn: no error of ``check_pattern``, every panel larger than 1 cm²."""
     panel_count_acc: float
-    """1 where the number of panels is right."""
+    """1 for the right number of panels."""
     edge_count_acc: float
-    """Matched panels with the right number of edges, of the larger number of panels."""
+    """Matched panels with the right number of edges, divided by the larger number of panels."""
     iou: float
-    """Intersection over union of matched outlines laid centroid on centroid; over the larger number of panels."""
+    """Sum of the IoU of matched outlines, centroids aligned, divided by the larger number of panels."""
     panel_l2: float
-    """Mean distance between matched outlines, laid centroid on centroid, at equal shares of their length [cm]."""
+    """Mean distance of matched outlines, centroids aligned, at equal shares of their length [cm]."""
     panel_l2_pen: float
-    """The same over all true panels, where one without match costs its mean radius [cm]."""
+    """The same over all true panels; an unmatched panel counts with its mean radius [cm]."""
     transl_cm: float
     """Distance between the centroids of matched panels in space [cm]."""
     rot_deg: float
     """Angle between the placements of matched panels [degrees]."""
     stitch_p: float
-    """Seams predicted that are true, of those predicted."""
+    """Precision of the seams: share of the predicted seams that are true."""
     stitch_r: float
-    """The same, of those that are true."""
+    """Recall of the seams: share of the true seams that are predicted."""
     stitch_f1: float
-    """Harmonic mean of both."""
+    """Harmonic mean of precision and recall."""
 
 
 def score_pattern(predicted: Pattern, true: Pattern) -> PatternScore:
-    """How close ``predicted`` comes to ``true``. Predicted panels that cannot be drawn match nothing.
+    """Scores of ``predicted`` against ``true``. Predicted panels without a closed outline match nothing.
 
-    Raises ``PatternError`` where a panel of ``true`` cannot be drawn.
+    Raises ``PatternError`` if a panel of ``true`` has no closed outline.
     """
-    theirs = [PanelShape.of(panel) for panel in true.panels]
-    ours = [_shape_or_none(panel) for panel in predicted.panels]
-    pairs = _matches(ours, theirs)
-    larger = max(len(ours), len(theirs))
-    distances = {pair.theirs: _contour_distance(pair.ours, pair.theirs) for pair in pairs}
-    radii = [float(np.linalg.norm(shape.contour(), axis=1).mean()) for shape in theirs]
-    penalised = _mean([distances.get(shape, radius) for shape, radius in zip(theirs, radii, strict=True)], 0.0)
-    right_edges = sum(len(pair.ours.panel.edges) == len(pair.theirs.panel.edges) for pair in pairs)
+    true_shapes = [PanelShape.of(panel) for panel in true.panels]
+    predicted_shapes = [_shape_or_none(panel) for panel in predicted.panels]
+    pairs = _matches(predicted_shapes, true_shapes)
+    larger = max(len(predicted_shapes), len(true_shapes))
+    distances = {pair.true: _contour_distance(pair.predicted, pair.true) for pair in pairs}
+    radii = [float(np.linalg.norm(shape.contour(), axis=1).mean()) for shape in true_shapes]
+    penalised = _mean([distances.get(shape, radius) for shape, radius in zip(true_shapes, radii, strict=True)], 0.0)
+    right_edges = sum(len(pair.predicted.panel.edges) == len(pair.true.panel.edges) for pair in pairs)
     precision, recall, f1 = _stitch_scores(predicted, true, pairs)
     return PatternScore(
-        valid=float(_can_be_sewn(predicted, ours)),
-        panel_count_acc=float(len(ours) == len(theirs)),
+        valid=float(_can_be_sewn(predicted, predicted_shapes)),
+        panel_count_acc=float(len(predicted_shapes) == len(true_shapes)),
         edge_count_acc=right_edges / larger if larger else 1.0,
         iou=sum(pair.iou for pair in pairs) / larger if larger else 1.0,
         panel_l2=_mean(list(distances.values()), penalised),
@@ -101,7 +101,10 @@ def mean_scores(scores: Sequence[PatternScore]) -> PatternScore:
 def bootstrap_interval(
     scores: Sequence[PatternScore], rng: np.random.Generator, *, share: float = 0.95, draws: int = 1000
 ) -> tuple[PatternScore, PatternScore]:
-    """Between what the means would lie for ``share`` of test sets like this one (percentile bootstrap)."""
+    """Lower and upper ends of the ``share`` confidence interval of the mean scores (percentile bootstrap).
+
+    ``draws``: number of resampled test sets.
+    """
     values = np.array([astuple(score) for score in scores]).reshape(-1, len(fields(PatternScore)))
     chosen = rng.integers(len(values), size=(draws, len(values)))
     low, high = np.quantile(values[chosen].mean(axis=1), [(1 - share) / 2, (1 + share) / 2], axis=0)
@@ -111,12 +114,15 @@ def bootstrap_interval(
 def resample_loop(
     loop: Float[np.ndarray, "n 2"], count: int, offsets: Float[np.ndarray, "*o"] | float = 0.0
 ) -> Float[np.ndarray, "*o count 2"]:
-    """``count`` points at equal distances along a closed polyline, ``offsets`` [its unit] behind its first point."""
+    """``count`` points equally spaced along a closed polyline; the first lies ``offsets`` after the polyline's start.
+
+    Offsets are arc lengths in the unit of ``loop``; an array of offsets gives one set of points for each.
+    """
     closed = np.concatenate([loop, loop[:1]])
-    reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    length = reached[-1]
-    at = (np.asarray(offsets)[..., None] + np.arange(count) / count * length) % length if length else np.zeros(count)
-    return np.stack([np.interp(at, reached, closed[:, axis]) for axis in (0, 1)], axis=-1)
+    arc_length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    total = arc_length[-1]
+    at = (np.asarray(offsets)[..., None] + np.arange(count) / count * total) % total if total else np.zeros(count)
+    return np.stack([np.interp(at, arc_length, closed[:, axis]) for axis in (0, 1)], axis=-1)
 
 
 # --------------------------------------------------------------------------------------------------------------- shapes
@@ -124,7 +130,7 @@ def resample_loop(
 
 @dataclass(frozen=True, eq=False)
 class PanelShape:
-    """A panel as a thing in space: its outline about its centroid, seen from its right side, and how it hangs."""
+    """A panel's outline about its centroid, seen from the right side of the cloth, and its position in space."""
 
     panel: Panel
     centroid: Float[np.ndarray, "2"]
@@ -141,7 +147,7 @@ class PanelShape:
 
     @staticmethod
     def of(panel: Panel) -> "PanelShape":
-        """Raises ``PatternError`` for a loop that is not closed or an arc that does not span its chord."""
+        """The shape of a panel. Raises ``PatternError`` for an open loop or an arc that does not span its chord."""
         outline = _polyline(panel)
         centroid, side = area_centroid(panel), float(np.copysign(1.0, _signed_area(outline)))
         loop = (outline - centroid) * [side, 1.0]
@@ -172,10 +178,10 @@ def _shape_or_none(panel: Panel) -> PanelShape | None:
 
 
 def _polyline(panel: Panel) -> Float[np.ndarray, "n 2"]:
-    """The outline, curves sampled. Raises ``PatternError`` where it is not one closed loop."""
+    """The outline with sampled curves. Raises ``PatternError`` if it is not one closed loop."""
     require_closed(panel)
     if not np.all(np.isfinite(panel.vertices)):
-        raise PatternError(f"panel {panel.name}: a corner is no point: mend its vertices")
+        raise PatternError(f"panel {panel.name}: a vertex is not finite: mend its vertices")
     pieces = [
         sample_curve(*panel.edge_ends(index), edge.curve, 2 if edge.curve == LINE else CURVE_SAMPLES)[:-1]
         for index, edge in enumerate(panel.edges)
@@ -202,10 +208,10 @@ def _can_be_sewn(pattern: Pattern, shapes: Sequence[PanelShape | None]) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """A predicted panel and the true one it stands for."""
+    """A predicted panel and its match among the true panels."""
 
-    ours: PanelShape
-    theirs: PanelShape
+    predicted: PanelShape
+    true: PanelShape
     iou: float
     distance: float
     """Between the centroids in space [cm]."""
@@ -213,39 +219,39 @@ class _Pair:
     """Between the placements [rad]."""
 
 
-def _matches(ours: Sequence[PanelShape | None], theirs: Sequence[PanelShape]) -> list[_Pair]:
-    """The pairs of least total cost (Hungarian method), less those that are neither near nor alike."""
-    drawn = [shape for shape in ours if shape is not None]
-    if not drawn or not theirs:
+def _matches(predicted: Sequence[PanelShape | None], true: Sequence[PanelShape]) -> list[_Pair]:
+    """The pairs of least total cost (Hungarian method), without pairs that are neither near nor alike."""
+    drawn = [shape for shape in predicted if shape is not None]
+    if not drawn or not true:
         return []
-    polygons = np.array([s.polygon for s in drawn])[:, None], np.array([s.polygon for s in theirs])[None]
+    polygons = np.array([s.polygon for s in drawn])[:, None], np.array([s.polygon for s in true])[None]
     union = shapely.area(shapely.union(*polygons))
     iou = shapely.area(shapely.intersection(*polygons)) / np.where(union > 0, union, 1.0)
-    distance = np.linalg.norm([[a.centre - b.centre for b in theirs] for a in drawn], axis=2)
-    angle = np.array([[_angle(a.matrix, b.matrix) for b in theirs] for a in drawn])
+    distance = np.linalg.norm([[a.centre - b.centre for b in true] for a in drawn], axis=2)
+    angle = np.array([[_angle(a.matrix, b.matrix) for b in true] for a in drawn])
     rows, columns = linear_sum_assignment((1 - iou) + distance / DISTANCE_SCALE + angle / ANGLE_SCALE)
     return [
-        _Pair(drawn[i], theirs[j], float(iou[i, j]), float(distance[i, j]), float(angle[i, j]))
+        _Pair(drawn[i], true[j], float(iou[i, j]), float(distance[i, j]), float(angle[i, j]))
         for i, j in zip(rows, columns, strict=True)
         if distance[i, j] <= FAR or iou[i, j] >= ALIKE
     ]
 
 
 def _angle(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> float:
-    """Angle of the rotation that takes one onto the other [rad]; by atan2, since arccos is blind near 0."""
-    turn = one.T @ other
-    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    return float(np.arctan2(np.linalg.norm(axis), np.trace(turn) - 1))
+    """Angle of the rotation from one to the other [rad]; by atan2, since arccos loses all digits near 0."""
+    rotation = one.T @ other
+    axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    return float(np.arctan2(np.linalg.norm(axis), np.trace(rotation) - 1))
 
 
-def _contour_distance(ours: PanelShape, theirs: PanelShape) -> float:
-    """Mean distance of the outlines, point by point along them, for the best start of ours [cm]."""
-    target = theirs.contour()
-    steps = np.linalg.norm(np.diff(ours.loop, axis=0, append=ours.loop[:1]), axis=1)
+def _contour_distance(predicted: PanelShape, true: PanelShape) -> float:
+    """Mean distance of the outlines at equal shares of their length, for the best start of the predicted one [cm]."""
+    target = true.contour()
+    steps = np.linalg.norm(np.diff(predicted.loop, axis=0, append=predicted.loop[:1]), axis=1)
     length = float(steps.sum())
 
     def distance(offsets: Float[np.ndarray, "*o"]) -> Float[np.ndarray, "*o"]:
-        return np.linalg.norm(resample_loop(ours.loop, CONTOUR_POINTS, offsets) - target, axis=-1).mean(axis=-1)
+        return np.linalg.norm(resample_loop(predicted.loop, CONTOUR_POINTS, offsets) - target, axis=-1).mean(axis=-1)
 
     starts = np.concatenate([np.arange(SHIFTS) / SHIFTS * length, np.cumsum(steps)])
     tried = distance(starts)
@@ -260,23 +266,22 @@ def _contour_distance(ours: PanelShape, theirs: PanelShape) -> float:
 
 
 def _stitch_scores(predicted: Pattern, true: Pattern, pairs: Sequence[_Pair]) -> tuple[float, float, float]:
-    """Precision, recall and F1 of the seams, edges of matched panels being matched by their middles."""
-    called = {ref: other for pair in pairs for ref, other in _true_edges(pair).items()}
-    claimed = {frozenset((called.get(seam.left), called.get(seam.right))) for seam in predicted.seams}
-    actual = {frozenset((seam.left, seam.right)) for seam in true.seams}
-    right, ours, theirs = len(claimed & actual), len(predicted.seams), len(true.seams)
-    if not ours + theirs:
+    """Precision, recall and F1 of the seams; edges of matched panels are matched by their midpoints."""
+    true_edge = {ref: other for pair in pairs for ref, other in _true_edges(pair).items()}
+    found = {frozenset((true_edge.get(seam.left), true_edge.get(seam.right))) for seam in predicted.seams}
+    wanted = {frozenset((seam.left, seam.right)) for seam in true.seams}
+    right, n_predicted, n_true = len(found & wanted), len(predicted.seams), len(true.seams)
+    if not n_predicted + n_true:
         return 1.0, 1.0, 1.0
-    return right / max(ours, 1), right / max(theirs, 1), 2 * right / (ours + theirs)
+    return right / max(n_predicted, 1), right / max(n_true, 1), 2 * right / (n_predicted + n_true)
 
 
 def _true_edges(pair: _Pair) -> dict[EdgeRef, EdgeRef]:
-    """The edge of the true panel that each edge of the predicted one stands for."""
-    middles = _edge_middles(pair.ours)[:, None], _edge_middles(pair.theirs)[None]
-    apart = np.linalg.norm(middles[0] - middles[1], axis=2)
-    ours, theirs = pair.ours.panel.name, pair.theirs.panel.name
-    pairs = zip(*(side.tolist() for side in linear_sum_assignment(apart)), strict=True)
-    return {EdgeRef(ours, i): EdgeRef(theirs, j) for i, j in pairs}
+    """Edge of the predicted panel to its match on the true panel."""
+    middles = _edge_middles(pair.predicted)[:, None], _edge_middles(pair.true)[None]
+    distance = np.linalg.norm(middles[0] - middles[1], axis=2)
+    pairs = zip(*(side.tolist() for side in linear_sum_assignment(distance)), strict=True)
+    return {EdgeRef(pair.predicted.panel.name, i): EdgeRef(pair.true.panel.name, j) for i, j in pairs}
 
 
 def _edge_middles(shape: PanelShape) -> Float[np.ndarray, "e 2"]:

@@ -1,6 +1,6 @@
-"""Options written in one place: a frozen dataclass whose fields say, beside their types, what they are.
+"""Options defined once, as the annotated fields of a frozen dataclass.
 
-The command line, TOML files and keywords of functions take names, types, defaults, units and help from there.
+The command line, TOML files and keyword arguments take names, types, defaults, units and help from these fields.
 """
 
 import argparse
@@ -17,7 +17,7 @@ __all__ = ["Option", "OptionField", "add_options", "given_options", "options_of"
 
 @dataclass(frozen=True)
 class Option:
-    """What stands beside the type of a field, as ``Annotated[float, Option("length of edges", unit="cm")]``."""
+    """Help and unit of a field, as in ``Annotated[float, Option("length of edges", unit="cm")]``."""
 
     help: str
     unit: str = ""
@@ -25,62 +25,62 @@ class Option:
 
 @dataclass(frozen=True)
 class OptionField:
-    """An option of a dataclass."""
+    """An option of a dataclass: name, type, choices and default."""
 
     name: str
     kind: type
-    """Of its values; ``str`` where there are choices."""
+    """Type of its values; ``str`` for an option with choices."""
     choices: tuple[str, ...] | None
     default: Any
     option: Option
 
     @property
     def flag(self) -> str:
-        """Its name on the command line."""
+        """Its name on the command line: ``--on-fail`` for ``on_fail``."""
         return "--" + self.name.replace("_", "-")
 
     @property
     def help(self) -> str:
-        """What it is, its unit and its default."""
+        """Help text with unit and default."""
         unit = f" [{self.option.unit}]" if self.option.unit else ""
         return f"{self.option.help}{unit} (default: {self.default})"
 
 
 def options_of(config: type) -> tuple[OptionField, ...]:
-    """The options of a dataclass whose fields are ``Annotated`` with an ``Option`` and have a default."""
+    """The options of a dataclass: its fields that are ``Annotated`` with an ``Option``; each has a default."""
     hints = get_type_hints(config, include_extras=True)
-    found = []
+    options = []
     for entry in fields(config):
         if get_origin(hints[entry.name]) is Annotated:
             kind, option = get_args(hints[entry.name])
             choices = get_args(kind) if get_origin(kind) is Literal else None
-            found.append(OptionField(entry.name, str if choices else kind, choices, entry.default, option))
-    return tuple(found)
+            options.append(OptionField(entry.name, str if choices else kind, choices, entry.default, option))
+    return tuple(options)
 
 
 def add_options(
     parser: argparse.ArgumentParser, config: type, more_choices: Mapping[str, Collection[str]] | None = None
 ) -> None:
-    """Give a parser the options of a dataclass that fit in a word; ``None`` where one is not given.
+    """Add the scalar options of a dataclass to a parser; an option that is not given parses as ``None``.
 
-    ``more_choices``: option to values that it takes on the command line alone.
+    ``more_choices``: option name to further values that only the command line accepts.
     """
-    for found in options_of(config):
-        if found.kind not in (str, int, float):
+    for entry in options_of(config):
+        if entry.kind not in (str, int, float):
             continue
-        choices = None if found.choices is None else (*(more_choices or {}).get(found.name, ()), *found.choices)
-        metavar = None if choices else (found.option.unit or found.name.partition("_")[2] or found.name).upper()
-        parser.add_argument(found.flag, type=found.kind, choices=choices, metavar=metavar, help=found.help)
+        choices = None if entry.choices is None else (*(more_choices or {}).get(entry.name, ()), *entry.choices)
+        metavar = None if choices else (entry.option.unit or entry.name.partition("_")[2] or entry.name).upper()
+        parser.add_argument(entry.flag, type=entry.kind, choices=choices, metavar=metavar, help=entry.help)
 
 
 def given_options(options: argparse.Namespace, config: type) -> dict[str, Any]:
-    """The options of a dataclass that stand on a command line."""
-    values = {found.name: getattr(options, found.name, None) for found in options_of(config)}
+    """Name to value of the dataclass's options that were given on the command line."""
+    values = {entry.name: getattr(options, entry.name, None) for entry in options_of(config)}
     return {name: value for name, value in values.items() if value is not None}
 
 
 def read_options(path: Path, known: Collection[str]) -> dict[str, Any]:
-    """The options in a TOML file, with ``-`` or ``_`` in their names. Raises ``ConfigError`` for one not known."""
+    """Name to value of the options in a TOML file; ``-`` counts as ``_``. Raises ``ConfigError`` for an unknown one."""
     values = {name.replace("-", "_"): value for name, value in read_toml(path).items()}
     if unknown := sorted(set(values) - set(known)):
         nearest = did_you_mean(unknown[0], known)
@@ -91,8 +91,8 @@ def read_options(path: Path, known: Collection[str]) -> dict[str, Any]:
 
 
 def require_options(values: Mapping[str, Any], config: type) -> None:
-    """Raise ``ConfigError`` for a name that no option of a dataclass has."""
-    known = [found.name for found in options_of(config)]
+    """Raise ``ConfigError`` for a name that is not an option of the dataclass."""
+    known = [entry.name for entry in options_of(config)]
     for name in values:
         if name not in known:
             raise ConfigError(f"no option {shown(name)}: there are {', '.join(known)}{did_you_mean(name, known)}")

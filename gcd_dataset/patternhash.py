@@ -1,20 +1,20 @@
-"""A hash of many patterns that comes out the same on every machine.
+"""A hash of many patterns that is the same on every machine.
 
 Machines differ in the last digits of a number: with other instructions (AVX2, AVX-512) or another BLAS or C library,
-the numbers of a pattern move by up to 2e-11 cm, 1e-13 cm on average. So numbers are rounded to steps of 1e-4 before
-they are hashed. A number in the middle between two steps may then still be rounded up by one machine and down by
-another: to be expected once for every 150 pairs of machines in the 230,000 patterns of a large data set, once for
-40,000 pairs in 1,000 patterns. ``PatternHash`` knows such numbers and what they make of the hash, and ``agrees`` with
-the hash of a machine that has rounded them the other way.
+the numbers of a pattern move by up to 2e-11 cm, 1e-13 cm on average. Numbers are therefore rounded to steps of 1e-4
+before hashing. A number half-way between two steps, a tie, may still be rounded up by one machine and down by another:
+expected once for every 150 pairs of machines in the 230,000 patterns of a large data set, once for 40,000 pairs in
+1,000 patterns. ``PatternHash`` records the ties and their effect on the hash; ``agrees`` accepts the hash of a machine
+that rounded a tie the other way.
 
-What is hashed of a pattern: its index; names and labels of panels, labels of edges; of each panel where its centroid
-hangs, its rotation, its centroid in its own coordinates, its number of edges; of each edge its panel, start and kind,
-its control points, for an arc the point half-way, and on which side and how far round it runs; the stitches. Left out
-are the columns of a ``PatternTensor`` that follow from others and magnify their last digits: a rotation's Euler angles,
-which are not unique, and the radius of an arc, which of a nearly straight one is as large as chance makes it.
+Hashed of a pattern: its index; names and labels of panels, labels of edges; each panel's centroid in space, rotation,
+centroid in its own coordinates and number of edges; each edge's panel, start, kind and control points, for an arc its
+midpoint, side and large flag; the stitches. Two sets of ``PatternTensor`` columns are left out, since they follow from
+the others and magnify their last digits: a rotation's Euler angles, which are not unique, and the radius of an arc,
+which is unbounded for a nearly straight one.
 
-The hash of many patterns is the sum of their hashes modulo 2^256 (AdHash; Bellare and Micciancio, 1997), so that their
-order does not matter. It tells data sets apart; it is no protection against somebody who makes one up to fit.
+The hash of many patterns is the sum of their hashes modulo 2^256 (AdHash; Bellare and Micciancio, 1997), so it does not
+depend on their order. It identifies a data set; it is not secure against forgery.
 """
 
 import hashlib
@@ -33,8 +33,8 @@ from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor
 __all__ = ["STEP", "PatternHash", "hash_pattern"]
 
 STEP = 1e-4  # cm; of a quaternion 1
-NEAR = 1e-5  # steps: 1e-9 cm, fifty times the greatest difference between machines that was seen
-MOST_TIES = 6  # numbers of one pattern that are taken both ways
+NEAR = 1e-5  # steps: 1e-9 cm, fifty times the greatest difference observed between machines
+MOST_TIES = 6  # ties of one pattern: 2^6 roundings are hashed
 LARGEST = 1e15  # steps
 MODULUS = 1 << 256
 
@@ -58,7 +58,7 @@ EDGE_COLUMNS = [column for column in EdgeColumn if column is not EdgeColumn.RADI
 
 @dataclass(frozen=True)
 class PatternHash:
-    """The hash of some patterns; those of disjoint sets are added.
+    """The hash of a set of patterns; the hashes of disjoint sets add up.
 
     >>> PatternHash() + PatternHash(5, (1,), 1)
     PatternHash(value=5, ties=(1,), count=1)
@@ -66,13 +66,13 @@ class PatternHash:
 
     value: int = 0
     ties: tuple[int, ...] = ()
-    """What is added to ``value`` by a pattern one or more of whose numbers are rounded the other way."""
+    """Changes of ``value`` if a machine rounds one or more ties of one pattern the other way."""
     count: int = 0
-    """Patterns that were hashed."""
+    """Number of patterns."""
 
     @classmethod
     def of(cls, patterns: Iterable[tuple[int, PatternTensor]]) -> Self:
-        """The hash of patterns with their indices. Raises ``PatternError``."""
+        """The hash of (index, pattern) pairs. Raises ``PatternError``."""
         value, count = 0, 0
         ties: list[int] = []
         for index, tensor in patterns:
@@ -91,7 +91,7 @@ class PatternHash:
         return f"{self.value:064x}"
 
     def agrees(self, text: str) -> bool:
-        """Whether ``text`` is the hash of the same patterns, two of them at most with numbers rounded otherwise."""
+        """Whether ``text`` is the hash of the same patterns; ties of up to two patterns may be rounded differently."""
         try:
             missing = (int(text, 16) - self.value) % MODULUS
         except ValueError:
@@ -103,34 +103,37 @@ class PatternHash:
 
 
 def hash_pattern(index: int, tensor: PatternTensor) -> PatternHash:
-    """The hash of the pattern of sample ``index``. Raises ``PatternError`` for numbers that cannot be rounded."""
+    """The hash of the pattern of sample ``index``. Raises ``PatternError`` for NaN or numbers beyond 1e11 cm."""
     steps = np.concatenate(
         [
             tensor.panels[:, PANEL_COLUMNS].ravel(),
-            _turned(tensor.panels[:, QUATERNION]).ravel(),
+            _with_leading_sign(tensor.panels[:, QUATERNION]).ravel(),
             tensor.edges[:, EDGE_COLUMNS].ravel(),
         ]
     ).astype(float)
     steps /= STEP
-    if not (np.abs(steps) < LARGEST).all():  # NaN is not smaller either
-        raise PatternError(f"pattern {tensor.name}: holds a number that is none, or beyond {LARGEST * STEP:g} cm")
+    if not (np.abs(steps) < LARGEST).all():  # false for NaN, too
+        raise PatternError(f"pattern {tensor.name}: a number is NaN or beyond {LARGEST * STEP:g} cm: mend the pattern")
     words = [index, tensor.panel_names, tensor.panel_labels, tensor.edge_labels, tensor.stitches.tolist()]
     head = hashlib.sha256(json.dumps(words, separators=(",", ":")).encode())
     whole = np.rint(steps).astype(np.int64)
     value = _digest(head, whole)
-    ties = tuple((_digest(head, other) - value) % MODULUS for other in _otherwise(steps, whole))
+    ties = tuple((_digest(head, other) - value) % MODULUS for other in _other_roundings(steps, whole))
     return PatternHash(value, ties, 1)
 
 
-def _turned(quaternion: Float[np.ndarray, "p 4"]) -> Float[np.ndarray, "p 4"]:
-    """Quaternions of which one sign is taken: of half a turn, whose W is 0 but for the last digits, either may come."""
+def _with_leading_sign(quaternion: Float[np.ndarray, "p 4"]) -> Float[np.ndarray, "p 4"]:
+    """Quaternions with a positive first component that is not 0 when rounded.
+
+    For a rotation by 180 degrees W is 0 up to rounding, so machines may disagree on the sign.
+    """
     lead = np.rint(quaternion / STEP)
     sign = np.sign(lead[np.arange(len(lead)), (lead != 0).argmax(axis=1)])
     return quaternion * sign[:, None]
 
 
-def _otherwise(steps: Float[np.ndarray, " n"], whole: Int[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " n"]]:
-    """The rounded numbers as other machines may have them, where some lie in the middle between two steps."""
+def _other_roundings(steps: Float[np.ndarray, " n"], whole: Int[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " n"]]:
+    """All other ways to round the ties among ``steps``; none if there are more than ``MOST_TIES``."""
     rest = steps - whole
     tied = np.flatnonzero(np.abs(np.abs(rest) - 0.5) < NEAR)
     if len(tied) > MOST_TIES:
@@ -143,6 +146,6 @@ def _otherwise(steps: Float[np.ndarray, " n"], whole: Int[np.ndarray, " n"]) -> 
 
 
 def _digest(head: "hashlib._Hash", numbers: Int[np.ndarray, " n"]) -> int:
-    told = head.copy()
-    told.update(numbers.astype("<i8").tobytes())
-    return int.from_bytes(told.digest(), "big")
+    digest = head.copy()
+    digest.update(numbers.astype("<i8").tobytes())
+    return int.from_bytes(digest.digest(), "big")

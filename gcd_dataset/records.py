@@ -1,8 +1,8 @@
-"""What the package speaks of: frozen values, with shapes, units and one meaning each.
+"""The records of the package: frozen dataclasses of bodies, patterns, meshes, drapes and samples.
 
 Everywhere: centimetres; y up, the wearer faces +z, the wearer's left is +x, soles at y = 0; angles in radians.
 Axis letters: ``v f e p`` vertices, faces, edges, panels; ``s`` seams; ``k`` shape components; ``c`` corner points.
-Arrays are made read-only when they enter a record; records compare by value.
+A record holds read-only views of its arrays; records compare by value.
 """
 
 from collections.abc import Mapping
@@ -49,7 +49,7 @@ __all__ = [
 
 
 class Record:
-    """A frozen dataclass that may hold arrays: made read-only on the way in, compared by value."""
+    """Base of frozen dataclasses with arrays: the arrays become read-only views; ``==`` compares values."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -79,7 +79,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 class BodyPart(Enum):
-    """The parts a body's vertices are labelled with; the value is the label stored in arrays."""
+    """Part of the body of a vertex; the value is the label stored in arrays."""
 
     TRUNK = 0
     LEFT_ARM = 1
@@ -90,24 +90,24 @@ class BodyPart(Enum):
     HANDS = 6
     FEET = 7
     INTERNAL = 8
-    """Eyes, their sockets and the mouth: no part of the skin that cloth meets."""
+    """Eyes, eye sockets and mouth: cloth never touches them."""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyShape(Record):
-    """Who a body is and how it stands, as few numbers as possible."""
+    """Shape and pose parameters of a body."""
 
     weights: Float[np.ndarray, " k"]
     """Weights of the shape components, in standard deviations of the population."""
     arm_angle: float = 0.0
-    """Raising of both arms from the A-pose [rad]; positive lifts the hands."""
+    """Rotation of both arms from the A-pose [rad]; positive lifts the hands."""
     legs_apart: bool = False
-    """Feet set apart, as trousers need; else legs straight."""
+    """Whether the feet are set apart, as trousers need; otherwise the legs are straight."""
 
 
 @dataclass(frozen=True, eq=False)
 class Body(Record):
-    """A body standing at y = 0, ready to be dressed."""
+    """A body mesh with part labels; its soles are at y = 0."""
 
     vertices: Float[np.ndarray, "v 3"]
     """Vertex positions [cm]."""
@@ -131,10 +131,10 @@ class PanelRole(StrEnum):
 
 
 class EdgeRole(StrEnum):
-    """What an edge is to a drape; the value is its label in files."""
+    """Function of an edge in the drape, such as a collar that is held up; the value is its label in files."""
 
     LOWER_INTERFACE = "lower_interface"
-    """The top of what hangs from the waist."""
+    """The top edge of a garment that hangs from the waist."""
     LEFT_COLLAR = "left_collar"
     RIGHT_COLLAR = "right_collar"
     LEFT_ARMHOLE = "left_armhole"
@@ -158,7 +158,7 @@ R = TypeVar("R", bound=StrEnum)
 
 
 def role_of(kind: type[R], label: str) -> R | str:
-    """The role that a label in a file stands for; the label itself, where it stands for none.
+    """The role with this label; the label itself if no role has it.
 
     >>> role_of(PanelRole, "arm"), role_of(PanelRole, "pocket")
     (<PanelRole.ARM: 'arm'>, 'pocket')
@@ -174,14 +174,14 @@ class Edge:
     end: int
     curve: Curve = LINE
     label: EdgeRole | str = ""
-    """What the edge is to a drape; empty for nothing, another text as a file has it."""
+    """Role of the edge in the drape; empty for none, any other text as in its file."""
     name: str = ""
-    """How the drawing calls it; not part of a specification file."""
+    """Name of the edge in its garment's program; not part of a specification file."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placement(Record):
-    """Where a panel hangs before sewing: ``x -> R (x, y, 0) + translation``."""
+    """Rigid placement of a panel in space before sewing: ``(x, y) -> R (x, y, 0) + translation``."""
 
     translation: Float[np.ndarray, "3"]
     """[cm]"""
@@ -208,7 +208,7 @@ class Placement(Record):
 
 @dataclass(frozen=True, eq=False)
 class Panel(Record):
-    """A piece of cloth: a closed loop of edges in the plane, and where it hangs before sewing.
+    """A piece of cloth: a closed loop of edges in the plane, and its placement before sewing.
 
     The loop runs counter-clockwise as seen on the right (outer) side of the cloth.
     """
@@ -219,7 +219,7 @@ class Panel(Record):
     edges: tuple[Edge, ...]
     placement: Placement
     label: PanelRole | str = ""
-    """The part of the body it covers; empty if unknown, another text as a file has it."""
+    """The part of the body it covers; empty if unknown, any other text as in its file."""
 
     def edge_ends(self, index: int) -> tuple[Point, Point]:
         """Start and end point of edge ``index`` [cm]."""
@@ -235,7 +235,7 @@ class Panel(Record):
 
 @dataclass(frozen=True, slots=True)
 class EdgeRef:
-    """An edge of a pattern: panel name and the edge's place in the panel's loop."""
+    """An edge of a pattern: panel name and index of the edge in the panel's loop."""
 
     panel: str
     edge: int
@@ -246,9 +246,9 @@ class Seam:
     """Two edges sewn together.
 
     By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
-    starts meet, and one of the panels is sewn in wrong side out. Unequal lengths are gathered. The direction of an
-    edge is that of its panel's loop, and nothing but this rule says which ends meet: where the panels hang does not
-    turn a seam round (``validate`` warns where the ends that meet hang far apart and the others near each other).
+    starts meet, and one of the panels is sewn in wrong side out. Unequal lengths are gathered. An edge has the
+    direction of its panel's loop. Only this rule decides which ends meet; the placement of the panels does not
+    (``validate`` warns if the joined ends hang far apart and the others near each other).
     """
 
     left: EdgeRef
@@ -258,16 +258,16 @@ class Seam:
 
 @dataclass(frozen=True, eq=False)
 class Pattern(Record):
-    """Panels and the seams between them; panels stand in the order that numbers the vertices of its mesh."""
+    """Panels and the seams between them; the order of the panels numbers the vertices of the mesh."""
 
     name: str
     panels: tuple[Panel, ...]
     seams: tuple[Seam, ...]
     extra: Mapping[str, Any] = field(default_factory=dict)
-    """What else a specification file held (``parameters``, ``properties``, …), carried along unread."""
+    """Other content of the specification file (``parameters``, ``properties``, …), passed through."""
 
     def panel(self, name: str) -> Panel:
-        """The panel of that name. Raises ``PatternError`` with the names there are."""
+        """The panel of that name. Raises ``PatternError`` with the known names."""
         for panel in self.panels:
             if panel.name == name:
                 return panel
@@ -279,20 +279,20 @@ class Pattern(Record):
 
 @dataclass(frozen=True, eq=False)
 class BoxMesh(Record):
-    """A pattern as a triangle mesh: panels flat and in place, seams already merged, ready to be drawn together.
+    """A pattern as a triangle mesh: flat panels placed round the body, seams welded; the start of the drape.
 
     Vertices of seams come first, in the order of the seams, then the rest panel by panel. The rest shape is flat:
     ``uv[corners]`` holds every face's corners in the plane of its panel.
     """
 
     vertices: Float[np.ndarray, "v 3"]
-    """Start positions [cm]; a seam vertex stands in the middle of the points it joins."""
+    """Start positions [cm]; a seam vertex is the midpoint of the points it joins."""
     faces: Int[np.ndarray, "f 3"]
-    """Triangles, counter-clockwise on the garment's outside, so that they run alike across every seam.
+    """Triangles, counter-clockwise on the garment's outside, oriented consistently across every seam.
 
-    The outside is the cloth's right side, but for panels that a ``right_wrong`` seam turns over, as a lapel: their
-    faces run against the panel's loop (``generator.mesh.turned_panels``). Published meshes are kept as they were
-    published: all their faces are counter-clockwise on the right side, and disagree along such seams.
+    The outside is the cloth's right side, except for panels that a ``right_wrong`` seam turns over, as a lapel: their
+    faces run against the panel's loop (``generator.mesh.turned_panels``). Published meshes are unchanged: all their
+    faces are counter-clockwise on the right side, so the orientation flips across such seams.
     """
     uv: Float[np.ndarray, "c 2"]
     """Panel-plane coordinates [cm] of the seam-split vertices."""
@@ -304,9 +304,9 @@ class BoxMesh(Record):
     """Row of ``panel_names`` for each face."""
     panel_names: tuple[str, ...]
     panel_labels: tuple[PanelRole | str, ...]
-    """What each panel covers, beside ``panel_names``; as ``Panel.label``."""
+    """``Panel.label`` of each panel, in the order of ``panel_names``."""
     seams: Int[np.ndarray, "s 2"]
-    """Pairs (vertex, row of the pattern's seams); a vertex stands once for every seam that runs through it."""
+    """Pairs (vertex, row of the pattern's seams); one row for each seam that runs through a vertex."""
     labels: Mapping[EdgeRole | str, Int[np.ndarray, " n"]] = field(default_factory=dict)
     """Edge label to the ids of the vertices on such edges."""
 
@@ -320,7 +320,7 @@ class BoxMesh(Record):
 
 
 class Outcome(Enum):
-    """How a drape ended; the value is the text for people, with what to try."""
+    """Result of a drape; the value is a message with a remedy."""
 
     SETTLED = "hangs still, within the limits for crossings"
     NOT_SETTLED = "still moving at the last frame: allow more frames, or look for a garment that slides"
@@ -336,7 +336,7 @@ class Outcome(Enum):
 
 
 class Grade(Enum):
-    """How good a draped garment is; the value is the word in files."""
+    """Quality of a draped garment; the value is the word in files."""
 
     CLEAN = "clean"
     """At rest, without a crossing."""
@@ -347,12 +347,12 @@ class Grade(Enum):
 
 @dataclass(frozen=True)
 class Strain:
-    """How far the cloth is stretched and compressed: principal stretches, 1 is unstretched."""
+    """Principal stretches of the cloth; 1 is unstretched."""
 
     principal: tuple[float, float]
-    """Of the whole garment: the largest and the smallest, without outliers."""
+    """Largest and smallest of the whole garment, without outliers."""
     panels: tuple[tuple[float, float], ...]
-    """The same of each panel."""
+    """Largest and smallest of each panel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,7 +363,7 @@ class Drape(Record):
     """Positions [cm], in the order of the box mesh."""
     outcome: Outcome
     frames: int
-    """Frames simulated until it hung still, or the limit; those of a coarse start among them."""
+    """Frames simulated until the cloth came to rest, or the limit; frames of the coarse mesh included."""
     self_crossings: int
     """Cloth edges that cross a cloth triangle."""
     body_crossings: int
@@ -373,9 +373,9 @@ class Drape(Record):
     stretch_p99: float
     """99th percentile of the same."""
     strain: Strain | None = None
-    """Principal stretches; ``None`` where they were not measured."""
+    """Principal stretches; ``None`` if not measured."""
     body_through: int = 0
-    """Edges of the body that cross the cloth; -1 in samples that were stored before these were counted."""
+    """Body edges that cross the cloth; -1 in samples of older versions, which did not count them."""
 
 
 # -------------------------------------------------------------------------------------------------------------- sample
@@ -383,16 +383,16 @@ class Drape(Record):
 
 @dataclass(frozen=True)
 class Rejected:
-    """An attempt at a design that was turned down."""
+    """A rejected attempt at a design."""
 
     index: int
-    """The sample whose wearer it did not fit, or whose drape failed."""
+    """Index of the sample it was tried for."""
     rule: str
-    """The rule it broke; ``drape`` for a drape that failed."""
+    """The rule it broke; ``drape`` for a failed drape."""
     reason: str
-    """What was met, in words."""
+    """The fault, in words."""
     figures: Mapping[str, float] = field(default_factory=dict)
-    """The numbers behind the rule, as far as they are known; a name ends in its unit: ``cuff_cm``."""
+    """Measured quantities behind the rule, as far as known; each name ends in its unit: ``cuff_cm``."""
 
     def __str__(self) -> str:
         return f"{self.rule}: {self.reason}"
@@ -400,23 +400,23 @@ class Rejected:
 
 @dataclass(frozen=True, eq=False)
 class Provenance(Record):
-    """Where a sample comes from: enough to make it again."""
+    """Origin of a sample: seed, index, versions and options, enough to generate it again."""
 
     seed: int
     index: int
     attempts: int = 1
     rejects: tuple[str, ...] = ()
-    """Why earlier attempts at this index were turned down, in order."""
+    """Rules and reasons of the rejected attempts at this index, in order."""
     redraws: Mapping[str, int] = field(default_factory=dict)
-    """Rule to the number of times that a part of the design was drawn again for it."""
+    """Rule to the number of times that it made a part of the design be drawn again."""
     versions: Mapping[str, str] = field(default_factory=dict)
     recipe: Mapping[str, Any] = field(default_factory=dict)
     """The options it was made with."""
     body_name: str = ""
     source: str = ""
-    """Where a garment that others have made was published; empty for our own."""
+    """Path of a published garment in its release; empty for generated ones."""
     turned_down: tuple[Rejected, ...] = field(default=(), compare=False)
-    """``rejects`` with their figures, of a sample made just now; ``rejects.jsonl`` of a data set keeps them."""
+    """``rejects`` with their figures, for a sample just made; a data set stores them in ``rejects.jsonl``."""
 
 
 @dataclass(frozen=True)
@@ -425,12 +425,12 @@ class NamedFabric:
 
     name: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Its mechanics, in SI but for the thickness [cm]."""
+    """Mechanical parameters, in SI units except for the thickness [cm]."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A picture of a garment, and how it was taken."""
+    """A picture of a garment, with its camera, light and materials."""
 
     picture: bytes
     """JPEG."""
@@ -440,7 +440,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Sample(Record):
-    """A made-to-measure garment with everything that led to it. Steps not taken (``--stage``) are ``None``."""
+    """A made-to-measure garment with all stages of its making; a stage that did not run (``--stage``) is ``None``."""
 
     key: str
     """``gcd_000000012``: the name in a shard."""
@@ -458,13 +458,13 @@ class Sample(Record):
     back: bytes | None = None
     """JPEG of the back."""
     grade: Grade | None = None
-    """``None`` for a garment that nobody has graded."""
+    """``None`` for a garment without a grade."""
     fabric: NamedFabric | None = None
     gathers: tuple[float, ...] = ()
-    """Length of the left edge over that of the right, for each seam; empty where nobody has measured it."""
+    """Length of the left edge divided by the length of the right edge, for each seam; empty if not measured."""
     tags: tuple[str, ...] = ()
     """Words for the kind of garment."""
     caption: str | None = None
-    """The garment in a sentence; every sample of a data set has one, or none has."""
+    """The garment in a sentence; either all samples of a data set have one, or none."""
     views: tuple[View, ...] = ()
-    """As many for every sample of a data set."""
+    """Further pictures; the same number for every sample of a data set."""

@@ -1,4 +1,4 @@
-"""Random numbers by name: every stage of every sample has a stream of its own.
+"""Keyed random streams: one for each stage of each sample.
 
 >>> rng(seed=7, index=12, stage=Stage.DESIGN, attempt=1).integers(100, size=3)
 array([49, 76, 71])
@@ -12,7 +12,7 @@ __all__ = ["Stage", "rng"]
 
 
 class Stage(IntEnum):
-    """The steps of making a sample, and a data set, that draw random numbers."""
+    """Stages of generation that draw random numbers; the value is part of the stream's key."""
 
     BODY = 1
     DESIGN = 2
@@ -25,7 +25,7 @@ class Stage(IntEnum):
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:
-    """The generator of one stage of one sample, the same in any process, order or number of workers.
+    """The generator of one stage of one sample; it depends on these four numbers only.
 
     The stream is Philox (Salmon et al., SC 2011), keyed by a ``SeedSequence`` over the four numbers, so that
     neighbouring samples and attempts are independent.
@@ -36,5 +36,5 @@ def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Gene
 
 def _natural(number: int, name: str) -> int:
     if number < 0:
-        raise ValueError(f"{name} is {number}: random streams are named by numbers of 0 and more")
+        raise ValueError(f"{name} is {number}: random streams are keyed by numbers of 0 and more")
     return int(number)

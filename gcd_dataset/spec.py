@@ -1,7 +1,7 @@
-"""Patterns as GarmentCode specification files (``<name>_specification.json``), read and written.
+"""Reading and writing patterns as GarmentCode specification files (``<name>_specification.json``).
 
-Files are in degrees, and in any length unit that they name; in memory it is centimetres and radians. Older files, with
-absolute control points, other units or loops that start anywhere, are brought to today's form as they are read.
+Files hold degrees and the length unit they declare; patterns in memory hold radians and centimetres. Older files, with
+absolute control points, other units or unnormalised loops, are converted when they are read.
 
 >>> from gcd_dataset.records import Panel, Pattern, Placement, Edge
 >>> square = Panel("square", np.array([[0, 0], [9, 0], [9, 9], [0, 9]]), tuple(Edge(i, (i + 1) % 4) for i in range(4)),
@@ -38,8 +38,8 @@ __all__ = [
 ]
 
 UNITS_IN_METER = 100  # ours: centimetres
-NEIGHBOURS = 10.0  # cm: panels that close in x, or in y, stand in one row of the panel order (pattern-format)
-UNPLACED = [0.0, 0.0, 0.0]  # the translation and rotation of a panel that is given none
+NEIGHBOURS = 10.0  # cm: panels this close in x form a column of the panel order, in y a row (pattern-format)
+UNPLACED = [0.0, 0.0, 0.0]  # default translation and rotation of a panel
 LARGEST_UNIT = 1e6  # units in a metre, and metres in a unit
 MOST_NAMES = 40  # in a message
 NAMES = {
@@ -47,17 +47,17 @@ NAMES = {
     PanelRole.ARM: ("sleeve", "arm", "cuff", "sl_"),
     PanelRole.BODY: ("torso", "bodice", "wb", "hood", "collar", "lapel", "body", "top", "waist"),
 }
-"""Words in the names of panels, by what such panels cover."""
+"""Role of a panel to words in its name."""
 TROUSERS = "pant"  # in the names of GarmentCode's trousers and their cuffs
 BODICE = ("torso", "bodice", "top", "bust")  # in the names of panels that hang from the armpits
-NAMELESS = frozenset({"specification", "template", "prediction"})  # file names that leave the name to the folder
+NAMELESS = frozenset({"specification", "template", "prediction"})  # stems: the pattern is named after the folder
 
 
 def read_pattern(path: Path | str) -> Pattern:
     """The pattern in a specification file, named after the file; after its folder for a plain ``specification.json``.
 
-    Raises ``SpecError`` for a file that is missing or is no specification. What only makes the pattern impossible to
-    sew is left to ``validate``.
+    Raises ``SpecError`` for a file that is missing or not a specification. Whether the pattern can be sewn is checked
+    by ``validate``, not here.
     """
     path = Path(path)
     spec = read_json(path, "specification JSON")
@@ -65,15 +65,15 @@ def read_pattern(path: Path | str) -> Pattern:
 
 
 def write_pattern(pattern: Pattern, path: Path | str) -> None:
-    """The pattern in a specification file. Raises ``OutputError`` where it cannot be written."""
+    """Write the pattern as a specification file. Raises ``OutputError``."""
     write_whole(path, (json.dumps(spec_from_pattern(pattern), indent=2) + "\n").encode())
 
 
 def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
     """The pattern of a parsed specification; ``source`` names it in errors.
 
-    Panels without a translation or rotation stand at the origin, and a file without stitches sews nothing: a drape
-    tells what it makes of that. Raises ``SpecError`` with the panel and edge where the content is not of the format.
+    Panels without a translation or rotation are placed at the origin; a file without stitches gives a pattern without
+    seams. Raises ``SpecError`` with the panel and edge that does not follow the format.
     """
     at = JsonPath(source or name)
     at.require_flat(spec)
@@ -85,13 +85,13 @@ def pattern_from_spec(spec: Any, name: str, *, source: str = "") -> Pattern:
     }
     seams = tuple(_seam(entry, at.within(f"stitch {i}")) for i, entry in enumerate(_stitches(body, at)))
     if not form.loops_normalised:
-        panels, seams = _normalise_loops(panels, seams, at)
+        panels, seams = _normalise_loops(panels, seams)
     order = _given_order(body, panels, at) if "panel_order" in body else panel_order(panels.values())
     return Pattern(name, tuple(panels[key] for key in order), seams, _extra(spec, form))
 
 
 def spec_from_pattern(pattern: Pattern) -> dict[str, Any]:
-    """The specification of a pattern, ready for ``json.dumps``; numbers keep all their digits."""
+    """The specification of a pattern as a JSON tree; numbers keep all their digits."""
     return {
         "pattern": {
             "panels": {panel.name: _panel_entry(panel) for panel in pattern.panels},
@@ -112,10 +112,10 @@ def spec_from_pattern(pattern: Pattern) -> dict[str, Any]:
 
 
 def panel_order(panels: Iterable[Panel]) -> tuple[str, ...]:
-    """Names in the order that numbers a mesh: from the wearer's right to left, in a column upward, then to the front.
+    """Panel names in the order that numbers a mesh: columns from the wearer's right to left, upward, back to front.
 
-    A panel stands where the middle of its bounding box's highest side hangs. Panels within 10 cm of the first of a
-    column, or of a row in it, are one column or row (pattern-format, section 6).
+    A panel's position is the midpoint of the side of its bounding box that hangs highest. Panels within 10 cm of the
+    first panel of a column, or of a row in it, belong to it (pattern-format, section 6).
     """
     hung = sorted((_hanging_point(panel), panel.name) for panel in panels)
     ordered = []
@@ -126,12 +126,12 @@ def panel_order(panels: Iterable[Panel]) -> tuple[str, ...]:
 
 
 def role_by_name(name: str) -> PanelRole | None:
-    """The part of the body that a panel's name hints at, where files have no label."""
+    """The role that a panel's name suggests, for files without labels; ``None`` if it suggests none."""
     return next((role for role, words in NAMES.items() if any(word in name.lower() for word in words)), None)
 
 
 def is_trouser_leg(name: str) -> bool:
-    """Whether a panel goes round one leg, by its name: labels tell trousers from skirts as little."""
+    """Whether a panel goes round one leg, by its name: the label ``leg`` covers skirts, too."""
     return TROUSERS in name
 
 
@@ -145,7 +145,7 @@ def is_bodice(name: str) -> bool:
 
 @dataclass(frozen=True)
 class _Form:
-    """How a file writes its numbers."""
+    """A file's conventions: length unit, control points, panel origins, loops."""
 
     scale: float
     """Centimetres in the file's unit."""
@@ -160,7 +160,7 @@ class _Form:
             raise at.error(f"properties.units_in_meter is {units}: give the number of length units in a metre")
         controls = properties.get("curvature_coords", "relative")
         if controls not in ("relative", "absolute"):
-            raise at.error(f"properties.curvature_coords is {controls!r}: known are 'relative' and 'absolute'")
+            raise at.error(f"properties.curvature_coords is {controls!r}: give 'relative' or 'absolute'")
         return _Form(
             scale=UNITS_IN_METER / units,
             absolute_controls=controls == "absolute",
@@ -208,7 +208,7 @@ def _curve(entry: Any, scale: float, at: JsonPath) -> Curve:
     kind, params = at.text(at.mapping(entry, "curvature").get("type"), "curvature type"), at.list_of(entry, "params")
     expected = {"quadratic": 1, "cubic": 2, "circle": 3}
     if kind not in expected:
-        raise at.error(f"curvature type {kind!r}: known are {', '.join(expected)}")
+        raise at.error(f"curvature type {kind!r}: give one of {', '.join(expected)}")
     if len(params) != expected[kind]:
         raise at.error(f"a {kind} curvature has {expected[kind]} params, found {len(params)}")
     if kind == "circle":
@@ -224,7 +224,7 @@ def _pair(value: Any, at: JsonPath) -> Point:
 
 
 def _relative(curve: Curve, start: np.ndarray, end: np.ndarray, scale: float, at: JsonPath) -> Curve:
-    """A curve whose control points stood in the panel's plane, in the file's unit."""
+    """The curve in the edge frame; ``curve`` has control points in the panel's plane, in the file's unit."""
 
     def framed(control: Point) -> Point:
         return to_frame((start[0], start[1]), (end[0], end[1]), (scale * control[0], scale * control[1]))
@@ -267,7 +267,7 @@ def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: JsonP
 
 
 def _extra(spec: Mapping[str, Any], form: _Form) -> dict[str, Any]:
-    """What the file says beside the pattern; a change of units is noted as the reference system does."""
+    """The file's content beside the pattern; the original unit is recorded as the reference system does."""
     extra = {key: value for key, value in spec.items() if key != "pattern"}
     if form.scale != 1.0:
         units = spec["properties"]["units_in_meter"]
@@ -275,14 +275,12 @@ def _extra(spec: Mapping[str, Any], form: _Form) -> dict[str, Any]:
     return extra
 
 
-def _normalise_loops(
-    panels: Mapping[str, Panel], seams: Iterable[Seam], at: JsonPath
-) -> tuple[dict[str, Panel], tuple[Seam, ...]]:
-    """Loops that start at the lower left and run counter-clockwise in their plane; every panel stays where it hangs."""
+def _normalise_loops(panels: Mapping[str, Panel], seams: Iterable[Seam]) -> tuple[dict[str, Panel], tuple[Seam, ...]]:
+    """Loops that start at the lower left corner and run counter-clockwise; panels keep their position in space."""
     shifts, changed = {}, {}
     for name, panel in panels.items():
         if not panel.edges or any(not 0 <= edge.start < len(panel.vertices) for edge in panel.edges):
-            shifts[name], changed[name] = 0, panel  # for ``validate`` to tell
+            shifts[name], changed[name] = 0, panel  # ``validate`` reports it
             continue
         facing = panel if _signed_area(panel) >= 0 else _turned_over(panel)
         corners = facing.vertices[[edge.start for edge in facing.edges]]
@@ -362,8 +360,8 @@ def _seam_entry(seam: Seam) -> list[Any]:
 
 
 def _hanging_point(panel: Panel) -> tuple[float, float, float]:
-    """The middle of that side of the panel's bounding box which hangs highest [cm]."""
-    if not len(panel.vertices):  # for ``validate`` to tell
+    """Midpoint of the highest side of the panel's bounding box in space [cm]."""
+    if not len(panel.vertices):  # ``validate`` reports it
         return (0.0, 0.0, 0.0)
     (x0, y0), (x1, y1) = panel.vertices.min(axis=0), panel.vertices.max(axis=0)
     x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
@@ -375,7 +373,7 @@ def _hanging_point(panel: Panel) -> tuple[float, float, float]:
 def _runs(
     items: Sequence[tuple[tuple[float, float, float], str]], axis: int
 ) -> list[list[tuple[tuple[float, float, float], str]]]:
-    """Sorted items, cut where one is further than ``NEIGHBOURS`` from the first of its run."""
+    """Sorted items in runs; a run ends before the first item further than ``NEIGHBOURS`` from its beginning."""
     runs: list[list[tuple[tuple[float, float, float], str]]] = []
     for item in items:
         if runs and item[0][axis] - runs[-1][0][0][axis] < NEIGHBOURS:

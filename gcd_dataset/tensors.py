@@ -1,6 +1,6 @@
-"""A pattern as three plain arrays, and back: for networks, and to store.
+"""Encoding of a pattern as three plain arrays, for networks and storage, and decoding.
 
-One row a panel, an edge, a seam, in the order of the pattern; edges stand panel by panel, in the order of each loop.
+One row for each panel, edge and seam, in the order of the pattern; edges are sorted by panel and loop.
 ``PanelColumn``, ``EdgeColumn`` and ``StitchColumn`` name the columns:
 
 >>> from gcd_dataset.records import Edge, Panel, Pattern, Placement
@@ -12,9 +12,9 @@ One row a panel, an edge, a seam, in the order of the pattern; edges stand panel
 >>> decode_pattern(tensor).panels == (square,)
 True
 
-What a row says does not depend on where a panel's local origin lies: points of the plane count from the centroid of its
-area, and the placement is that of the centroid. Numbers are float64: a small error in the ends of a nearly closed arc
-turns the whole circle about them, and float32 would move its far side by millimetres.
+Rows do not depend on a panel's local origin: points are relative to the centroid of the panel's area, and the placement
+is the position of the centroid. Numbers are float64: a small error in the ends of a nearly closed arc rotates the
+circle about them, and float32 would move its far side by millimetres.
 """
 
 from collections.abc import Iterable, Sequence
@@ -44,11 +44,11 @@ __all__ = [
 ]
 
 PANEL_LABELS = ("", *(role.value for role in PanelRole))
-"""Panel labels that have the same number in every tensor; others are numbered after them."""
+"""Panel labels with the same number in every tensor; further labels are numbered after them."""
 EDGE_LABELS = ("", *(role.value for role in EdgeRole))
-"""Edge labels that have the same number in every tensor; others are numbered after them."""
+"""Edge labels with the same number in every tensor; further labels are numbered after them."""
 
-NO_AREA = 1e-6  # share of the squared extent: a flatter panel has no centroid of area worth the name
+NO_AREA = 1e-6  # share of the squared extent: the area centroid of a flatter panel is ill-conditioned
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # exact to degree 31: a cubic's moments need 8
 
 
@@ -56,7 +56,7 @@ class PanelColumn(IntEnum):
     """Columns of ``PatternTensor.panels``."""
 
     X = 0
-    """Where the centroid of the panel's area hangs [cm]: X, Y, Z."""
+    """Position in space of the centroid of the panel's area [cm]: X, Y, Z."""
     Y = 1
     Z = 2
     QUATERNION_W = 3
@@ -65,11 +65,11 @@ class PanelColumn(IntEnum):
     QUATERNION_Y = 5
     QUATERNION_Z = 6
     ANGLE_X = 7
-    """The same rotation as ``Placement`` and specification files have it [rad]."""
+    """The same rotation as Euler angles, as in ``Placement`` [rad]."""
     ANGLE_Y = 8
     ANGLE_Z = 9
     CENTROID_X = 10
-    """The centroid in the panel's own coordinates [cm]: what brings the local origin back."""
+    """The centroid in the panel's own coordinates [cm]; decoding restores the local origin from it."""
     CENTROID_Y = 11
     N_EDGES = 12
     LABEL = 13
@@ -77,28 +77,28 @@ class PanelColumn(IntEnum):
 
 
 class EdgeColumn(IntEnum):
-    """Columns of ``PatternTensor.edges``; points lie in the panel's plane and count from its centroid [cm]."""
+    """Columns of ``PatternTensor.edges``; points lie in the panel's plane, relative to its centroid [cm]."""
 
     PANEL = 0
     """Row of ``panels``."""
     VERTEX = 1
-    """The start's place among the panel's vertices; the edge ends where the next of the loop starts."""
+    """Index of the start among the panel's vertices; the edge ends at the start of the next edge."""
     START_X = 2
     START_Y = 3
     KIND = 4
     """``CurveKind``."""
     CONTROL0_X = 5
-    """First control point; of an arc the point half-way; of a line 0."""
+    """First control point; for an arc its midpoint; for a line 0."""
     CONTROL0_Y = 6
     CONTROL1_X = 7
-    """Second control point of a cubic; else 0."""
+    """Second control point of a cubic; otherwise 0."""
     CONTROL1_Y = 8
     RADIUS = 9
-    """Radius of an arc [cm]; else 0."""
+    """Radius of an arc [cm]; otherwise 0."""
     LARGE = 10
     """1 for an arc longer than half a circle."""
     RIGHT = 11
-    """1 for an arc that bulges to the right of the travel."""
+    """1 for an arc that bulges to the right of the edge's direction."""
     LABEL = 12
     """Row of ``edge_labels``."""
 
@@ -111,7 +111,7 @@ class StitchColumn(IntEnum):
     RIGHT = 1
     """Row of ``edges``."""
     RIGHT_WRONG = 2
-    """1 where the starts of the two edges meet."""
+    """1 if the starts of the two edges meet."""
 
 
 class CurveKind(IntEnum):
@@ -123,7 +123,7 @@ class CurveKind(IntEnum):
     ARC = 3
 
 
-PLACE = slice(PanelColumn.X, PanelColumn.Z + 1)
+POSITION = slice(PanelColumn.X, PanelColumn.Z + 1)
 QUATERNION = slice(PanelColumn.QUATERNION_W, PanelColumn.QUATERNION_Z + 1)
 ANGLES = slice(PanelColumn.ANGLE_X, PanelColumn.ANGLE_Z + 1)
 CENTROID = slice(PanelColumn.CENTROID_X, PanelColumn.CENTROID_Y + 1)
@@ -134,7 +134,7 @@ CONTROL1 = slice(EdgeColumn.CONTROL1_X, EdgeColumn.CONTROL1_Y + 1)
 
 @dataclass(frozen=True, eq=False)
 class PatternTensor(Record):
-    """A pattern as arrays, with the words that its numbers stand for."""
+    """A pattern as arrays, with the names and labels that the rows refer to."""
 
     panels: Float[np.ndarray, "p 14"]
     """Columns of ``PanelColumn``."""
@@ -143,7 +143,7 @@ class PatternTensor(Record):
     stitches: Int[np.ndarray, "s 3"]
     """Columns of ``StitchColumn``."""
     panel_names: tuple[str, ...]
-    """Beside ``panels``."""
+    """One for each row of ``panels``."""
     panel_labels: tuple[str, ...] = PANEL_LABELS
     edge_labels: tuple[str, ...] = EDGE_LABELS
     name: str = ""
@@ -155,9 +155,9 @@ class PatternTensor(Record):
 
 
 def encode_pattern(pattern: Pattern) -> PatternTensor:
-    """The pattern as arrays. Not kept: ``extra``, names of edges, and vertices that no edge uses.
+    """The pattern as arrays, without ``extra``, edge names and unused vertices.
 
-    Raises ``PatternError`` for a loop that is not closed, an arc that does not span its chord, a seam to no edge.
+    Raises ``PatternError`` for an open loop, an arc that does not span its chord, or a seam to a missing edge.
     """
     panel_labels = _table(PANEL_LABELS, (panel.label for panel in pattern.panels))
     edge_labels = _table(EDGE_LABELS, (edge.label for panel in pattern.panels for edge in panel.edges))
@@ -166,7 +166,7 @@ def encode_pattern(pattern: Pattern) -> PatternTensor:
     for row, panel in enumerate(pattern.panels):
         require_closed(panel)
         centroid = area_centroid(panel)
-        panels[row, PLACE] = panel.placement.apply(centroid)
+        panels[row, POSITION] = panel.placement.apply(centroid)
         panels[row, QUATERNION] = _quaternion(panel.placement.rotation)
         panels[row, ANGLES] = panel.placement.rotation
         panels[row, CENTROID] = centroid
@@ -185,9 +185,9 @@ def encode_pattern(pattern: Pattern) -> PatternTensor:
 
 
 def decode_pattern(tensor: PatternTensor) -> Pattern:
-    """The pattern of the arrays; ``decode_pattern(encode_pattern(pattern))`` has its outlines within 1e-4 cm.
+    """The pattern of the arrays; encoding and decoding moves its outlines by less than 1e-4 cm.
 
-    Raises ``PatternError`` for arrays of other columns, or rows that name what is not there.
+    Raises ``PatternError`` for a wrong number of columns, or a reference to a missing row, label or vertex.
     """
     _require_sound(tensor)
     bounds = [(int(a), int(b)) for a, b in pairwise(tensor.loops)]
@@ -198,7 +198,7 @@ def decode_pattern(tensor: PatternTensor) -> Pattern:
 
 
 def area_centroid(panel: Panel) -> Float[np.ndarray, "2"]:
-    """Centroid of the panel's area in its own coordinates [cm]; of its corners where it encloses none.
+    """Centroid of the panel's area in its own coordinates [cm]; of its corners if it encloses no area.
 
     By Green's theorem: A = ∮ x dy, A x̄ = ∮ x²/2 dy, A ȳ = -∮ y²/2 dx, by quadrature edge by edge.
     """
@@ -221,7 +221,7 @@ def area_centroid(panel: Panel) -> Float[np.ndarray, "2"]:
 
 
 def require_closed(panel: Panel) -> None:
-    """Raises ``PatternError`` with the first edge that does not go on where the one before ends."""
+    """Raise ``PatternError`` with the first edge that does not start at the end of the edge before."""
     if not panel.edges:
         raise PatternError(f"panel {panel.name}: no edges: draw its outline")
     for index, edge in enumerate(panel.edges):
@@ -237,7 +237,7 @@ def require_closed(panel: Panel) -> None:
 
 
 def _table(known: tuple[str, ...], labels: Iterable[str]) -> tuple[str, ...]:
-    """The known labels, and behind them the others that occur, in order of their first use."""
+    """The known labels, followed by further ones in order of first use."""
     return tuple(dict.fromkeys((*known, *labels)))
 
 
@@ -273,7 +273,7 @@ def _stitch_rows(pattern: Pattern) -> Int[np.ndarray, "s 3"]:
     for number, seam in enumerate(pattern.seams):
         for side in (seam.left, seam.right):
             if side not in row_of:
-                raise PatternError(f"seam {number} joins {side.panel}, edge {side.edge}, which is not there: mend it")
+                raise PatternError(f"seam {number}: panel {side.panel} has no edge {side.edge}: mend the seam")
     rows = [(row_of[seam.left], row_of[seam.right], seam.right_wrong) for seam in pattern.seams]
     return np.array(rows, int).reshape(-1, len(StitchColumn))
 
@@ -313,13 +313,13 @@ def _require_sound(tensor: PatternTensor) -> None:
     )
     for numbers, count, what in numbered:
         if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
-            raise PatternError(f"{what} {numbers.min():g} to {numbers.max():g}, of {count} from 0: mend the rows")
+            raise PatternError(f"{what} {numbers.min():g} to {numbers.max():g}, there are {count}: mend the rows")
 
 
 def _panel(tensor: PatternTensor, row: int, loop: Float[np.ndarray, "n 13"]) -> Panel:
     numbers = tensor.panels[row].astype(float)
     placement = Placement(np.zeros(3), numbers[ANGLES])
-    placement = Placement(numbers[PLACE] - placement.apply(numbers[CENTROID]), numbers[ANGLES])
+    placement = Placement(numbers[POSITION] - placement.apply(numbers[CENTROID]), numbers[ANGLES])
     corner = loop[:, EdgeColumn.VERTEX].astype(int).tolist()
     vertices = np.zeros((max(corner, default=-1) + 1, 2))
     vertices[corner] = loop[:, START] + numbers[CENTROID]

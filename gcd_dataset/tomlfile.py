@@ -1,4 +1,4 @@
-"""TOML files by people: read with errors that name the file, the line and what to do."""
+"""TOML files: size-limited reading, with errors that name the file, the line and a remedy."""
 
 import tomllib
 from pathlib import Path
@@ -13,7 +13,7 @@ LARGEST_TOML = 1 << 20  # bytes, a second to parse; a config file has some kilob
 
 
 def read_toml(path: Path | str) -> dict[str, Any]:
-    """What is in the file. Raises ``ConfigError`` where it is missing, broken or too large."""
+    """The parsed TOML of a file. Raises ``ConfigError`` if it is missing, broken or too large."""
     content = read_whole(path, "TOML file", limit=LARGEST_TOML, error=ConfigError)
     try:
         return tomllib.loads(content.decode("utf-8"))
@@ -21,5 +21,5 @@ def read_toml(path: Path | str) -> dict[str, Any]:
         raise ConfigError(f"{path}: nested too deep: flatten the TOML") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is no text in UTF-8: mend the TOML") from error
-    except ValueError as error:  # of a number of thousands of digits, too
+    except ValueError as error:  # also raised for an integer of thousands of digits, with advice after a semicolon
         raise ConfigError(f"{path}: {str(error).partition(';')[0]}: mend the TOML") from error

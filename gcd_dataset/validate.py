@@ -1,7 +1,7 @@
-"""What is wrong with a pattern: every fault with its panel, edge, rule and figure.
+"""Checks of a pattern: each fault with its panel, edge, rule and figure.
 
-An *error* makes a pattern impossible to sew: it would not mesh, or not as drawn. A *warning* can be meshed and may be
-meant (gathers), but is what broken patterns are found by.
+An *error* makes a pattern impossible to sew: it would not mesh, or not as drawn. A pattern with a *warning* can be
+meshed, and the fault may be intended (gathers), but it is typical of broken patterns.
 """
 
 from collections import Counter
@@ -21,24 +21,24 @@ from gcd_dataset.records import EdgeRef, Panel, Pattern, Seam
 
 __all__ = ["Fault", "Rule", "Severity", "check_pattern", "require_valid"]
 
-SHORTEST_EDGE = 0.5  # cm: an edge under it has defeated cloth simulators (a fifth of published patterns hold one)
-LARGEST = 1000.0  # cm: no piece of a garment is ten metres across; a pattern in the wrong unit is
-LONGEST_OUTLINE = 10_000.0  # cm: an outline of 100 m is a scribble; that of a ruffle of 8 m has 20
+SHORTEST_EDGE = 0.5  # cm: shorter edges have defeated cloth simulators (a fifth of published patterns have one)
+LARGEST = 1000.0  # cm: a panel ten metres across is in the wrong unit
+LONGEST_OUTLINE = 10_000.0  # cm: a ruffle of 8 m has an outline of 20 m
 MOST_NAMES = 40  # in a message
 MOST_PANELS = 500  # of a garment; published and sampled garments have up to 24, a quilt a hundred
 MOST_EDGES = 2000  # of a panel: 10 m in steps of half a centimetre; published and sampled panels have up to 36
-WIDE = 400.0  # cm: a ruffle may be wider, though not a garment of which most edges are LONG, too
-LONG = 60.0  # cm: the median edge of a garment is shorter, and that of one ten times too large longer
-HIGH = 400.0  # cm: nobody is so tall that a panel would hang there
-LOW = 25.0  # cm: nothing but shoes ends as low, and what is ten times too small
+WIDE = 400.0  # cm: a ruffle may be wider, but then most edges of the garment are shorter than LONG
+LONG = 60.0  # cm: above the median edge of a garment, below that of a garment scaled by ten
+HIGH = 400.0  # cm: higher than any panel hangs
+LOW = 25.0  # cm: only shoes, or a garment scaled by a tenth, have their top so low
 TINY = 10.0  # cm: the largest panel of a garment, even of a belt, is larger
-USUAL = 90.0  # cm: the largest panel of a usual garment, by which a unit is guessed
-USUAL_TOP = 130.0  # cm: as high hangs a usual garment, which tells more where it was placed
+USUAL = 90.0  # cm: the largest panel of a typical garment, to guess the unit
+USUAL_TOP = 130.0  # cm: the top of a typical garment, a better guess if the panels are placed
 UNITS = {"millimetres": 1000, "centimetres": 100, "inches": 39.37, "metres": 1}  # in a metre
-CROSSWISE = 0.85  # of the distance of the ends that a stitch joins; where the other way takes less, it is drawn so
-APART = 2.0  # cm by which that way must be shorter; of the published and our own stitches none takes 0.9
-GATHER = 1.05  # ratio of two lengths sewn together, from which cloth gathers visibly
-SLACK = 0.5  # cm: a difference of two lengths that any seam takes
+CROSSWISE = 0.85  # a seam is crosswise if joining its other ends takes less than this share of the distance …
+APART = 2.0  # cm … and is shorter by this much; no published or sampled seam comes under a share of 0.9
+GATHER = 1.05  # ratio of two lengths sewn together, above which cloth gathers visibly
+SLACK = 0.5  # cm: a difference of two lengths that any seam absorbs
 
 
 class Severity(StrEnum):
@@ -49,11 +49,11 @@ class Severity(StrEnum):
 
 
 class Rule(Enum):
-    """What a pattern can break; the value is the text for people."""
+    """The checks; the value is the description of the fault in messages."""
 
     NO_PANEL = "no panels"
     MANY_PANELS = "too many panels"
-    PANEL_NAME = "name that tells no panel"
+    PANEL_NAME = "unusable panel name"
     FEW_EDGES = "too few edges"
     MANY_EDGES = "too many edges"
     VERTEX_RANGE = "vertex out of range"
@@ -61,9 +61,9 @@ class Rule(Enum):
     NO_LENGTH = "edge without length"
     ARC_RADIUS = "arc radius under half its chord"
     TOO_LARGE = "panel over 10 m"
-    UNLIKELY_SIZE = "size that fits nobody"
+    UNLIKELY_SIZE = "size unlikely for a person"
     SELF_CROSSING = "outline crosses itself"
-    NO_SUCH_EDGE = "stitch to nothing"
+    NO_SUCH_EDGE = "stitch to a missing edge"
     STITCHED_TWICE = "edge stitched twice"
     LABELS_DIFFER = "stitched edges have different labels"
     SHORT_EDGE = "edge under 0.5 cm"
@@ -72,7 +72,7 @@ class Rule(Enum):
 
     @property
     def severity(self) -> Severity:
-        """Warning for what can be sewn all the same."""
+        """Whether a pattern with this fault can still be sewn."""
         return Severity.WARNING if self in SEWABLE else Severity.ERROR
 
 
@@ -81,29 +81,29 @@ SEWABLE = frozenset({Rule.UNLIKELY_SIZE, Rule.SHORT_EDGE, Rule.SEAM_LENGTHS, Rul
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One broken rule."""
+    """A broken rule, with panel and edge."""
 
     rule: Rule
     panel: str
-    """Empty where the fault is of the whole pattern."""
+    """Name of the panel; empty for a fault of the whole pattern."""
     edge: int | None
-    """Place in the panel's loop; none where the fault is of the whole panel."""
+    """Index in the panel's loop; ``None`` for a fault of the whole panel."""
     figure: str
-    """What was met, with numbers, and what to do."""
+    """Measured numbers and remedy."""
 
     @property
     def severity(self) -> Severity:
-        """Of the rule."""
+        """The severity of its rule."""
         return self.rule.severity
 
     def __str__(self) -> str:
-        place = [f"panel {shown(self.panel)}"] if self.panel else []
-        place += [f"edge {self.edge}"] if self.edge is not None else []
-        return f"{', '.join(place) or 'pattern'}: {self.severity}: {self.rule.value}: {self.figure}"
+        position = [f"panel {shown(self.panel)}"] if self.panel else []
+        position += [f"edge {self.edge}"] if self.edge is not None else []
+        return f"{', '.join(position) or 'pattern'}: {self.severity}: {self.rule.value}: {self.figure}"
 
 
 def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
-    """Every fault of a pattern, panel by panel, then seam by seam; empty for one that can be sewn as it is."""
+    """All faults of a pattern, panel by panel, then seam by seam; empty if there is none."""
     if not pattern.panels:
         return (Fault(Rule.NO_PANEL, "", None, "there is nothing to sew: draw one"),)
     if len(pattern.panels) > MOST_PANELS:
@@ -113,22 +113,22 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
     units = _units(pattern)
     drawn = {number: edge_hulls(panel) for number, panel in enumerate(pattern.panels) if not faults[number]}
     for number in _may_be_large(drawn):
-        # Asked before anything is sampled: there is no room for what is huge.
+        # Checked before sampling: a huge panel would need too much memory.
         if huge := list(_size_faults(pattern.panels[number], drawn[number], units)):
             faults[number] += huge
             del drawn[number]
-    shaped = {number: pattern.panels[number].edge_lengths() for number in drawn}
-    for number, edges in shaped.items():
+    edge_lengths = {number: pattern.panels[number].edge_lengths() for number in drawn}
+    for number, edges in edge_lengths.items():
         faults[number] += _short_edges(pattern.panels[number], edges)
         if (outline := sum(edges)) > LONGEST_OUTLINE:
             figure = f"its outline has {outline / 100:.0f} m: check units_in_meter, and how its curves bend"
             faults[number].append(Fault(Rule.TOO_LARGE, pattern.panels[number].name, None, figure))
             del drawn[number]
-    for number, fault in _crossings(pattern.panels, drawn, shaped):
+    for number, fault in _crossings(pattern.panels, drawn, edge_lengths):
         faults[number].append(fault)
     lengths = {
         EdgeRef(pattern.panels[number].name, index): length
-        for number, edges in shaped.items()
+        for number, edges in edge_lengths.items()
         for index, length in enumerate(edges)
     }
     of_panels = (fault for number in sorted(faults) for fault in faults[number])
@@ -137,7 +137,7 @@ def check_pattern(pattern: Pattern) -> tuple[Fault, ...]:
 
 
 def require_valid(pattern: Pattern, source: str = "") -> Pattern:
-    """The pattern, if nothing forbids sewing it; ``source`` names its file in the error.
+    """The pattern, if it has no error; ``source`` names its file in the message.
 
     Raises ``PatternError`` with the first error and the number of the others.
     """
@@ -152,7 +152,7 @@ def require_valid(pattern: Pattern, source: str = "") -> Pattern:
 
 
 def _name_faults(panels: Sequence[Panel]) -> Iterator[Fault]:
-    """What keeps seams, mesh files and messages from naming a panel."""
+    """Panel names that are empty, unprintable or repeated: seams, mesh files and messages refer to panels by name."""
     for number, panel in enumerate(panels):
         if not panel.name.strip():
             yield Fault(Rule.PANEL_NAME, "", None, f"panel {number} of {len(panels)} has no name: give it one")
@@ -164,8 +164,8 @@ def _name_faults(panels: Sequence[Panel]) -> Iterator[Fault]:
 
 
 def _loop_faults(panel: Panel) -> Iterator[Fault]:
-    """What keeps the outline from being a closed curve at all."""
-    count, corners, places = len(panel.edges), len(panel.vertices), panel.vertices.tolist()
+    """Faults for which the outline is no closed curve."""
+    count, corners, points = len(panel.edges), len(panel.vertices), panel.vertices.tolist()
     straight = all(edge.curve == LINE for edge in panel.edges)
     if count < (3 if straight else 2):
         kind = "straight" if straight else "curved"
@@ -184,7 +184,7 @@ def _loop_faults(panel: Panel) -> Iterator[Fault]:
         if before.end != edge.start and 0 <= before.end < corners:
             figure = f"it starts at vertex {edge.start}, edge {(index - 1) % count} ends at {before.end}: join them"
             yield Fault(Rule.OPEN_LOOP, panel.name, index, figure)
-        chord = dist(places[edge.start], places[edge.end])
+        chord = dist(points[edge.start], points[edge.end])
         if chord == 0.0:
             yield Fault(Rule.NO_LENGTH, panel.name, index, "its ends are one point: take it out, or move a vertex")
         elif isinstance(edge.curve, Arc):
@@ -196,18 +196,18 @@ def _loop_faults(panel: Panel) -> Iterator[Fault]:
 
 
 def _may_be_large(drawn: Mapping[int, Complex[np.ndarray, "e 4"]]) -> list[int]:
-    """The panels that are not clearly small: those of a usual pattern are, and none is looked at."""
-    if drawn and np.abs(np.concatenate(list(drawn.values()))).max() < LARGEST / 4:  # a circle is in twice its chord
+    """The panels to check for size: none if all coordinates are far below the limit, as in usual patterns."""
+    if drawn and np.abs(np.concatenate(list(drawn.values()))).max() < LARGEST / 4:  # a circle fits in twice its chord
         return []
     return list(drawn)
 
 
 def _size_faults(panel: Panel, hulls: Complex[np.ndarray, "e 4"], units: float) -> Iterator[Fault]:
-    """Whether the outline, or a point that bends it, reaches too far."""
-    rings = [edge.curve.radius if isinstance(edge.curve, Arc) and edge.curve.large else 0.0 for edge in panel.edges]
-    # The tangents of more than a half circle meet far outside of it: its diameter says more.
-    near = np.where(np.array(rings)[:, None] > 0, hulls[:, :1], hulls)
-    across = float(max(np.ptp(near.real), np.ptp(near.imag), 2 * max(rings)))
+    """A fault if the outline or its control points extend too far."""
+    radii = [edge.curve.radius if isinstance(edge.curve, Arc) and edge.curve.large else 0.0 for edge in panel.edges]
+    # The end tangents of an arc over a half circle meet far outside of it: take its diameter instead.
+    near = np.where(np.array(radii)[:, None] > 0, hulls[:, :1], hulls)
+    across = float(max(np.ptp(near.real), np.ptp(near.imag), 2 * max(radii)))
     if not across <= LARGEST:
         figure = f"{across:.6g} cm across with its control points: {_probable_unit(across, units, USUAL / across)}"
         yield Fault(Rule.TOO_LARGE, panel.name, None, figure)
@@ -216,7 +216,7 @@ def _size_faults(panel: Panel, hulls: Complex[np.ndarray, "e 4"], units: float) 
 def _unlikely_size(
     pattern: Pattern, hulls: Sequence[Complex[np.ndarray, "e 4"]], lengths: Collection[float], units: float
 ) -> Iterator[Fault]:
-    """Whether the garment is too large or too small for a person, as one in another unit than it says is."""
+    """A fault if the garment is too large or too small for a person, as with a wrong length unit."""
     corners, first = np.concatenate(hulls)[:, 0], np.cumsum([0, *map(len, hulls[:-1])])
     largest = max(
         float((np.maximum.reduceat(part, first) - np.minimum.reduceat(part, first)).max())
@@ -239,21 +239,24 @@ def _unlikely_size(
 
 
 def _top(panels: Sequence[Panel]) -> float | None:
-    """How high a garment hangs that was placed [cm]."""
+    """Height of the garment's highest point [cm]; ``None`` if no panel is placed."""
     if not any(panel.placement.translation.any() for panel in panels):
         return None
     return max(float(panel.placement.apply(panel.vertices)[:, 1].max()) for panel in panels)
 
 
 def _units(pattern: Pattern) -> float:
-    """Length units in a metre, as the pattern's file says."""
+    """Length units in a metre, as declared in the pattern's file."""
     properties = pattern.extra.get("properties", {})
-    told = properties.get("original_units_in_meter", properties.get("units_in_meter"))
-    return float(told) if isinstance(told, int | float) and told > 0 else float(UNITS["centimetres"])
+    units = properties.get("original_units_in_meter", properties.get("units_in_meter"))
+    return float(units) if isinstance(units, int | float) and units > 0 else float(UNITS["centimetres"])
 
 
 def _probable_unit(size: float, units: float, scale: float | None) -> str:
-    """The unit in which a garment is about ``scale`` times as large as it is read; ``size`` [cm] is as it is read."""
+    """A remedy that names the unit in which the garment is about ``scale`` times as large.
+
+    ``size``: as read, in the declared unit [cm]; ``units``: the declared length units in a metre.
+    """
     if scale is not None:
         off = {unit: abs(log(units / per_metre / scale)) for unit, per_metre in UNITS.items()}
         likely = min(off, key=lambda unit: off[unit])
@@ -274,15 +277,15 @@ def _crossings(
     hulls: Mapping[int, Complex[np.ndarray, "e 4"]],
     lengths: Mapping[int, list[float]],
 ) -> Iterator[tuple[int, Fault]]:
-    """Where an edge crosses or touches itself or another, other than in a corner they share."""
+    """Panel number and fault for edges that meet themselves or another edge outside a shared corner."""
     numbers = list(hulls)
     drawn = [panels[number] for number in numbers]
-    for place, crossing in find_crossings(drawn, list(hulls.values()), [lengths[number] for number in numbers]):
-        x, y = crossing.place
+    for row, crossing in find_crossings(drawn, list(hulls.values()), [lengths[number] for number in numbers]):
+        x, y = crossing.point
         figure = f"it meets edge {crossing.other} at ({x:.2f}, {y:.2f}) cm: part them"
         if crossing.edge == crossing.other:
             figure = "it crosses itself: bend it less"
-        yield numbers[place], Fault(Rule.SELF_CROSSING, drawn[place].name, crossing.edge, figure)
+        yield numbers[row], Fault(Rule.SELF_CROSSING, drawn[row].name, crossing.edge, figure)
 
 
 # ---------------------------------------------------------------------------------------------------------------- seams
@@ -293,33 +296,33 @@ def _seam_faults(pattern: Pattern, lengths: dict[EdgeRef, float]) -> Iterator[Fa
     edges_of = {panel.name: len(panel.edges) for panel in pattern.panels}
     uses = Counter(side for seam in pattern.seams for side in (seam.left, seam.right))
     panels = {panel.name: panel for panel in pattern.panels}
-    places = {panel.name: panel.placement.apply(panel.vertices).tolist() for panel in pattern.panels}
-    told: set[EdgeRef] = set()
+    corners = {panel.name: panel.placement.apply(panel.vertices).tolist() for panel in pattern.panels}
+    reported: set[EdgeRef] = set()
     for number, seam in enumerate(pattern.seams):
         missing = [side for side in (seam.left, seam.right) if side not in labels]
         for side in missing:
             yield _no_such_edge(number, side, edges_of)
         for side in (seam.left, seam.right):
-            if uses[side] > 1 and side not in told:
-                told.add(side)
+            if uses[side] > 1 and side not in reported:
+                reported.add(side)
                 figure = f"stitch {number} is one of {uses[side]}: split the edge, or drop a stitch"
                 yield Fault(Rule.STITCHED_TWICE, side.panel, side.edge, figure)
         if not missing:
             yield from _unlike_sides(number, seam, labels, lengths)
         if seam.left in lengths and seam.right in lengths:
-            yield from _crosswise(number, seam, panels, places)
+            yield from _crosswise(number, seam, panels, corners)
 
 
 def _no_such_edge(number: int, side: EdgeRef, edges_of: dict[str, int]) -> Fault:
     if side.panel not in edges_of:
-        figure = f"stitch {number}: there is no panel of that name: known are {_listed(edges_of)}"
+        figure = f"stitch {number}: there is no panel of that name: there are {_listed(edges_of)}"
     else:
         figure = f"stitch {number}: the panel has {edges_of[side.panel]} edges, numbered from 0: mend the stitch"
     return Fault(Rule.NO_SUCH_EDGE, side.panel, side.edge, figure)
 
 
 def _listed(names: Collection[str]) -> str:
-    """Names as a message has them: the first few."""
+    """The first names, for a message."""
     first = ", ".join(shown(name) for name in islice(names, MOST_NAMES))
     return first if len(names) <= MOST_NAMES else f"{first} and {len(names) - MOST_NAMES} more"
 
@@ -340,10 +343,13 @@ def _unlike_sides(
 
 
 def _crosswise(
-    number: int, seam: Seam, panels: Mapping[str, Panel], places: Mapping[str, list[list[float]]]
+    number: int, seam: Seam, panels: Mapping[str, Panel], corners: Mapping[str, list[list[float]]]
 ) -> Iterator[Fault]:
-    """Whether the ends that a stitch joins lie far apart as the panels hang, and those that it does not join near."""
-    (a, b), (c, d) = (_ends(panels[side.panel], side.edge, places[side.panel]) for side in (seam.left, seam.right))
+    """A fault if the ends that a stitch joins hang far apart and the other ends near each other.
+
+    ``corners``: panel name to the panel's vertices in space [cm].
+    """
+    (a, b), (c, d) = (_ends(panels[side.panel], side.edge, corners[side.panel]) for side in (seam.left, seam.right))
     if not seam.right_wrong:
         c, d = d, c
     joined, other = dist(a, c) + dist(b, d), dist(a, d) + dist(b, c)
@@ -351,7 +357,7 @@ def _crosswise(
         return
     left, right = panels[seam.left.panel], panels[seam.right.panel]
     if left is not right and left.placement == right.placement:
-        return  # drawn on one sheet and never placed: how they lie there tells nothing
+        return  # drawn on one sheet and never placed: the positions carry no information
     starts = "the starts of both meet" if seam.right_wrong else "the start of one meets the end of the other"
     figure = (
         f"stitch {number} with panel {shown(right.name)}, edge {seam.right.edge}: {starts}, {joined / 2:.1f} cm apart "
@@ -360,6 +366,5 @@ def _crosswise(
     yield Fault(Rule.SEWN_CROSSWISE, left.name, seam.left.edge, figure)
 
 
-def _ends(panel: Panel, edge: int, places: list[list[float]]) -> tuple[list[float], list[float]]:
-    """Where an edge starts and ends, of the places of its panel's corners."""
-    return places[panel.edges[edge].start], places[panel.edges[edge].end]
+def _ends(panel: Panel, edge: int, corners: list[list[float]]) -> tuple[list[float], list[float]]:
+    return corners[panel.edges[edge].start], corners[panel.edges[edge].end]

@@ -1,7 +1,7 @@
-"""How much of its time each part of the making of samples waits for another.
+"""Accounts of waiting: the share of its time that each stage of generation is idle.
 
-Every process has one account: its parts note what they waited, and ``taken`` empties it. Processes send theirs along
-with their results, and the receiver adds them up.
+Every process keeps one account. Its stages add their waits with ``record_wait``; ``take_waits`` reads the account and
+empties it. Worker processes send their accounts along with their results, and the receiver adds them up.
 """
 
 import threading
@@ -9,64 +9,75 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple, TypeVar
 
-__all__ = ["MAKERS", "WRITER", "Wait", "WaitClock", "Waits", "added", "noted", "shares", "taken", "waited_for"]
+__all__ = [
+    "MAKERS",
+    "WRITER",
+    "Wait",
+    "WaitClock",
+    "Waits",
+    "record_wait",
+    "sum_waits",
+    "take_waits",
+    "timed",
+    "wait_shares",
+]
 
 MAKERS = "makers"
-"""Processes that make samples, which wait for the writer to take them."""
+"""Worker processes that make samples: they wait while the writer's queue is full."""
 WRITER = "writer"
-"""The process that writes samples, which waits for the next; where it makes them itself, their making."""
+"""The process that writes samples: it waits for the next one. Without workers this includes making the sample."""
 
 Item = TypeVar("Item")
 
 
 class Wait(NamedTuple):
-    """Time of one part, or of several like it."""
+    """Idle time and total time of one stage, or summed over several."""
 
     idle: float
-    """Seconds that it waited."""
+    """Seconds spent waiting."""
     over: float
-    """Seconds that passed, those among them."""
+    """Seconds in total, idle ones included."""
 
 
 Waits = Mapping[str, Wait]
-"""Who waits: ``makers``, ``writer``, or a device for its draping processes, which wait for orders."""
+"""Name of a stage to its times: ``makers``, ``writer``, or a device for its draping processes."""
 
 
-def added(*waits: Waits) -> dict[str, Wait]:
-    """The sum.
+def sum_waits(*waits: Waits) -> dict[str, Wait]:
+    """The sum by name.
 
-    >>> added({"writer": Wait(1.0, 4.0)}, {"writer": Wait(2.0, 4.0), "cuda:0": Wait(0.5, 5.0)})
+    >>> sum_waits({"writer": Wait(1.0, 4.0)}, {"writer": Wait(2.0, 4.0), "cuda:0": Wait(0.5, 5.0)})
     {'writer': Wait(idle=3.0, over=8.0), 'cuda:0': Wait(idle=0.5, over=5.0)}
     """
     total: dict[str, Wait] = {}
-    for some in waits:
-        for name, wait in some.items():
+    for account in waits:
+        for name, wait in account.items():
             before = total.get(name, Wait(0.0, 0.0))
             total[name] = Wait(before.idle + wait.idle, before.over + wait.over)
     return total
 
 
-def shares(waits: Waits) -> dict[str, float]:
-    """The share of the time that each waited, by name.
+def wait_shares(waits: Waits) -> dict[str, float]:
+    """Idle share of the time, in [0, 1], by name.
 
-    >>> shares({"writer": Wait(3.0, 8.0)})
+    >>> wait_shares({"writer": Wait(3.0, 8.0)})
     {'writer': 0.375}
     """
     return {name: min(wait.idle / wait.over, 1.0) for name, wait in sorted(waits.items()) if wait.over > 0}
 
 
 class WaitClock:
-    """Counts the time of one part, and how much of it is waiting. For one thread."""
+    """Stopwatch for one stage: total time and idle time. Not thread-safe."""
 
     def __init__(self) -> None:
         self._since, self._idle = time.perf_counter(), 0.0
 
-    def idle(self, seconds: float) -> None:
+    def add_idle(self, seconds: float) -> None:
         """Count a wait that has just ended."""
         self._idle += seconds
 
-    def taken(self) -> Wait:
-        """The time since the last call, or since the beginning."""
+    def lap(self) -> Wait:
+        """Times since the previous lap, or since the clock was made."""
         now, idle = time.perf_counter(), self._idle
         wait = Wait(idle, now - self._since)
         self._since, self._idle = now, 0.0
@@ -74,32 +85,32 @@ class WaitClock:
 
 
 _account: dict[str, Wait] = {}
-_changing = threading.Lock()
+_account_lock = threading.Lock()
 
 
-def noted(name: str, wait: Wait) -> None:
+def record_wait(name: str, wait: Wait) -> None:
     """Add to this process's account."""
-    with _changing:
-        _account.update(added({name: _account.get(name, Wait(0.0, 0.0))}, {name: wait}))
+    with _account_lock:
+        _account.update(sum_waits({name: _account.get(name, Wait(0.0, 0.0))}, {name: wait}))
 
 
-def taken() -> dict[str, Wait]:
-    """This process's account since the last call."""
-    with _changing:
+def take_waits() -> dict[str, Wait]:
+    """Read and empty this process's account."""
+    with _account_lock:
         account = dict(_account)
         _account.clear()
         return account
 
 
-def waited_for(items: Iterable[Item], name: str) -> Iterator[Item]:
-    """The same items; ``name`` waits while the next is awaited, and works until it asks for another."""
-    clock, coming = WaitClock(), iter(items)
+def timed(items: Iterable[Item], name: str) -> Iterator[Item]:
+    """The same items, recording under ``name`` the time spent in ``next`` as idle and the time between as busy."""
+    clock, iterator = WaitClock(), iter(items)
     while True:
-        begun = time.perf_counter()
+        begin = time.perf_counter()
         try:
-            item = next(coming)
+            item = next(iterator)
         except StopIteration:
             return
-        clock.idle(time.perf_counter() - begun)
-        noted(name, clock.taken())
+        clock.add_idle(time.perf_counter() - begin)
+        record_wait(name, clock.lap())
         yield item

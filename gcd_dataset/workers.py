@@ -1,4 +1,4 @@
-"""Work shared out over processes that end with this one."""
+"""Worker processes that end with this process, however it ends."""
 
 import multiprocessing
 import os
@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from gcd_dataset.errors import GcdError
 
-__all__ = ["side_by_side", "side_by_side_in_parts", "streams", "without_program"]
+__all__ = ["parallel_map", "parallel_map_chunks", "streams", "without_main_module"]
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -29,67 +29,68 @@ UNSTARTED = (
     "a worker process could not start, see above: a script that asks for workers begins its work under "
     'if __name__ == "__main__":'
 )
-AHEAD = 2  # tasks in work for each process, so that none waits for the writer
+AHEAD = 2  # tasks submitted for each process, so that none is idle while the consumer is busy
 
 
-def side_by_side(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
-    """The results of the tasks, in order, from ``workers`` processes, or from this one where one would be alone.
+def parallel_map(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
+    """The results of the tasks, in order, from ``workers`` processes; with fewer than 2, from this process.
 
-    Raises ``GcdError`` where one is killed.
+    Raises ``GcdError`` if a worker is killed.
     """
     if workers < 2:
         yield from map(work, tasks)
         return
     waiting = iter(tasks)
-    with _processes(workers) as pool:
+    with _process_pool(workers) as pool:
 
-        def submitted(count: int) -> Iterator[Future[Result]]:
-            return (_submitted(pool, work, task) for task in islice(waiting, count))
+        def submit(count: int) -> Iterator[Future[Result]]:
+            return (_submit(pool, work, task) for task in islice(waiting, count))
 
-        at_work = deque(submitted(AHEAD * workers))
-        while at_work:
-            yield _result(at_work.popleft())
-            at_work.extend(submitted(1))
+        in_flight = deque(submit(AHEAD * workers))
+        while in_flight:
+            yield _result(in_flight.popleft())
+            in_flight.extend(submit(1))
 
 
-def side_by_side_in_parts(
-    work: Callable[[Sequence[int]], Iterable[Result]], numbers: Sequence[int], workers: int, *, at_once: int
+def parallel_map_chunks(
+    work: Callable[[Sequence[int]], Iterable[Result]], numbers: Sequence[int], workers: int, *, chunk: int
 ) -> Iterator[Result]:
-    """The results for all numbers, in order; ``work`` gives those of ``at_once`` of them. Else as ``side_by_side``."""
-    tasks = (numbers[i : i + at_once] for i in range(0, len(numbers), at_once))
-    return chain.from_iterable(side_by_side(work, tasks, workers))
+    """The results for all numbers, in order; one call of ``work`` computes ``chunk`` of them. See ``parallel_map``."""
+    tasks = (numbers[i : i + chunk] for i in range(0, len(numbers), chunk))
+    return chain.from_iterable(parallel_map(work, tasks, workers))
 
 
 @contextmanager
 def streams(work: Callable[[Task], Iterable[Result]], tasks: Sequence[Task]) -> Iterator[list[Iterator[Result]]]:
-    """The results of each task as a stream, each from a process of its own, which goes on while others are read.
+    """One iterator of results for each task; each task runs in its own process, whether its results are read or not.
 
-    The processes end with the block. The streams raise what ``work`` raises, and ``GcdError`` where one is killed.
+    The processes end with the block. The iterators raise the errors of ``work``, and ``GcdError`` if a process is
+    killed.
     """
-    context = _spawning()
-    lifeline, held = context.Pipe(duplex=False)
-    processes, streamed = [], []
+    context = _spawn_context()
+    lifeline, parent_end = context.Pipe(duplex=False)
+    processes, results = [], []
     try:
         for task in tasks:
-            ours, theirs = context.Pipe(duplex=False)
-            process = context.Process(target=_stream, args=(work, task, theirs, lifeline), daemon=True)
+            receiver, sender = context.Pipe(duplex=False)
+            process = context.Process(target=_run_stream, args=(work, task, sender, lifeline), daemon=True)
             with _no_program_from_standard_input():
                 process.start()
-            theirs.close()
+            sender.close()
             processes.append(process)
-            streamed.append(_received(ours, process))
-        yield streamed
+            results.append(_receive(receiver, process))
+        yield results
     finally:
-        held.close()
+        parent_end.close()
         for process in processes:
             process.terminate()
 
 
 @contextmanager
-def without_program() -> Iterator[None]:
-    """Have processes of the block started without the main program: for work that needs nothing of it.
+def without_main_module() -> Iterator[None]:
+    """Start the processes of the block without the main module, for work that needs nothing from it.
 
-    Each would run the top level of a script again, which had to be guarded by ``if __name__ == "__main__":``.
+    Otherwise each process would import the script again, which would need an ``if __name__ == "__main__":`` guard.
     """
     program = sys.modules["__main__"]
     file = vars(program).pop("__file__", None)
@@ -100,9 +101,11 @@ def without_program() -> Iterator[None]:
             program.__file__ = file
 
 
-def _stream(work: Callable[[Task], Iterable[Result]], task: Task, results: Connection, lifeline: Connection) -> None:
-    """In a process: send the results, then what ended them."""
-    _begin(lifeline)
+def _run_stream(
+    work: Callable[[Task], Iterable[Result]], task: Task, results: Connection, lifeline: Connection
+) -> None:
+    """Main function of a stream's process: send the results, then ``StopIteration`` or the error."""
+    _start_worker(lifeline)
     try:
         for result in work(task):
             results.send((result, None))
@@ -113,7 +116,7 @@ def _stream(work: Callable[[Task], Iterable[Result]], task: Task, results: Conne
 
 @contextmanager
 def _no_program_from_standard_input() -> Iterator[None]:
-    """Have processes started without the main program where it has no file that they could import, as ``python -``."""
+    """Start processes without the main module if it has no file that they could import, as with ``python -``."""
     program = sys.modules["__main__"]
     file = getattr(program, "__file__", None)
     if file is None or Path(file).exists():
@@ -126,7 +129,7 @@ def _no_program_from_standard_input() -> Iterator[None]:
         program.__file__ = file
 
 
-def _received(connection: Connection, process: BaseProcess) -> Iterator[Any]:
+def _receive(connection: Connection, process: BaseProcess) -> Iterator[Any]:
     while True:
         try:
             result, error = connection.recv()
@@ -140,8 +143,8 @@ def _received(connection: Connection, process: BaseProcess) -> Iterator[Any]:
         yield result
 
 
-def _submitted(pool: ProcessPoolExecutor, work: Callable[[Task], Result], task: Task) -> Future[Result]:
-    """The result of a task to come. Raises ``GcdError`` where a process of the pool has died."""
+def _submit(pool: ProcessPoolExecutor, work: Callable[[Task], Result], task: Task) -> Future[Result]:
+    """The future of a task. Raises ``GcdError`` if a process of the pool has died."""
     try:
         with _no_program_from_standard_input():  # the pool starts its processes here
             return pool.submit(work, task)
@@ -156,32 +159,32 @@ def _result(task: Future[Result]) -> Result:
         raise GcdError(f"{KILLED}; or {UNSTARTED}") from error
 
 
-def _spawning() -> SpawnContext:
-    """How processes are started: not forked, since threads of Warp or torch would not live on in them."""
+def _spawn_context() -> SpawnContext:
+    """The start method of workers: spawn, since a forked process lacks the threads of Warp and torch."""
     for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # of each worker: there is one a core
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # there is one worker for each core
     return multiprocessing.get_context("spawn")
 
 
 @contextmanager
-def _processes(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that leave Ctrl-C to this one, and that end with the block, or with this process however it ends."""
-    context = _spawning()
-    lifeline, held = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(lifeline,))
+def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """A pool of processes that ignore Ctrl-C and end with the block, or with this process however it ends."""
+    context = _spawn_context()
+    lifeline, parent_end = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=(lifeline,))
     try:
         yield pool
     finally:
-        held.close()
+        parent_end.close()
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _begin(lifeline: Connection) -> None:
-    """In a worker: leave interrupts to the parent, and end when it lets go of its end of the lifeline."""
+def _start_worker(lifeline: Connection) -> None:
+    """Called first in a worker: ignore SIGINT, and exit when the parent closes its end of the lifeline or dies."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+    threading.Thread(target=_exit_with_parent, args=(lifeline,), daemon=True).start()
 
 
-def _end_with(lifeline: Connection) -> None:
-    lifeline.poll(None)
+def _exit_with_parent(lifeline: Connection) -> None:
+    lifeline.poll(None)  # returns at the end of file
     os._exit(1)

@@ -1,4 +1,4 @@
-"""YAML from outside: ambiguous values are refused, and size and depth are limited."""
+"""YAML from outside: ambiguous values are rejected, and size and depth are limited."""
 
 import re
 from typing import Any
@@ -10,17 +10,17 @@ __all__ = ["LARGEST_YAML", "require_shallow", "strict_yaml"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 LARGEST_YAML = 1 << 20  # bytes, a second to parse; a measurement file has 1 kB, a design file 14
-DEEPEST = 64  # levels; libyaml ends the process where its stack does
-DEEPEST_BYTES = 1000  # brackets open at once, or columns that a line begins with: libyaml holds tens of thousands
+DEEPEST = 64  # levels; libyaml crashes the process when its stack overflows
+DEEPEST_BYTES = 1000  # open brackets, or columns of indentation: libyaml's stack takes tens of thousands
 BLOCK_START = re.compile(rb"^[ ?:-]{64,}", re.MULTILINE)
-OTHER_BASE = re.compile(r"[+-]?0[0-7_]+|.*:.*")  # octal, sexagesimal: 070 is 56 in YAML 1.1, and 1:50 is 110
+OTHER_BASE = re.compile(r"[+-]?0[0-7_]+|.*:.*")  # octal, sexagesimal: in YAML 1.1 070 is 56, and 1:50 is 110
 
 
 def strict_yaml(content: str | bytes) -> Any:
-    """YAML's plain values, without what a reader takes for something else.
+    """The parsed value of YAML without ambiguous constructs.
 
-    A key that stands twice, a number in base 8 or 60, and merge keys (``<<``), of which a page may hold millions of
-    entries, are a ``yaml.MarkedYAMLError`` with their line; more than 64 levels are a ``RecursionError``.
+    Raises ``yaml.MarkedYAMLError`` with the line of a repeated key, a number in base 8 or 60, or a merge key (``<<``),
+    which can expand to millions of entries; ``RecursionError`` for more than 64 levels.
     """
     depth = 0
     for event in yaml.parse(content, Loader=LOADER):
@@ -31,16 +31,16 @@ def strict_yaml(content: str | bytes) -> Any:
 
 
 def require_shallow(content: bytes) -> None:
-    """Raise ``RecursionError`` for YAML that may be nested deeper than libyaml's stack holds, by a look at its bytes.
+    """Raise ``RecursionError`` for YAML with so many brackets or columns that libyaml's stack may overflow.
 
-    Faster than to parse it twice: for files of megabytes that programs have written.
+    It scans the bytes only, faster than the depth check of ``strict_yaml``: for megabytes of machine-written YAML.
     """
     step = np.zeros(256, np.int8)
     step[list(b"[{")], step[list(b"]}")] = 1, -1
     flow = np.cumsum(step[np.frombuffer(content, np.uint8)], dtype=np.int32).max(initial=0)
     block = max(map(len, BLOCK_START.findall(content)), default=0)
     if max(flow, block) > DEEPEST_BYTES:
-        raise RecursionError(f"more than {DEEPEST_BYTES} levels deep, it may be")
+        raise RecursionError(f"possibly more than {DEEPEST_BYTES} levels deep")
 
 
 class _StrictLoader(LOADER):  # type: ignore[misc,valid-type]
@@ -53,8 +53,8 @@ class _StrictLoader(LOADER):  # type: ignore[misc,valid-type]
         table: dict[Any, Any] = super().construct_mapping(node, deep=deep)
         if len(table) < len(node.value):
             names = [key.value for key, _ in node.value]
-            twice = next((key for key, _ in node.value if names.count(key.value) > 1), node)
-            raise _refused("a key that stands twice: take one of them out", twice)
+            repeated = next((key for key, _ in node.value if names.count(key.value) > 1), node)
+            raise _refused("a key that stands twice: take one of them out", repeated)
         return table
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
@@ -73,5 +73,5 @@ _StrictLoader.add_constructor("tag:yaml.org,2002:int", _StrictLoader.construct_y
 _StrictLoader.add_constructor("tag:yaml.org,2002:float", _StrictLoader.construct_yaml_float)
 
 
-def _refused(what: str, node: yaml.Node) -> yaml.MarkedYAMLError:
-    return yaml.constructor.ConstructorError(None, None, what, node.start_mark)
+def _refused(problem: str, node: yaml.Node) -> yaml.MarkedYAMLError:
+    return yaml.constructor.ConstructorError(None, None, problem, node.start_mark)

@@ -13,12 +13,12 @@ from functools import partial
 from itertools import groupby
 from typing import Any, Generic, TypeVar, overload
 
-from gcd_dataset.by_thread import by_thread
 from gcd_dataset.generator.drapers import Draper, DraperAddress, DrapeReply, SharedDraper, addresses_for
 from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drapers.shared import AT_ONCE
 from gcd_dataset.generator.pipeline import DressedDesign, drape_jobs, finish, prepare, turned_down
 from gcd_dataset.generator.recipe import MakeConfig, devices_name, devices_of
+from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Rejected, Sample
 from gcd_dataset.waits import MAKERS
 from gcd_dataset.workers import streams
@@ -235,7 +235,7 @@ class _Share:
                 draper = opened.enter_context(LocalDraper("cpu", at_once=1))
             options = {"draper": draper, "ahead": ahead, "finished": self.finished, "pictured": self.pictured}
             made = produce(self.seed, self.indices, self.config, **options)  # type: ignore[call-overload]
-            yield from by_thread(made, READY, name=MAKERS)
+            yield from prefetch(made, READY, name=MAKERS)
 
 
 def _by_workers(

@@ -9,12 +9,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+from jaxtyping import Float
+
 from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.body.population import SEXES
 from gcd_dataset.generator.drawing import jpeg_bytes
+from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
-from gcd_dataset.generator.mesh import Coarse, build_box_mesh, coarse_start
+from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.records import (
@@ -94,7 +98,9 @@ class Dressed:
     size: Measurements
     pattern: Pattern
     box_mesh: BoxMesh | None
-    coarse: Coarse | None
+    coarse: CoarseMesh | None
+    start: Float[np.ndarray, "v 3"] | None
+    """Start positions of the drape, as ``DrapeJob.start`` [cm]."""
 
 
 @dataclass(frozen=True)
@@ -177,8 +183,11 @@ def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig)
         mesh = build_box_mesh(pattern, spacing=config.resolution) if config.stage != "pattern" else None
     except MeshError as error:
         return Reject("cannot_be_meshed", str(error))
-    coarse = coarse_start(mesh) if mesh is not None and config.stage == "drape" else None
-    return Dressed(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse)
+    coarse, start = None, None
+    if mesh is not None and config.stage == "drape":
+        coarse = coarse_start(mesh)
+        start = sewing_start(coarse.mesh if coarse else mesh, body)
+    return Dressed(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse, start)
 
 
 def _held(seed: int, wearer: _Wearer, config: MakeConfig) -> BodyShape:
@@ -197,7 +206,7 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
 
     fabric = fabric_named(config.fabric)
     return tuple(
-        DrapeJob(worn.box_mesh, worn.body, worn.size, fabric, worn.coarse)
+        DrapeJob(worn.box_mesh, worn.body, worn.size, fabric, worn.coarse, worn.start)
         for worn in design.dressed
         if worn.box_mesh is not None
     )

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 import torch
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
-from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.loaders.base import Garments, items_of
 from gcd_dataset.loaders.chance import own_chance
@@ -17,6 +16,7 @@ from gcd_dataset.loaders.parted import is_ours, parted
 from gcd_dataset.loaders.ranks import present_rank, require_rank
 from gcd_dataset.loaders.states import named, position_of, require_whole
 from gcd_dataset.loaders.worker import begin_worker, told
+from gcd_dataset.prefetch import prefetch
 
 __all__ = ["AHEAD", "BatchPlan", "ByNumber", "Collate", "Cursor", "Making", "Streamed", "Turn"]
 
@@ -224,7 +224,7 @@ class _Pass(IterableDataset):
 
     def __iter__(self) -> Iterator[Any]:
         read = ((turn, self._making.read(turn)) for turn in self._turns)
-        with closing(by_thread(read, AHEAD, wait=True)) if self._ahead else nullcontext(read) as items:
+        with closing(prefetch(read, AHEAD, wait=True)) if self._ahead else nullcontext(read) as items:
             for turn, there in items:
                 yield self._making.finish(turn, there)
 

@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
-from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, GcdError
 from gcd_dataset.generator.maker import READY
 from gcd_dataset.loaders.base import GarmentItem, Garments, Item, changing, function, kept_item, natural
@@ -22,6 +21,7 @@ from gcd_dataset.loaders.replay import Given, Rate, Window
 from gcd_dataset.loaders.states import named, position_of
 from gcd_dataset.loaders.transforms import Augment
 from gcd_dataset.loaders.worker import begin_worker, received, told
+from gcd_dataset.prefetch import prefetch
 from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["FreshGarments"]
@@ -220,7 +220,7 @@ class _Share(IterableDataset[list[Item] | GcdError]):
 
     def __iter__(self) -> Iterator[list[Item] | GcdError]:
         # Finished garments wait in the worker's own memory: shared memory, 64 MB in a container, holds two a worker.
-        return self._made() if get_worker_info() is None else by_thread(self._told(), READY)
+        return self._made() if get_worker_info() is None else prefetch(self._told(), READY)
 
     def _told(self) -> Iterator[list[Item] | GcdError]:
         """The garments, then the error that ended them."""

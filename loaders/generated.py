@@ -12,7 +12,6 @@ import torch
 from torch.utils.data import get_worker_info
 
 from gcd_dataset import __version__
-from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.generator.drapers import DraperAddress, SharedDraper, addresses_for
@@ -25,6 +24,7 @@ from gcd_dataset.loaders.base import Garments, Transform, natural
 from gcd_dataset.loaders.ranks import own_gpu, own_gpus
 from gcd_dataset.loaders.waiting import tell_wait
 from gcd_dataset.options import require_options
+from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.layout import SCHEMA, Bytes, key_of, members_of, recipe_hash
@@ -160,7 +160,7 @@ class GeneratedGarments(Garments):
 
         made = self._produced(noted(), ahead=AHEAD)
         if get_worker_info() is None:  # the thread of a worker is that of ``FreshGarments``
-            made = by_thread(made, READY)
+            made = prefetch(made, READY)
         return (self._item(members, begun.popleft()) for members in made)
 
     def _several(self, positions: Sequence[int]) -> list[Mapping[str, Bytes]]:

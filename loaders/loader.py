@@ -8,13 +8,13 @@ from typing import Any, cast
 import torch
 from torch.utils.data import Dataset, IterableDataset
 
-from gcd_dataset.by_thread import by_thread
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import Garments, natural
 from gcd_dataset.loaders.batch_plan import AHEAD, BatchPlan, ByNumber, Collate, Cursor, Streamed
 from gcd_dataset.loaders.collate import collate_packed
 from gcd_dataset.loaders.order import ElasticSampler, Pad
 from gcd_dataset.loaders.worker import received
+from gcd_dataset.prefetch import prefetch
 
 __all__ = ["GarmentLoader"]
 
@@ -151,4 +151,4 @@ def _ahead(batches: Iterator[Any]) -> Generator[Any]:
     """The same, made by a thread while the caller is at work."""
     # A thread starts on the first GPU, and pinning memory there would take some of it from another rank.
     gpu = torch.cuda.current_device() if torch.cuda.is_initialized() else None  # type: ignore[no-untyped-call]
-    return by_thread(batches, AHEAD, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True)
+    return prefetch(batches, AHEAD, begin=None if gpu is None else partial(torch.cuda.set_device, gpu), wait=True)

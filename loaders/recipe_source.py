@@ -22,7 +22,7 @@ def recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: 
     """
     # Late: nobody else needs the generator and all it stands on.
     from gcd_dataset.generator.recipes import find_recipe
-    from gcd_dataset.verbs.recipes import have_recipe
+    from gcd_dataset.verbs.recipes import ensure_recipe
     from gcd_dataset.verbs.seal import is_sealed
 
     if given := [name for name in SERVER if getattr(remote, name) is not None]:
@@ -38,5 +38,5 @@ def recipe_folder(source: str, remote: Remote, root: str | Path | None, splits: 
     folder = base / recipe.name
     if not remote.allowed and not is_sealed(folder, recipe):
         raise ShardError(f"{folder}: {recipe.name} is not there, and download=False: leave that out, and it is made")
-    have_recipe(recipe, folder)
+    ensure_recipe(recipe, folder)
     return folder

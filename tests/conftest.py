@@ -1,11 +1,11 @@
-"""Fixtures that every folder of tests shares."""
+"""Fixtures for all tests."""
 
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
-# Every run tries the same; --hypothesis-profile=default explores; and nothing is timed.
+# Deterministic and without deadlines; --hypothesis-profile=default explores.
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.load_profile("same")
 
@@ -14,7 +14,7 @@ EXAMPLES = Path(__file__).resolve().parent.parent.parent / "shared" / "examples"
 
 @pytest.fixture(scope="session")
 def examples() -> Path:
-    """Patterns, meshes and bodies by the reference system, which live outside this tree."""
+    """Patterns, meshes and bodies of the reference system, from outside this repository."""
     if not EXAMPLES.is_dir():
         pytest.skip("the reference examples are not beside this checkout")
     return EXAMPLES

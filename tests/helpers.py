@@ -34,7 +34,7 @@ def patch(
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     labels: Mapping[str, np.ndarray] | None = None,
 ) -> BoxMesh:
-    """A rectangle of cloth, ``columns`` × ``rows`` cells of two triangles; ``place`` (3, 2) turns it in space."""
+    """A rectangle of cloth, ``columns`` × ``rows`` cells of two triangles; ``place`` (3, 2) maps its plane to space."""
     u, v = np.meshgrid(np.arange(columns + 1), np.arange(rows + 1))
     uv = spacing * np.stack([u.ravel(), v.ravel()], axis=1).astype(float)
     cell = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()

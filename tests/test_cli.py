@@ -1,4 +1,4 @@
-"""The command line as a user meets it: what it leaves on disk, what it says, how it ends."""
+"""The command line: files on disk, output and exit codes."""
 
 import contextlib
 import errno
@@ -57,7 +57,7 @@ def one_line(text: str) -> str:
 
 
 def exit_code(arguments: list[str]) -> int:
-    """That of ``gcd``, which ends within the parser where the words are wrong."""
+    """Exit code of ``gcd``; for wrong usage the parser raises ``SystemExit``."""
     try:
         return main(arguments)
     except SystemExit as ended:
@@ -101,7 +101,7 @@ def test_another_recipe_in_the_same_folder_is_refused(tmp_path: Path, capsys: py
     assert len(GarmentDataset(tmp_path)) == 1
 
 
-def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_finished_samples(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", *FLAT]
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it otherwise
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
@@ -118,18 +118,18 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
     assert len(GarmentDataset(tmp_path)) == there + 2
 
 
-def test_ctrl_c_while_options_are_read_is_told(
+def test_ctrl_c_while_options_are_parsed_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def pressed(arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gcd_dataset.cli._parsed", pressed)
+    monkeypatch.setattr("gcd_dataset.cli._parse", pressed)
     assert main(["generate", "data", "--count", "1"]) == 130
     assert "stopped" in one_line(capsys.readouterr().err)
 
 
-def test_a_full_disk_is_said_in_one_line(
+def test_a_full_disk_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["generate", str(tmp_path), "--count", "2", *FLAT]) == 0
@@ -197,29 +197,29 @@ def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
     while of_session(process.pid) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert of_session(process.pid) == []
-    assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0  # what was whole is taken up
+    assert main(["generate", str(tmp_path), "--count", "3", *FLAT]) == 0  # keeps the finished samples
 
 
 def wait_for_bytes(folder: Path, size: int, process: subprocess.Popen[Any]) -> None:
-    """Until a run has put so many bytes into shards, whole or not, however long its start takes."""
+    """Wait until a run has written ``size`` bytes into shards, finished or not."""
     there = 0
     while there <= size:
         assert process.poll() is None, "it has ended"
         time.sleep(0.05)
         there = 0
         for path in folder.glob("train-*.tar*"):
-            with contextlib.suppress(FileNotFoundError):  # it has just been given its name
+            with contextlib.suppress(FileNotFoundError):  # just renamed
                 there += path.stat().st_size
 
 
 def of_session(session: int) -> list[int]:
-    """Processes of a session that still run."""
+    """Running processes of a session."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, _, _, of = stat.read_text().rpartition(")")[2].split()[:4]
         except OSError:
-            continue  # it has just ended
+            continue  # just ended
         if int(of) == session and state != "Z":
             found.append(int(stat.parent.name))
     return found
@@ -241,7 +241,7 @@ def test_drape_leaves_meshes_pictures_and_a_report(spec: Path, tmp_path: Path) -
 
 
 def test_a_garment_that_slides_off_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """And leaves its files all the same; who wants such garments asks for 0."""
+    """The files are written in any case; ``--allow-unsettled`` makes the exit code 0."""
     size = measure(build_body(neutral_shape()))
     design = OutfitDesign(
         meta=MetaDesign(upper=None, bottom=Bottom.CIRCLE), flare_skirt=FlareSkirtDesign(length=0.2, suns=0.5)
@@ -284,7 +284,7 @@ sys.exit(code)
 
 @pytest.mark.parametrize("where", ["networkx", "frame"])
 def test_ctrl_c_ends_a_drape_wherever_it_comes(where: str, spec: Path, tmp_path: Path) -> None:
-    """While trimesh looks for a package that it can do without, and between time steps."""
+    """During trimesh's import of an optional package, and between time steps."""
     out = tmp_path / "out"
     command = [sys.executable, "-c", SIGNALLED.replace("WHERE", repr(where)), "drape", str(spec), "--out", str(out)]
     options = ["--resolution", "1.5", "--device", "cpu", "--quiet"]
@@ -295,8 +295,10 @@ def test_ctrl_c_ends_a_drape_wherever_it_comes(where: str, spec: Path, tmp_path:
     assert not out.exists() or not list(out.iterdir())
 
 
-def test_what_drape_assumes_is_told_and_reported(spec: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A skirt without a label is held at the waist all the same; one with its labels needs no assumption."""
+def test_assumptions_of_a_drape_are_logged_and_reported(
+    spec: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A skirt without labels is held at the waist by assumption; a skirt with labels needs none."""
     content = json.loads(spec.read_text())
     for panel in content["pattern"]["panels"].values():
         panel.pop("label", None)
@@ -327,7 +329,7 @@ def test_a_pattern_that_cannot_be_meshed_leaves_the_report_of_the_others(
     assert [row["pattern"] for row in json.loads((out / "report.json").read_text())["garments"]] == ["garment"]
 
 
-def test_what_cannot_be_draped_is_said_before_anything_is(
+def test_patterns_that_cannot_be_draped_are_reported_before_any_drape(
     spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ["--out", str(tmp_path / "out")]
@@ -365,7 +367,7 @@ def test_show_draws_a_sample_and_a_pattern(spec: Path, tmp_path: Path, capsys: p
     assert "end the name in .png" in one_line(capsys.readouterr().err)
 
 
-def test_a_spec_of_the_pipeline_is_what_validate_reads(spec: Path) -> None:
+def test_a_specification_of_the_pipeline_is_valid(spec: Path) -> None:
     written = json.loads(spec.read_text())
     assert written == json.loads(json.dumps(spec_from_pattern(make(1, 0, SKIRT).pattern)))
 
@@ -382,8 +384,8 @@ def test_a_config_narrows_designs(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert dataset.recipe(0)["recipe"]["design"]["meta"]["bottom"] == {"options": ["Pants"]}
     config.write_text("[design.pants]\nlenght = 0.8\n")
     assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 2
-    told = capsys.readouterr().err
-    assert "trousers.toml: design: no design parameter is called pants.lenght: did you mean pants.length?" in told
+    message = capsys.readouterr().err
+    assert "trousers.toml: design: no design parameter is called pants.lenght: did you mean pants.length?" in message
     config.write_text("design = 3\n")
     assert main(["generate", str(tmp_path / "out"), "--count", "2", "--config", str(config), *FLAT]) == 2
     assert "trousers.toml: design is 3: write tables such as [design.pants]" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""``gcd generate --stage body`` as a user meets it."""
+"""``gcd generate --stage body``."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from tests.shards.folders import contents
 BODIES = ["--stage", "body", "--quiet"]
 
 
-def test_it_goes_on_to_the_bytes_of_one_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stopped_run_resumes_to_the_same_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, at_once = tmp_path / "data", tmp_path / "at_once"
     for folder, count, workers in ((out, "2", "0"), (out, "5", "2"), (at_once, "5", "0"), (at_once, "5", "0")):
         options = ["--count", count, "--seed", "3", "--workers", workers]
@@ -28,7 +28,7 @@ def test_it_goes_on_to_the_bytes_of_one_run(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--resolution", "2"], "resolution is for garments"),
         (["--on-fail", "keep"], "on-fail is for garments"),
@@ -37,10 +37,10 @@ def test_it_goes_on_to_the_bytes_of_one_run(tmp_path: Path, capsys: pytest.Captu
     ],
 )
 def test_options_for_garments_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
 ) -> None:
     assert main(["generate", str(tmp_path / "out"), "--count", "1", *options, *BODIES]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -1,4 +1,4 @@
-"""The verbs of whole data sets, as a user meets them."""
+"""``gcd info``, ``verify``, ``index``, ``show``, ``publish`` and ``download``."""
 
 import io
 import shutil
@@ -19,7 +19,7 @@ from tests.loaders.test_shards import assert_all_same
 from tests.shards import people
 from tests.shards.folders import fill
 
-# How ``huggingface_hub`` sends files is not for us to mend.
+# Warnings inside ``huggingface_hub`` are not ours to fix.
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
 
 Capture = pytest.CaptureFixture[str]
@@ -58,27 +58,27 @@ def test_verify_names_one_flipped_byte(data: Path, capsys: Capture) -> None:
     content = bytearray(path.read_bytes())
     content[int(index.table.offset[5, MEMBERS.index("verts.npy")]) + 200] ^= 1
     path.write_bytes(content)
-    assert main(["verify", str(data)]) == 0  # within a member: its headers are as they were
+    assert main(["verify", str(data)]) == 0  # within a member: the headers are intact
     assert main(["verify", str(data), "--full"]) == 1
     text = said(capsys)
-    assert "train-00001.tar: its bytes are not those that manifest.json tells of" in text
+    assert "train-00001.tar: its hash differs from manifest.json" in text
     assert "sample gcd_000000005, member verts.npy: bytes differ" in text
 
 
 @pytest.mark.parametrize(
-    ("harm", "told"),
+    ("harm", "message"),
     [
         (lambda folder: (folder / "train-00001.tar").unlink(), "train-00001.tar: 0 of the"),
         (lambda folder: (folder / "train-00001.tar").write_bytes(b"short"), "train-00001.tar: 5 of the "),
-        (lambda folder: (folder / "index-train.npz").unlink(), "index-train.npz: not there: run gcd index"),
+        (lambda folder: (folder / "index-train.npz").unlink(), "index-train.npz: no such file: run gcd index"),
         (lambda folder: (folder / "index-train.npz").write_bytes(b"PK"), "index-train.npz: not an index"),
         (lambda folder: shutil.copy(folder / "train-00000.tar", folder / "test-00000.tar"), "test and train share 4"),
     ],
 )  # fmt: skip
-def test_verify_names_what_is_wrong(data: Path, capsys: Capture, harm: object, told: str) -> None:
+def test_verify_names_each_fault(data: Path, capsys: Capture, harm: object, message: str) -> None:
     harm(data)  # type: ignore[operator]
     assert main(["verify", str(data)]) == 1
-    assert told in said(capsys)
+    assert message in said(capsys)
 
 
 def test_index_is_made_again(data: Path, capsys: Capture) -> None:
@@ -91,7 +91,7 @@ def test_index_is_made_again(data: Path, capsys: Capture) -> None:
     assert main(["index", str(data / "nowhere")]) == 1
 
 
-def test_info_tells_foreign_files_apart(tmp_path: Path, capsys: Capture) -> None:
+def test_info_lists_foreign_members_by_their_full_names(tmp_path: Path, capsys: Capture) -> None:
     with tarfile.open(tmp_path / "a.tar", "w") as archive:
         for name, size in {"s.seg.txt": 30, "s.seg.json": 10}.items():
             info = tarfile.TarInfo(name)
@@ -151,7 +151,7 @@ def small(out: Path, count: int) -> list[str]:
     return ["generate", str(out), f"--count={count}", "--stage=pattern", "--quiet"]
 
 
-def test_a_set_whose_making_was_stopped_says_so(
+def test_a_stopped_data_set_is_reported_as_unfinished(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     add, left = ShardWriter.add, iter(range(3))
@@ -173,8 +173,8 @@ def test_a_set_whose_making_was_stopped_says_so(
     assert main(["verify", str(out)]) == 1
     assert "split train is unfinished: 3 of 8 samples" in said(capsys)
     assert main(publish) == 2
-    assert "split train is unfinished: 3 of 8 samples" in (told := capsys.readouterr().err)
-    assert "publish it with --partial" in told
+    assert "split train is unfinished: 3 of 8 samples" in (message := capsys.readouterr().err)
+    assert "publish it with --partial" in message
     assert not (out / "published").exists()
     assert main([*publish, "--partial"]) == 0
     assert main(small(out, 8)) == 0
@@ -185,7 +185,7 @@ def test_a_set_whose_making_was_stopped_says_so(
     assert not list(out.glob(".unfinished*"))
 
 
-def test_fewer_garments_than_were_begun_may_be_enough(tmp_path: Path) -> None:
+def test_a_smaller_count_finishes_an_unfinished_data_set(tmp_path: Path) -> None:
     with pytest.raises(StopIteration), filling(tmp_path, 100):
         raise StopIteration
     assert main(small(tmp_path, 2)) == 0
@@ -195,13 +195,13 @@ def test_fewer_garments_than_were_begun_may_be_enough(tmp_path: Path) -> None:
 def test_a_shard_that_was_being_written_is_not_whole(data: Path) -> None:
     assert unfinished(data, "train") is None
     (data / "train-00003.tar.part").touch()
-    told = "10 samples in whole shards: its run was stopped, or is not over: run the same command again"
-    assert unfinished(data, "train") == told
+    message = "10 samples in whole shards: its run was stopped, or is not over: run the same command again"
+    assert unfinished(data, "train") == message
     assert unfinished(data, "test") is None
 
 
 @pytest.mark.parametrize("note", [b"", b"[" * 100_000, b'{"count": "x"}', b"{}", b"[]", b"\xff"])
-def test_a_damaged_note_still_says_that_a_set_is_not_whole(data: Path, note: bytes) -> None:
+def test_a_damaged_mark_still_reports_an_unfinished_data_set(data: Path, note: bytes) -> None:
     (data / ".unfinished-train.json").write_bytes(note)
     assert (unfinished(data, "train") or "").startswith("10 samples in whole shards: its run was stopped")
 
@@ -216,7 +216,7 @@ def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "told"),
+    ("arguments", "code", "message"),
     [
         (["download", "me/nothing"], 1, "me/nothing"),
         (["download", "."], 2, "a folder of this machine"),
@@ -237,10 +237,12 @@ def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Pat
         (["export", "https://example.org/a", "--hdf5", "a.h5"], 2, "run gcd download https://example.org/a first"),
     ],
 )
-def test_errors_are_one_line(hub: Hub, data: Path, capsys: Capture, arguments: list[str], code: int, told: str) -> None:
+def test_errors_are_one_line(
+    hub: Hub, data: Path, capsys: Capture, arguments: list[str], code: int, message: str
+) -> None:
     hub.publish("me/garments", data)
     server = ["--endpoint", hub.endpoint] if arguments[0] in ("download", "publish", "show") else []
     assert main([str(data) if word == "DATA" else word for word in arguments] + server) == code
     error = capsys.readouterr().err.strip()
-    assert told in error
+    assert message in error
     assert len(error.splitlines()) == 1

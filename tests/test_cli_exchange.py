@@ -1,4 +1,4 @@
-"""Data sets from and to the forms of others, as a user of ``gcd`` meets them."""
+"""``gcd convert`` and ``gcd export``."""
 
 import errno
 import itertools
@@ -25,7 +25,7 @@ from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.copying import copy_shard
 from gcd_dataset.shards.layout import GARMENTS
-from gcd_dataset.verbs.converting import converted, plan_convert
+from gcd_dataset.verbs.converting import convert_missing, plan_conversion
 from gcd_dataset.verbs.release_folders import export_published, exported_splits
 from gcd_dataset.verbs.statistics import garment_type
 from tests.release.published import BATCH, BODIES, TRAIN, file_of, pack, publish
@@ -46,7 +46,7 @@ def run(*words: object) -> int:
 # ------------------------------------------------------------------------------------------------------------- convert
 
 
-def test_converted_shards_hold_what_was_published(
+def test_converted_shards_equal_the_published_files(
     published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("convert", published, tmp_path / "out", "--quiet") == 0
@@ -56,7 +56,7 @@ def test_converted_shards_hold_what_was_published(
         assert len(before) == len(after)
         for item, stored in zip(before, after, strict=True):
             assert stored["meta"].pop("crc32")
-            # The file's numbers, derived ones too; stored are the 26 as they come out of radians.
+            # The file also has derived numbers; the 26 stored measures went through radians.
             taken = {name: item["measures"][name] for name in stored["measures"]}
             assert taken == pytest.approx(stored["measures"], rel=1e-12)
             item["measures"] = stored["measures"]
@@ -69,17 +69,17 @@ def test_converted_shards_hold_what_was_published(
 
 def test_a_stopped_conversion_goes_on_to_the_same_bytes(published: Path, tmp_path: Path) -> None:
     assert run("convert", published, tmp_path / "whole", "--quiet") == 0
-    plan = plan_convert(published, tmp_path / "pieces")[0]
-    stopped = converted(plan)
+    plan = plan_conversion(published, tmp_path / "pieces")[0]
+    stopped = convert_missing(plan)
     list(itertools.islice(stopped, 3))
     stopped.close()
-    (again,) = (p for p in plan_convert(published, tmp_path / "pieces") if p.source.split == "train")
+    (again,) = (p for p in plan_conversion(published, tmp_path / "pieces") if p.source.split == "train")
     assert (again.count, again.missing) == (4, (3,))
     assert run("convert", published, tmp_path / "pieces", "--quiet") == 0
     assert contents(tmp_path / "pieces") == contents(tmp_path / "whole")
 
 
-def test_what_is_downloaded_later_is_added_under_its_own_numbers(published: Path, tmp_path: Path) -> None:
+def test_garments_downloaded_later_are_added_under_their_own_numbers(published: Path, tmp_path: Path) -> None:
     root = Path(shutil.copytree(published, tmp_path / "root"))
     assert run("convert", root, tmp_path / "both", "--quiet") == 0
     assert run("convert", root, tmp_path / "out", "--quiet", "--bodies", "random") == 0
@@ -88,7 +88,7 @@ def test_what_is_downloaded_later_is_added_under_its_own_numbers(published: Path
     assert contents(tmp_path / "out") == contents(tmp_path / "both")
 
 
-def test_a_broken_garment_is_left_out_and_told(
+def test_a_broken_garment_is_left_out_and_reported(
     published: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     root = pack(Path(shutil.copytree(published, tmp_path / "whole")))
@@ -98,7 +98,7 @@ def test_a_broken_garment_is_left_out_and_told(
     assert run("convert", broken, tmp_path / "out", "--quiet") == 1
     error = capsys.readouterr().err
     assert f"left out: {BATCH}/{BODIES[0]}/{TRAIN[1]}: {path}: missing" in error
-    assert "1 garments were left out; the same command tries them again" in error
+    assert "1 garments were skipped; the same command tries them again" in error
     assert run("convert", root, tmp_path / "out", "--quiet") == 0  # downloaded again, as it is packed
     assert len(GarmentDataset(tmp_path / "out")) == 4
 
@@ -119,7 +119,7 @@ def test_a_folder_of_another_data_set_is_not_added_to(
 def test_shards_to_the_published_layout_and_back(published: Path, tmp_path: Path) -> None:
     assert run("convert", published, tmp_path / "shards", "--quiet") == 0
     assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "again", "--quiet") == 0
-    # Coded anew, or from coordinates that were stored as f32.
+    # Encoded again, or from coordinates stored as f32.
     near = ("render_front.png", "render_back.png", "_sim.ply", "_boxmesh.ply", "_orig_lens.pickle")
     for path in published.rglob("[!.]*"):
         if path.is_file() and not path.name.endswith(near):
@@ -132,7 +132,7 @@ def test_shards_to_the_published_layout_and_back(published: Path, tmp_path: Path
 
 
 def generated(index: int, outcome: Outcome) -> Sample:
-    """A generated garment, put where it was placed before sewing as if it had come to rest there."""
+    """A generated garment whose drape is faked: the vertices are the start positions."""
     made = make(3, index, MakeConfig(bodies="both", stage="mesh", resolution=4.0, points=16))
     assert made.box_mesh is not None
     moved = made.box_mesh.vertices + 1e-3 * (1 + made.box_mesh.vertices[:, :1])
@@ -148,7 +148,7 @@ def test_generated_garments_are_published_under_names_of_their_own(tmp_path: Pat
             writer.write(sample)
     assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "out", "--quiet") == 0
     published = PublishedGarmentCodeData(tmp_path / "out")
-    assert [published.number(index) for index in range(3)] == [0, 1, 3]  # the third did not come out well
+    assert [published.number(index) for index in range(3)] == [0, 1, 3]  # the third did not settle
     places = [name.split("/") for name in published.names]
     assert places[0][2] == places[1][2] != places[2][2]  # one design on two bodies
     assert [place[1] for place in places] == [BODIES[0], BODIES[1], BODIES[1]]
@@ -167,7 +167,7 @@ def test_generated_garments_are_published_under_names_of_their_own(tmp_path: Pat
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    """Path to content of all files, hidden ones too."""
+    """Path to content of all files, hidden ones included."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -201,15 +201,15 @@ def test_a_stopped_export_goes_on_to_the_same_bytes(
 
 
 @pytest.mark.parametrize(
-    ("form", "told"),
+    ("form", "message"),
     [
         (["--layout", "published", "out"], "stopped at 1 of 6: the same command goes on from there"),
         (["--hdf5", "out.h5"], "stopped; out.h5 was not written: begin again"),
     ],
 )
-def test_ctrl_c_is_told_with_what_is_there(
+def test_ctrl_c_reports_the_progress(
     form: list[str],
-    told: str,
+    message: str,
     published: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -227,7 +227,7 @@ def test_ctrl_c_is_told_with_what_is_there(
 
     monkeypatch.setattr(ShardReader, "read", interrupted)
     assert run("export", "shards", *form, "--quiet") == 130
-    assert capsys.readouterr().err == f"gcd export: {told}\n"
+    assert capsys.readouterr().err == f"gcd export: {message}\n"
     assert not Path("out.h5").exists()
 
 
@@ -248,7 +248,7 @@ def test_a_stopped_export_does_not_go_on_with_other_garments(
     assert tree(out) == before
 
 
-def test_splits_that_the_published_layout_does_not_know_are_told(
+def test_splits_that_the_published_layout_does_not_know_are_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     for split in ("train", "holdout"):
@@ -290,7 +290,7 @@ def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:
-    """At any byte: in the layout, in the arrays, in what is written at the end."""
+    """At any byte: in the layout, in the arrays, in the final metadata."""
     data = fill(tmp_path / "data", range(3))
     assert run("export", data, "--hdf5", tmp_path / "a.h5", "--quiet") == 0
     size = (tmp_path / "a.h5").stat().st_size
@@ -304,8 +304,8 @@ for room in ({size // 20}, {size // 2}, {size - 1}):
     assert main(["export", {str(data)!r}, "--hdf5", {str(tmp_path / "a.h5")!r}, "--quiet"]) == 1
 """
     done = subprocess.run([sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    told = f"gcd export: {tmp_path / 'a.h5'}: cannot be written (File too large): make room there"
-    assert (done.returncode, [line[: len(told)] for line in done.stderr.splitlines()]) == (0, 3 * [told])
+    message = f"gcd export: {tmp_path / 'a.h5'}: cannot be written (File too large): make room there"
+    assert (done.returncode, [line[: len(message)] for line in done.stderr.splitlines()]) == (0, 3 * [message])
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
@@ -327,9 +327,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.parametrize("name", ["train-00000.tar", "manifest.json", "train-00009.tar", "index-train.npz"])
-def test_an_export_does_not_replace_what_it_exports(
-    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_export_does_not_replace_its_source(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     before = contents(fill(tmp_path, range(2)))
     assert run("export", tmp_path, "--hdf5", tmp_path / name, "--quiet") == 2
     assert f"{tmp_path / name}: in the folder of the data set itself: end its name in .h5" in capsys.readouterr().err
@@ -346,7 +344,7 @@ def test_an_export_does_not_replace_what_it_exports(
         ["--layout", "published", "out", "--split", "test"],
     ],
 )
-def test_export_is_told_one_form(tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_takes_one_format(tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert run("export", tmp_path, *words) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
@@ -383,13 +381,13 @@ def test_types_follow_the_rules_of_the_authors_sampler(design: dict[str, object]
 
 def test_nothing_published_is_nothing_to_convert(published: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="bodies='neutral'"):
-        plan_convert(published, tmp_path, bodies="neutral")
+        plan_conversion(published, tmp_path, bodies="neutral")
 
 
 @pytest.mark.parametrize(
     "verb", [["export", "--hdf5", "out.h5"], ["export", "--layout", "published", "out"], ["show", "--png", "out.png"]]
 )
-def test_samples_without_all_of_their_files_are_told(
+def test_samples_without_all_of_their_files_are_reported(
     verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -399,5 +397,5 @@ def test_samples_without_all_of_their_files_are_told(
         tmp_path / "part" / "train-00000.tar", reader, [0, 1], GARMENTS.of(["meta.json", "points.npy"]), lambda _: None
     )
     assert run(*verb, "part") == 2
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert re.fullmatch(r"gcd \w+: part: its samples have no \S+: give a data set .*", told)
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert re.fullmatch(r"gcd \w+: part: its samples have no \S+: give a data set .*", message)

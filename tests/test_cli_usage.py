@@ -1,4 +1,4 @@
-"""Wrong words and missing files, of every verb: one line, the same exit codes, and what to do."""
+"""Wrong usage and missing files give one line with a remedy, and the same exit codes for every verb."""
 
 import re
 import shlex
@@ -50,7 +50,7 @@ WRONG_USAGE = [
     ("drape spec.json --out out --fabric denin", "fabric is 'denin': known are"),
     ("drape spec.json --out out --device cuda:99", "device cuda:99: there is"),
     ("measure --shape femael", "did you mean female?"),
-    ("measure a.obj b.obj", "more than is asked for: b.obj"),
+    ("measure a.obj b.obj", "unexpected argument b.obj"),
     ("measure --shape neutral --landmarks x.json", "are for a mesh file"),
     ("show shards --png a.jpg", "end the name in .png"),
     ("show shards", "give --png FILE or --svg FILE"),
@@ -61,7 +61,7 @@ WRONG_USAGE = [
     ("publish shards me/garments --dry-run --out out --shares 1,2", "give per cent"),
     ("convert shards out --bodies defualt", "did you mean default?"),
     ("export shards", "one of them"),
-    ("export shards --layout publishd out", "there is published"),
+    ("export shards --layout publishd out", "unknown layout: give published"),
 ]
 
 BAD_INPUT = [
@@ -93,16 +93,16 @@ BAD_INPUT = [
 
 
 @pytest.mark.parametrize(
-    ("code", "line", "told"), [(2, *case) for case in WRONG_USAGE] + [(1, *case) for case in BAD_INPUT]
+    ("code", "line", "message"), [(2, *case) for case in WRONG_USAGE] + [(1, *case) for case in BAD_INPUT]
 )
 def test_exit_codes_are_the_same_for_every_verb(
-    code: int, line: str, told: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    code: int, line: str, message: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """2 for wrong usage, 1 for bad input; one line either way, which says what there is, or what to do."""
+    """2 for wrong usage, 1 for bad input; always one line with the known names or a remedy."""
     monkeypatch.chdir(place)
     assert exit_code(shlex.split(line)) == code
     said = one_line(capsys.readouterr().err)
-    assert re.search(told.replace("?", r"\?"), said), said
+    assert re.search(message.replace("?", r"\?"), said), said
     assert said.startswith("gcd")
     assert not (place / "out").exists()
 
@@ -131,21 +131,21 @@ def test_no_verb_ends_with_the_code_of_ctrl_c_but_after_ctrl_c(
 
 
 @pytest.mark.parametrize(
-    ("word", "known", "told"),
+    ("word", "known", "message"),
     [
         ("tarin", ["train", "test"], ": did you mean train?"),
         ("x", ["train", "test"], ""),
         ("", [], ""),
     ],
 )
-def test_the_nearest_word_is_told(word: str, known: list[str], told: str) -> None:
-    assert did_you_mean(word, known) == told
+def test_the_nearest_word_is_reported(word: str, known: list[str], message: str) -> None:
+    assert did_you_mean(word, known) == message
 
 
 # -------------------------------------------------------------------------------------------------- waits
 
 
-def test_generate_tells_the_wait_before_it_starts(
+def test_generate_prints_an_estimate_before_it_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     said_before: list[str] = []
@@ -154,7 +154,7 @@ def test_generate_tells_the_wait_before_it_starts(
         said_before.append(caplog.text)
         yield from ()
 
-    monkeypatch.setattr("gcd_dataset.verbs.making.stored", made)
+    monkeypatch.setattr("gcd_dataset.verbs.making.store_samples", made)
     command = ["generate", str(tmp_path), "--device", "cpu", "--quiet"]
     assert main([*command, "--count", "500"]) == 0
     assert "draping 500 garments at 1 cm on this CPU takes about " in said_before[0]

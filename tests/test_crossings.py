@@ -1,4 +1,4 @@
-"""What is proved apart is apart, and what is innocent is proved so without a search."""
+"""Self-intersections of outlines: the broad phase misses none and clears common outlines without sampling."""
 
 import tracemalloc
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from gcd_dataset.records import Edge, Panel, Placement
 
 HERE = Placement(np.zeros(3), np.zeros(3))
 
-coordinate = st.integers(-8, 8).map(lambda n: n / 2)  # so coarse that edges touch, overlap and run back
+coordinate = st.integers(-8, 8).map(lambda n: n / 2)  # a coarse grid: edges often touch, overlap and run back
 control = st.tuples(coordinate, coordinate)
 curves = st.one_of(
     st.just(LINE),
@@ -61,18 +61,18 @@ def test_an_edge_stays_within_its_hull(loop: list[tuple[float, float, Curve]]) -
 
 @given(loops)
 @example([(0.0, 0.0, LINE), (-1.5, -3.0, Quadratic((-0.5, 0.0))), (-1.0, -3.5, LINE)])
-def test_what_is_proved_apart_is_apart(loop: list[tuple[float, float, Curve]]) -> None:
-    """Pairs without a search meet nowhere but where the second follows the first; edges without one, nowhere."""
+def test_the_broad_phase_misses_no_crossing(loop: list[tuple[float, float, Curve]]) -> None:
+    """Cleared pairs meet in a shared corner at most; cleared edges do not meet themselves."""
     shape = drawn(loop)
     hulls = edge_hulls(shape)
     lines = [shapely.LineString(sampled(shape, index)) for index in range(len(loop))]
     assert all(lines[index].is_simple for index in np.flatnonzero(crossings._monotone(hulls)))
-    suspects = {(i, j) for _, _, pairs in crossings._suspects([hulls]) for i, j in pairs.tolist()}
-    for i, j in set(combinations(range(len(loop)), 2)) - suspects:
+    proposed = {(i, j) for _, _, pairs in crossings._broad_phase([hulls]) for i, j in pairs.tolist()}
+    for i, j in set(combinations(range(len(loop)), 2)) - proposed:
         met = shapely.get_coordinates(shapely.intersection(lines[i], lines[j]))
         corner = shape.vertices[sorted({i, (i + 1) % len(loop)} & {j, (j + 1) % len(loop)})]
         assert len(corner) == 1 or not len(met)
-        assert np.abs(met - corner[:1]).max(initial=0) < 1e-9  # one point, which rounding may give twice
+        assert np.abs(met - corner[:1]).max(initial=0) < 1e-9  # rounding may split it into two points
 
 
 def test_a_common_outline_is_not_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,58 +94,61 @@ def test_edges_that_run_back_over_themselves_and_each_other() -> None:
     assert (0, 0) in found(panel([(0.0, 0.0), (10.0, 0.0), (5.0, 8.0)], too_far))
 
 
-def test_a_curve_that_runs_round_its_own_end_meets_what_leaves_there() -> None:
+def test_a_curve_that_runs_round_its_own_end_meets_the_next_edge() -> None:
     round_the_end = {0: Cubic((1.3, -0.9), (1.3, 0.9))}  # through (-1, 0) before it comes to (0, 0)
     assert (0, 1) in found(panel([(10.0, 0.0), (0.0, 0.0), (-4.0, 0.0), (3.0, -20.0)], round_the_end))
 
 
 @pytest.mark.parametrize("right", [True, False])
-def test_a_great_part_of_a_circle_meets_what_its_chord_does_not(right: bool) -> None:
-    """A keyhole: on a 2 cm gap stands most of a circle 10 cm across; one way it clears the panel, one way not."""
+def test_a_large_arc_is_tested_beyond_its_chord(right: bool) -> None:
+    """A keyhole: a large arc, 10 cm across, over a 2 cm gap; it clears the panel on one side only."""
     corners = [(0.0, 0.0), (4.0, 0.0), (6.0, 0.0), (10.0, 0.0), (10.0, 4.0), (0.0, 4.0)]
     assert (found(panel(corners, {1: Arc(5.0, True, right)})) == []) is right
 
 
-def test_a_line_has_a_hull_of_its_own_points() -> None:
+def test_the_hull_of_a_line_lies_on_the_line() -> None:
     (hull, *_) = edge_hulls(panel([(0.0, 0.0), (9.0, 3.0), (0.0, 9.0)]))
     assert hull == pytest.approx(np.array([0, 3 + 1j, 6 + 2j, 9 + 3j]))
 
 
 @given(st.lists(loops, min_size=2, max_size=4))
-def test_panels_are_judged_together_as_they_are_alone(drawn_loops: list[list[tuple[float, float, Curve]]]) -> None:
+def test_a_batch_of_panels_gives_the_same_candidates_as_each_panel_alone(
+    drawn_loops: list[list[tuple[float, float, Curve]]],
+) -> None:
     shapes = [drawn(loop) for loop in drawn_loops]
     hulls = [edge_hulls(shape) for shape in shapes]
-    alone = [suspects([hull]).get(0, ([], [])) for hull in hulls]
-    together = suspects(hulls)
+    alone = [candidates([hull]).get(0, ([], [])) for hull in hulls]
+    together = candidates(hulls)
     assert [together.get(number, ([], [])) for number in range(len(shapes))] == alone
 
 
-def suspects(hulls: list[np.ndarray]) -> dict[int, tuple[list[int], list[list[int]]]]:
-    return {number: (alone.tolist(), pairs.tolist()) for number, alone, pairs in crossings._suspects(hulls)}
+def candidates(hulls: list[np.ndarray]) -> dict[int, tuple[list[int], list[list[int]]]]:
+    """Panel number to the broad phase's edges and pairs of edges."""
+    return {number: (singles.tolist(), pairs.tolist()) for number, singles, pairs in crossings._broad_phase(hulls)}
 
 
 @settings(max_examples=30)
 @given(st.lists(loops, min_size=1, max_size=3), st.sampled_from([1, 12]))
-def test_a_sweep_finds_the_pairs_that_a_search_of_all_finds(
+def test_a_sweep_finds_the_same_pairs_as_all_comparisons(
     drawn_loops: list[list[tuple[float, float, Curve]]], copies: int
 ) -> None:
-    """Every outline once, and twelve times in one loop, so that edges lie on each other; in pieces of a few pairs."""
+    """Every outline once, and twelve times in one loop, so that edges coincide; in pieces of a few pairs."""
     hulls = [edge_hulls(drawn(loop * copies)) for loop in drawn_loops]
-    at_once = suspects(hulls)
+    at_once = candidates(hulls)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(crossings, "AT_ONCE", 50)
         patch.setattr(crossings, "FEW", 0)
-        assert suspects(hulls) == at_once
+        assert candidates(hulls) == at_once
         patch.setattr(crossings, "FEW", 10**6)
-        assert suspects(hulls) == at_once
+        assert candidates(hulls) == at_once
     for hull in hulls:
         one, other = np.triu_indices(len(hull), k=1)
         near = ~crossings._boxes_apart(hull, one, other)
-        assert crossings._swept(hull).T.tolist() == np.stack([one[near], other[near]], axis=1).tolist()
+        assert crossings._sweep(hull).T.tolist() == np.stack([one[near], other[near]], axis=1).tolist()
 
 
 def test_two_thousand_edges_take_little_memory() -> None:
-    """A comb, whose teeth all lie side by side and whose slanting edges have boxes that overlap two by two."""
+    """A comb: its teeth lie side by side, and the boxes of neighbouring edges overlap."""
     count = 1000
     top = [(0.5 * i, 100.0 * (i % 2) + 50.0) for i in range(count)]
     comb = panel([*top, (0.5 * count, 0.0), (0.0, 0.0)])
@@ -155,12 +158,12 @@ def test_two_thousand_edges_take_little_memory() -> None:
     tracemalloc.stop()
 
 
-def test_a_scribble_is_told_by_its_first_crossings() -> None:
+def test_at_most_a_hundred_crossings_of_a_panel_are_reported() -> None:
     scribble = panel([(float(x), float(y)) for x, y in np.random.default_rng(0).uniform(0, 100, (300, 2))])
-    assert len(found(scribble)) == crossings.MOST_TOLD
+    assert len(found(scribble)) == crossings.MOST_CROSSINGS
 
 
 @pytest.mark.filterwarnings("error")
-def test_edges_of_nearly_no_length_cross_nothing_and_warn_of_nothing() -> None:
+def test_edges_of_almost_no_length_cross_nothing_without_warnings() -> None:
     tiny = 5e-324
     assert found(panel([(0, 0), (tiny, 0), (9, 9), (0, 1)])) == []

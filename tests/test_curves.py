@@ -91,7 +91,7 @@ def test_the_edge_frame_and_back(start: tuple[float, float], control: tuple[floa
     assert from_frame(start, end, to_frame(start, end, control)) == pytest.approx(control, abs=1e-9)
 
 
-def test_what_cannot_be() -> None:
+def test_impossible_curves_are_rejected() -> None:
     with pytest.raises(PatternError, match=r"radius 4 cm cannot span a chord of 10 cm"):
         curve_length((0, 0), (10, 0), Arc(4.0, large=False, right=True))
     with pytest.raises(PatternError, match="no length"):

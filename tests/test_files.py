@@ -1,4 +1,4 @@
-"""Files are whole or not there."""
+"""Files are written atomically, by any number of writers."""
 
 import errno
 import fcntl
@@ -23,7 +23,7 @@ def test_a_file_appears_when_it_is_whole(tmp_path: Path) -> None:
     assert path.read_bytes() == b"new"
 
 
-def test_what_breaks_half_way_leaves_the_old_file(tmp_path: Path) -> None:
+def test_a_write_that_fails_half_way_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "a.bin"
     write_whole(path, b"old")
     with pytest.raises(KeyboardInterrupt), open_whole(path) as file:
@@ -34,7 +34,7 @@ def test_what_breaks_half_way_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 def test_two_may_write_one_file_at_once(tmp_path: Path) -> None:
-    """Threads of a process, or processes of two containers, which have the same number."""
+    """Threads of one process, or processes with the same pid in two containers."""
     path = tmp_path / "a.bin"
     with open_whole(path) as file:
         file.write(b"one")
@@ -45,7 +45,7 @@ def test_two_may_write_one_file_at_once(tmp_path: Path) -> None:
 
 
 def begun_by_another(path: Path) -> subprocess.Popen[bytes]:
-    """A process that has written half of a file."""
+    """A process that stops after half a file."""
     program = f"""
 import sys, time
 from gcd_dataset.files import open_whole
@@ -173,6 +173,6 @@ def test_a_path_without_a_name_is_no_file(path: str) -> None:
 def test_a_url_makes_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str) -> None:
     monkeypatch.chdir(tmp_path)
     for path in (url, Path(url)):
-        with pytest.raises(OutputError, match=r"a URL, where a folder of this machine is written: give a folder"):
+        with pytest.raises(OutputError, match=r"a URL, where a local folder is needed: give a folder"):
             make_folder(path)
     assert not list(tmp_path.iterdir())

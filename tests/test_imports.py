@@ -15,7 +15,7 @@ HEAVY = ("torch", "warp", "h5py", "scipy", "shapely", "trimesh", "webdataset", "
 
 
 def loaded_by(module: str) -> set[str]:
-    """Which of the heavy packages a fresh interpreter has after importing ``module``."""
+    """The heavy packages that a fresh interpreter loads when it imports ``module``."""
     code = f"import {module}, json, sys; print(json.dumps([m for m in {HEAVY!r} if m in sys.modules]))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     return set(json.loads(out))
@@ -32,8 +32,9 @@ def test_loaders_bring_torch_but_no_simulator() -> None:
     assert not loaded & {"warp", "h5py", "huggingface_hub", "httpx2"}
 
 
-def test_patterns_are_drawn_without_the_simulator() -> None:
-    assert not loaded_by("gcd_dataset.generator.pipeline") & {"warp", "torch"}
+@pytest.mark.parametrize("module", ["pipeline", "body", "pattern", "garments", "mesh", "dressing"])
+def test_patterns_are_drawn_meshed_and_dressed_without_the_simulator(module: str) -> None:
+    assert not loaded_by(f"gcd_dataset.generator.{module}") & {"warp", "torch"}
 
 
 def test_the_generator_offers_its_steps() -> None:
@@ -46,7 +47,7 @@ def test_the_generator_offers_its_steps() -> None:
 
 
 def sources() -> list[Path]:
-    """Every source file of the package, through the links too."""
+    """Every source file of the package, linked folders included."""
     folders = os.walk(PACKAGE, followlinks=True)
     return sorted(Path(folder) / name for folder, _, names in folders for name in names if name.endswith(".py"))
 
@@ -66,6 +67,13 @@ def test_warp_is_imported_by_drape_and_render_alone() -> None:
     users = {str(p.relative_to(PACKAGE)) for p in sources() if any(m.split(".")[0] == "warp" for m in imports_of(p))}
     assert users
     assert all(user.startswith(("generator/drape/", "generator/render")) for user in users), users
+
+
+def test_the_folders_before_the_drape_do_not_import_it() -> None:
+    for path in sources():
+        floor, folder = (*path.relative_to(PACKAGE).parts, "")[:2]
+        if floor == "generator" and folder in ("body", "pattern", "garments", "mesh", "dressing"):
+            assert not any(name.startswith("gcd_dataset.generator.drape") for name in imports_of(path)), path
 
 
 def test_ray_is_imported_by_its_engine_and_its_draper_alone() -> None:

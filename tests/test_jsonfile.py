@@ -1,4 +1,4 @@
-"""JSON that Python's parser chokes on, or takes and should not, is one error of the caller's kind."""
+"""Broken or ambiguous JSON raises one error of the caller's class."""
 
 import json
 from pathlib import Path
@@ -41,7 +41,7 @@ values = st.recursive(scalars, lambda inner: st.lists(inner) | st.dictionaries(s
 
 
 @given(values)
-def test_what_was_written_is_read(value: object) -> None:
+def test_written_values_are_read_back(value: object) -> None:
     text = json.dumps(value)
     assert parse_json(text, source="x") == value
     assert parse_json(memoryview(text.encode()), source="x") == value
@@ -62,7 +62,7 @@ def test_more_than_the_limit_is_refused_before_it_is_parsed(tmp_path: Path) -> N
         read_json(tmp_path / "sparse.json", "segmentation", error=BodyError)
 
 
-def test_a_path_that_no_system_takes_is_told() -> None:
+def test_a_path_that_no_system_takes_is_reported() -> None:
     with pytest.raises(SpecError, match="names no file"):
         read_json(Path("a\0b"), "specification JSON")
 

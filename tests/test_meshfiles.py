@@ -1,4 +1,4 @@
-"""Mesh files read back, by another program's reader, are what was written."""
+"""Mesh files read back by trimesh equal the meshes written."""
 
 import io
 from dataclasses import replace
@@ -15,13 +15,13 @@ STEEP = np.array([[1.0, 0.0], [0.0, 0.8], [0.0, 0.6]])
 
 
 def garment() -> BoxMesh:
-    """A tube, whose seam has two texture coordinates a vertex, and a patch."""
+    """A tube, whose seam vertices have two texture coordinates, and a patch."""
     sheet = patch(3, 2, spacing=2.0, place=STEEP, origin=(30.0, 100.0, 8.5))
     return replace(joined(tube(12, 4, radius=2.0, height=90.0), sheet), panel_names=("skirt", "patch pocket"))
 
 
 def read(content: bytes, kind: str) -> trimesh.Trimesh:
-    """As any program reads it; of an OBJ, with a vertex for every pair of position and texture."""
+    """As trimesh reads it; an OBJ gets a vertex for every pair of position and texture coordinate."""
     mesh = trimesh.load(io.BytesIO(content), file_type=kind, process=False, force="mesh")
     assert isinstance(mesh, trimesh.Trimesh)
     return mesh
@@ -50,7 +50,7 @@ def test_an_obj_keeps_the_vertices_numbers() -> None:
 
 
 def test_an_obj_has_a_group_a_panel() -> None:
-    """White space would make two groups of one."""
+    """OBJ reads white space in a name as several groups."""
     mesh = garment()
     content = obj_bytes(mesh.vertices, mesh)
     assert lines(content, "g") == [["skirt"], ["patch_pocket"]]

@@ -1,4 +1,4 @@
-"""The score of a garment is that of the garment, not of how it is written down."""
+"""Scores depend on the garment only, not on names, order, loop starts or local origins."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,7 +23,7 @@ def panel(
 
 
 def garment() -> Pattern:
-    """Front and back are one polygon, as in skirts: only their places tell them apart."""
+    """Front and back are congruent, as in skirts: they differ by placement only."""
     skirt = [(0.0, 0.0), (44.0, 0.0), (38.0, 60.0), (6.0, 60.0)]
     sleeve = [(0.0, 0.0), (30.0, 0.0), (33.0, 20.0), (15.0, 31.0), (-3.0, 20.0)]
     panels = (
@@ -117,7 +117,7 @@ def test_the_same_real_garment_is_perfect(change: str, examples: Path) -> None:
         path = examples / "patterns" / name / "default_body"
         pattern = read_pattern(next(path.glob("*_specification.json")))
         score = score_pattern(SAME[change](pattern), pattern)
-        # Congruent neighbours may swap where they hang within a hair; all else is as in the perfect score.
+        # Congruent neighbours with almost equal placements may swap; all other scores are perfect.
         assert_close(replace(score, valid=1.0), PERFECT)
 
 
@@ -208,7 +208,7 @@ def test_an_outline_that_crosses_itself_is_not_valid() -> None:
     assert score.iou == pytest.approx(0.5)
 
 
-def test_means_leave_nobody_out() -> None:
+def test_means_include_every_garment() -> None:
     whole = garment()
     scores = [score_pattern(whole, whole), score_pattern(Pattern("empty", (), ()), whole)]
     means = mean_scores(scores)

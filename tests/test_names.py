@@ -1,4 +1,4 @@
-"""No name from a file or a server leads outside the folder that it is for."""
+"""No name from a file or a server leads to a path outside its folder."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ from gcd_dataset.release.draft import release_draft
 from gcd_dataset.shards import ShardReader, ShardWriter
 from gcd_dataset.shards.index import ShardIndex, empty_table
 from gcd_dataset.shards.layout import index_name, lock_name, mesh_name, shard_name
-from gcd_dataset.verbs.release_folders import _place_in_release, export_published
+from gcd_dataset.verbs.release_folders import _name_in_release, export_published
 from tests.hub.conftest import no_long_waits  # noqa: F401 - a fixture for every test here
 from tests.hub.server import Hub, read_folder, running_hub
 from tests.shards.folders import RECIPE
@@ -59,7 +59,7 @@ hostile = pytest.mark.parametrize("name", HOSTILE.values(), ids=HOSTILE.keys())
 
 @pytest.fixture
 def victims(tmp_path: Path) -> Iterator[Path]:
-    """A place to work in, whose surroundings must be the same afterwards."""
+    """A working folder; nothing outside of it may change."""
     for folder in (tmp_path, tmp_path / "near"):
         folder.mkdir(exist_ok=True)
         for name in ("victim", "victim.npz", "index-.npz", "evil.obj"):
@@ -72,7 +72,7 @@ def victims(tmp_path: Path) -> Iterator[Path]:
 
 
 def outside(folder: Path, inner: Path) -> dict[str, bytes | None]:
-    """Path to content of all that is in ``folder`` and not in ``inner``; ``home`` holds the cache."""
+    """Path to content of everything in ``folder`` outside ``inner``, except the cache in ``home``."""
     return {
         str(path): path.read_bytes() if path.is_file() else None
         for path in folder.rglob("*")
@@ -88,7 +88,7 @@ def hub() -> Iterator[Hub]:
 
 @cache
 def garment() -> Sample:
-    """A generated garment, put where it was placed before sewing as if it had come to rest there."""
+    """A generated garment whose drape is faked: the vertices are the start positions."""
     made = make(3, 0, MakeConfig(stage="mesh", resolution=4.0, points=16))
     assert made.box_mesh is not None
     moved = made.box_mesh.vertices + 1e-3 * (1 + made.box_mesh.vertices[:, :1])
@@ -122,12 +122,12 @@ def test_harmless_names_stay_as_they_are() -> None:
         assert require_name(name, "here") == safe_name(name) == name
 
 
-def test_names_that_look_the_same_are_told_apart() -> None:
+def test_names_that_look_the_same_stay_different() -> None:
     assert len({safe_name(name) for name in [*HOSTILE.values(), "a/b", "a\\b", "a:b", "a_b"]}) == len(HOSTILE) + 4
 
 
 @pytest.mark.parametrize("name", [None, 3, ["train"], {}])
-def test_what_is_no_text_is_no_name(name: Any) -> None:
+def test_a_name_must_be_text(name: Any) -> None:
     with pytest.raises(ShardError, match="cannot be a file's name"):
         require_name(name, "here")
 
@@ -260,7 +260,7 @@ def test_the_folder_that_a_download_makes(
 def test_the_place_of_a_garment_that_came_from_a_release(name: str, part: int) -> None:
     source = ["GarmentCodeData_v2", "garments_5000_0", "default_body", "rand_ABCDEFGHIJ"]
     source[part] = name
-    place = _place_in_release("gcd_000000000", "/".join(source), "mean_all")
+    place = _name_in_release("gcd_000000000", "/".join(source), "mean_all")
     for component in (place.batch, place.body_folder, place.name):
         assert require_name(component, "here") == component
 
@@ -280,7 +280,7 @@ def test_where_a_garment_came_from(victims: Path, part: int) -> None:
     assert specs[0].name.removesuffix("_specification.json") == specs[0].parent.name
 
 
-def test_a_source_without_a_place_in_a_release_is_told(victims: Path) -> None:
+def test_a_source_without_a_place_in_a_release_is_reported(victims: Path) -> None:
     sample = replace(garment(), provenance=replace(garment().provenance, source="nowhere"))
     with ShardWriter(victims / "data", seed=3, recipe=RECIPE) as writer:
         writer.write(sample)
@@ -293,13 +293,13 @@ def test_a_place_in_a_release(victims: Path, name: str) -> None:
     parts = Path(name).parts
     if all(safe_name(part) == part for part in parts):
         return
-    told = pytest.raises(ShardError, match=r"a garment's path: .* cannot be a file's name")
-    with told, release_draft(victims / "out", "some") as draft:
+    refused = pytest.raises(ShardError, match=r"a garment's path: .* cannot be a file's name")
+    with refused, release_draft(victims / "out", "some") as draft:
         draft.holds(Path("batch", "data", *parts))
 
 
 @hostile
-def test_what_gcd_drape_calls_its_files(victims: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_file_names_of_gcd_drape_are_safe(victims: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     sample = garment()
     assert sample.box_mesh is not None
     assert sample.drape is not None

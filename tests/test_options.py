@@ -1,4 +1,4 @@
-"""An option is written once: the command line, TOML files and keywords have what its dataclass says."""
+"""The command line, TOML files and keywords take all options from one dataclass."""
 
 import argparse
 import inspect
@@ -54,8 +54,8 @@ def test_keywords_have_the_names_and_types_of_the_config() -> None:
 def test_generate_takes_every_option_of_the_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["generate", "--help"])
-    told = " ".join(capsys.readouterr().out.split())
+    message = " ".join(capsys.readouterr().out.split())
     for found in options_of(MakeConfig):
-        assert found.name == "design" or f"{found.flag} " in told
+        assert found.name == "design" or f"{found.flag} " in message
     narrow = ["--stage", "mesh", "--resolution", "8", "--points", "16", "--bodies-each", "2", "--arms", "5"]
     assert main(["generate", str(tmp_path / "set"), "--count", "2", "--quiet", *narrow]) == 0

@@ -1,4 +1,4 @@
-"""What is installed is what the tree holds."""
+"""The wheel holds all packages and data files of the tree."""
 
 import os
 import tomllib
@@ -17,7 +17,7 @@ def project() -> dict[str, Any]:
 
 
 def test_the_package_list_is_the_folders() -> None:
-    """Setuptools' list is by hand: a folder left out would be missing from the wheel, and from nowhere else."""
+    """The list for setuptools is manual: a forgotten folder would be missing from the wheel only."""
     folders = set()
     for folder, _, names in os.walk(ROOT / "gcd_dataset", followlinks=True):
         if any(name.endswith(".py") for name in names):

@@ -1,4 +1,4 @@
-"""Patterns are told apart by their hash, and machines are not."""
+"""The hash differs between patterns and agrees between machines."""
 
 import os
 import subprocess
@@ -50,7 +50,7 @@ def test_the_last_digits_do_not_matter_nor_the_sign_of_nothing() -> None:
 
 
 def test_half_a_turn_is_one_rotation() -> None:
-    """The sign of a quaternion is that of W, of which half a turn has nothing but the last digits."""
+    """For a rotation by 180 degrees W is 0 up to rounding, so its sign is arbitrary."""
     panels = NAPKINS.panels.copy()
     panels[0, PanelColumn.QUATERNION_W : PanelColumn.QUATERNION_Z + 1] = [6e-17, 0.0, 1.0, 0.0]
     other = panels.copy()
@@ -58,8 +58,8 @@ def test_half_a_turn_is_one_rotation() -> None:
     assert text(replace(NAPKINS, panels=panels)) == text(replace(NAPKINS, panels=other))
 
 
-def test_angles_and_radii_follow_from_what_is_hashed() -> None:
-    """At a quarter turn about y the angles about x and z mean the same: machines may choose either."""
+def test_angles_and_radii_do_not_count() -> None:
+    """At 90 degrees about y only the sum of the angles about x and z is determined (gimbal lock)."""
     assert text(changed("panels", 0, PanelColumn.ANGLE_X, 0.5)) == text(NAPKINS)
     assert text(changed("edges", 0, EdgeColumn.RADIUS, 10.0)) == text(NAPKINS)
 
@@ -71,7 +71,7 @@ def test_the_order_does_not_matter() -> None:
 
 
 def test_a_number_between_two_steps_may_be_rounded_either_way() -> None:
-    """Two machines that differ by 2e-12 cm, about a number that lies on the boundary."""
+    """Two machines that differ by 2e-12 cm, on both sides of a tie."""
     place = 0.5 * STEP - NAPKINS.edges[1, EdgeColumn.START_X] % STEP
     below = changed("edges", 1, EdgeColumn.START_X, place - 1e-12)
     above = changed("edges", 1, EdgeColumn.START_X, place + 1e-12)
@@ -83,7 +83,7 @@ def test_a_number_between_two_steps_may_be_rounded_either_way() -> None:
 
 
 def test_two_patterns_and_mirrored_numbers_may_be_rounded_otherwise() -> None:
-    """A number comes twice in a pattern, of its left and its right panel, and is rounded otherwise in both."""
+    """Mirrored panels share a number, which another machine rounds differently in both."""
 
     def napkins_at(offset: float) -> PatternTensor:
         edges = NAPKINS.edges.copy()
@@ -97,12 +97,12 @@ def test_two_patterns_and_mirrored_numbers_may_be_rounded_otherwise() -> None:
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e300])
-def test_what_cannot_be_rounded_is_refused(wrong: float) -> None:
-    with pytest.raises(PatternError, match="holds a number that is none"):
+def test_numbers_that_cannot_be_rounded_are_rejected(wrong: float) -> None:
+    with pytest.raises(PatternError, match="a number is NaN"):
         hash_pattern(0, changed("edges", 0, EdgeColumn.START_X, wrong))
 
 
-def test_no_hash_agrees_with_what_is_none() -> None:
+def test_no_hash_agrees_with_a_text_that_is_no_hash() -> None:
     assert not hash_pattern(0, NAPKINS).agrees("")
     assert not hash_pattern(0, NAPKINS).agrees("not a hash")
 
@@ -117,7 +117,7 @@ print(PatternHash.of(patterns).text, sum(float(pattern.edges.sum()) for _, patte
 
 
 def test_other_instructions_give_the_same_hash() -> None:
-    """BLAS and C library by the instructions of old processors: the last digits differ, the hash does not."""
+    """BLAS and C library restricted to old instructions: the last digits differ, the hash agrees."""
     old = {"OPENBLAS_CORETYPE": "Prescott", "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA"}
     ended = [
         subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True, env=env).stdout

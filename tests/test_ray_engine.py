@@ -1,4 +1,4 @@
-"""What the Ray engine decides before it meets Ray."""
+"""The parts of the Ray engine that run without Ray."""
 
 import itertools
 import sys
@@ -9,7 +9,15 @@ import pytest
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
-from gcd_dataset.verbs.ray_engine import Actor, mismatch, near_first, on_cluster, origin, ranges, samples_of_range
+from gcd_dataset.verbs.ray_engine import (
+    Actor,
+    code_versions,
+    mismatch,
+    nearest_first,
+    ranges,
+    samples_of_range,
+    with_cluster_device,
+)
 from tests.test_cli import one_line
 
 
@@ -41,7 +49,7 @@ def test_a_long_sample_is_a_range_of_its_own() -> None:
 def test_tasks_of_a_node_share_its_actors_evenly_and_know_the_others() -> None:
     actors = [Actor(f"{node}{number}", node) for node in "xy" for number in range(4)]
     for node in "xyz":  # z has none of its own
-        orders = [near_first(actors, node, task) for task in range(8)]
+        orders = [nearest_first(actors, node, task) for task in range(8)]
         assert all(sorted(order) == sorted(actor.handle for actor in actors) for order in orders)
         own = [actor.handle for actor in actors if actor.node == node] or [actor.handle for actor in actors]
         assert all(set(order[: len(own)]) == set(own) for order in orders)
@@ -50,28 +58,28 @@ def test_tasks_of_a_node_share_its_actors_evenly_and_know_the_others() -> None:
 
 @pytest.mark.parametrize(("asked", "gpus", "device"), [("auto", 4, "cuda"), ("auto", 0, "cpu"), ("cpu", 4, "cpu")])
 def test_the_cluster_decides_the_device(asked: str, gpus: int, device: str) -> None:
-    config = on_cluster(MakeConfig(device=asked), gpus)
+    config = with_cluster_device(MakeConfig(device=asked), gpus)
     assert recipe_of(config) == recipe_of(MakeConfig(device=device))
 
 
-@pytest.mark.parametrize(("asked", "told"), [("cuda", "has no GPU"), ("cuda:1", "give auto, cpu or cuda")])
-def test_gpus_that_ray_cannot_give_are_told(asked: str, told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
-        on_cluster(MakeConfig(device=asked), 0)
+@pytest.mark.parametrize(("asked", "message"), [("cuda", "has no GPU"), ("cuda:1", "give auto, cpu or cuda")])
+def test_gpus_that_ray_cannot_give_are_reported(asked: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        with_cluster_device(MakeConfig(device=asked), 0)
 
 
 def test_versions_that_differ_are_named_with_both() -> None:
     theirs = versions() | {"numpy": "1.0"}
-    told = mismatch(versions(), theirs)
-    assert told is not None
-    assert told.startswith(f"numpy 1.0 instead of {versions()['numpy']}: install the same")
+    message = mismatch(versions(), theirs)
+    assert message is not None
+    assert message.startswith(f"numpy 1.0 instead of {versions()['numpy']}: install the same")
     assert mismatch(versions(), dict(versions())) is None
     assert "gcd_dataset missing instead of" in str(mismatch(versions(), {}))
 
 
 def test_sources_count_as_a_version() -> None:
-    assert len(origin()["sources"]) == 12
-    assert origin() | {"sources": ""} != origin()
+    assert len(code_versions()["sources"]) == 12
+    assert code_versions() | {"sources": ""} != code_versions()
 
 
 def test_without_ray_the_extra_is_named(

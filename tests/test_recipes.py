@@ -1,4 +1,4 @@
-"""Data sets of recipes: their splits, their name in the manifest, and whether a folder is one of them."""
+"""Data sets of recipes: splits, manifest, verification and making on demand."""
 
 import json
 import shutil
@@ -18,8 +18,8 @@ from gcd_dataset.loaders import GarmentDataset, GeneratedGarments
 from gcd_dataset.shards import ShardReader, read_manifest
 from gcd_dataset.shards.access import locked
 from gcd_dataset.verbs import generate, generate_recipe
-from gcd_dataset.verbs.making import plan, stored
-from gcd_dataset.verbs.recipes import LOCK, have_recipe, recipe_faults
+from gcd_dataset.verbs.making import plan_garments, store_samples
+from gcd_dataset.verbs.recipes import LOCK, ensure_recipe, recipe_faults
 from tests.generator.test_recipes import TINY, written
 from tests.shards.folders import contents
 
@@ -47,7 +47,7 @@ def copy(made: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "copy"))
 
 
-def test_splits_hold_what_one_run_would_under_the_same_index(made: Path, recipe: Recipe) -> None:
+def test_a_sample_is_the_same_with_and_without_splits(made: Path, recipe: Recipe) -> None:
     whole = GeneratedGarments(20, 3, bodies="both", stage="pattern", on_fail="keep", fields=["panels", "edges"])
     for split, count in recipe.sizes().items():
         ds = GarmentDataset(made, split, fields=["panels", "edges"])
@@ -78,8 +78,8 @@ def test_the_manifest_names_recipe_and_patterns(made: Path, recipe: Recipe) -> N
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(made: Path, recipe: Recipe, tmp_path: Path) -> None:
     folder = tmp_path / "stopped"
-    task = plan(folder, recipe.count, seed=recipe.seed, config=recipe.config, recipe=recipe)
-    run = stored(task, workers=0)
+    task = plan_garments(folder, recipe.count, seed=recipe.seed, config=recipe.config, recipe=recipe)
+    run = store_samples(task, workers=0)
     for _ in range(7):
         next(run)
     run.close()
@@ -88,7 +88,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(made: Path, recipe: Re
     assert contents(folder) == contents(made)
 
 
-def test_what_is_whole_is_not_made_again(copy: Path, recipe: Recipe) -> None:
+def test_a_complete_data_set_is_not_made_again(copy: Path, recipe: Recipe) -> None:
     before = contents(copy)
     assert generate_recipe(copy, recipe).made == 0
     assert contents(copy) == before
@@ -113,10 +113,10 @@ def test_a_folder_is_the_data_set_of_its_recipe(made: Path, recipe: Recipe) -> N
     assert not list(recipe_faults(made, recipe))
 
 
-def test_another_recipe_is_told(made: Path, tmp_path: Path) -> None:
+def test_another_recipe_is_reported(made: Path, tmp_path: Path) -> None:
     other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
-    (told,) = recipe_faults(made, other)
-    assert "tells of recipe tiny" in told
+    (message,) = recipe_faults(made, other)
+    assert "names recipe tiny" in message
 
 
 def manifest_with(folder: Path, **entries: str) -> None:
@@ -127,21 +127,21 @@ def manifest_with(folder: Path, **entries: str) -> None:
     path.write_text(json.dumps(content))
 
 
-def test_other_patterns_are_told(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
-    """The same indices, of another seed, in a folder that says it is the recipe's."""
+def test_other_patterns_are_reported(copy: Path, recipe: Recipe, tmp_path: Path) -> None:
+    """The same indices of another seed, with a manifest that names the recipe."""
     other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
     renamed = tmp_path / "other"
     generate_recipe(renamed, other, workers=0)
     manifest_with(renamed, sha256=recipe.sha256)
-    told = list(recipe_faults(renamed, recipe))
-    assert any("is not of seed 3" in line for line in told)
-    # Told of another hash, the same patterns are others.
+    message = list(recipe_faults(renamed, recipe))
+    assert any("is not of seed 3" in line for line in message)
+    # With another hash in the manifest, the same patterns are rejected.
     manifest_with(copy, patterns="0" * 64)
-    assert "and manifest.json tells of 0000" in next(recipe_faults(copy, recipe))
+    assert "manifest.json lists 0000" in next(recipe_faults(copy, recipe))
 
 
 def test_patterns_are_made_again_where_their_hash_is_not_known(tmp_path: Path) -> None:
-    """Ten patterns of another seed, whose manifest says that they are the recipe's."""
+    """Ten patterns of another seed, with a manifest that names the recipe."""
     other = find_recipe(written(tmp_path, TINY.replace("seed = 3", "seed = 4")))
     same = written(tmp_path, TINY.replace("test = 0.2\ntrain = 0.8", "train = 1.0"))
     asked, folder = find_recipe(same), tmp_path / "other"
@@ -151,47 +151,47 @@ def test_patterns_are_made_again_where_their_hash_is_not_known(tmp_path: Path) -
     content["splits"]["train"]["seed"] = 3
     content["recipe"] = {"name": "tiny", "sha256": asked.sha256, "patterns": ""}
     path.write_text(json.dumps(content))
-    told = list(recipe_faults(folder, asked))
-    assert "no hash of the patterns yet" in told[0]
-    assert len(told) == 21
-    assert all("has another pattern when it is made again" in line for line in told[1:])
+    message = list(recipe_faults(folder, asked))
+    assert "no hash of the patterns yet" in message[0]
+    assert len(message) == 21
+    assert all("has another pattern when made again" in line for line in message[1:])
 
 
-def test_a_split_that_is_missing_or_another_is_told(copy: Path, recipe: Recipe) -> None:
+def test_a_split_that_is_missing_or_another_is_reported(copy: Path, recipe: Recipe) -> None:
     for path in copy.glob("*test*"):
         path.rename(path.with_name(path.name.replace("test", "tset")))
-    told = list(recipe_faults(copy, recipe))
-    assert any("split tset is none of tiny" in line for line in told)
-    assert any("no split test: run gcd generate --recipe tiny again" in line for line in told)
+    message = list(recipe_faults(copy, recipe))
+    assert any("split tset is none of tiny" in line for line in message)
+    assert any("no split test: run gcd generate --recipe tiny again" in line for line in message)
 
 
-def test_samples_in_the_wrong_split_are_told(made: Path, recipe: Recipe, tmp_path: Path) -> None:
-    """Splits of other shares, with a manifest that says they are the recipe's."""
+def test_samples_in_the_wrong_split_are_reported(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+    """Splits with other shares, with a manifest that names the recipe."""
     other = find_recipe(written(tmp_path, TINY.replace("test = 0.2\ntrain = 0.8", "train = 0.2\ntest = 0.8")))
     folder = tmp_path / "other"
     generate_recipe(folder, other, workers=0)
     manifest_with(folder, sha256=recipe.sha256)
-    told = list(recipe_faults(folder, recipe))
-    assert any("samples of other splits" in line for line in told)
-    assert any("split train lacks" in line for line in told)
+    message = list(recipe_faults(folder, recipe))
+    assert any("samples of other splits" in line for line in message)
+    assert any("split train lacks" in line for line in message)
 
 
-def test_a_damaged_pattern_is_told(copy: Path, recipe: Recipe) -> None:
+def test_a_damaged_pattern_is_reported(copy: Path, recipe: Recipe) -> None:
     reader = ShardReader(copy, "test")
     row, column = int(reader.rows([0])[0]), reader.layout.members.index("edges.npy")
     shard = copy / "test-00000.tar"
     content = bytearray(shard.read_bytes())
     content[int(reader.index.table.offset[row, column]) + 200] ^= 1
     shard.write_bytes(content)
-    (told,) = recipe_faults(copy, recipe)
-    assert "test-00000.tar" in told
-    assert "edges.npy" in told
+    (message,) = recipe_faults(copy, recipe)
+    assert "test-00000.tar" in message
+    assert "edges.npy" in message
 
 
 # ------------------------------------------------------------------------------------------------------------- publish
 
 
-def test_it_is_published_with_its_splits_and_its_name(made: Path, recipe: Recipe, tmp_path: Path) -> None:
+def test_a_recipe_is_published_with_its_splits_and_its_name(made: Path, recipe: Recipe, tmp_path: Path) -> None:
     staged = stage(made, "org/tiny", tmp_path / "up", endpoint="https://hub.example")
     assert {split: sum(shard.count for shard in record.shards) for split, record in staged.manifest.splits.items()} == (
         recipe.sizes()
@@ -205,7 +205,7 @@ def test_it_is_published_with_its_splits_and_its_name(made: Path, recipe: Recipe
 # --------------------------------------------------------------------------------------------------------- command line
 
 
-def test_the_command_line_makes_tells_and_verifies(
+def test_the_command_line_makes_describes_and_verifies(
     toml: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = str(tmp_path / "tiny")
@@ -216,7 +216,7 @@ def test_the_command_line_makes_tells_and_verifies(
     assert main(["verify", folder, "--recipe", str(toml)]) == 0
     assert "no fault found: this is tiny" in capsys.readouterr().out
     assert main(["verify", folder, "--recipe", "smoke-64-draft"]) == 1
-    assert "tells of recipe tiny" in capsys.readouterr().out
+    assert "names recipe tiny" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -227,7 +227,7 @@ def test_options_that_a_recipe_gives_are_refused(
     given: str, option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["generate", str(tmp_path / "a"), "--recipe", "smoke-64-draft", *given.split()]) == 2
-    assert f"--{option} is for the recipe to say: leave it out" in capsys.readouterr().err
+    assert f"--{option} is fixed by the recipe: leave it out" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
 
 
@@ -236,7 +236,7 @@ def test_without_count_and_recipe_there_is_nothing_to_make(tmp_path: Path, capsy
     assert "Give --count N, or --recipe NAME" in capsys.readouterr().err
 
 
-def test_recipes_are_listed_and_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_recipes_are_listed_and_described(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", "recipe:"]) == 0
     listed = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in listed][:2] == ["smoke-64-draft", "standard-1k-draft"]
@@ -247,12 +247,12 @@ def test_recipes_are_listed_and_told(capsys: pytest.CaptureFixture[str]) -> None
 # -------------------------------------------------------------------------------------------------------------- loading
 
 
-def test_a_data_set_is_made_where_it_is_not_there(
+def test_a_missing_data_set_is_made_on_demand(
     toml: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     ds = GarmentDataset(f"recipe:{toml}", "test", root=tmp_path, fields=["panels"])
     assert len(ds) == 6
-    assert f"tiny: 20 garments are to be made in {tmp_path / 'tiny'}, in about" in caplog.text
+    assert f"tiny: making 20 garments in {tmp_path / 'tiny'} takes about" in caplog.text
     assert "20/20" in capsys.readouterr().err
     caplog.clear()
     again = GarmentDataset(f"recipe:{toml}", "train+test", root=tmp_path, fields=["panels"], download=False)
@@ -260,12 +260,12 @@ def test_a_data_set_is_made_where_it_is_not_there(
     assert not caplog.text
 
 
-def test_it_is_made_in_the_cache(toml: Path, tmp_path: Path) -> None:
+def test_the_data_set_of_a_recipe_is_made_in_the_cache(toml: Path, tmp_path: Path) -> None:
     GarmentDataset(f"recipe:{toml}", cache_dir=tmp_path, fields=["panels"])
     assert (tmp_path / "recipes" / "tiny" / "manifest.json").exists()
 
 
-def test_what_cannot_be_is_told_before_anything_is_made(toml: Path, tmp_path: Path) -> None:
+def test_impossible_options_are_reported_before_anything_is_made(toml: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"tiny has no split tset: there are test, train: did you mean test\?"):
         GarmentDataset(f"recipe:{toml}", "tset", root=tmp_path)
     with pytest.raises(ConfigError, match="revision is for URLs and the Hub"):
@@ -278,17 +278,17 @@ def test_what_cannot_be_is_told_before_anything_is_made(toml: Path, tmp_path: Pa
 
 
 def test_the_data_set_of_another_version_is_not_taken_for_it(made: Path, tmp_path: Path) -> None:
-    """The recipe tells a hash that the patterns there do not have."""
+    """The recipe's hash differs from the hash of the stored patterns."""
     shutil.copytree(made, tmp_path / "tiny")
     newer = written(tmp_path, TINY.replace("seed = 3", f'seed = 3\npatterns = "{"ab" * 32}"'))
-    with pytest.raises(ConfigError, match="with other patterns than this version of the package draws: delete it"):
+    with pytest.raises(ConfigError, match="than this version of the package draws: delete the folder"):
         GarmentDataset(f"recipe:{newer}", "test", root=tmp_path)
 
 
 SCRIPT = """
 import sys
 import gcd_dataset.verbs.making as making
-making.BEGUN = 0.1  # s: begin workers for little
+making.STARTUP = 0.1  # s: start workers for few samples, too
 from gcd_dataset.loaders import GarmentDataset
 print(len(GarmentDataset("recipe:" + sys.argv[1], "test", root=sys.argv[2], fields=["panels"])), flush=True)
 """
@@ -302,7 +302,7 @@ def program(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_programs_wait_for_each_other_and_need_no_guard(toml: Path, program: Path, tmp_path: Path) -> None:
-    """Two processes of a training ask for it at once; workers do not run the program again."""
+    """Two training processes request it at the same time; workers do not import the program again."""
     command = [sys.executable, str(program), str(toml), str(tmp_path)]
     with locked(_folder(tmp_path) / LOCK, "making tiny"):
         both = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]
@@ -311,7 +311,7 @@ def test_programs_wait_for_each_other_and_need_no_guard(toml: Path, program: Pat
             assert "another process is making tiny there: waiting for it" in process.stderr.readline()
     ended = [process.communicate(timeout=120) for process in both]
     assert [out for out, _ in ended] == ["6\n", "6\n"], ended
-    assert sum("garments are to be made" in err for _, err in ended) == 1
+    assert sum(": making " in err for _, err in ended) == 1
 
 
 def _folder(root: Path) -> Path:
@@ -331,6 +331,6 @@ def test_an_interrupted_making_goes_on(
     with monkeypatch.context() as patched:
         patched.setattr("gcd_dataset.verbs.making.seal", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            have_recipe(recipe, folder)
-    have_recipe(recipe, folder)
+            ensure_recipe(recipe, folder)
+    ensure_recipe(recipe, folder)
     assert contents(folder) == contents(made)

@@ -1,4 +1,4 @@
-"""A specification read and written is the pattern it was."""
+"""Specification files: a pattern survives writing and reading."""
 
 import errno
 import json
@@ -41,7 +41,7 @@ def tube() -> Pattern:
 
 
 def outline(panel: Panel) -> np.ndarray:
-    """Points of the edges as they hang in space."""
+    """Points of the placed edges in space [cm]."""
     t = np.linspace(0, 1, 7)
     flat = [curve_points(*panel.edge_ends(i), edge.curve, t) for i, edge in enumerate(panel.edges)]
     return panel.placement.apply(np.concatenate(flat))
@@ -239,7 +239,7 @@ def broken(change: str) -> Any:
         ("broken name", r"panel 'two\nlines': vertices"),
     ],
 )
-def test_what_is_not_of_the_format_is_named(change: str, said: str) -> None:
+def test_content_outside_the_format_is_named(change: str, said: str) -> None:
     with pytest.raises(SpecError) as caught:
         pattern_from_spec(broken(change), "tube", source="some/tube.json")
     assert str(caught.value).startswith("some/tube.json: ")
@@ -275,12 +275,12 @@ def test_a_file_that_cannot_be_read_is_named_with_a_remedy(tmp_path: Path, monke
     def forbidden(*_: object, **__: object) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
-    monkeypatch.setattr(Path, "open", forbidden)  # the superuser, who runs many a test, may read everything
+    monkeypatch.setattr(Path, "open", forbidden)  # tests may run as root, which can read everything
     with pytest.raises(SpecError, match=r"cannot be read \(Permission denied\): ask for the right to read it"):
         read_pattern(tmp_path / "mine.json")
 
 
-def test_nothing_half_written(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written"):
         write_pattern(tube(), tmp_path / "no folder" / "tube.json")
     assert list(tmp_path.iterdir()) == []

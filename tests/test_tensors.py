@@ -1,4 +1,4 @@
-"""A pattern as arrays is the pattern it was."""
+"""Patterns as arrays: a pattern survives encoding and decoding."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +39,7 @@ def square(side: float = 20.0, curve: Curve = LINE) -> Panel:
 
 
 def outline(panel: Panel) -> np.ndarray:
-    """Points of every edge as it hangs in space [cm]."""
+    """Points of the placed edges in space [cm]."""
     flat = [sample_curve(*panel.edge_ends(i), edge.curve, 9) for i, edge in enumerate(panel.edges)]
     return panel.placement.apply(np.concatenate(flat))
 
@@ -104,7 +104,7 @@ def test_real_patterns_survive(examples: Path) -> None:
 
 @pytest.mark.parametrize("chord", [1.0, 1e-2, 1e-4, 1e-6])
 def test_a_circle_that_all_but_closes_survives(chord: float) -> None:
-    """The ends of a circular skirt's hem nearly touch, far from the origin; the far side hangs on their direction."""
+    """The ends of a circular skirt's hem nearly touch, far from the origin; their direction fixes the far side."""
     corners = np.array([[0.0, 0.0], [chord, 0.0], [chord, 12.0], [0.0, 12.0]]) + [173.0, -91.0]
     hem = loop("skirt", corners, [Arc(80.0, large=True, right=True), LINE, LINE, LINE])
     assert_same(again(Pattern("skirt", (hem,), ())), Pattern("skirt", (hem,), ()))
@@ -178,7 +178,10 @@ def test_broken_patterns_are_named() -> None:
     open_loop = replace(panel, edges=panel.edges[:3])
     for pattern, message in (
         (Pattern("p", (open_loop,), ()), "panel square, edge 0: does not start where the edge before ends"),
-        (Pattern("p", (panel,), (Seam(EdgeRef("square", 0), EdgeRef("square", 9)),)), "seam 0 joins square, edge 9"),
+        (
+            Pattern("p", (panel,), (Seam(EdgeRef("square", 0), EdgeRef("square", 9)),)),
+            "square has no edge 9",
+        ),
         (Pattern("p", (square(20.0, Arc(9.0, False, True)),), ()), "cannot span"),
     ):
         with pytest.raises(PatternError, match=message):
@@ -197,7 +200,7 @@ def test_broken_arrays_are_named() -> None:
         (replace(tensor, edges=tensor.edges[:, :5]), "edges has shape"),
         (replace(tensor, edges=tensor.edges[:3]), "mend N_EDGES"),
         (replace(tensor, panel_names=()), "0 panel names for 1 panels"),
-        (replace(tensor, stitches=np.array([[0, 7, 0]])), "stitches name edges 0 to 7, of 4"),
+        (replace(tensor, stitches=np.array([[0, 7, 0]])), "stitches name edges 0 to 7, there are 4"),
         (with_edge(EdgeColumn.KIND, 9), "edges name kinds"),
         (with_edge(EdgeColumn.LABEL, 40), "edges name labels"),
     ):

@@ -1,4 +1,4 @@
-"""TOML that cannot be read is told by file and remedy."""
+"""Errors of TOML files name the file and a remedy."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def test_broken_toml_is_one_line_with_file_and_remedy(text: str, tmp_path: Path)
     assert str(caught.value).isprintable()
 
 
-def test_other_encodings_and_places_are_told(tmp_path: Path) -> None:
+def test_other_encodings_and_places_are_reported(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_bytes(b'a = "\xe9"')
     with pytest.raises(ConfigError, match=r"c\.toml: byte 5 is no text in UTF-8: mend the TOML"):
         read_toml(tmp_path / "c.toml")

@@ -1,4 +1,4 @@
-"""Each rule catches what breaks it, and says where."""
+"""Each rule finds its fault and names panel and edge."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -162,7 +162,7 @@ def test_names_of_any_script_and_with_spaces_will_do() -> None:
 
 
 def test_a_pattern_in_other_units_than_it_says_is_too_large() -> None:
-    """Nothing of it is sampled: a mesh of it would take terabytes, and so would the search for crossings."""
+    """Its curves are not sampled: the mesh and the search for crossings would take terabytes."""
     huge = Pattern(
         "p", (square("front", side=1e6), square("back", side=1e6)), (Seam(EdgeRef("front", 1), EdgeRef("back", 3)),)
     )
@@ -175,13 +175,13 @@ def test_a_pattern_in_other_units_than_it_says_is_too_large() -> None:
 @pytest.mark.parametrize(
     "curve", [Quadratic((1e7, 1e7)), Cubic((0.3, 0.1), (-1e7, 0.0)), Arc(600.0, True, True)], ids=lambda c: c.kind
 )
-def test_what_bulges_over_ten_metres_is_too_large(curve: Curve) -> None:
+def test_a_curve_over_ten_metres_is_too_large(curve: Curve) -> None:
     (fault,) = check_pattern(alone(polygon((0, 0), (10, 0), (10, 10), (0, 10), curves={0: curve})))
     assert (fault.rule, fault.severity) == (Rule.TOO_LARGE, Severity.ERROR)
 
 
 def scaled(pattern: Pattern, factor: float) -> Pattern:
-    """The pattern as a file of another unit has it that says it is in centimetres."""
+    """The pattern as read from a file in another unit that declares centimetres."""
 
     def larger(edge: Edge) -> Edge:
         curve = edge.curve
@@ -201,23 +201,23 @@ def scaled(pattern: Pattern, factor: float) -> Pattern:
 
 @pytest.fixture(scope="module")
 def drawn() -> list[Pattern]:
-    """Garments of our sampler."""
+    """Sampled garments."""
     return [make(11, index, MakeConfig(stage="pattern")).pattern for index in (19, 71, 144, 147, 217, 252, 285, 287)]
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(10.0, "to 1000"), (0.01, "to 1")])
-def test_a_garment_in_another_unit_than_it_says_is_told_with_the_probable_one(
+def test_a_garment_in_another_unit_than_it_says_is_reported_with_the_probable_one(
     factor: float, unit: str, drawn: list[Pattern]
 ) -> None:
     """Millimetres, and metres, read as centimetres."""
     for pattern in drawn:
-        told = [fault for fault in check_pattern(scaled(pattern, factor)) if "set properties.units" in fault.figure]
-        assert {fault.rule for fault in told} <= {Rule.UNLIKELY_SIZE, Rule.TOO_LARGE}
-        assert any(fault.figure.endswith(unit) for fault in told)
+        message = [fault for fault in check_pattern(scaled(pattern, factor)) if "set properties.units" in fault.figure]
+        assert {fault.rule for fault in message} <= {Rule.UNLIKELY_SIZE, Rule.TOO_LARGE}
+        assert any(fault.figure.endswith(unit) for fault in message)
 
 
-def test_a_small_garment_is_told_by_the_unit_of_its_file() -> None:
-    """Drawn in centimetres, with a file that says millimetres."""
+def test_a_small_garment_is_identified_by_the_unit_of_its_file() -> None:
+    """Drawn in centimetres, in a file that declares millimetres."""
     pattern = Pattern("p", (square(side=7.0),), (), {"properties": {"original_units_in_meter": 1000}})
     (fault,) = check_pattern(pattern)
     assert fault.figure == (
@@ -225,7 +225,7 @@ def test_a_small_garment_is_told_by_the_unit_of_its_file() -> None:
     )
 
 
-def test_a_garment_that_was_never_placed_is_told_by_its_edges() -> None:
+def test_a_garment_that_was_never_placed_is_identified_by_its_edges() -> None:
     shirt = Pattern("p", (square("front", side=700.0), square("back", side=650.0)), ())
     (fault,) = check_pattern(shirt)
     assert (fault.rule, fault.severity) == (Rule.UNLIKELY_SIZE, Severity.WARNING)
@@ -233,26 +233,26 @@ def test_a_garment_that_was_never_placed_is_told_by_its_edges() -> None:
 
 
 def test_wide_skirts_and_narrow_belts_have_a_likely_size_and_are_sewn_straight(drawn: list[Pattern]) -> None:
-    """Among them a ruffle of 8 m, a belt of panels of 16 cm, and stitches whose ends hang nearly crosswise."""
+    """The samples include a ruffle of 8 m, a belt of 16 cm panels, and nearly crosswise stitches."""
     for pattern in drawn:
         assert not {fault.rule for fault in check_pattern(pattern)} & {Rule.UNLIKELY_SIZE, Rule.SEWN_CROSSWISE}
     assert max(float(np.ptp(panel.vertices, axis=0).max()) for p in drawn for panel in p.panels) > 700.0
 
 
-def test_a_stitch_turned_round_is_told_where_the_panels_hang(drawn: list[Pattern]) -> None:
+def test_a_stitch_turned_round_is_identified_where_the_panels_hang(drawn: list[Pattern]) -> None:
     """The side seams of a skirt, from waist to hem."""
     for pattern in drawn:
         turned = [replace(seam, right_wrong=not seam.right_wrong) for seam in pattern.seams]
-        told = {fault.rule for fault in check_pattern(replace(pattern, seams=tuple(turned)))}
-        assert Rule.SEWN_CROSSWISE in told
+        message = {fault.rule for fault in check_pattern(replace(pattern, seams=tuple(turned)))}
+        assert Rule.SEWN_CROSSWISE in message
 
 
-def test_panels_on_one_sheet_tell_nothing_of_how_they_are_sewn() -> None:
+def test_panels_on_one_sheet_get_no_crosswise_warning() -> None:
     assert check_pattern(sewn(Seam(EdgeRef("front", 1), EdgeRef("back", 1)))) == ()
 
 
 def test_an_outline_of_kilometres_in_a_small_panel_is_not_searched() -> None:
-    """Curves that run out a metre and back, four hundred times: they would be sampled 500,000 times."""
+    """Four hundred curves that run out a metre and back would take 500,000 sample points."""
     there_and_back: dict[int, Curve] = {i: Cubic((100.0, 0.0), (-100.0, 0.0)) for i in range(400)}
     corners = [(20 * cos(i / 64), 20 * sin(i / 64)) for i in range(400)]
     faults = check_pattern(alone(polygon(*corners, curves=there_and_back)))
@@ -296,7 +296,7 @@ def dipping(depth: float) -> Pattern:
     return alone(polygon((0, 0), start, end, curves=dip))
 
 
-def test_crossings_are_told_by_distance_not_by_curve_parameter() -> None:
+def test_crossings_are_identified_by_distance_not_by_curve_parameter() -> None:
     """The base is crossed 0.6 cm from the corner, at a hundredth of its length; and then 0.003 cm from it."""
     (fault,) = check_pattern(dipping(0.45))
     assert (fault.rule, fault.edge) == (Rule.SELF_CROSSING, 0)

@@ -1,4 +1,4 @@
-"""What each part of the making of samples waits is counted once, and reaches the writer."""
+"""Waits of all stages are counted once and reach the writer."""
 
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -6,14 +6,14 @@ from types import SimpleNamespace
 import pytest
 
 from gcd_dataset import waits
-from gcd_dataset.by_thread import by_thread
 from gcd_dataset.generator.drapers import SharedDraper, address_for
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import _Share, produce
 from gcd_dataset.generator.recipe import MakeConfig
+from gcd_dataset.prefetch import prefetch
 from gcd_dataset.shards.codec import encode_sample
-from gcd_dataset.verbs.making import _encoded
-from gcd_dataset.waits import MAKERS, WRITER, Wait, WaitClock, added, noted, shares, taken, waited_for
+from gcd_dataset.verbs.making import _encode
+from gcd_dataset.waits import MAKERS, WRITER, Wait, WaitClock, record_wait, sum_waits, take_waits, timed, wait_shares
 
 SKIRTS = Overlay.from_dict({"meta": {"upper": None, "bottom": "PencilSkirt"}})  # they come to rest soon
 DRAPED = MakeConfig(resolution=10.0, points=16, picture=0, device="cpu", on_fail="keep", design=SKIRTS)
@@ -21,10 +21,10 @@ DRAPED = MakeConfig(resolution=10.0, points=16, picture=0, device="cpu", on_fail
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """A clock that stands still until it is set; the account is empty."""
+    """A manual clock; empties the account."""
     clock = SimpleNamespace(now=0.0)
     monkeypatch.setattr(waits, "time", SimpleNamespace(perf_counter=lambda: clock.now))
-    taken()
+    take_waits()
     return clock
 
 
@@ -34,46 +34,46 @@ def test_a_writer_that_waits_three_seconds_of_four(clock: SimpleNamespace) -> No
             clock.now += 3.0
             yield number
 
-    for _ in waited_for(made(), WRITER):
+    for _ in timed(made(), WRITER):
         clock.now += 1.0
-    waited = taken()
-    assert waited[WRITER] == Wait(15.0, 19.0)  # what it does with the last item is not followed by a question
-    assert shares(waited)[WRITER] == 15 / 19
-    assert taken() == {}
+    waited = take_waits()
+    assert waited[WRITER] == Wait(15.0, 19.0)  # the work on the last item is not counted
+    assert wait_shares(waited)[WRITER] == 15 / 19
+    assert take_waits() == {}
 
 
 def test_a_wait_is_counted_once(clock: SimpleNamespace) -> None:
     own = WaitClock()
     clock.now = 4.0
-    own.idle(3.0)
-    assert own.taken() == Wait(3.0, 4.0)
+    own.add_idle(3.0)
+    assert own.lap() == Wait(3.0, 4.0)
     clock.now = 5.0
-    assert own.taken() == Wait(0.0, 1.0)
+    assert own.lap() == Wait(0.0, 1.0)
 
 
 def test_two_draping_processes_of_a_gpu_count_as_one() -> None:
-    both = added({"cuda:0": Wait(0.0, 10.0)}, {"cuda:0": Wait(5.0, 10.0)})
-    assert shares(both) == {"cuda:0": 0.25}
+    both = sum_waits({"cuda:0": Wait(0.0, 10.0)}, {"cuda:0": Wait(5.0, 10.0)})
+    assert wait_shares(both) == {"cuda:0": 0.25}
 
 
 def test_a_maker_whose_samples_are_not_taken_waits() -> None:
-    taken()
-    assert list(by_thread(iter("abc"), 1, name=MAKERS)) == ["a", "b", "c"]
-    wait = taken()[MAKERS]
+    take_waits()
+    assert list(prefetch(iter("abc"), 1, name=MAKERS)) == ["a", "b", "c"]
+    wait = take_waits()[MAKERS]
     assert 0 <= wait.idle <= wait.over
-    list(by_thread(iter("abc"), 1))
-    assert taken() == {}
+    list(prefetch(iter("abc"), 1))
+    assert take_waits() == {}
 
 
 def test_the_waits_of_a_draping_process_come_with_its_drapes_and_change_no_byte() -> None:
     alone = [encode_sample(sample) for sample in produce(5, [0], DRAPED)]
     place = address_for("cpu")
-    with SharedDraper(place):  # started: what it waits from here on is counted
-        share = _Share(5, (0,), DRAPED, place, finished=_encoded, pictured=True)
+    with SharedDraper(place):  # starts it: waits count from here on
+        share = _Share(5, (0,), DRAPED, place, finished=_encode, pictured=True)
         made = list(share.made())
     assert [members for _, members in made] == alone
-    waited = added(*(stored.waits for stored, _ in made), taken())
+    waited = sum_waits(*(stored.waits for stored, _ in made), take_waits())
     assert set(waited) >= {"cpu", MAKERS}
     assert 0 < waited["cpu"].idle < waited["cpu"].over
-    noted("cpu", waited["cpu"])
-    assert taken() == {"cpu": waited["cpu"]}
+    record_wait("cpu", waited["cpu"])
+    assert take_waits() == {"cpu": waited["cpu"]}

@@ -1,4 +1,4 @@
-"""YAML that would end the process is refused before libyaml reads it."""
+"""YAML that would overflow libyaml's stack is rejected before parsing."""
 
 import pytest
 import yaml

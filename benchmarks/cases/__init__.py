@@ -16,6 +16,7 @@ CASES: Mapping[str, str] = {
     "fabrics": "benchmarks.cases.fabrics",
     "fleet": "benchmarks.cases.fleet",
     "generated": "benchmarks.cases.generated",
+    "libraries": "benchmarks.cases.libraries",
     "loaders": "benchmarks.cases.loaders",
     "measures": "benchmarks.cases.measures",
     "parity": "benchmarks.cases.parity",

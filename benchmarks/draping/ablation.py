@@ -23,14 +23,14 @@ class Variant:
     """A way to drape."""
 
     name: str
-    switched: Mapping[str, bool]
+    switched: Mapping[str, bool | int]
     """Options of ``DrapeConfig`` that differ from the default."""
     layers_rub: bool = True
     by_body: bool = False
     """Whether the table shows the neutral body and random ones apart, too."""
 
     def config(self) -> DrapeConfig:
-        return replace(DrapeConfig(), **self.switched)
+        return DrapeConfig(**self.switched)  # type: ignore[arg-type]  # names and types of its fields
 
     def job(self, job: DrapeJob) -> DrapeJob:
         return job if self.layers_rub else replace(job, fabric=replace(job.fabric, layer_friction=0.0))
@@ -43,6 +43,7 @@ def variants() -> list[Variant]:
         Variant("full", {}, by_body=True),
         Variant("without both pulls", dict.fromkeys(PULLS, False), by_body=True),
         *(Variant(f"{'without' if on else 'with'} {name}", {name: not on}) for name, on in switches.items()),
+        Variant("without untangling_steps", {"untangling_steps": 0}),
         Variant("without layer_friction", {}, layers_rub=False),
     ]
 

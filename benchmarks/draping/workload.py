@@ -46,7 +46,7 @@ def _dressed(seed: int, config: MakeConfig, number: int) -> list[Worn]:
             worn.index,
             worn.body_name,
             **_kind(design.design),
-            job=DrapeJob(worn.box_mesh, worn.body, worn.size, coarse=worn.coarse),
+            job=DrapeJob(worn.box_mesh, worn.body, worn.size, coarse=worn.coarse, start=worn.start),
         )
         for worn in design.dressed
         if worn.box_mesh is not None

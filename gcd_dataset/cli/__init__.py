@@ -1,8 +1,8 @@
-"""The ``gcd`` command: reads the options, calls one function of the library, prints what came back.
+"""The ``gcd`` command: parses the options, calls one function of the library, prints its result.
 
-Errors are one line on stderr. Exit 2 for wrong usage: a verb, option, value or name that there is not, and options that
-do not fit together, this machine, or the data set that is gone on with. Exit 1 for bad input: what is missing, damaged,
-or lacks what was asked for. Exit 130 after Ctrl-C.
+Errors are one line on stderr. Exit 2 for wrong usage: an unknown verb, option, value or name, and options that do not
+fit together, this machine, or the existing data set. Exit 1 for bad input: missing or damaged files, or files without
+the requested content. Exit 130 after Ctrl-C.
 """
 
 import argparse
@@ -18,9 +18,9 @@ from gcd_dataset import __version__
 from gcd_dataset.cli import datasets, exchange, merge
 from gcd_dataset.cli.bar import Bar
 from gcd_dataset.cli.verb import (
-    ANYWHERE,
+    BODY_NAMES,
     INTERRUPTED,
-    NAMES,
+    SOURCE_HELP,
     Parser,
     add_quiet,
     add_server,
@@ -28,8 +28,8 @@ from gcd_dataset.cli.verb import (
     body_name,
     interrupts_after_imports,
     natural_number,
-    open_anywhere,
-    processes,
+    open_source,
+    process_count,
     stopped,
 )
 from gcd_dataset.errors import ConfigError, GcdError, ShardError, SpecError
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-FABRICS = "denim, drill, interlock, wool_light ...; a name that is not there is answered with those that are"
-BODY_STAGE = "body"  # the wearers alone, in both poses, with their measures
+FABRICS = "denim, drill, interlock, wool_light ...; an unknown name lists them all"
+BODY_STAGE = "body"  # --stage body: bodies in both poses with their measures, no garments
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -52,11 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = "gcd"
     try:
         with interrupts_after_imports():
-            options = _at_home(_parsed(arguments))
+            options = _with_user_paths(_parse(arguments))
             name = f"gcd {options.verb}"
             return int(options.run(options))
     except KeyboardInterrupt:
-        print(f"{name}: stopped: what it had written whole is kept", file=sys.stderr)
+        print(f"{name}: stopped: finished files are kept", file=sys.stderr)
         return INTERRUPTED
     except ConfigError as error:
         print(f"{name}: {error}", file=sys.stderr)
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except GcdError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 1
-    except BrokenPipeError:  # the reader of our output has gone: nobody is left to be told
+    except BrokenPipeError:  # stdout's reader has exited: redirect, so that the flush at exit does not fail again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
 
@@ -76,13 +76,13 @@ def _generate(options: argparse.Namespace) -> int:
     from gcd_dataset.generator.recipe import MakeConfig
     from gcd_dataset.verbs import generate
 
-    part = None if options.shard is None else merge.part_of(options.shard)
+    part = None if options.shard is None else merge.parse_part(options.shard)
     if options.recipe is not None:
-        work = _of_recipe(options, given_options(options, MakeConfig))
+        work = _recipe_work(options, given_options(options, MakeConfig))
     else:
         if options.count is None:
             raise ConfigError("how many? Give --count N, or --recipe NAME for a data set of that name")
-        known = {found.name for found in options_of(MakeConfig)}
+        known = {option.name for option in options_of(MakeConfig)}
         given = _read_config(options.config, known) if options.config else {}
         given |= given_options(options, MakeConfig)
         options.seed = options.seed or 0
@@ -108,24 +108,24 @@ def _generate(options: argparse.Namespace) -> int:
         which = f"part {part} {'is there already' if done.count else 'has no samples'}: "
     print(
         f"{options.out}: {which}{done.count} garments, {done.made} of them made now, {rejected} designs or drapes "
-        "turned down"
+        "rejected"
     )
     if failed := done.unsettled:
-        print(f"  {failed} did not settle: each holds its outcome in meta.json")
-    for line in merge.there(options.out, part):
+        print(f"  {failed} did not settle: their outcomes are in meta.json")
+    for line in merge.summary_lines(options.out, part):
         print(f"  {line}")
     return 0
 
 
-def _of_recipe(options: argparse.Namespace, given: Mapping[str, Any]) -> Callable[..., Any]:
-    """To make the data set of a recipe. Raises ``ConfigError`` for options that are the recipe's to give."""
+def _recipe_work(options: argparse.Namespace, given: Mapping[str, Any]) -> Callable[..., Any]:
+    """The call that makes the data set of a recipe. Raises ``ConfigError`` for options that the recipe fixes."""
     from gcd_dataset.verbs import generate_recipe
 
     _require_no_store(options, "recipes")
-    told = {"count": options.count, "seed": options.seed, "config": options.config, **given}
-    if contrary := [name for name, value in told.items() if value is not None and name != "device"]:
+    all_given = {"count": options.count, "seed": options.seed, "config": options.config, **given}
+    if fixed := [name for name, value in all_given.items() if value is not None and name != "device"]:
         raise ConfigError(
-            f"--{contrary[0].replace('_', '-')} is for the recipe to say: leave it out, or write a recipe of your own"
+            f"--{fixed[0].replace('_', '-')} is fixed by the recipe: leave it out, or write a recipe of your own"
         )
     return partial(generate_recipe, options.out, options.recipe, device=given.get("device", "auto"))
 
@@ -133,12 +133,12 @@ def _of_recipe(options: argparse.Namespace, given: Mapping[str, Any]) -> Callabl
 def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
     from gcd_dataset.verbs import generate_people
 
-    if idle := sorted(given.keys() - {"stage", "bodies"}):
+    if unused := sorted(given.keys() - {"stage", "bodies"}):
         raise ConfigError(
-            f"{idle[0].replace('_', '-')} is for garments, and stage {BODY_STAGE} makes none: leave it out"
+            f"{unused[0].replace('_', '-')} is for garments, and stage {BODY_STAGE} makes none: leave it out"
         )
     if options.shard is not None:
-        raise ConfigError(f"--shard is for garments: bodies of stage {BODY_STAGE} are made in one go: leave it out")
+        raise ConfigError(f"--shard is for garments: bodies of stage {BODY_STAGE} are made in one run: leave it out")
     if options.engine != "local":
         raise ConfigError(f"stage {BODY_STAGE} is made on this machine: leave --engine out")
     if given.get("bodies", "random") != "random":
@@ -154,10 +154,10 @@ def _generate_people(options: argparse.Namespace, given: Mapping[str, Any]) -> i
     return 0
 
 
-def _require_no_store(options: argparse.Namespace, what: str) -> None:
-    """Raise ``ConfigError`` for options of a store, where data sets are made in a folder alone."""
+def _require_no_store(options: argparse.Namespace, data: str) -> None:
+    """Raise ``ConfigError`` for options of a store; ``data`` names data that is made in folders only."""
     if options.spool is not None or options.patience is not None:
-        raise ConfigError(f"--spool and --patience are for URLs, and {what} are made in a folder: leave them out")
+        raise ConfigError(f"--spool and --patience are for URLs, and {data} are made in a folder: leave them out")
 
 
 def _drape(options: argparse.Namespace) -> int:
@@ -175,12 +175,12 @@ def _drape(options: argparse.Namespace) -> int:
 
     @cache
     def wearer(legs_apart: bool) -> tuple[Body, Measurements]:
-        found = named_body(
+        body, measurements, _ = named_body(
             options.body, measurements=options.measurements, segmentation=options.segmentation, legs_apart=legs_apart
         )
-        return found[:2]
+        return body, measurements
 
-    wearer(False)  # what is wrong with it is told before anything is written
+    wearer(False)  # raises before anything is written
     folder = make_folder(options.out)
     fittings: list[Fitting] = []
     log_drape_time(len(patterns), device, resolution)
@@ -212,9 +212,9 @@ def _measure(options: argparse.Namespace) -> int:
     from gcd_dataset.files import write_whole
 
     if (options.mesh is None) == (options.shape is None):
-        raise ConfigError(f"give a mesh file or --shape {NAMES}, one of them")
+        raise ConfigError(f"give a mesh file or --shape {BODY_NAMES}, one of them")
     if options.mesh is None and (options.landmarks or options.segmentation) is not None:
-        raise ConfigError("--landmarks and --segmentation are for a mesh file: those of our own bodies are known")
+        raise ConfigError("--landmarks and --segmentation are for a mesh file: leave them out with --shape")
     text = measured_text(
         options.mesh if options.shape is None else options.shape, options.landmarks, options.segmentation
     )
@@ -231,21 +231,21 @@ def _validate(options: argparse.Namespace) -> int:
     from gcd_dataset.spec import read_pattern
     from gcd_dataset.validate import Severity, check_pattern
 
-    found = 0
+    count = 0
     for path in options.spec:
         try:
             faults = check_pattern(read_pattern(path))
         except GcdError as error:
             print(f"gcd validate: {error}", file=sys.stderr)
-            found += 1
+            count += 1
             continue
-        told = [fault for fault in faults if fault.severity is Severity.ERROR or not options.errors]
-        for fault in told:
+        listed = [fault for fault in faults if fault.severity is Severity.ERROR or not options.errors]
+        for fault in listed:
             print(f"{path}: {fault}")
-        found += len(told)
-    if not found:
+        count += len(listed)
+    if not count:
         print(f"{len(options.spec)} pattern{'s' if len(options.spec) > 1 else ''}: no fault found")
-    return 1 if found else 0
+    return 1 if count else 0
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -260,11 +260,12 @@ def _show(options: argparse.Namespace) -> int:
     for ending, path in given.items():
         if path.suffix.lower() != f".{ending}":
             raise ConfigError(f"--{ending} {path}: the picture is {ending.upper()}, so end the name in .{ending}")
-    what = _pattern(options) if _names_a_file(options.what) else _sample(options)
+    subject = _pattern(options) if _names_a_file(options.what) else _sample(options)
     if options.png is not None:
-        write_whole(options.png, png_bytes(sample_sheet(what) if isinstance(what, Sample) else draw_pattern(what)))
+        picture = sample_sheet(subject) if isinstance(subject, Sample) else draw_pattern(subject)
+        write_whole(options.png, png_bytes(picture))
     if options.svg is not None:
-        write_whole(options.svg, pattern_svg(what.pattern if isinstance(what, Sample) else what))
+        write_whole(options.svg, pattern_svg(subject.pattern if isinstance(subject, Sample) else subject))
     print(*given.values(), sep="\n")
     return 0
 
@@ -272,8 +273,8 @@ def _show(options: argparse.Namespace) -> int:
 # ------------------------------------------------------------------------------------------------------------- options
 
 
-def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """The options of a command line. Exits 2 where it is not one."""
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The options of a command line. Exits 2 for wrong usage."""
     parser, verbs = _parser()
     options, left = parser.parse_known_args(arguments)
     if left:
@@ -282,72 +283,100 @@ def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _parser() -> tuple[Parser, Mapping[str, Parser]]:
-    """The parser of all verbs, and that of each."""
+    """The parser of ``gcd``, and the parser of each verb by name."""
     parser = Parser(prog="gcd", description="Made-to-measure garments with their sewing patterns.")
     parser.add_argument("--version", action="version", version=f"gcd_dataset {__version__}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
 
     generate = add_verb(verbs, "generate", _generate, "make a data set")
     generate.add_argument(
-        "out", metavar="OUT", help="folder for the shards, made if it is not there; or a URL such as s3://BUCKET/PREFIX"
+        "out", metavar="OUT", help="folder for the shards, created if missing; or a URL such as s3://BUCKET/PREFIX"
     )
     generate.add_argument("--count", type=natural_number, help="number of garments, or of bodies")
     generate.add_argument("--seed", type=natural_number, help="names the data set (default: 0)")
     generate.add_argument(
         "--recipe",
         metavar="NAME|FILE.toml",
-        help="a data set of that name, which says count, seed, options and splits: gcd info recipe: lists them",
+        help="make the data set of a recipe, which fixes count, seed, options and splits; gcd info recipe: lists them",
     )
     generate.add_argument(
         "--workers",
-        type=processes,
+        type=process_count,
         metavar="K|auto",
-        help="processes that make garments; on each GPU two more drape for them (default: auto, one for each core)",
+        help="processes that make garments; on each GPU two more drape them (default: auto, one for each core)",
     )
     generate.add_argument(
         "--engine",
         choices=("local", "ray"),
         default="local",
-        help="who makes them: this machine, or the Ray cluster of RAY_ADDRESS or of this machine, or else a local one "
-        "that ends with gcd; needs pip install 'gcd-dataset[ray]' (default: local)",
+        help="local: this machine; ray: the Ray cluster at RAY_ADDRESS, one that runs on this machine, or a new local "
+        "one; needs pip install 'gcd-dataset[ray]' (default: local)",
     )
     generate.add_argument(
         "--config",
         type=Path,
         metavar="FILE.toml",
-        help="a file of these options, and of tables such as [design.pants] that narrow what designs may be",
+        help="file with these options, and tables such as [design.pants] that restrict the design parameters",
     )
     merge.add_shard(generate)
     generate.add_argument(
-        "--log", type=Path, metavar="FILE", help="a file to which lines of JSON are added while it runs: rate, waits, …"
+        "--log", type=Path, metavar="FILE", help="append a line of JSON now and then: progress, rate, waits, memory"
     )
     generate.add_argument(
         "--spool",
         type=Path,
         metavar="DIR",
-        help="for a URL: where up to three shards wait for their upload (default: ~/.cache/gcd_dataset/spool)",
+        help="for a URL: folder in which up to three shards wait for upload (default: ~/.cache/gcd_dataset/spool)",
     )
     generate.add_argument(
         "--patience",
         type=float,
         metavar="SECONDS",
-        help="for a URL: how long to wait for a store that is gone (default: 30)",
+        help="for a URL: how long to wait for a store that does not answer (default: 30)",
     )
-    generate.more = partial(_add_make_options, generate)
+    generate.add_slow_options = partial(_add_make_options, generate)
     add_quiet(generate)
 
     merge.add_verbs(verbs)
+    _add_drape(verbs)
+    _add_measure(verbs)
 
+    validate = add_verb(verbs, "validate", _validate, "list the faults of patterns; exit 1 if there are any")
+    validate.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
+    validate.add_argument("--errors", action="store_true", help="only faults that forbid sewing, no warnings")
+
+    show = add_verb(verbs, "show", _show, "a picture of a sample or a pattern")
+    show.add_argument("what", metavar="DATASET|SPEC", help=f"{SOURCE_HELP}; or specification JSON")
+    show.add_argument("--index", type=natural_number, default=0, help="which sample of the split (default: 0)")
+    show.add_argument("--split", default="train", help="split of the data set (default: train)")
+    show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
+    show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready for cutting")
+    add_server(show)
+
+    datasets.add_verbs(verbs)
+    exchange.add_verbs(verbs)
+    return parser, verbs.choices
+
+
+def _add_drape(verbs: Any) -> None:
     drape = add_verb(
         verbs, "drape", _drape, "drape GarmentCode specification files on a body; exit 1 if one does not settle"
     )
     drape.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
-    drape.add_argument("--body", type=body_name, default="neutral", help=f"{NAMES} or a mesh file (default: neutral)")
     drape.add_argument(
-        "--measurements", type=Path, metavar="YAML", help="of a body from a mesh file [cm, degrees]; else taken"
+        "--body", type=body_name, default="neutral", help=f"{BODY_NAMES} or a mesh file (default: neutral)"
     )
     drape.add_argument(
-        "--segmentation", type=Path, metavar="JSON", help="vertex ids by body part, for a mesh file; else found"
+        "--measurements",
+        type=Path,
+        metavar="YAML",
+        help="measures of a mesh file's body [cm, degrees] (default: measured)",
+    )
+    drape.add_argument(
+        "--segmentation",
+        type=Path,
+        metavar="JSON",
+        help="vertex ids by body part, for a mesh file (default: detected)",
     )
     drape.add_argument("--fabric", default="default", metavar="NAME", help=f"{FABRICS} (default: default)")
     drape.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for meshes, pictures, report")
@@ -363,6 +392,8 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     )
     add_quiet(drape)
 
+
+def _add_measure(verbs: Any) -> None:
     measure = add_verb(verbs, "measure", _measure, "the tailor's measures of a body, as YAML [cm, degrees]")
     measure.add_argument(
         "mesh",
@@ -370,50 +401,36 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         metavar="MESH",
         help="OBJ, PLY, STL or GLB of one body in m, cm or mm, closed or with small holes",
     )
-    measure.add_argument("--shape", type=body_name, metavar="NAME", help=f"{NAMES}, instead of a mesh")
+    measure.add_argument("--shape", type=body_name, metavar="NAME", help=f"{BODY_NAMES}, instead of a mesh")
     measure.add_argument(
         "--landmarks", type=Path, metavar="JSON", help="landmarks by name: vertex id or [x, y, z] as in the mesh file"
     )
-    measure.add_argument("--segmentation", type=Path, metavar="JSON", help="vertex ids by body part; else found")
+    measure.add_argument(
+        "--segmentation", type=Path, metavar="JSON", help="vertex ids by body part (default: detected)"
+    )
     measure.add_argument("--out", type=Path, metavar="YAML", help="file for the measures (default: printed)")
-
-    validate = add_verb(verbs, "validate", _validate, "what is wrong with a pattern; exit 1 if anything")
-    validate.add_argument("spec", nargs="+", type=Path, metavar="SPEC", help="specification JSON")
-    validate.add_argument("--errors", action="store_true", help="only what forbids sewing, no warnings")
-
-    show = add_verb(verbs, "show", _show, "a picture of a sample or a pattern")
-    show.add_argument("what", metavar="DATASET|SPEC", help=f"{ANYWHERE}; or specification JSON")
-    show.add_argument("--index", type=natural_number, default=0, help="which sample of the split (default: 0)")
-    show.add_argument("--split", default="train", help="of the data set (default: train)")
-    show.add_argument("--png", type=Path, metavar="FILE", help="views and pattern of a sample, or the pattern alone")
-    show.add_argument("--svg", type=Path, metavar="FILE", help="the pattern at true scale, ready to be cut")
-    add_server(show)
-
-    datasets.add_verbs(verbs)
-    exchange.add_verbs(verbs)
-    return parser, verbs.choices
 
 
 def _add_make_options(parser: Parser) -> None:
-    """The options of ``MakeConfig``, which takes a second to look up."""
+    """Add the options of ``MakeConfig``; its import takes a second."""
     from gcd_dataset.generator.recipe import MakeConfig
 
     add_options(parser, MakeConfig, more_choices={"stage": (BODY_STAGE,)})
 
 
-def _at_home(options: argparse.Namespace) -> argparse.Namespace:
-    """The options with every ``~`` that a path begins with resolved: shells leave those of ``--out=~/x`` alone."""
-    return argparse.Namespace(**{name: _resolved(value) for name, value in vars(options).items()})
+def _with_user_paths(options: argparse.Namespace) -> argparse.Namespace:
+    """The options with a leading ``~`` expanded in every path: shells do not expand ``--out=~/x``."""
+    return argparse.Namespace(**{name: _expanded(value) for name, value in vars(options).items()})
 
 
-def _resolved(value: Any) -> Any:
+def _expanded(value: Any) -> Any:
     if isinstance(value, list):
-        return [_resolved(entry) for entry in value]
+        return [_expanded(entry) for entry in value]
     return type(value)(user_path(value)) if isinstance(value, str | Path) and str(value).startswith("~") else value
 
 
 def _names_a_file(source: str) -> bool:
-    """Whether this is a file, there or not: a data set is a folder, or on a server."""
+    """Whether ``source`` names a file, existing or not, and no data set, which is a folder or on a server."""
     return "://" not in source and not _is_folder(Path(source)) and (source.endswith(".json") or Path(source).is_file())
 
 
@@ -426,10 +443,10 @@ def _pattern(options: argparse.Namespace) -> "Pattern":
 
 
 def _sample(options: argparse.Namespace) -> "Sample":
-    """The sample of that index in a data set, wherever it is."""
+    """The sample at ``--index`` of a data set, local or remote."""
     from gcd_dataset.shards import ShardReader
 
-    reader = ShardReader(open_anywhere(options.what, options.endpoint), options.split)
+    reader = ShardReader(open_source(options.what, options.endpoint), options.split)
     if options.index >= len(reader):
         raise ShardError(
             f"{options.what}: sample {options.index} of {len(reader)}: give one from 0 to {len(reader) - 1}"
@@ -445,7 +462,7 @@ def _is_folder(path: Path) -> bool:
 
 
 def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
-    """The options in a TOML file. Raises ``ConfigError`` with the line, or the name that is not known."""
+    """The options in a TOML file. Raises ``ConfigError`` with the line, or the unknown name."""
     values = read_options(path, known)
     if "design" in values:
         values["design"] = _overlay(path, values["design"])
@@ -453,7 +470,7 @@ def _read_config(path: Path, known: set[str]) -> dict[str, Any]:
 
 
 def _overlay(path: Path, values: Any) -> Any:
-    """What a config file narrows designs to. Raises ``ConfigError`` with the parameter that is wrong."""
+    """The restrictions on designs in a config file. Raises ``ConfigError`` with the wrong parameter."""
     from gcd_dataset.generator.garments.overlay import Overlay
 
     if not isinstance(values, Mapping):

@@ -5,51 +5,47 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from gcd_dataset.verbs.progress import SETTLED, Progress, Told
+from gcd_dataset.verbs.progress import SETTLED, Progress
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
 __all__ = ["Bar", "postfix"]
 
-MOST_RULES = 3  # that stand in the bar
+MOST_RULES = 3  # rules named in the bar
 
 
 class Bar:
-    """Shows how far a verb has come, a line on stderr for each split, and keeps what it was told last.
+    """A progress bar on stderr, a new one for each split; keeps the latest progress.
 
-    ``verb``: named in the lines about samples that are left out.
+    ``verb``: named in the lines about skipped samples.
     """
 
     def __init__(self, unit: str, quiet: bool, *, verb: str = "generate") -> None:
         self._unit, self._quiet, self._verb = unit, quiet, verb
         self._bar: tqdm[Any] | None = None
         self.progress = Progress(0, 0)
-        """The last that was told."""
+        """The latest progress."""
         self.interrupted = False
 
     def run(self, work: Callable[..., Any]) -> Any:
-        """What ``work`` returns when it is given ``told``; ``None`` where Ctrl-C ended it."""
+        """Call ``work(on_progress=…)``; returns its result, or ``None`` after Ctrl-C, with ``interrupted`` set."""
         try:
-            return work(told=self.told)
+            return work(on_progress=self.show)
         except KeyboardInterrupt:
             self.interrupted = True
             return None
 
-    @property
-    def told(self) -> Told:
-        """To be called with each progress."""
-        return self._show
-
-    def _show(self, progress: Progress) -> None:
+    def show(self, progress: Progress) -> None:
+        """Update the bar; a ``ProgressCallback``."""
         if self._bar is None or progress.split != self.progress.split:
             self._begin(progress)
         assert self._bar is not None
-        for fault in progress.left_out[len(self.progress.left_out) :]:
+        for fault in progress.skipped[len(self.progress.skipped) :]:
             self._bar.write(f"gcd {self._verb}: left out: {fault}", file=sys.stderr)
         self.progress = progress
         self._bar.set_postfix_str(postfix(progress), refresh=False)
-        self._bar.update(progress.done + len(progress.left_out) - self._bar.n)
+        self._bar.update(progress.done + len(progress.skipped) - self._bar.n)
 
     def _begin(self, progress: Progress) -> None:
         from tqdm import tqdm
@@ -57,17 +53,17 @@ class Bar:
         bar = self
 
         class Paced(tqdm):
-            """Shows the rate of the last minute, and the time left at it, where that is taken."""
+            """A bar with the rate of the last minute and the time left at that rate, if measured."""
 
             @property
             def format_dict(self) -> dict[str, Any]:
                 return {**super().format_dict, **({} if bar.progress.rate is None else {"rate": bar.progress.rate})}
 
         self._end()
-        self.progress = Progress(progress.count, progress.there, split=progress.split)
+        self.progress = Progress(progress.count, progress.existing, split=progress.split)
         self._bar = Paced(
             total=progress.count,
-            initial=progress.there,
+            initial=progress.existing,
             unit=self._unit,
             desc=None if progress.split == "train" else progress.split,
             disable=self._quiet,
@@ -87,7 +83,7 @@ class Bar:
 
 
 def postfix(progress: Progress) -> str:
-    """What stands behind the bar: outcomes but settled ones, who waits, and designs turned down, by rule.
+    """Text after the bar: outcomes other than settled, waits, and rejected attempts by rule.
 
     >>> postfix(Progress(9, 0).with_sample(rejects=["too_heavy: 3 kg"], outcome="SETTLED"))
     'rejected 1 (too_heavy 1)'

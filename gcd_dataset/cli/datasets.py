@@ -6,7 +6,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from gcd_dataset.cli.verb import ANYWHERE, add_quiet, add_server, add_verb, open_anywhere, require_folder
+from gcd_dataset.cli.verb import SOURCE_HELP, add_quiet, add_server, add_verb, open_source, require_folder
 from gcd_dataset.errors import ConfigError, ShardError, did_you_mean
 
 __all__ = ["add_verbs"]
@@ -15,53 +15,60 @@ RECIPE = "recipe:"
 
 
 def add_verbs(verbs: Any) -> None:
-    """Give ``gcd`` these verbs."""
+    """Add these verbs to ``gcd``."""
     info = add_verb(verbs, "info", _info, "counts, shares and plots of a data set")
     info.add_argument(
-        "dataset", metavar="DATASET", help=f"{ANYWHERE}; recipe: lists the recipes, recipe:NAME tells of one"
+        "dataset", metavar="DATASET", help=f"{SOURCE_HELP}; recipe: lists the recipes, recipe:NAME describes one"
     )
     add_server(info)
 
-    verify = add_verb(verbs, "verify", _verify, "whether a data set is whole; exit 1 if not")
+    verify = add_verb(verbs, "verify", _verify, "check whether a data set is complete and undamaged; exit 1 if not")
     verify.add_argument("dataset", metavar="DATASET", help="folder of shards")
-    verify.add_argument("--full", action="store_true", help="every byte of it, not only headers and lengths")
-    verify.add_argument(
-        "--recipe", metavar="NAME|FILE.toml", help="whether it is the data set of that name, pattern by pattern"
-    )
+    verify.add_argument("--full", action="store_true", help="check every byte, not only headers and lengths")
+    verify.add_argument("--recipe", metavar="NAME|FILE.toml", help="also check that it is the data set of this recipe")
 
-    index = add_verb(verbs, "index", _index, "the index of a data set, made anew from its tars")
-    index.add_argument("dataset", metavar="DATASET", help="folder of shards, ours or webdataset's")
+    index = add_verb(verbs, "index", _index, "rebuild the index of a data set from its tars")
+    index.add_argument("dataset", metavar="DATASET", help="folder of shards, made by gcd or in webdataset's format")
     index.add_argument("--split", help="one split (default: all)")
 
-    download = add_verb(verbs, "download", _download, "a data set from the Hub or a URL; broken off, it goes on")
+    download = add_verb(verbs, "download", _download, "download a data set from the Hub or a URL; resumes if stopped")
     download.add_argument("repo", metavar="REPO", help="repository ORG/NAME of the Hub, or URL of a data set's folder")
     download.add_argument("--split", help="one split (default: all)")
     download.add_argument(
-        "--fields", nargs="+", metavar="FIELD", help="of each garment, such as points panels edges (default: all)"
+        "--fields",
+        nargs="+",
+        metavar="FIELD",
+        help="only these fields of each garment, such as points panels edges (default: all)",
     )
     download.add_argument(
-        "--out", "--root", type=Path, metavar="DIR", help="folder for it (default: the name of the repository)"
+        "--out", "--root", type=Path, metavar="DIR", help="target folder (default: the name of the repository)"
     )
     download.add_argument("--revision", help="branch, tag or commit (default: main)")
     download.add_argument(
-        "--patience", type=float, metavar="SECONDS", help="how long to wait for a server that is gone (default: 30)"
+        "--patience",
+        type=float,
+        metavar="SECONDS",
+        help="how long to wait for a server that does not answer (default: 30)",
     )
     add_quiet(download)
     add_server(download)
 
-    publish = add_verb(verbs, "publish", _publish, "a data set to the Hub, with card, Croissant and splits")
-    publish.add_argument("dataset", metavar="DATASET", help="folder of shards that gcd generate has made")
-    publish.add_argument("repo", metavar="REPO", help="repository ORG/NAME; made if it is not there")
-    publish.add_argument("--partial", action="store_true", help="though the making of it was stopped before its end")
-    publish.add_argument("--dry-run", action="store_true", help="write everything, list it, and send nothing")
+    publish = add_verb(verbs, "publish", _publish, "upload a data set to the Hub, with card, Croissant and splits")
+    publish.add_argument("dataset", metavar="DATASET", help="folder of shards made by gcd generate")
+    publish.add_argument("repo", metavar="REPO", help="repository ORG/NAME; created if missing")
+    publish.add_argument("--partial", action="store_true", help="allow a data set whose generation was stopped early")
+    publish.add_argument("--dry-run", action="store_true", help="write and list all files, and send nothing")
     publish.add_argument(
-        "--shares", default="90,5,5", metavar="A,B,C", help="of train, validation, test [%%] (default: 90,5,5)"
+        "--shares",
+        default="90,5,5",
+        metavar="A,B,C",
+        help="shares of train, validation and test [%%] (default: 90,5,5)",
     )
     publish.add_argument(
-        "--license", default="unknown", help="identifier of the Hub, such as cc-by-4.0 (default: unknown)"
+        "--license", default="unknown", help="license identifier of the Hub, such as cc-by-4.0 (default: unknown)"
     )
-    publish.add_argument("--private", action="store_true", help="a repository that only you see")
-    publish.add_argument("--out", type=Path, metavar="DIR", help="folder for what goes up (default: DATASET/published)")
+    publish.add_argument("--private", action="store_true", help="create a private repository")
+    publish.add_argument("--out", type=Path, metavar="DIR", help="staging folder (default: DATASET/published)")
     add_server(publish)
 
 
@@ -73,7 +80,7 @@ def _info(options: argparse.Namespace) -> int:
 
         print(*recipe_lines(options.dataset.removeprefix(RECIPE)), sep="\n")
         return 0
-    for line in info_lines(open_anywhere(options.dataset, options.endpoint)):
+    for line in info_lines(open_source(options.dataset, options.endpoint)):
         print(line)
     return 0
 
@@ -81,20 +88,20 @@ def _info(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from gcd_dataset.cli.inspect import faults
 
-    folder, found, named = require_folder(options.dataset), 0, ""
-    told = faults(folder, full=options.full)
+    folder, count, named = require_folder(options.dataset), 0, ""
+    found = faults(folder, full=options.full)
     if options.recipe is not None:
         from gcd_dataset.generator.recipes import find_recipe
         from gcd_dataset.verbs.recipes import recipe_faults
 
         recipe = find_recipe(options.recipe)
-        named, told = f": this is {recipe.name}", chain(told, recipe_faults(folder, recipe))
-    for fault in told:
+        named, found = f": this is {recipe.name}", chain(found, recipe_faults(folder, recipe))
+    for fault in found:
         print(fault)
-        found += 1
-    if not found:
+        count += 1
+    if not count:
         print(f"{folder}: no fault found{named}{'' if options.full else '; --full reads every byte'}")
-    return 1 if found else 0
+    return 1 if count else 0
 
 
 def _index(options: argparse.Namespace) -> int:
@@ -104,8 +111,8 @@ def _index(options: argparse.Namespace) -> int:
     folder = require_folder(options.dataset)
     splits = require_splits(folder)
     if options.split not in (None, *splits):
-        there = f"there is {', '.join(splits)}{did_you_mean(options.split, splits)}"
-        raise ShardError(f"{folder}: no shards of split {options.split}: {there}")
+        known = f"there is {', '.join(splits)}{did_you_mean(options.split, splits)}"
+        raise ShardError(f"{folder}: no shards of split {options.split}: {known}")
     for split in splits if options.split is None else [options.split]:
         index = rebuild_index(folder, split, layout_in(folder, split))
         print(f"{folder}: {split}: {len(index)} samples in {len(index.shards)} shards")
@@ -121,23 +128,23 @@ def _download(options: argparse.Namespace) -> int:
     from gcd_dataset.names import safe_name
     from gcd_dataset.shards.layout import select_fields
 
-    place = parse_source(options.repo, options.revision)
-    if isinstance(place, Folder):
+    source = parse_source(options.repo, options.revision)
+    if isinstance(source, Folder):
         raise ConfigError(f"{options.repo}: a folder of this machine: there is nothing to download")
     remote = Remote(endpoint=options.endpoint, patience=options.patience)
-    name = place.name if isinstance(place, Repo) else place.url
+    name = source.name if isinstance(source, Repo) else source.url
     out = options.out or Path(safe_name(name.rpartition("/")[2]))
     fields = None if options.fields is None else [f for entry in options.fields for f in entry.split(",") if f]
     select_fields(fields)
-    place, splits = remote_splits(place, remote)
+    source, splits = remote_splits(source, remote)
     for split in splits if options.split is None else [options.split]:
         with tqdm(desc=split, unit="B", unit_scale=True, disable=options.quiet, file=sys.stderr) as bar:
 
-            def tell(come: int, total: int, bar: tqdm = bar) -> None:
+            def update(received: int, total: int, bar: tqdm = bar) -> None:
                 bar.total = total
-                bar.update(come - bar.n)
+                bar.update(received - bar.n)
 
-            note = download(place, out, remote, split=split, fields=fields, progress=tell)
+            note = download(source, out, remote, split=split, fields=fields, on_progress=update)
         members = ", ".join(member.split(".")[0] for member in note.splits[split].members)
         print(f"{out}: {split} of {note.source}: {members}")
     return 0
@@ -148,7 +155,7 @@ def _publish(options: argparse.Namespace) -> int:
     from gcd_dataset.hub.publish import Staged
     from gcd_dataset.verbs import publish
 
-    def told(staged: Staged) -> None:
+    def list_files(staged: Staged) -> None:
         for name, split in staged.manifest.splits.items():
             print(f"{name}: {sum(shard.count for shard in split.shards)} garments in {len(split.shards)} shards")
         for path, size in staged.files.items():
@@ -164,11 +171,11 @@ def _publish(options: argparse.Namespace) -> int:
         private=options.private,
         dry_run=options.dry_run,
         endpoint=options.endpoint,
-        told=told,
+        on_staged=list_files,
     )
     files = len(done.staged.files)
     if done.commit is None:
         print(f"{done.staged.folder}: {files} files would go up to {options.repo}; nothing was sent")
     else:
-        print(f"{options.repo}@{done.commit}: {files} files are up")
+        print(f"{options.repo}@{done.commit}: {files} files uploaded")
     return 0

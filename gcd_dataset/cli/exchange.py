@@ -1,4 +1,4 @@
-"""``gcd convert`` and ``gcd export``: data sets from and to the forms of others."""
+"""``gcd convert`` and ``gcd export``: data sets from and to other formats."""
 
 import argparse
 import sys
@@ -14,28 +14,28 @@ __all__ = ["add_verbs"]
 
 
 def add_verbs(verbs: Any) -> None:
-    """Give ``gcd`` these verbs."""
-    convert = add_verb(verbs, "convert", _convert, "the published GarmentCodeData into shards")
-    convert.add_argument("published", type=Path, metavar="PUBLISHED", help="folder with garments_5000_0 and its like")
-    convert.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; made if it is not there")
+    """Add these verbs to ``gcd``."""
+    convert = add_verb(verbs, "convert", _convert, "convert the published GarmentCodeData to shards")
+    convert.add_argument("published", type=Path, metavar="PUBLISHED", help="folder with garments_5000_0 and the like")
+    convert.add_argument("out", type=Path, metavar="OUT", help="folder for the shards; created if missing")
     convert.add_argument(
-        "--bodies", choices=("both", "default", "random"), default="both", help="who wears them (default: both)"
+        "--bodies", choices=("both", "default", "random"), default="both", help="bodies of the garments (default: both)"
     )
     convert.add_argument("--workers", type=natural_number, default=0, help="processes (default: this one)")
     convert.add_argument(
-        "--cache-dir", type=Path, metavar="DIR", help="where indices of archives are kept (default: beside them)"
+        "--cache-dir", type=Path, metavar="DIR", help="folder for the indices of archives (default: beside them)"
     )
     add_quiet(convert)
 
-    export = add_verb(verbs, "export", _export, "a data set in the forms of other programs")
+    export = add_verb(verbs, "export", _export, "write a data set in another format")
     export.add_argument("dataset", metavar="DATASET", help="folder of shards")
     export.add_argument("--hdf5", type=Path, metavar="FILE", help="one split as one HDF5 file")
     export.add_argument(
         "--layout",
         nargs=2,
         metavar=("published", "OUT"),
-        help="train, validation and test in the folders of GarmentCodeData; OUT is made if it is not there, "
-        "and gone on with where it was stopped",
+        help="train, validation and test in the folders of GarmentCodeData; OUT is created if missing; "
+        "the same command resumes a stopped export",
     )
     export.add_argument("--split", help="split for --hdf5 (default: train)")
     add_quiet(export)
@@ -51,8 +51,8 @@ def _convert(options: argparse.Namespace) -> int:
         return stopped("convert", f"{bar.progress.done} of {bar.progress.count} of {bar.progress.split}")
     for done in splits:
         print(f"{options.out}: {done.split}: {done.done} garments, {done.made} of them converted now")
-    if faults := sum(len(done.left_out) for done in splits):
-        print(f"gcd convert: {faults} garments were left out; the same command tries them again", file=sys.stderr)
+    if faults := sum(len(done.skipped) for done in splits):
+        print(f"gcd convert: {faults} garments were skipped; the same command tries them again", file=sys.stderr)
     return 1 if faults else 0
 
 
@@ -60,10 +60,10 @@ def _export(options: argparse.Namespace) -> int:
     if (options.hdf5 is None) == (options.layout is None):
         raise ConfigError("give --hdf5 FILE or --layout published OUT, one of them")
     if options.layout is not None and options.layout[0] != "published":
-        raise ConfigError(f"--layout {options.layout[0]}: there is published")
+        raise ConfigError(f"--layout {options.layout[0]}: unknown layout: give published")
     if options.layout is not None and options.split is not None:
         raise ConfigError(
-            "--split is for --hdf5: --layout takes train, validation and test, whose names go into its split file"
+            "--split is for --hdf5: --layout takes train, validation and test, and lists them in its split file"
         )
     from gcd_dataset.verbs import export
     from gcd_dataset.verbs.exporting import Form

@@ -1,4 +1,4 @@
-"""What ``gcd info`` prints of a data set, and the faults that ``gcd verify`` finds in one."""
+"""Summary of a data set for ``gcd info``, and its faults for ``gcd verify``."""
 
 import hashlib
 import json
@@ -25,7 +25,7 @@ from gcd_dataset.shards.unfinished import unfinished
 
 __all__ = ["faults", "info_lines"]
 
-LOOKED_AT = 500  # samples of a split whose designs are counted: shares to a few per cent
+SAMPLED = 500  # samples of a split that are read for statistics: shares are accurate to a few per cent
 BAR = 30  # characters
 
 
@@ -33,28 +33,28 @@ BAR = 30  # characters
 
 
 def info_lines(store: Store) -> Iterator[str]:
-    """Counts, shares and their plots. Raises ``ShardError``."""
+    """Counts, shares and text plots of a data set. Raises ``ShardError``."""
     manifest = store.manifest()
     if isinstance(store, FolderStore):
         splits = require_splits(store.folder)
     else:
         splits = tuple(manifest.splits) if manifest is not None else ("train",)
     source = "" if store.source in (None, store.location()) else f", from {store.source}"
-    maker = "" if manifest is None else f", begun by gcd_dataset {manifest.generator}, schema {manifest.schema}"
-    yield f"{store.location()}{source}{maker}"
+    version = "" if manifest is None else f", begun by gcd_dataset {manifest.generator}, schema {manifest.schema}"
+    yield f"{store.location()}{source}{version}"
     if manifest is not None and manifest.recipe is not None:
-        named = manifest.recipe
-        yield f"  recipe {named.name}, sha256 {named.sha256}, patterns {named.patterns or 'not all there yet'}"
+        recipe = manifest.recipe
+        yield f"  recipe {recipe.name}, sha256 {recipe.sha256}, patterns {recipe.patterns or 'not all there yet'}"
     for split in splits:
         layout = layout_in(store.folder, split) if isinstance(store, FolderStore) else GARMENTS
         reader = ShardReader(store, split, layout=layout)
         yield ""
         yield from _split_lines(reader)
-        if isinstance(store, FolderStore) and (told := unfinished(store.folder, split)) is not None:
-            yield f"  not whole: {told}"
+        if isinstance(store, FolderStore) and (fault := unfinished(store.folder, split)) is not None:
+            yield f"  not whole: {fault}"
         record = manifest.splits.get(split) if manifest is not None else None
         if record is not None:
-            yield from _made_lines(record)
+            yield from _recipe_lines(record)
             yield from _reject_lines(store, record)
         yield from _bars("bytes by field", _bytes_by_member(reader))
         if reader.layout.kind == GARMENTS.kind and isinstance(store, FolderStore):
@@ -65,18 +65,18 @@ def _split_lines(reader: ShardReader) -> Iterator[str]:
     index, count = reader.index, len(reader)
     size = f"{index.length.sum() / 1e6:.1f} MB"
     settled = int(index.table.settled.sum())
-    rest = "" if reader.layout.kind != GARMENTS.kind else f", {settled} at rest ({settled / count:.1%})"
-    yield f"{reader.split}: {count} samples in {len(index.shards)} shards, {size}{rest}"
+    at_rest = "" if reader.layout.kind != GARMENTS.kind else f", {settled} at rest ({settled / count:.1%})"
+    yield f"{reader.split}: {count} samples in {len(index.shards)} shards, {size}{at_rest}"
 
 
-def _made_lines(record: SplitRecord) -> Iterator[str]:
+def _recipe_lines(record: SplitRecord) -> Iterator[str]:
     yield f"  seed {record.seed}, recipe {json.dumps(dict(record.recipe), sort_keys=True)}"
     if record.rejects:
-        yield from _bars("turned down on the way, by rule", record.rejects)
+        yield from _bars("rejected attempts by rule", record.rejects)
 
 
 def _reject_lines(store: Store, record: SplitRecord) -> Iterator[str]:
-    """Where the attempts that were turned down are listed."""
+    """The path of the reject log, if there is one."""
     if record.rejects and isinstance(store, FolderStore) and (store.folder / REJECTS).exists():
         yield f"    each of them, with its figures: {store.folder / REJECTS}"
 
@@ -84,16 +84,16 @@ def _reject_lines(store: Store, record: SplitRecord) -> Iterator[str]:
 def _bytes_by_member(reader: ShardReader) -> dict[str, int]:
     total = reader.index.table.size.sum(axis=0, dtype=np.int64)
     members = reader.layout.members
-    # Names of foreign members may begin alike.
+    # Foreign members may share a stem: keep their full names.
     names = members if reader.layout.kind == FOREIGN else [member.split(".")[0] for member in members]
     return dict(zip(names, total.tolist(), strict=True))
 
 
 def _content_lines(reader: ShardReader) -> Iterator[str]:
-    """Outcomes, wearers and kinds of garments, of some samples that lie evenly."""
-    there = fields_of(reader.layout.members)
-    members = [there[field] for field in ("meta", "design") if field in there]
-    chosen = np.unique(np.linspace(0, len(reader) - 1, min(len(reader), LOOKED_AT)).astype(int)).tolist()
+    """Outcomes, wearers and types of garments, from samples at even distances."""
+    member_of = fields_of(reader.layout.members)
+    members = [member_of[field] for field in ("meta", "design") if field in member_of]
+    chosen = np.unique(np.linspace(0, len(reader) - 1, min(len(reader), SAMPLED)).astype(int)).tolist()
     counts: dict[str, Counter[str]] = {name: Counter() for name in ("outcome", "wearer", "upper", "bottom")}
     panels = []
     for content in reader.read_many(chosen, members):
@@ -105,16 +105,16 @@ def _content_lines(reader: ShardReader) -> Iterator[str]:
         for name in ("upper", "bottom"):
             if name in kinds:
                 counts[name][str(_value(kinds[name]))] += 1
-    looked = "" if len(chosen) == len(reader) else f", of {len(chosen)} looked at"
+    sampled = "" if len(chosen) == len(reader) else f", in {len(chosen)} samples"
     for name, counter in counts.items():
         if counter:
-            yield from _bars(f"{name}{looked}", dict(counter.most_common()))
+            yield from _bars(f"{name}{sampled}", dict(counter.most_common()))
     low, middle, high = np.percentile(panels, [0, 50, 100])
-    yield f"  panels: {low:.0f} to {high:.0f}, median {middle:.0f}{looked}"
+    yield f"  panels: {low:.0f} to {high:.0f}, median {middle:.0f}{sampled}"
 
 
 def _kinds(content: Mapping[str, Bytes]) -> Mapping[str, Any]:
-    """The parts a garment is chosen from; nothing where the data set does not hold its design."""
+    """The design's choice of garment types; empty if the data set does not hold the design."""
     kinds = decode_field("design", content).get("meta") if "design" in fields_of(content) else None
     return kinds if isinstance(kinds, Mapping) else {}
 
@@ -124,7 +124,7 @@ def _value(entry: Any) -> Any:
 
 
 def _bars(title: str, amounts: Mapping[str, int]) -> Iterator[str]:
-    """A plot in text: one line an entry."""
+    """A text plot: one line for each entry."""
     total, most = sum(amounts.values()), max(amounts.values())
     if not total:
         return
@@ -139,10 +139,10 @@ def _bars(title: str, amounts: Mapping[str, int]) -> Iterator[str]:
 
 
 def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
-    """What is wrong with the data set in a folder, one line each.
+    """The faults of the data set in a folder, one line each.
 
-    Of every shard its headers, its length and its place in the index; with ``full`` every byte, by the hash of the
-    shard and those of its members. Of each split: whether it is finished, and whether it shares designs with another.
+    Checks the headers, length and index of every shard, and with ``full`` every byte, by the hashes of shard and
+    members; whether each split is finished; and whether two splits share designs.
     """
     store = FolderStore(folder)
     splits = require_splits(folder)
@@ -153,36 +153,36 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
         except GcdError as error:
             yield str(error)
             continue
-        if (told := unfinished(folder, split)) is not None:
-            yield f"{folder}: split {split} is not whole: {told}"
+        if (fault := unfinished(folder, split)) is not None:
+            yield f"{folder}: split {split} is not whole: {fault}"
         yield from _shard_faults(readers[split], folder, full=full)
-    listed = store.manifest()
-    for split in sorted(set(listed.splits) - set(splits) if listed is not None else ()):
-        if listed is not None and listed.splits[split].shards:
+    manifest = store.manifest()
+    for split in sorted(set(manifest.splits) - set(splits) if manifest is not None else ()):
+        if manifest is not None and manifest.splits[split].shards:
             yield f"{folder}: split {split} of {MANIFEST} has no shards: copy them again"
     if all({DESIGN, BODY} <= fields_of(reader.layout.members).keys() for reader in readers.values()):
-        yield from (f"{folder}: {told}: a model trained on one knows what it is tested on" for told in leaks(readers))
+        yield from (f"{folder}: {leak}: a model trained on one knows what it is tested on" for leak in leaks(readers))
 
 
 def _shard_faults(reader: ShardReader, folder: Path, *, full: bool) -> Iterator[str]:
     manifest, index = reader.manifest, reader.index
-    kept = read_stored_index(folder, reader.split, reader.layout, partial=True)
-    if kept is None:
-        yield f"{folder / index_name(reader.split)}: not there: run gcd index"
-    elif (kept.shards, kept.length.tolist()) != (index.shards, index.length.tolist()):
-        yield f"{folder / index_name(reader.split)}: does not know the shards that are there: run gcd index"
+    stored = read_stored_index(folder, reader.split, reader.layout, partial=True)
+    if stored is None:
+        yield f"{folder / index_name(reader.split)}: no such file: run gcd index"
+    elif (stored.shards, stored.length.tolist()) != (index.shards, index.length.tolist()):
+        yield f"{folder / index_name(reader.split)}: differs from the shards in the folder: run gcd index"
     record = manifest.splits.get(reader.split) if manifest is not None else None
     records = {shard.name: shard for shard in record.shards} if record is not None else {}
     for name, table in index.tables().items():
         path = folder / name
         if record is not None and name not in records:
-            yield f"{path}: {MANIFEST} does not know it: run gcd generate again"
+            yield f"{path}: not listed in {MANIFEST}: run gcd generate again"
         elif record is not None and records[name].count != len(table):
-            yield f"{path}: {len(table)} samples, {MANIFEST} tells of {records[name].count}: copy it again"
+            yield f"{path}: {len(table)} samples, {MANIFEST} lists {records[name].count}: copy it again"
         if reader.layout.kind != FOREIGN:
             yield from _header_faults(path, reader, table)
         if full and name in records and _sha256(path) != records[name].sha256:
-            yield f"{path}: its bytes are not those that {MANIFEST} tells of: {REMEDY}"
+            yield f"{path}: its hash differs from {MANIFEST}: {REMEDY}"
     if full:
         for position in range(len(reader)):
             try:
@@ -193,15 +193,15 @@ def _shard_faults(reader: ShardReader, folder: Path, *, full: bool) -> Iterator[
 
 def _header_faults(path: Path, reader: ShardReader, table: ShardTable) -> Iterator[str]:
     try:
-        found = scan_shard(path, reader.layout)
+        scanned = scan_shard(path, reader.layout)
     except ShardError as error:
         yield str(error)
         return
     same = all(
-        np.array_equal(getattr(found, name), getattr(table, name)) for name in ("sample", "offset", "size", "crc")
+        np.array_equal(getattr(scanned, name), getattr(table, name)) for name in ("sample", "offset", "size", "crc")
     )
     if not same:
-        yield f"{path}: the index tells of other contents: run gcd index"
+        yield f"{path}: its contents differ from the index: run gcd index"
 
 
 def _sha256(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""The text that ``gcd measure`` prints: a measurement file whose comments say how the measures were found."""
+"""Output of ``gcd measure``: a measurement file with comments on landmarks and uncertain measures."""
 
 from pathlib import Path
 
@@ -14,9 +14,9 @@ __all__ = ["measured_text"]
 
 
 def measured_text(body: str, landmarks: Path | None = None, segmentation: Path | None = None) -> str:
-    """The measures of a mesh file or of a body of ours by name. Raises ``BodyError``.
+    """The measures of a mesh file, or of a generated body given by name, as commented YAML. Raises ``BodyError``.
 
-    Ours are measured in the A-pose with legs straight.
+    Generated bodies are measured in the A-pose with the legs straight.
     """
     shape = shape_by_name(body, legs_apart=False)
     if shape is None:
@@ -28,9 +28,9 @@ def measured_text(body: str, landmarks: Path | None = None, segmentation: Path |
 
 
 def _border_remarks(taken: Taken) -> list[str]:
-    """One line a girth whose search ended on its border."""
+    """One line for each girth that was found at the border of its search range."""
     return [
-        f"{girth}: taken at {taken.levels[girth]:.1f} cm, {abs(by):.1f} cm {'above' if by > 0 else 'below'} where it "
-        f"was looked for, {'where the legs part' if girth == 'leg_circ' else 'at the end of the search'}"
+        f"{girth}: measured at height {taken.levels[girth]:.1f} cm, {abs(by):.1f} cm {'above' if by > 0 else 'below'} "
+        f"its landmark, {'where the legs part' if girth == 'leg_circ' else 'the end of the search range'}"
         for girth, by in taken.at_border.items()
     ]

@@ -1,4 +1,4 @@
-"""Data sets made in parts: the option ``--shard`` of ``gcd generate``, and ``gcd merge``."""
+"""Data sets made in parts: ``gcd generate --shard`` and ``gcd merge``."""
 
 import argparse
 import os
@@ -14,30 +14,30 @@ from gcd_dataset.errors import ConfigError, shown
 if TYPE_CHECKING:
     from gcd_dataset.verbs import JobPart
 
-__all__ = ["add_shard", "add_verbs", "part_of", "there"]
+__all__ = ["add_shard", "add_verbs", "parse_part", "summary_lines"]
 
 SLURM, TASK = "SLURM", "SLURM_ARRAY_TASK_ID"
 
 
 def add_verbs(verbs: Any) -> None:
-    """Give ``gcd`` these verbs."""
-    merge = add_verb(verbs, "merge", _merge, "join the parts that gcd generate --shard has made: the bytes of one run")
-    merge.add_argument("out", metavar="OUT", help="folder of the parts; all of them finished")
+    """Add the verb ``merge`` to ``gcd``."""
+    merge = add_verb(verbs, "merge", _merge, "join the parts made by gcd generate --shard; same bytes as a single run")
+    merge.add_argument("out", metavar="OUT", help="folder of the parts; all must be finished")
     add_quiet(merge)
 
 
 def add_shard(parser: argparse.ArgumentParser) -> None:
-    """Give ``gcd generate`` the option to make one part."""
+    """Add the option ``--shard`` to ``gcd generate``."""
     parser.add_argument(
         "--shard",
         metavar="I/N",
-        help=f"make part I, from 0 on, of N, all into the same OUT, for gcd merge; {SLURM}/N takes I from {TASK} "
-        "(default: all of it)",
+        help=f"make only part I of N, I from 0 to N-1, for gcd merge; all parts go to the same OUT; {SLURM}/N takes I "
+        f"from {TASK} (default: the whole data set)",
     )
 
 
-def part_of(text: str) -> "JobPart":
-    """The part that ``I/N`` or ``SLURM/N`` names. Raises ``ConfigError``."""
+def parse_part(text: str) -> "JobPart":
+    """The part written as ``I/N`` or ``SLURM/N``. Raises ``ConfigError``."""
     from gcd_dataset.verbs import JobPart
 
     number, _, of = text.partition("/")
@@ -55,8 +55,8 @@ def part_of(text: str) -> "JobPart":
         raise ConfigError(f"--shard {shown(text)}: {error}") from error
 
 
-def there(out: Path | str, part: "JobPart | None") -> Iterator[str]:
-    """What a run leaves: samples by split where there are several, and what is to be done about parts."""
+def summary_lines(out: Path | str, part: "JobPart | None") -> Iterator[str]:
+    """Lines printed after a run: samples by split if there are several, and the next step for parts."""
     from gcd_dataset.shards.job_parts import part_folder, parts_waiting
     from gcd_dataset.shards.manifest import read_manifest
 
@@ -70,7 +70,7 @@ def there(out: Path | str, part: "JobPart | None") -> Iterator[str]:
     if waiting is not None:
         yield waiting
     elif part is not None:
-        yield "they are part of a data set that is whole"
+        yield "the data set is already merged and complete"
 
 
 def _merge(options: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""What the verbs of ``gcd`` have in common: how they are put into its parser, and how they end when stopped."""
+"""Shared by the verbs of ``gcd``: parser, option types, Ctrl-C, and opening data sets."""
 
 import argparse
 import contextlib
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from gcd_dataset.shards.store import Store
 
 __all__ = [
-    "ANYWHERE",
+    "BODY_NAMES",
     "INTERRUPTED",
-    "NAMES",
+    "SOURCE_HELP",
     "Parser",
     "add_quiet",
     "add_server",
@@ -28,66 +28,66 @@ __all__ = [
     "body_name",
     "interrupts_after_imports",
     "natural_number",
-    "open_anywhere",
-    "processes",
+    "open_source",
+    "process_count",
     "require_folder",
     "stopped",
 ]
 
-INTERRUPTED = 130  # what shells call a program ended by Ctrl-C
-RETRY = 0.05  # s between two looks whether an import has ended
+INTERRUPTED = 130  # exit code of shells for a program ended by Ctrl-C
+RETRY = 0.05  # s between checks whether an import has ended
 WRONG_USAGE = 2
-ANYWHERE = "folder, URL, or repository ORG/NAME of the Hub"
-MEAN, DRAWN = ("neutral", "female", "male"), ("random", "female", "male")
-NAMES = ", ".join((*MEAN, *(f"{kind}:SEED" for kind in DRAWN)))
-"""Of bodies."""
+SOURCE_HELP = "folder, URL, or repository ORG/NAME of the Hub"
+MEAN, RANDOM = ("neutral", "female", "male"), ("random", "female", "male")
+BODY_NAMES = ", ".join((*MEAN, *(f"{kind}:SEED" for kind in RANDOM)))
+"""Names of generated bodies, for messages and help."""
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, with the nearest word that it knows."""
+    """A parser with one-line errors that suggest the most similar known word."""
 
-    more: Callable[[], None] | None = None
-    """Adds the options that are slow to look up, once this parser is at work."""
+    add_slow_options: Callable[[], None] | None = None
+    """Adds options that need slow imports; called when this parser first parses."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse, with all options."""
-        if self.more is not None:
-            self.more()
-            self.more = None
+        """As in ``argparse``, after adding the slow options."""
+        if self.add_slow_options is not None:
+            self.add_slow_options()
+            self.add_slow_options = None
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
-        """Exit 2."""
-        self.exit(WRONG_USAGE, f"{self.prog}: {message} ({self.prog} --help lists what there is)\n")
+        """Print a one-line message and exit 2."""
+        self.exit(WRONG_USAGE, f"{self.prog}: {message} ({self.prog} --help lists the options)\n")
 
     def unknown(self, words: Sequence[str]) -> NoReturn:
-        """Exit 2 for words that are left over."""
+        """Exit 2 for arguments that no option or positional takes."""
         options = [option for action in self._actions for option in action.option_strings]
-        what = "no option" if words[0].startswith("-") else "more than is asked for:"
-        self.error(f"{what} {shown(words[0])}{did_you_mean(words[0].partition('=')[0], options)}")
+        fault = "no option" if words[0].startswith("-") else "unexpected argument"
+        self.error(f"{fault} {shown(words[0])}{did_you_mean(words[0].partition('=')[0], options)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             known = list(map(str, action.choices))
-            said = f"no {shown(str(value))}: there is {', '.join(known)}{did_you_mean(str(value), known)}"
-            raise argparse.ArgumentError(action, said)
+            message = f"no {shown(str(value))}: there is {', '.join(known)}{did_you_mean(str(value), known)}"
+            raise argparse.ArgumentError(action, message)
 
 
 def body_name(text: str) -> str:
-    """An option that is the name of a body, or a mesh file."""
-    kind, drawn, seed = text.partition(":")
-    if drawn and kind in DRAWN and not seed.isdecimal():
+    """Option type: the name of a generated body, or a mesh file."""
+    kind, colon, seed = text.partition(":")
+    if colon and kind in RANDOM and not seed.isdecimal():
         raise argparse.ArgumentTypeError(
             f"{shown(text)}: the seed is {shown(seed) or 'nothing'}: give a whole number of 0 or more, such as {kind}:7"
         )
-    if (drawn and kind in DRAWN) or text in MEAN or Path(text).suffix or Path(text).exists():
+    if (colon and kind in RANDOM) or text in MEAN or Path(text).suffix or Path(text).exists():
         return text
-    nearest = did_you_mean(kind, DRAWN if drawn else {*MEAN, *DRAWN})
-    raise argparse.ArgumentTypeError(f"no body named {shown(text)}: there are {NAMES}, or a mesh file{nearest}")
+    nearest = did_you_mean(kind, RANDOM if colon else {*MEAN, *RANDOM})
+    raise argparse.ArgumentTypeError(f"no body named {shown(text)}: there are {BODY_NAMES}, or a mesh file{nearest}")
 
 
 def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], text: str) -> Parser:
-    """The parser of a verb, put among ``verbs``; ``run`` gives the exit code."""
+    """Add a verb to ``verbs`` and return its parser; ``run`` returns the exit code."""
     parser: Parser = verbs.add_parser(
         name,
         help=text,
@@ -100,22 +100,22 @@ def add_verb(verbs: Any, name: str, run: Callable[[argparse.Namespace], int], te
 
 
 def add_quiet(parser: argparse.ArgumentParser) -> None:
-    """Give a verb with a progress bar the option to leave it out."""
+    """Add the option ``--quiet`` to a verb with a progress bar."""
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
 def add_server(parser: argparse.ArgumentParser) -> None:
-    """Give a verb that reads or writes repositories the option to say where they are."""
-    parser.add_argument("--endpoint", metavar="URL", help="of the Hub (default: HF_ENDPOINT, or huggingface.co)")
+    """Add the option ``--endpoint`` to a verb that reads or writes repositories."""
+    parser.add_argument("--endpoint", metavar="URL", help="server of the Hub (default: HF_ENDPOINT, or huggingface.co)")
 
 
-def processes(text: str) -> int | None:
-    """An option that is a number of processes, or ``auto``, which is ``None``."""
+def process_count(text: str) -> int | None:
+    """Option type: a number of processes; ``None`` for ``auto``."""
     return None if text == "auto" else natural_number(text)
 
 
 def natural_number(text: str) -> int:
-    """An option that is a number of things."""
+    """Option type: a whole number of 0 or more."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text} is no whole number of 0 or more")
     return int(text)
@@ -123,12 +123,12 @@ def natural_number(text: str) -> int:
 
 @contextlib.contextmanager
 def interrupts_after_imports() -> Iterator[None]:
-    """Deliver Ctrl-C when no import is under way: trimesh takes it for a missing package, and goes on.
+    """Delay Ctrl-C until no import is running: trimesh catches it as a missing package, and continues.
 
-    Nothing is different where Python does not handle Ctrl-C itself, or outside the main thread.
+    Does nothing outside the main thread, or if Python's default handler is not installed.
     """
-    inside = threading.current_thread() is threading.main_thread()
-    if not inside or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
     later: list[threading.Timer] = []
@@ -155,7 +155,7 @@ def interrupts_after_imports() -> Iterator[None]:
 
 
 def _importing(frame: FrameType | None) -> bool:
-    """Whether an import is among the calls that led here."""
+    """Whether an import is on the call stack."""
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             return True
@@ -163,41 +163,41 @@ def _importing(frame: FrameType | None) -> bool:
     return False
 
 
-def stopped(verb: str, there: str) -> int:
-    """The exit code of a verb ended by Ctrl-C, told with what is there: the same command goes on from that."""
-    print(f"gcd {verb}: stopped at {there}: the same command goes on from there", file=sys.stderr)
+def stopped(verb: str, progress: str) -> int:
+    """Report that a verb was ended by Ctrl-C, and return its exit code; ``progress`` as in ``3 of 10``."""
+    print(f"gcd {verb}: stopped at {progress}: the same command goes on from there", file=sys.stderr)
     return INTERRUPTED
 
 
 def require_folder(source: str) -> Path:
-    """The folder of a data set. Raises ``ShardError`` where there is none, ``ConfigError`` for one elsewhere."""
+    """The folder of a data set. Raises ``ShardError`` if it is missing, ``ConfigError`` for a remote data set."""
     from gcd_dataset.hub.source import Folder, parse_source
     from gcd_dataset.shards.access import reading
 
     if "://" in source:
-        place = parse_source(source)
-        if isinstance(place, Folder):
-            return place.path
+        parsed = parse_source(source)
+        if isinstance(parsed, Folder):
+            return parsed.path
         raise ConfigError(
             f"{source}: not on this machine: run gcd download {source} first, and give the folder that it makes"
         )
     with reading(Path(source)):
         if Path(source).is_dir():
             return Path(source)
-        met = "a file, not a folder of shards" if Path(source).exists() else "no such folder"
+        fault = "a file, not a folder of shards" if Path(source).exists() else "no such folder"
     raise ShardError(
-        f"{shown(source)}: {met}: give a folder of shards; for a repository of the Hub, run gcd download first"
+        f"{shown(source)}: {fault}: give a folder of shards; for a repository of the Hub, run gcd download first"
     )
 
 
-def open_anywhere(source: str, endpoint: str | None) -> "Store":
+def open_source(source: str, endpoint: str | None) -> "Store":
     """The data set in a folder, at a URL, or in a repository at ``endpoint``. Raises ``ShardError``."""
     from gcd_dataset.hub.opening import open_store
     from gcd_dataset.hub.site import Remote
     from gcd_dataset.hub.source import Repo, parse_source
 
     try:
-        place = parse_source(source)
-    except ConfigError as error:  # a path that leads nowhere is bad input, to every verb
+        parsed = parse_source(source)
+    except ConfigError as error:  # every verb treats a bad path as bad input, not as wrong usage
         raise ShardError(str(error)) from error
-    return open_store(source, Remote(endpoint=endpoint if isinstance(place, Repo) else None))
+    return open_store(source, Remote(endpoint=endpoint if isinstance(parsed, Repo) else None))

@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import yaml
-
 from gcd_dataset.shards.layout import FAILED, fields_of
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, SplitRecord
 
@@ -109,15 +107,17 @@ class Release:
 
 def card(release: Release) -> str:
     """``README.md``: YAML metadata for the Hub, then text."""
+    from huggingface_hub import DatasetCardData
+
     paths = [{"split": name, "path": f"{name}-*.tar"} for name in release.manifest.splits]
-    metadata = {
-        "license": release.license,
-        "pretty_name": release.title,
-        "task_categories": ["image-to-3d", "other"],
-        "tags": TAGS,
-        "size_categories": [next((text for limit, text in SIZES if release.total < limit), "n>1M")],
-        "configs": [{"config_name": "default", "default": True, "data_files": paths}],
-    }
+    metadata = DatasetCardData(
+        license=release.license,
+        pretty_name=release.title,
+        task_categories=["image-to-3d", "other"],
+        tags=TAGS,
+        size_categories=[next((text for limit, text in SIZES if release.total < limit), "n>1M")],
+        configs=[{"config_name": "default", "default": True, "data_files": paths}],
+    )
     text = CARD_TEXT.format(
         title=release.title,
         repo=release.repo,
@@ -131,7 +131,7 @@ def card(release: Release) -> str:
         ),
         made="\n".join(_recipe_lines(release.manifest)),
     )
-    return f"---\n{yaml.safe_dump(metadata, sort_keys=False, allow_unicode=True)}---\n{text}"
+    return f"---\n{metadata.to_yaml()}\n---\n{text}"
 
 
 def _describe(field: str) -> str:
@@ -214,7 +214,7 @@ def _file_set(split: str, record: SplitRecord) -> dict[str, Any]:
         "name": f"{split}-files",
         "containedIn": [{"@id": shard.name} for shard in record.shards],
         "encodingFormat": "application/octet-stream",
-        "includes": "*",
+        "includes": "*.*",  # not "*": mlcroissant would take the folder of an extracted shard for a file
     }
 
 
@@ -261,6 +261,7 @@ _CONTEXT: dict[str, Any] = {
     "conformsTo": "dct:conformsTo",
     "data": {"@id": "cr:data", "@type": "@json"},
     "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "equivalentProperty": "cr:equivalentProperty",
     "examples": {"@id": "cr:examples", "@type": "@json"},
     "extract": "cr:extract",
     "field": "cr:field",
@@ -280,6 +281,7 @@ _CONTEXT: dict[str, Any] = {
     "regex": "cr:regex",
     "repeated": "cr:repeated",
     "replace": "cr:replace",
+    "samplingRate": "cr:samplingRate",
     "separator": "cr:separator",
     "source": "cr:source",
     "subField": "cr:subField",

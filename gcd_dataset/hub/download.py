@@ -54,13 +54,13 @@ def download(
     *,
     split: str = "train",
     fields: Sequence[str] | None = None,
-    progress: Progress | None = None,
+    on_progress: Progress | None = None,
 ) -> DownloadRecord:
     """Download a split into ``folder`` as a data set; with ``fields``, only these fields of each sample.
 
     An interrupted download continues with the missing shards. Where the data set at a URL has grown since, the changed
     shards are downloaded. Every shard is verified by its SHA-256, or every member by its CRC-32, and discarded on a
-    mismatch. ``progress``: see ``Progress``. Raises ``RemoteError`` for a server that fails for longer than the
+    mismatch. ``on_progress``: see ``Progress``. Raises ``RemoteError`` for a server that fails for longer than the
     patience, ``ConfigError`` for a folder that holds another data set, ``OutputError`` for one that cannot be written.
     """
     wanted = _wanted_layout(fields)
@@ -80,11 +80,11 @@ def download(
         begin_split(folder, site.source, split, layout, reader.manifest)
         record = reader.manifest.splits[split]
         if layout == reader.layout:
-            _download_shards(folder, site, split, record, progress or _no_progress)
+            _download_shards(folder, site, split, record, on_progress or _no_progress)
             shards = list(record.shards)
             reader.index.write(folder / index_name(split))
         else:
-            shards = _download_fields(folder, reader, layout, progress or _no_progress)
+            shards = _download_fields(folder, reader, layout, on_progress or _no_progress)
         keep_split(folder, split, replace(record, shards=tuple(shards)))
         if reader.manifest.recipe is not None:
             keep_recipe(folder, reader.manifest.recipe)
@@ -138,14 +138,14 @@ def _foreign_error(site: Site) -> ConfigError:
 # ------------------------------------------------------------------------------------------------------- whole shards
 
 
-def _download_shards(folder: Path, site: Site, split: str, record: SplitRecord, progress: Progress) -> None:
+def _download_shards(folder: Path, site: Site, split: str, record: SplitRecord, on_progress: Progress) -> None:
     checked = CheckedShards(folder, split)
     total, received = sum(shard.size for shard in record.shards), [0] * len(record.shards)
 
     def download_number(number: int) -> None:
         def report(size: int) -> None:
             received[number] = size
-            progress(sum(received), total)
+            on_progress(sum(received), total)
 
         _download_shard(folder, site, record.shards[number], checked, report)
 
@@ -217,7 +217,7 @@ def _write_all(file: int, piece: bytes, offset: int) -> int:
 # ------------------------------------------------------------------------------------------------------------- fields
 
 
-def _download_fields(folder: Path, reader: ShardReader, layout: Layout, progress: Progress) -> list[ShardRecord]:
+def _download_fields(folder: Path, reader: ShardReader, layout: Layout, on_progress: Progress) -> list[ShardRecord]:
     """Write shards of the same names and samples, with the members of ``layout`` only."""
     columns = [reader.layout.members.index(member) for member in layout.members]
     index = reader.index
@@ -231,7 +231,7 @@ def _download_fields(folder: Path, reader: ShardReader, layout: Layout, progress
 
         def report(size: int) -> None:
             received[number] += size
-            progress(sum(received), total)
+            on_progress(sum(received), total)
 
         shard, table = copy_shard(folder / index.shards[number], reader, positions, layout, report)
         records[number], tables[index.shards[number]] = shard, table

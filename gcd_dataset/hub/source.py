@@ -98,7 +98,7 @@ def parse_source(source: str | Path, revision: str | None = None) -> Source:
     text = str(source)
     if is_file:
         raise ConfigError(
-            f"{shown(text)}: a file, not a folder of shards: give a folder; Hdf5Garments reads files of gcd export --hdf5"
+            f"{shown(text)}: a file, not a folder of shards: give a folder; Hdf5Garments reads HDF5 files"
         )
     if text.startswith(LOCAL):
         return parse_source(Path(unquote(urlsplit(text).path)), revision)

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from gcd_dataset.bodies import POSES, BodyMesh, Person
-from gcd_dataset.bodyfiles import file_content, read_body_parts, read_measurements
+from gcd_dataset.bodyfiles import read_body_file, read_body_parts, read_measurements
 from gcd_dataset.errors import BodyError, ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.records import BodyShape, Measurements, Record
@@ -90,7 +90,7 @@ class PublishedPeople:
         """
         path = self._path(name, "meta")
         try:
-            meta = json.loads(file_content(path))
+            meta = json.loads(read_body_file(path))
             weights, angle = meta["pca_weights"], meta["arm_inclination"]
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise BodyError(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from gcd_dataset.bodyfiles import file_content
+from gcd_dataset.bodyfiles import read_body_file
 from gcd_dataset.errors import BodyError
 
 __all__ = ["ObjText", "read_obj"]
@@ -54,7 +54,7 @@ class ObjText:
 
 def read_obj(path: Path) -> ObjText:
     """The vertex and face lines of a file. Raises ``BodyError`` for one without any."""
-    lines = file_content(path).splitlines()
+    lines = read_body_file(path).splitlines()
     text = ObjText(
         path,
         tuple(line for line in lines if line.startswith(b"v ")),

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.bodies import BodyMesh
-from gcd_dataset.bodyfiles import file_content
+from gcd_dataset.bodyfiles import read_body_file
 from gcd_dataset.errors import BodyError
 from gcd_dataset.records import Body, Record
 
@@ -68,7 +68,7 @@ class PcaShapes(Record):
 def read_pca(path: Path | str) -> PcaShapes:
     """The shape space in a ``point.pca``. Raises ``BodyError``."""
     path = Path(path)
-    content = file_content(path)
+    content = read_body_file(path)
     if content.startswith(LFS_POINTER):
         raise BodyError(f"{path}: a pointer to the file: fetch the file itself with git lfs pull")
     if len(content) < HEADER.size:

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gcd_dataset.bodyfiles import parsed_measurements
+from gcd_dataset.bodyfiles import parse_measurements
 from gcd_dataset.errors import BodyError, ShardError, SpecError, shown
 from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Panel, Pattern
 from gcd_dataset.release.ply import Ply, read_ply, weld
@@ -89,7 +89,7 @@ class PublishedGarment:
     def measurements(self) -> Measurements:
         """The wearer's measures."""
         try:
-            return parsed_measurements(self._yaml("measures"), self._path("measures"))
+            return parse_measurements(self._yaml("measures"), self._path("measures"))
         except BodyError as error:
             raise self.broken("measures", str(error).removeprefix(f"{self._path('measures')}: ")) from error
 

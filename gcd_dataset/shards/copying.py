@@ -16,19 +16,19 @@ BATCH = 32  # samples in one read
 
 
 def copy_shard(
-    path: Path, reader: ShardReader, positions: Sequence[int], layout: Layout, progress: Callable[[int], None]
+    path: Path, reader: ShardReader, positions: Sequence[int], layout: Layout, on_progress: Callable[[int], None]
 ) -> tuple[ShardRecord, ShardTable]:
     """Write the samples at ``positions``, with the members of ``layout``, as the shard ``path``; record and table.
 
-    Samples from an interrupted call are kept if their bytes equal the reader's. ``progress`` is called with the number
-    of bytes added by each step. Raises ``ShardError`` for a damaged sample, ``OutputError`` where the shard cannot be
-    written.
+    Samples from an interrupted call are kept if their bytes equal the reader's. ``on_progress`` is called with the
+    number of bytes added by each step. Raises ``ShardError`` for a damaged sample, ``OutputError`` where the shard
+    cannot be written.
     """
     samples = reader.index.table.sample[reader.rows(positions)].tolist()
     if path.exists():
         table = whole_samples(path, layout)
         if table.sample.tolist() == sorted(samples) and _are_copies(table, reader, positions, layout):
-            progress(int(table.size.sum()))
+            on_progress(int(table.size.sum()))
             return shard_record(path, table), table
         with writing(path):
             path.unlink()
@@ -39,14 +39,14 @@ def copy_shard(
     shard = GrowingShard(path, empty_table(layout), layout)
     try:
         done = set(shard.table().sample.tolist())
-        progress(int(shard.table().size.sum()))
+        on_progress(int(shard.table().size.sum()))
         todo = [(position, sample) for position, sample in zip(positions, samples, strict=True) if sample not in done]
         for start in range(0, len(todo), BATCH):
             batch = todo[start : start + BATCH]
             content = reader.read_many([position for position, _ in batch], layout.members)
             for (_, sample), members in zip(batch, content, strict=True):
                 shard.append(sample, members)
-                progress(sum(len(data) for data in members.values()))
+                on_progress(sum(len(data) for data in members.values()))
         return shard.finish(), shard.table()
     finally:
         shard.close()

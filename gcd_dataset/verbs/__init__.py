@@ -1,6 +1,6 @@
-"""What the verbs of ``gcd`` do, as functions: ``generate``, ``merge``, ``convert``, ``export`` and ``publish``.
+"""The verbs of ``gcd`` as functions: ``generate``, ``merge``, ``convert``, ``export`` and ``publish``.
 
-Each tells how far it has come, returns that, and goes on where an earlier call was stopped.
+Each reports its progress to a callback and resumes an earlier call that was stopped.
 
 >>> from gcd_dataset.verbs import generate
 >>> generate("shards", 1000, seed=7).made  # doctest: +SKIP
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from gcd_dataset.verbs.exporting import export
     from gcd_dataset.verbs.making import generate, generate_recipe
     from gcd_dataset.verbs.merging import merge
-    from gcd_dataset.verbs.progress import Progress, Told
+    from gcd_dataset.verbs.progress import Progress, ProgressCallback
     from gcd_dataset.verbs.publishing import Published, publish
 
 __all__ = [
     "JobPart",
     "Progress",
+    "ProgressCallback",
     "Published",
-    "Told",
     "convert",
     "export",
     "generate",
@@ -43,14 +43,14 @@ _HOME = {
     "merge": "merging",
     "JobPart": "array_jobs",
     "Progress": "progress",
-    "Told": "progress",
+    "ProgressCallback": "progress",
     "Published": "publishing",
     "publish": "publishing",
 }
 
 
 def __getattr__(name: str) -> Any:
-    """Each function comes with what it needs alone: to publish takes no simulator."""
+    """Import a verb's module on first use: publishing needs no simulator."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__} has no attribute {name}")
     return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

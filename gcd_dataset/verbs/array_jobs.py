@@ -1,4 +1,4 @@
-"""A data set made in parts: which samples a part makes, where, and what it leaves when it is finished."""
+"""Parts of a data set, for array jobs: indices, folder and completion record of a part."""
 
 import shlex
 from collections.abc import Iterator
@@ -32,23 +32,23 @@ from gcd_dataset.shards.manifest import SplitRecord, read_manifest
 from gcd_dataset.shards.origin import record_to_resume
 from gcd_dataset.verbs.storing import SplitRule, is_begun
 
-__all__ = ["JobPart", "PartPlace", "begin_part", "command_of"]
+__all__ = ["JobPart", "PartFolder", "begin_part", "command_of"]
 
-MOST = 100_000  # parts: five digits in their names
+MOST = 100_000  # parts: folder names have five digits
 
 
 @dataclass(frozen=True)
 class JobPart:
-    """One of several parts that together make a data set. Raises ``ConfigError`` for one that there is not.
+    """Part ``number`` of ``of`` parts of a data set. Raises ``ConfigError`` for a number out of range.
 
-    >>> Part.parse("2/8").indices(100, wearers=2)
+    >>> JobPart.parse("2/8").indices(100, wearers=2)
     range(24, 36)
     """
 
     number: int
-    """From 0 on."""
+    """Counted from 0."""
     of: int
-    """How many parts there are."""
+    """Number of parts."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.of <= MOST:
@@ -63,84 +63,82 @@ class JobPart:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """The part that ``I/N`` names. Raises ``ConfigError``."""
+        """The part written as ``I/N``. Raises ``ConfigError``."""
         number, _, of = text.partition("/")
         if not all(word.isascii() and word.isdecimal() and len(word) < 10 for word in (number, of)):
             raise ConfigError(f"part {shown(text)}: write I/N, two whole numbers, I from 0 to N - 1: 0/8, 1/8, … 7/8")
         return cls(int(number), int(of))
 
     def indices(self, count: int, *, wearers: int) -> range:
-        """The samples of this part, of ``count`` in all: those of whole designs, each with ``wearers`` samples."""
+        """Indices of this part's samples, of ``count`` in all; a design's ``wearers`` samples stay together."""
         designs = -(-count // wearers)
-        first, stop = (designs * place // self.of for place in (self.number, self.number + 1))
+        first, stop = (designs * number // self.of for number in (self.number, self.number + 1))
         return range(min(first * wearers, count), min(stop * wearers, count))
 
 
 @dataclass(frozen=True)
-class PartPlace:
-    """Where a part is made: in a folder of its own, or nowhere, since the data set holds its samples already."""
+class PartFolder:
+    """The folder of a part, with the record that the part is finished."""
 
     out: Path
-    """The folder of the data set."""
+    """Folder of the data set."""
     part: JobPart
     indices: range
     is_merged: bool = False
-    """Whether the data set holds the samples of this part."""
+    """Whether the data set itself already holds the samples of this part, so that nothing is made."""
 
     @property
-    def folder(self) -> Path:
-        """The part's own."""
+    def path(self) -> Path:
+        """Folder of the part."""
         return part_folder(self.out, self.part.number, self.part.of)
 
     @property
     def is_finished(self) -> bool:
-        """Whether the part has left word that it is finished, or is merged. Raises ``ShardError``."""
-        return self.is_merged or read_finished(self.folder) is not None
+        """Whether the part is recorded as finished, or merged. Raises ``ShardError``."""
+        return self.is_merged or read_finished(self.path) is not None
 
     def begin(self) -> None:
-        """Take back that the part is finished, before it is made (again). To be called while its writer is open.
+        """Delete the record that the part is finished; called before it is made (again), with its writer open.
 
-        Raises ``ConfigError`` where the parts are being merged.
+        Raises ``ConfigError`` while the parts are merged.
         """
-        _require_not_merging(self.out, self.folder)
-        with writing(finished_path(self.folder)):
-            finished_path(self.folder).unlink(missing_ok=True)
+        _require_not_merging(self.out, self.path)
+        with writing(finished_path(self.path)):
+            finished_path(self.path).unlink(missing_ok=True)
 
     def finish(self) -> None:
-        """Leave word that the part is finished. Raises ``OutputError``."""
-        manifest = read_manifest(self.folder)
+        """Record that the part is finished. Raises ``OutputError``."""
+        manifest = read_manifest(self.path)
         assert manifest is not None
         plan = read_plan(self.out / PARTS)
         finished = FinishedPart.of_plan(self.part.number, self.indices, plan, manifest.splits)
-        write_finished(self.folder, finished)
+        write_finished(self.path, finished)
 
 
-def begin_part(out: Path, part: JobPart, count: int, seed: int, config: MakeConfig, division: SplitRule) -> PartPlace:
-    """The place of a part; the first writes down what all parts have in common.
+def begin_part(out: Path, part: JobPart, count: int, seed: int, config: MakeConfig, rule: SplitRule) -> PartFolder:
+    """The folder of a part; the first call for ``out`` writes the plan that all parts share.
 
-    Raises ``ConfigError`` for parts of another plan, while they are merged, and where ``out`` holds a data set without
-    the samples of this part; ``OutputError`` where it cannot be written.
+    Raises ``ConfigError`` for parts of another plan, while the parts are merged, and if ``out`` holds a data set
+    without the samples of this part; ``OutputError`` if it cannot be written.
     """
     indices = part.indices(count, wearers=config.wearers)
     with parts_lock(out):
-        if not (out / PARTS).exists() and any(is_begun(out, split) for split in division.shard_sizes):
-            _require_there(out, part, indices, seed, config, division)
-            return PartPlace(out, part, indices, is_merged=True)
+        if not (out / PARTS).exists() and any(is_begun(out, split) for split in rule.shard_sizes):
+            _require_stored(out, part, indices, seed, config, rule)
+            return PartFolder(out, part, indices, is_merged=True)
         _require_not_merging(out, part_folder(out, part.number, part.of))
-        options, named = recipe_of(config), _named(division.recipe)
-        write_or_check_plan(
-            out, PartsPlan(part.of, count, seed, options, division.shard_sizes, SCHEMA, versions(), named)
-        )
-    return PartPlace(out, part, indices)
+        options, named = recipe_of(config), _named_set(rule.recipe)
+        write_or_check_plan(out, PartsPlan(part.of, count, seed, options, rule.shard_sizes, SCHEMA, versions(), named))
+    return PartFolder(out, part, indices)
 
 
 def command_of(out: Path, plan: PartsPlan, part: int) -> str:
-    """The command that makes a part of a plan."""
+    """The ``gcd generate`` command that makes a part of a plan, for messages."""
     options = _options_of(plan) if plan.named is None else _options_of_named(plan, plan.named)
     return shlex.join(["gcd", "generate", str(out), *options, "--shard", str(JobPart(part, plan.of))])
 
 
-def _named(recipe: Recipe | None) -> NamedRecipe | None:
+def _named_set(recipe: Recipe | None) -> NamedRecipe | None:
     if recipe is None:
         return None
     return NamedRecipe(recipe.name, recipe.sha256, dict(recipe.splits), recipe.patterns)
@@ -157,7 +155,7 @@ def _device_of(plan: PartsPlan) -> tuple[str, ...]:
 
 
 def _options_of(plan: PartsPlan) -> Iterator[str]:
-    """Count, seed, and the options that are not their defaults."""
+    """Count, seed, and the options that differ from their defaults."""
     yield from ("--count", str(plan.count), "--seed", str(plan.seed))
     for option in options_of(MakeConfig):
         value = plan.recipe.get(option.name, option.default)
@@ -170,13 +168,13 @@ def _options_of(plan: PartsPlan) -> Iterator[str]:
 
 
 def _require_not_merging(out: Path, folder: Path) -> None:
-    """Raise ``ConfigError`` where parts are being merged, unless a stopped merge waits for the part in ``folder``."""
+    """Raise ``ConfigError`` while parts are merged, unless a stopped merge needs the part in ``folder`` again."""
     if is_merging(out) and not _is_wanted(out, folder):
         raise ConfigError(f"{out}: {parts_waiting(out)}")
 
 
 def _is_wanted(out: Path, folder: Path) -> bool:
-    """Whether a part lacks a shard that a merge has not moved: it was found damaged, and deleted."""
+    """Whether a part lacks a shard that was not merged yet: the user deleted a damaged one."""
     finished = read_finished(folder)
     if finished is None:
         return True
@@ -185,17 +183,15 @@ def _is_wanted(out: Path, folder: Path) -> bool:
         return not all((folder / name).exists() or (out / name).exists() for name in names)
 
 
-def _require_there(
-    out: Path, part: JobPart, indices: range, seed: int, config: MakeConfig, division: SplitRule
-) -> None:
-    """Raise ``ConfigError`` unless a data set that is merged, or was made in one go, holds these samples."""
-    there: set[int] = set()
-    for split, size in division.shard_sizes.items():
+def _require_stored(out: Path, part: JobPart, indices: range, seed: int, config: MakeConfig, rule: SplitRule) -> None:
+    """Raise ``ConfigError`` unless the data set in ``out``, merged or made in one run, holds these samples."""
+    stored: set[int] = set()
+    for split, size in rule.shard_sizes.items():
         asked = SplitRecord(seed, recipe_of(config), size)
         index = read_index(out, split)
         record_to_resume(out, split, index.tables(), asked)
-        there.update(index.table.sample.tolist())
-    if missing := set(indices) - there:
+        stored.update(index.table.sample.tolist())
+    if missing := set(indices) - stored:
         raise ConfigError(
             f"{out}: holds a data set that is not made in parts, without {len(missing)} of the {len(indices)} samples "
             f"of part {part}: go on with it without --shard, or choose another folder"

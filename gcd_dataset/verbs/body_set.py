@@ -1,4 +1,4 @@
-"""Making a body set: people into shards, going on where an earlier run was stopped."""
+"""Generating a body set: people in shards, with resumption of a stopped run."""
 
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,33 +14,33 @@ from gcd_dataset.generator.recipe import versions
 from gcd_dataset.shards.body_set import BodyWriter
 from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.unfinished import filling
-from gcd_dataset.verbs.log import logged
+from gcd_dataset.verbs.log import run_log
 from gcd_dataset.verbs.making_plan import MakingPlan, check_count
-from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
+from gcd_dataset.verbs.progress import Pace, Progress, ProgressCallback, ignore_progress
 from gcd_dataset.verbs.target import require_folder
-from gcd_dataset.waits import WRITER, taken, waited_for
-from gcd_dataset.workers import side_by_side_in_parts
+from gcd_dataset.waits import WRITER, take_waits, timed
+from gcd_dataset.workers import parallel_map_chunks
 
-__all__ = ["PeoplePlan", "generate_people", "plan_people", "stored_people", "workers_for"]
+__all__ = ["PeoplePlan", "generate_people", "plan_people", "store_people", "workers_for"]
 
-AT_ONCE = 16  # people a task: a quarter of a second of work, 10 MB to be sent back
-MADE = 0.016  # CPU-s of a person
-BEGUN = 4.0  # s that a worker takes to start
+CHUNK = 16  # people in a task: a quarter of a second of work, 10 MB of results
+CPU_SECONDS = 0.016  # to make a person
+STARTUP = 4.0  # s for a worker to start
 
 
 @dataclass(frozen=True)
 class PeoplePlan(MakingPlan):
-    """A body set to be made."""
+    """The missing people of a body set."""
 
     out: Path
     seed: int
 
 
 def plan_people(out: Path | str, count: int, *, seed: int = 0) -> PeoplePlan:
-    """What it takes to have people 0 … ``count`` - 1 of ``seed`` in ``out``.
+    """Plan for people 0 … ``count`` - 1 of ``seed`` in the folder ``out``.
 
-    What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError`` where ``out`` holds bodies of
-    another seed, ``ShardError`` where it holds garments, ``OutputError`` where it cannot be written.
+    Repairs shards that a killed run left unfinished. Raises ``ConfigError`` if ``out`` holds bodies of another seed,
+    ``ShardError`` if it holds garments, ``OutputError`` if it cannot be written.
     """
     check_count(count)
     folder = require_folder(out, "bodies")
@@ -56,42 +56,42 @@ def generate_people(
     *,
     seed: int = 0,
     workers: int | None = None,
-    told: Told = unheard,
+    on_progress: ProgressCallback = ignore_progress,
     log: Path | str | None = None,
 ) -> Progress:
-    """Have people 0 … ``count`` - 1 of ``seed`` in the folder ``out``, in two poses, with their measures.
+    """Generate people 0 … ``count`` - 1 of ``seed`` in the folder ``out``, in two poses, with their measures.
 
-    ``told`` is called with how far it has come; ``workers`` and ``log`` as ``generate`` takes them. Stopped and called
-    again it goes on. Raises as ``plan_people`` and ``stored_people`` do, and ``OutputError`` for a log that cannot
-    be opened.
+    People that the folder already holds are not made again, so a stopped call can be repeated. ``workers``,
+    ``on_progress`` and ``log`` as for ``generate``. Raises as ``plan_people`` and ``store_people`` do, and
+    ``OutputError`` for a log that cannot be opened.
     """
     options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "stage": "body"}
-    with logged(log, told, options=options, recipe=PEOPLE_RECIPE) as told:
+    with run_log(log, on_progress, options=options, recipe=PEOPLE_RECIPE) as on_progress:
         task = plan_people(out, count, seed=seed)
-        progress, pace = Progress(count, task.there), Pace()
-        told(progress)
-        for _ in stored_people(task, workers=workers_for(task, cores()) if workers is None else workers):
-            progress = pace.of(progress.with_sample(), taken())
-            told(progress)
+        progress, pace = Progress(count, task.existing), Pace()
+        on_progress(progress)
+        for _ in store_people(task, workers=workers_for(task, cores()) if workers is None else workers):
+            progress = pace.of(progress.with_sample(), take_waits())
+            on_progress(progress)
     return progress
 
 
 def workers_for(plan: PeoplePlan, cores: int) -> int:
-    """The processes that make people soonest: one for each core, or fewer where there is little to do."""
-    return min(cores, int(MADE * len(plan.missing) / BEGUN))
+    """The fastest number of processes: one for each core, fewer for a short plan."""
+    return min(cores, int(CPU_SECONDS * len(plan.missing) / STARTUP))
 
 
-def stored_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, None, None]:
-    """Make and store who is missing, yielding each person once stored.
+def store_people(plan: PeoplePlan, *, workers: int = 0) -> Generator[Person, None, None]:
+    """Make and store the missing people, yielding each one after it is stored.
 
-    Stopped at any moment and planned again it goes on; the shards come out as the same bytes, for any ``workers``.
-    Raises ``OutputError`` where the shards cannot be written, ``GcdError`` where a process is killed.
+    The bytes of the shards depend neither on ``workers`` nor on interruptions. Raises ``OutputError`` if the shards
+    cannot be written, ``GcdError`` if a worker is killed.
     """
     with filling(plan.out, plan.count):
         if not plan.missing:
             return
         with _writer(plan.out, plan.seed) as writer:
-            made = waited_for(_made(plan, workers), WRITER)
+            made = timed(_made(plan, workers), WRITER)
             for index, person in zip(plan.missing, made, strict=True):
                 writer.write(index, person)
                 yield person
@@ -102,7 +102,7 @@ def _writer(out: Path | str, seed: int) -> BodyWriter:
 
 
 def _made(plan: PeoplePlan, workers: int) -> Iterator[Person]:
-    return side_by_side_in_parts(partial(_make, plan.seed), plan.missing, workers, at_once=AT_ONCE)
+    return parallel_map_chunks(partial(_make, plan.seed), plan.missing, workers, chunk=CHUNK)
 
 
 def _make(seed: int, indices: Sequence[int]) -> list[Person]:

@@ -1,4 +1,4 @@
-"""The published GarmentCodeData into shards of ours, going on where an earlier run was stopped."""
+"""Converting the published GarmentCodeData to shards, with resumption of a stopped run."""
 
 import functools
 from collections.abc import Generator, Iterator, Sequence
@@ -15,13 +15,13 @@ from gcd_dataset.shards import ShardReader, ShardWriter, encode_sample
 from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.verbs.making_plan import MakingPlan
-from gcd_dataset.verbs.progress import Progress, Told, unheard
-from gcd_dataset.workers import side_by_side_in_parts
+from gcd_dataset.verbs.progress import Progress, ProgressCallback, ignore_progress
+from gcd_dataset.workers import parallel_map_chunks
 
-__all__ = ["ConvertPlan", "Converted", "convert", "converted", "plan_convert"]
+__all__ = ["ConversionPlan", "ConvertedGarment", "convert", "convert_missing", "plan_conversion"]
 
-AT_ONCE = 8  # garments a task: a second of work, 12 MB to be sent back
-SEED = 0  # of what nobody drew here
+CHUNK = 8  # garments in a task: a second of work, 12 MB of results
+SEED = 0  # published garments have no seed
 
 
 @dataclass(frozen=True)
@@ -35,40 +35,41 @@ class Source:
 
 
 @dataclass(frozen=True)
-class ConvertPlan(MakingPlan):
-    """Garments to be converted; those missing by their positions among the published ones."""
+class ConversionPlan(MakingPlan):
+    """The garments of one split to convert; ``missing`` holds their positions in the published split."""
 
     out: Path
     source: Source
 
 
 @dataclass(frozen=True)
-class Converted:
-    """One garment: its members, or why it has none."""
+class ConvertedGarment:
+    """One garment: its members, or the fault for which it was skipped."""
 
     index: int
     members: dict[str, bytes]
     fault: str = ""
+    """Empty for a garment that was converted."""
 
 
-def plan_convert(
+def plan_conversion(
     root: Path | str, out: Path | str, *, bodies: str = "both", cache_dir: Path | str | None = None
-) -> tuple[ConvertPlan, ...]:
-    """What it takes to have the published garments in ``out``, for each split of which there is any.
+) -> tuple[ConversionPlan, ...]:
+    """Plans for the published garments under ``root`` in shards in ``out``: one for each split with any garment.
 
-    Garments keep their numbers whatever else is on disk, so that batches downloaded later, or the other bodies, are
-    added to the same shards. Raises ``ShardError`` for a folder that is not of the published layout or holds nothing of
-    any split, ``ConfigError`` where ``out`` holds another data set, ``OutputError`` where it cannot be written.
+    A garment's number does not depend on the other garments on disk, so batches that are downloaded later, or the other
+    bodies, are added to the same shards. Raises ``ShardError`` for a folder that is not in the published layout or has
+    no garment of any split, ``ConfigError`` if ``out`` holds another data set, ``OutputError`` if it cannot be written.
     """
     require_merged(user_path(out), ConfigError)
     cache = None if cache_dir is None else Path(cache_dir)
     sources = [Source(Path(root), split, bodies, cache) for split in SPLIT_NAMES]
-    _batches.cache_clear()  # more may have been downloaded since
+    _batches.cache_clear()  # further batches may have been downloaded
     _dataset.cache_clear()
-    there = [source for source in sources if len(_listed(source))]
-    if not there:
-        _listed(sources[0]).require_any()
-    return tuple(_plan(source, Path(out)) for source in there)
+    present = [source for source in sources if len(_garments(source))]
+    if not present:
+        _garments(sources[0]).require_any()
+    return tuple(_plan(source, Path(out)) for source in present)
 
 
 def convert(
@@ -78,34 +79,35 @@ def convert(
     bodies: str = "both",
     cache_dir: Path | str | None = None,
     workers: int = 0,
-    told: Told = unheard,
+    on_progress: ProgressCallback = ignore_progress,
 ) -> tuple[Progress, ...]:
-    """Have the published garments under ``root`` in shards in the folder ``out``; for each split how far it has come.
+    """Convert the published garments under ``root`` to shards in the folder ``out``; returns each split's progress.
 
-    ``told`` is called with the same; garments that cannot be read are left out, with the reason. Stopped and called
-    again it goes on. Raises as ``plan_convert`` and ``converted`` do.
+    Garments that cannot be read are skipped, with the reason in ``Progress.skipped``. A stopped call can be repeated:
+    garments that ``out`` already holds are not converted again. Raises as ``plan_conversion`` and ``convert_missing``
+    do.
     """
     done = []
-    for plan in plan_convert(root, out, bodies=bodies, cache_dir=cache_dir):
-        progress = Progress(plan.count, plan.there, split=plan.source.split)
-        told(progress)
-        for garment in converted(plan, workers=workers):
-            progress = progress.without_sample(garment.fault) if garment.fault else progress.with_sample()
-            told(progress)
+    for plan in plan_conversion(root, out, bodies=bodies, cache_dir=cache_dir):
+        progress = Progress(plan.count, plan.existing, split=plan.source.split)
+        on_progress(progress)
+        for garment in convert_missing(plan, workers=workers):
+            progress = progress.with_skipped(garment.fault) if garment.fault else progress.with_sample()
+            on_progress(progress)
         done.append(progress)
     return tuple(done)
 
 
-def converted(plan: ConvertPlan, *, workers: int = 0) -> Generator[Converted, None, None]:
-    """Convert and store what is missing, yielding each garment as it is stored; those with a fault are left out.
+def convert_missing(plan: ConversionPlan, *, workers: int = 0) -> Generator[ConvertedGarment, None, None]:
+    """Convert and store the missing garments, yielding each one after it is stored; garments with a fault are skipped.
 
-    All that was stored is read back in the end. Stopped at any moment and planned again it goes on; the shards come out
-    as the same bytes, for any ``workers``. Raises ``OutputError`` where shards cannot be written, ``ShardError`` where
-    they do not read as they were written, ``GcdError`` where a process is killed.
+    At the end all stored garments are read back. The bytes of the shards depend neither on ``workers`` nor on
+    interruptions. Raises ``OutputError`` if the shards cannot be written, ``ShardError`` if a stored garment reads back
+    differently, ``GcdError`` if a worker is killed.
     """
     stored = set()
     with filling(plan.out, plan.count, plan.source.split), _writer(plan.source, plan.out) as writer:
-        for garment in _converted(plan, workers):
+        for garment in _convert_all(plan, workers):
             if not garment.fault:
                 writer.add(garment.index, garment.members)
                 stored.add(garment.index)
@@ -117,16 +119,16 @@ def converted(plan: ConvertPlan, *, workers: int = 0) -> Generator[Converted, No
                 reader.check(position)
 
 
-def _listed(source: Source) -> PublishedGarments:
+def _garments(source: Source) -> PublishedGarments:
     return PublishedGarments(_batches(source.root, source.bodies, source.cache_dir), source.split)
 
 
-def _plan(source: Source, out: Path) -> ConvertPlan:
+def _plan(source: Source, out: Path) -> ConversionPlan:
     with _writer(source, out) as writer:
         done = writer.done
     published = _dataset(source)
     missing = tuple(position for position in range(len(published)) if published.number(position) not in done)
-    return ConvertPlan(len(published), missing, out, source)
+    return ConversionPlan(len(published), missing, out, source)
 
 
 def _writer(source: Source, out: Path) -> ShardWriter:
@@ -135,27 +137,27 @@ def _writer(source: Source, out: Path) -> ShardWriter:
 
 @functools.lru_cache(maxsize=1)
 def _batches(root: Path, bodies: str, cache_dir: Path | None) -> PublishedBatches:
-    """The batches, opened once a process."""
+    """The published batches; cached, since each worker process needs them once."""
     return PublishedBatches(root, bodies=bodies, cache_dir=cache_dir)
 
 
 @functools.lru_cache(maxsize=len(SPLIT_NAMES))
 def _dataset(source: Source) -> PublishedGarmentCodeData:
-    """A split, listed once a process."""
+    """A published split; cached, since each worker process needs it once."""
     return PublishedGarmentCodeData(_batches(source.root, source.bodies, source.cache_dir), source.split)
 
 
-def _converted(plan: ConvertPlan, workers: int) -> Iterator[Converted]:
-    return side_by_side_in_parts(functools.partial(_convert, plan.source), plan.missing, workers, at_once=AT_ONCE)
+def _convert_all(plan: ConversionPlan, workers: int) -> Iterator[ConvertedGarment]:
+    return parallel_map_chunks(functools.partial(_convert, plan.source), plan.missing, workers, chunk=CHUNK)
 
 
-def _convert(source: Source, positions: Sequence[int]) -> list[Converted]:
+def _convert(source: Source, positions: Sequence[int]) -> list[ConvertedGarment]:
     return [_convert_one(_dataset(source), position) for position in positions]
 
 
-def _convert_one(published: PublishedGarmentCodeData, position: int) -> Converted:
+def _convert_one(published: PublishedGarmentCodeData, position: int) -> ConvertedGarment:
     index = published.number(position)
     try:
-        return Converted(index, encode_sample(published.sample(position)))
+        return ConvertedGarment(index, encode_sample(published.sample(position)))
     except (ShardError, PatternError) as error:
-        return Converted(index, {}, f"{published.name(position)}: {error}")
+        return ConvertedGarment(index, {}, f"{published.name(position)}: {error}")

@@ -1,19 +1,19 @@
-"""The log of a run: a file of JSON objects, one a line, for programs that watch many runs.
+"""The log of a run: a JSON Lines file for programs that monitor many runs.
 
-Every line has ``event`` and ``time`` (UTC, ISO 8601). What else stands there, by event:
+Every line has ``event`` and ``time`` (UTC, ISO 8601). The other keys, by event:
 
 begin
-    ``options`` (of the call), ``versions`` (of what decides the samples), ``recipe`` (its SHA-256), ``machine``
-    (``host``, ``pid``, ``cores``, ``gpus``: device to name).
+    ``options`` (of the call), ``versions`` (of the packages that determine the samples), ``recipe`` (its SHA-256),
+    ``machine`` (``host``, ``pid``, ``cores``, ``gpus``: device to name).
 progress
-    After every 100 samples, and with the first sample after 10 s: ``count`` (samples in the end), ``there`` (found at
-    the beginning), ``made`` (by this run), ``rate`` (samples a second over the last minute, or null), ``left_s``
-    (seconds left at that rate, or null), ``outcomes`` and ``rejects`` (of this run, by name and by rule), ``waits``
-    (share of the last minute that each GPU's draping processes waited for orders, ``makers`` for the writer and
-    ``writer`` for samples), ``rss_mb`` (memory of this process, MB).
+    After every 100 samples, and with the first sample after 10 s: ``count`` (samples in the finished data set),
+    ``there`` (from earlier runs), ``made`` (by this run), ``rate`` (samples a second over the last minute, or null),
+    ``left_s`` (seconds left at that rate, or null), ``outcomes`` and ``rejects`` (of this run, by name and by rule),
+    ``waits`` (idle share of the last minute: each GPU's draping processes, ``makers``, ``writer``), ``rss_mb``
+    (resident memory of this process, MB).
 end, stopped, failed
-    As ``progress``, with ``seconds`` (since ``begin``); ``stopped``: by Ctrl-C; ``failed``: with
-    ``error``, the line that the user is told. The log of a killed run has none of them.
+    The keys of ``progress``, and ``seconds`` (since ``begin``). ``stopped``: by Ctrl-C; ``failed``: also ``error``, the
+    error message. A killed run logs none of these events.
 """
 
 import json
@@ -34,44 +34,44 @@ from gcd_dataset.errors import OutputError
 from gcd_dataset.files import make_folder, user_path, writing_to
 from gcd_dataset.generator.recipe import versions
 from gcd_dataset.shards.layout import recipe_hash
-from gcd_dataset.verbs.progress import Progress, Told
+from gcd_dataset.verbs.progress import Progress, ProgressCallback
 
-__all__ = ["logged"]
+__all__ = ["run_log"]
 
-EVERY = 100  # samples
-EVERY_S = 10.0
+EVERY = 100  # samples between two progress lines …
+EVERY_S = 10.0  # … or seconds
 BEGIN = b'{"event": "'
-TAIL = 1 << 20  # bytes, more than a line has
+TAIL = 1 << 20  # bytes read to find the last line; longer than any line
 
 logger = logging.getLogger("gcd_dataset")
 
 
 @contextmanager
-def logged(
+def run_log(
     path: Path | str | None,
-    told: Told,
+    on_progress: ProgressCallback,
     *,
     options: Mapping[str, Any],
     recipe: Mapping[str, Any],
     devices: Sequence[str] = (),
     clock: Callable[[], float] = time.monotonic,
-) -> Iterator[Told]:
-    """``told``, which also appends to the log in ``path``, if one is asked for; it is ended with the block.
+) -> Iterator[ProgressCallback]:
+    """Log the block as a run: yields a callback that calls ``on_progress`` and appends to the log in ``path``.
 
-    A line is written whole or not at all. Raises ``OutputError`` for a file that cannot be opened; where it cannot be
-    written later, a warning says so once and the run goes on.
+    Without ``path`` it yields ``on_progress``. A line is written completely or not at all. Raises ``OutputError`` for a
+    file that cannot be opened; if a later write fails, one warning is logged and the run continues.
     """
     if path is None:
-        yield told
+        yield on_progress
         return
     lines = _Lines(user_path(path))
     try:
         machine = {"host": platform.node(), "pid": os.getpid(), **_hardware(devices)}
         begin = {"options": options, "versions": versions(), "recipe": recipe_hash(recipe), "machine": machine}
         lines.write("begin", begin)
-        run = _Run(lines, told, clock)
+        run = _Run(lines, on_progress, clock)
         try:
-            yield run.told
+            yield run.report
         except BaseException as error:
             run.end("stopped" if isinstance(error, KeyboardInterrupt) else "failed", error)
             raise
@@ -81,31 +81,31 @@ def logged(
 
 
 class _Run:
-    """Tells of progress, and writes some of it down."""
+    """Forwards progress to a callback, and writes some of it to the log."""
 
-    def __init__(self, lines: "_Lines", told: Told, clock: Callable[[], float]) -> None:
-        self._lines, self._told, self._clock = lines, told, clock
+    def __init__(self, lines: "_Lines", on_progress: ProgressCallback, clock: Callable[[], float]) -> None:
+        self._lines, self._on_progress, self._clock = lines, on_progress, clock
         self._begun = self._written = clock()
         self._made, self._last = 0, Progress(0, 0)
 
-    def told(self, progress: Progress) -> None:
+    def report(self, progress: Progress) -> None:
         self._last = progress
         if progress.made - self._made >= EVERY or (self._clock() - self._written >= EVERY_S and progress.made):
             self._written, self._made = self._clock(), progress.made
             self._lines.write("progress", _figures(progress))
-        self._told(progress)
+        self._on_progress(progress)
 
     def end(self, event: str, error: BaseException | None = None) -> None:
-        ended: dict[str, Any] = {**_figures(self._last), "seconds": round(self._clock() - self._begun, 3)}
+        entry: dict[str, Any] = {**_figures(self._last), "seconds": round(self._clock() - self._begun, 3)}
         if event == "failed":
-            ended["error"] = " ".join(str(error).split()) or type(error).__name__
-        self._lines.write(event, ended)
+            entry["error"] = " ".join(str(error).split()) or type(error).__name__
+        self._lines.write(event, entry)
 
 
 def _figures(progress: Progress) -> dict[str, Any]:
     return {
         "count": progress.count,
-        "there": progress.there,
+        "there": progress.existing,
         "made": progress.made,
         "rate": None if progress.rate is None else round(progress.rate, 4),
         "left_s": None if progress.left_s is None else round(progress.left_s, 1),
@@ -123,31 +123,32 @@ def _hardware(devices: Sequence[str]) -> dict[str, Any]:
 
 
 def _resident() -> float:
-    """Bytes of memory of this process; at their most where the system tells no more."""
+    """Resident memory of this process [bytes]; its peak on systems without ``/proc``."""
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
     except (OSError, ValueError, IndexError):
-        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return most if sys.platform == "darwin" else most * 1024
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak if sys.platform == "darwin" else peak * 1024
 
 
 class _Lines:
-    """A file to which lines are appended. Raises ``OutputError`` where it cannot be opened."""
+    """A log file open for appending. Raises ``OutputError`` if it cannot be opened."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._failed = path, False
         make_folder(path.parent)
         with writing_to(path):
-            flags = os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC  # a pipe without a reader is an error
+            # With O_NONBLOCK a pipe without a reader is an error instead of a wait.
+            flags = os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
             self._file = os.open(path, os.O_WRONLY | flags, 0o644)
             try:
-                self._drop_torn_line()
+                self._drop_partial_line()
             except BaseException:
                 self.close()
                 raise
 
     def write(self, event: str, entry: Mapping[str, Any]) -> None:
-        """Append a line, or warn once that it cannot be."""
+        """Append a line; the first failure logs a warning, later ones are silent."""
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         line = json.dumps({"event": event, "time": now, **entry}, default=str) + "\n"
         try:
@@ -162,27 +163,27 @@ class _Lines:
     def close(self) -> None:
         os.close(self._file)
 
-    def _drop_torn_line(self) -> None:
-        """Cut off the last line if a power cut left half of it. Raises ``OutputError`` for a file that is no log."""
-        about = os.fstat(self._file)
-        if not stat.S_ISREG(about.st_mode):
+    def _drop_partial_line(self) -> None:
+        """Truncate a partial last line, as a power cut leaves one. Raises ``OutputError`` for a file that is no log."""
+        status = os.fstat(self._file)
+        if not stat.S_ISREG(status.st_mode):
             return
         with self._path.open("rb") as file:
-            file.seek(max(about.st_size - TAIL, 0))
-            before, _, torn = file.read().rpartition(b"\n")
-        whole = before.rpartition(b"\n")[2]
-        is_none = whole and not whole.startswith(BEGIN)
-        if is_none or (torn and not (torn.startswith(BEGIN) or BEGIN.startswith(torn))):
-            raise OutputError(f"{self._path}: its last line is none of a log: choose another file")
-        os.ftruncate(self._file, about.st_size - len(torn))
+            file.seek(max(status.st_size - TAIL, 0))
+            before, _, partial = file.read().rpartition(b"\n")
+        last = before.rpartition(b"\n")[2]
+        is_foreign = last and not last.startswith(BEGIN)
+        if is_foreign or (partial and not (partial.startswith(BEGIN) or BEGIN.startswith(partial))):
+            raise OutputError(f"{self._path}: its last line is no line of a log: choose another file")
+        os.ftruncate(self._file, status.st_size - len(partial))
 
 
 def _append(file: int, line: bytes) -> None:
-    """Write a line, or nothing. Raises ``OSError``."""
+    """Append a whole line, or nothing. Raises ``OSError``."""
     written = os.write(file, line)
     if written == len(line):
         return
     end = os.lseek(file, 0, os.SEEK_CUR)
-    if os.fstat(file).st_size == end:  # no other process has appended to it since
+    if os.fstat(file).st_size == end:  # no other process has appended meanwhile
         os.ftruncate(file, end - written)
     raise OSError(0, "no room for a whole line")

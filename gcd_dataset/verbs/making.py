@@ -1,4 +1,4 @@
-"""Making a data set: samples into shards, going on where an earlier run was stopped."""
+"""Generating a data set: samples in shards, with resumption of a stopped run."""
 
 import contextlib
 import math
@@ -15,53 +15,62 @@ from gcd_dataset.records import Outcome, Rejected, Sample
 from gcd_dataset.shards import encode_sample
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.verbs.array_jobs import JobPart
-from gcd_dataset.verbs.log import logged
+from gcd_dataset.verbs.log import run_log
 from gcd_dataset.verbs.making_plan import MakingPlan, check_count
-from gcd_dataset.verbs.progress import Pace, Progress, Told, unheard
+from gcd_dataset.verbs.progress import Pace, Progress, ProgressCallback, ignore_progress
 from gcd_dataset.verbs.seal import seal
 from gcd_dataset.verbs.target import Target, require_folder, target_of
-from gcd_dataset.waits import WRITER, Waits, added, taken, waited_for
+from gcd_dataset.waits import WRITER, Waits, sum_waits, take_waits, timed
 
 if TYPE_CHECKING:
     from gcd_dataset.verbs.ray_engine import RayCluster
 
-__all__ = ["Engine", "GarmentPlan", "Stored", "generate", "generate_recipe", "plan", "stored", "workers_for"]
+__all__ = [
+    "Engine",
+    "GarmentPlan",
+    "StoredSample",
+    "generate",
+    "generate_recipe",
+    "plan_garments",
+    "store_samples",
+    "workers_for",
+]
 
 Engine = Literal["local", "ray"]
 
-BEGUN = 4.0  # s that a worker takes to start
-MADE = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # CPU-s of a worker for a garment of a stage, without the drape
+STARTUP = 4.0  # s for a worker to start
+CPU_SECONDS = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # of a worker for one garment, by stage, without the drape
 
 
 @dataclass(frozen=True)
-class Stored:
-    """A sample that was stored, in short."""
+class StoredSample:
+    """Summary of a sample after it was stored."""
 
     index: int
     body_name: str
     turned_down: tuple[Rejected, ...]
-    """Earlier attempts, in order."""
+    """Rejected attempts, in order."""
     outcome: Outcome | None
-    """How the drape ended; ``None`` at an earlier stage."""
+    """Outcome of the drape; ``None`` at an earlier stage."""
     waits: Waits = field(default_factory=dict)
-    """What its maker, and the draping processes it asked, have waited since the sample before."""
+    """Waits of its worker and of the draping processes since the sample before."""
 
     @property
     def rejects(self) -> tuple[str, ...]:
-        """Why earlier attempts were turned down."""
+        """``rule: reason`` of each rejected attempt."""
         return tuple(map(str, self.turned_down))
 
 
 @dataclass(frozen=True)
 class GarmentPlan(MakingPlan):
-    """Garments to be made."""
+    """The missing garments of a data set, or of a part."""
 
     target: Target
     seed: int
     config: MakeConfig
 
 
-def plan(
+def plan_garments(
     out: Path | str,
     count: int,
     *,
@@ -72,13 +81,12 @@ def plan(
     spool: Path | str | None = None,
     patience: float | None = None,
 ) -> GarmentPlan:
-    """What it takes to have samples 0 … ``count`` - 1 of ``seed`` in ``out``, or those of one ``part``.
+    """Plan for samples 0 … ``count`` - 1 of ``seed`` in ``out``, or for the samples of one ``part``.
 
     ``out``: a folder, or the URL of a store; ``recipe`` divides the samples into splits; ``spool`` and ``patience`` as
-    ``target_of`` takes them. What a killed run left half-written in ``out`` is put in order. Raises ``ConfigError``
-    where ``out`` holds a data set of another recipe or seed, parts of another plan, or, without ``part``, parts that
-    wait to be merged; ``OutputError`` where it cannot be written, ``RemoteError`` for a store that does not answer, or
-    refuses.
+    for ``target_of``. Repairs shards that a killed run left unfinished. Raises ``ConfigError`` if ``out`` holds a data
+    set of another recipe or seed, parts of another plan, or, without ``part``, parts that are not merged;
+    ``OutputError`` if it cannot be written, ``RemoteError`` for a store that does not answer, or refuses.
     """
     config = config or MakeConfig()
     check_count(count)
@@ -86,15 +94,15 @@ def plan(
         from gcd_dataset.generator.drape import resolve_device
 
         for device in devices_of(config):
-            resolve_device(device)  # told before anything is written
-    return _planned(
+            resolve_device(device)  # raises before anything is written
+    return _plan(
         target_of(out, count, seed=seed, config=config, recipe=recipe, part=part, spool=spool, patience=patience),
         seed,
         config,
     )
 
 
-def _planned(target: Target, seed: int, config: MakeConfig) -> GarmentPlan:
+def _plan(target: Target, seed: int, config: MakeConfig) -> GarmentPlan:
     done = target.done()
     missing = tuple(index for index in target.indices if index not in done)
     return GarmentPlan(len(target.indices), missing, target, seed, config)
@@ -112,91 +120,103 @@ def generate(
     engine: Engine = "local",
     spool: Path | str | None = None,
     patience: float | None = None,
-    told: Told = unheard,
+    on_progress: ProgressCallback = ignore_progress,
     log: Path | str | None = None,
 ) -> Progress:
-    """Have samples 0 … ``count`` - 1 of ``seed`` in the folder ``out``; those that are there are not made again.
+    """Generate samples 0 … ``count`` - 1 of ``seed`` in ``out``; samples that it already holds are not made again.
 
-    ``out`` may be the URL of a store, ``s3://BUCKET/PREFIX`` or any other of ``fsspec``: shards fill in ``spool`` and
-    go up one by one, whole; readers see the data set when all of it is there.
+    out
+        A folder, or the URL of a store: ``s3://BUCKET/PREFIX`` or any other of ``fsspec``. Shards of a store are filled
+        in the folder ``spool`` and uploaded when full; readers see the data set when it is complete.
+    recipe
+        Divides the samples into splits (``generate_recipe`` also takes the other options from it).
+    part
+        Make one part only, such as ``JobPart(2, 8)``, in its own subfolder of ``out``. Parts may be made by any number
+        of processes at the same time; ``merge`` joins them.
+    workers
+        Worker processes, as for ``store_samples``.
+    engine
+        This machine, or the Ray cluster that ``ray_engine.ray_cluster`` finds; this process writes in both cases.
+    spool, patience
+        As for ``target_of``.
+    on_progress
+        Called with the progress before the first sample and after each.
+    log
+        A file to which ``gcd_dataset.verbs.log`` appends.
 
-    ``recipe`` divides the samples into splits (``generate_recipe`` takes the other options from it too). ``part``: one
-    part of them, as ``JobPart(2, 8)``, in a place of its own in ``out``; any number of processes may make one each, and
-    ``merge`` joins them. ``engine``: this machine, or a Ray cluster as ``ray_engine.ray_cluster`` finds it, for which
-    this process writes. ``told`` is called with how far it has come; ``workers`` as ``stored`` takes it; ``log``: a
-    file to which ``gcd_dataset.verbs.log`` appends. Stopped at any moment and called again it goes on, by either
-    engine; the shards come out as the same bytes. Raises as ``plan``, ``stored`` and ``ray_cluster`` do, and
-    ``OutputError`` for a log that cannot be opened.
+    A stopped call can be repeated, with either engine; the bytes of the shards do not depend on interruptions. Raises
+    as ``plan_garments``, ``store_samples`` and ``ray_cluster`` do, and ``OutputError`` for a log that cannot be opened.
     """
     config, cluster = config or MakeConfig(), None
     check_count(count)
     if engine not in (known := get_args(Engine)):
         raise ConfigError(f"engine={engine!r:.99}: give {' or '.join(map(repr, known))}")
-    options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "engine": engine} | _plain(config)
+    options = {"out": str(out), "count": count, "seed": seed, "workers": workers, "engine": engine} | _as_json(config)
     options |= {"part": part and str(part), "name": recipe and recipe.name}
-    place = {"recipe": recipe, "part": part, "spool": spool, "patience": patience}
+    target = {"recipe": recipe, "part": part, "spool": spool, "patience": patience}
     with contextlib.ExitStack() as opened:
         if engine == "ray":
             from gcd_dataset.verbs.ray_engine import ray_cluster
 
             cluster = opened.enter_context(ray_cluster(config, workers))
             config = cluster.config
-        here = cluster is None and config.stage == "drape"
-        devices = devices_of(config) if here else ()
-        told = opened.enter_context(logged(log, told, options=options, recipe=recipe_of(config), devices=devices))
+        drapes_here = cluster is None and config.stage == "drape"
+        devices = devices_of(config) if drapes_here else ()
+        logging = run_log(log, on_progress, options=options, recipe=recipe_of(config), devices=devices)
+        on_progress = opened.enter_context(logging)
         if cluster is not None:
-            task = _planned(target_of(out, count, seed=seed, config=config, **place), seed, config)  # type: ignore[arg-type]
+            plan = _plan(target_of(out, count, seed=seed, config=config, **target), seed, config)  # type: ignore[arg-type]
         else:
-            task = plan(out, count, seed=seed, config=config, **place)  # type: ignore[arg-type]
-            _tell_wait(task)
-        progress, pace = Progress(task.count, task.there), Pace()
-        told(progress)
-        with contextlib.closing(stored(task, workers=workers, cluster=cluster)) as samples:
-            for made in samples:
-                rejects = made.rejects if made.index % config.wearers == 0 else ()  # once for each design
-                progress = progress.with_sample(rejects=rejects, outcome=made.outcome and made.outcome.name)
-                progress = pace.of(progress, added(made.waits, taken()))
-                told(progress)
+            plan = plan_garments(out, count, seed=seed, config=config, **target)  # type: ignore[arg-type]
+            _log_drape_estimate(plan)
+        progress, pace = Progress(plan.count, plan.existing), Pace()
+        on_progress(progress)
+        with contextlib.closing(store_samples(plan, workers=workers, cluster=cluster)) as samples:
+            for sample in samples:
+                rejects = sample.rejects if sample.index % config.wearers == 0 else ()  # once for each design
+                progress = progress.with_sample(rejects=rejects, outcome=sample.outcome and sample.outcome.name)
+                progress = pace.of(progress, sum_waits(sample.waits, take_waits()))
+                on_progress(progress)
     return progress
 
 
-def _tell_wait(task: GarmentPlan) -> None:
-    if task.config.stage == "drape":
+def _log_drape_estimate(plan: GarmentPlan) -> None:
+    if plan.config.stage == "drape":
         from gcd_dataset.generator.drape import log_drape_time
 
-        log_drape_time(len(task.missing), task.config.device, task.config.resolution)
+        log_drape_time(len(plan.missing), plan.config.device, plan.config.resolution)
 
 
-def _plain(config: MakeConfig) -> dict[str, Any]:
-    """The options as JSON takes them."""
+def _as_json(config: MakeConfig) -> dict[str, Any]:
+    """The options as a JSON object."""
     return {entry.name: getattr(config, entry.name) for entry in fields(config)} | {"design": config.design.to_dict()}
 
 
-def stored(
+def store_samples(
     plan: GarmentPlan, *, workers: int | None = None, cluster: "RayCluster | None" = None
-) -> Generator[Stored, None, None]:
-    """Make and store what is missing, telling of each sample once it is stored.
+) -> Generator[StoredSample, None, None]:
+    """Make and store the missing samples, yielding a summary of each one after it is stored.
 
-    Stopped at any moment and planned again it goes on; the shards come out as the same bytes. ``workers`` processes
-    make samples side by side, by default as ``workers_for`` counts them; on each GPU of the config two more processes
-    drape for them. With a ``cluster`` its nodes make them instead. Raises ``OutputError`` where the shards cannot be
-    written, ``GcdError`` where a process is killed.
+    ``workers``: processes that make samples, by default ``workers_for(plan)``; on each GPU of the config two draping
+    processes serve them. With a ``cluster`` its nodes make the samples instead. The bytes of the shards depend neither
+    on these nor on interruptions. Raises ``OutputError`` if the shards cannot be written, ``GcdError`` if a process is
+    killed.
     """
-    with plan.target.filling(is_missing=bool(plan.missing)) as writer:
-        for stored, members in waited_for(_made(plan, workers, cluster), WRITER):
-            writer.add(stored.index, members, stored.outcome, stored.turned_down)
-            yield stored
+    with plan.target.writing(is_missing=bool(plan.missing)) as writer:
+        for sample, members in timed(_make(plan, workers, cluster), WRITER):
+            writer.add(sample.index, members, sample.outcome, sample.turned_down)
+            yield sample
 
 
-def _made(
+def _make(
     plan: GarmentPlan, workers: int | None, cluster: "RayCluster | None"
-) -> Iterator[tuple[Stored, Mapping[str, Bytes]]]:
+) -> Iterator[tuple[StoredSample, Mapping[str, Bytes]]]:
     if not plan.missing:
         return iter(())
     if cluster is not None:
-        return cluster.produce(plan.seed, plan.missing, finished=_encoded, seconds=_cpu_seconds(plan.config))
+        return cluster.produce(plan.seed, plan.missing, finished=_encode, seconds=_cpu_seconds(plan.config))
     workers = workers_for(plan) if workers is None else workers
-    return produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encoded)
+    return produce(plan.seed, plan.missing, plan.config, workers=workers, finished=_encode)
 
 
 def generate_recipe(
@@ -207,14 +227,14 @@ def generate_recipe(
     part: JobPart | None = None,
     workers: int | None = None,
     engine: Engine = "local",
-    told: Told = unheard,
+    on_progress: ProgressCallback = ignore_progress,
     log: Path | str | None = None,
 ) -> Progress:
-    """Have the data set of a recipe in the folder ``out``, with its splits, or one part; gone on with as ``generate``
-    does.
+    """Generate the data set of a recipe in the folder ``out``, with its splits, or one part of it.
 
-    ``recipe``: one of ``find_recipe``, or its name. When all of it is there, by ``merge`` if it is made in parts, the
-    manifest gets the hash of its patterns. Raises as ``find_recipe`` and ``generate`` do.
+    ``recipe``: a recipe of ``find_recipe``, or its name. The other options, and resumption, as for ``generate``. When
+    the data set is complete, the hash of its patterns is written to the manifest; ``merge`` does so for parts. Raises
+    as ``find_recipe`` and ``generate`` do.
     """
     recipe = recipe if isinstance(recipe, Recipe) else find_recipe(recipe)
     folder, config = require_folder(out, "data sets of recipes"), replace(recipe.config, device=device)
@@ -227,7 +247,7 @@ def generate_recipe(
         part=part,
         workers=workers,
         engine=engine,
-        told=told,
+        on_progress=on_progress,
         log=log,
     )
     if part is None:
@@ -236,24 +256,24 @@ def generate_recipe(
 
 
 def workers_for(plan: GarmentPlan) -> int:
-    """The processes that make samples soonest: one for each core, or fewer where there is little to do."""
+    """The fastest number of processes: one for each core, fewer for a short plan."""
     from gcd_dataset.generator.drape.device import cores
 
-    begun = int(_cpu_seconds(plan.config) * len(plan.missing) / BEGUN)
-    return min(cores(), begun, math.ceil(len(plan.missing) / plan.config.wearers))
+    worthwhile = int(_cpu_seconds(plan.config) * len(plan.missing) / STARTUP)
+    return min(cores(), worthwhile, math.ceil(len(plan.missing) / plan.config.wearers))
 
 
 def _cpu_seconds(config: MakeConfig) -> float:
-    """Of a worker, for a garment."""
+    """CPU time of a worker for one garment [s]."""
     from gcd_dataset.generator.drape import seconds_per_garment
 
-    each = MADE[config.stage]
+    each = CPU_SECONDS[config.stage]
     if config.stage == "drape" and device_kind(config) == "cpu":
         each += seconds_per_garment("cpu", config.resolution)
     return each
 
 
-def _encoded(sample: Sample) -> tuple[Stored, Mapping[str, Bytes]]:
-    made, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
+def _encode(sample: Sample) -> tuple[StoredSample, Mapping[str, Bytes]]:
+    provenance, outcome = sample.provenance, None if sample.drape is None else sample.drape.outcome
     members = encode_sample(sample)
-    return Stored(made.index, made.body_name, made.turned_down, outcome, taken()), members
+    return StoredSample(provenance.index, provenance.body_name, provenance.turned_down, outcome, take_waits()), members

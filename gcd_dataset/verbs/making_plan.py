@@ -1,4 +1,4 @@
-"""What is to be put into a data set, when some of it may be there."""
+"""Plans of runs that resume: the number of samples and the missing ones."""
 
 from dataclasses import dataclass
 
@@ -6,24 +6,26 @@ from gcd_dataset.errors import ConfigError
 
 __all__ = ["MakingPlan", "check_count"]
 
-MOST = 10_000_000  # samples of a data set, ten terabytes of garments; a plan of them has 400 MB
+MOST = 10_000_000  # samples of a data set: ten terabytes of garments; their plan takes 400 MB
 
 
 @dataclass(frozen=True)
 class MakingPlan:
-    """A data set to be made, and what of it is still missing."""
+    """The size of a data set and its missing samples."""
 
     count: int
+    """Samples in the finished data set."""
     missing: tuple[int, ...]
+    """Indices of the samples to make."""
 
     @property
-    def there(self) -> int:
-        """How many of its samples an earlier run has finished."""
+    def existing(self) -> int:
+        """Number of samples finished by earlier runs."""
         return self.count - len(self.missing)
 
 
 def check_count(count: int) -> int:
-    """The number of samples, if a data set may have as many. Raises ``ConfigError``."""
+    """``count``, if a data set can have so many samples. Raises ``ConfigError`` otherwise."""
     if not 1 <= count <= MOST:
         raise ConfigError(f"count is {count if count < 10**15 else '10**15 or more'}: give 1 to {MOST}")
     return count

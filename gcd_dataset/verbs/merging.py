@@ -1,4 +1,4 @@
-"""The parts of a data set joined: whole shards are renamed, those at the border of parts are copied together."""
+"""Merging the parts of a data set: most shards are renamed; shards that span two parts or more are concatenated."""
 
 import shutil
 from collections.abc import Mapping, Sequence
@@ -30,12 +30,12 @@ from gcd_dataset.shards.layout import GARMENTS, TRAIN, Layout, index_name, lock_
 from gcd_dataset.shards.manifest import Manifest, RecipeRecord, ShardRecord, SplitRecord, read_manifest
 from gcd_dataset.shards.rejects import REJECTS, joined_rejects
 from gcd_dataset.verbs.array_jobs import command_of
-from gcd_dataset.verbs.progress import Progress, Told, unheard
+from gcd_dataset.verbs.progress import Progress, ProgressCallback, ignore_progress
 from gcd_dataset.verbs.seal import seal
 
 __all__ = ["merge"]
 
-NAMED = 5  # parts that a message lists
+NAMED = 5  # parts listed in a message
 
 
 @dataclass(frozen=True)
@@ -47,42 +47,41 @@ class _Source:
     record: ShardRecord
     layout: Layout
     table: ShardTable | None
-    """Its contents by the index of its part, if that tells."""
+    """Its contents, if they are in the index of its part."""
 
 
-def merge(out: Path | str, *, told: Told = unheard) -> dict[str, int]:
-    """Join the parts that wait in ``out``; the number of samples of each split.
+def merge(out: Path | str, *, on_progress: ProgressCallback = ignore_progress) -> dict[str, int]:
+    """Merge the parts in ``out``; returns the number of samples of each split.
 
-    It holds the shards, index, manifest and rejects of one run then, byte for byte, and nothing else.
-    ``told`` is called with how many samples are in their place. Stopped at any moment and called again it goes on.
-    Raises ``ShardError`` for a part that is missing, not finished or damaged, and a folder without parts;
-    ``ConfigError`` for parts that do not belong together; ``OutputError`` where ``out`` cannot be written, or another
-    merge is at work.
+    ``out`` then holds the shards, index, manifest and rejects of a single run, byte for byte, and nothing else.
+    ``on_progress`` is called with the number of merged samples. A stopped call can be repeated. Raises ``ShardError``
+    for a part that is missing, unfinished or damaged, and for a folder without parts; ``ConfigError`` for parts that do
+    not belong together; ``OutputError`` if ``out`` cannot be written, or another merge is running.
     """
     out = user_path(out)
     with reading(out):
-        waiting, rest = (out / PARTS).is_dir(), (out / MERGED).is_dir()
-    if not waiting and not rest:
-        raise ShardError(f"{out}: no parts to be merged: {_way_out(out)}")
+        has_parts, has_rest = (out / PARTS).is_dir(), (out / MERGED).is_dir()
+    if not has_parts and not has_rest:
+        raise ShardError(f"{out}: no parts to be merged: {_remedy(out)}")
     with locked(out / lock_name(TRAIN), "merging its parts"):
-        if waiting:
-            _merge(out, told)
+        if has_parts:
+            _merge(out, on_progress)
         _complete(out)
         manifest = read_manifest(out)
     return {} if manifest is None else manifest.counts
 
 
 def _complete(out: Path) -> None:
-    """Put the hash of the patterns of a data set that has a name into its manifest; remove what is left of the parts.
+    """Seal the data set of a recipe, then remove the rest of the parts.
 
-    In this order: a kill between the two leaves what it takes to go on.
+    The order matters: after a kill in between, the rest makes the next call resume here.
     """
     if has_plan(out / MERGED) and (named := read_plan(out / MERGED).named) is not None:
         seal(out, named)
     _remove(out / MERGED)
 
 
-def _merge(out: Path, told: Told) -> None:
+def _merge(out: Path, on_progress: ProgressCallback) -> None:
     plan = read_plan(out / PARTS)
     require_version(out, plan)
     _begin(out)
@@ -90,40 +89,43 @@ def _merge(out: Path, told: Told) -> None:
         parts = _finished_parts(out, plan)
         sources = _sources(out, plan, parts)
     except GcdError:
-        if not splits_in(out):  # nothing has been moved: parts may be made again
+        if not splits_in(out):  # no shard was moved yet: allow parts to be made again
             _end(out)
         raise
-    total = sum(record.record.count for found in sources.values() for record in found)
+    total = sum(source.record.count for shards in sources.values() for source in shards)
     progress = Progress(total, 0)
-    told(progress)
-    layouts = {split: found[0].layout for (split, _), found in sources.items()}
+    on_progress(progress)
+    layouts = {split: shards[0].layout for (split, _), shards in sources.items()}
     records: dict[str, list[ShardRecord]] = {split: [] for split in {**dict.fromkeys(plan.splits), **layouts}}
     tables: dict[str, dict[str, ShardTable]] = {split: {} for split in records}
-    for (split, name), found in sorted(sources.items()):
-        record, table = _join(out / name, found)
+    for (split, name), shards in sorted(sources.items()):
+        record, table = _join(out / name, shards)
         records[split].append(record)
         tables[split][name] = table
         progress = replace(progress, made=progress.made + record.count)
-        told(progress)
+        on_progress(progress)
     for split in records:
         ShardIndex.of(out, tables[split], layouts.get(split, GARMENTS)).write(out / index_name(split))
-    _describe(out, plan, records)
+    _write_manifest(out, plan, records)
     with parts_lock(out), writing(out / PARTS):
         _remove(out / MERGED)
         (out / PARTS).rename(out / MERGED)
         sync_folder(out)
 
 
-# ------------------------------------------------------------------------------------------------------- what is there
+# --------------------------------------------------------------------------------------------------------------- parts
 
 
 def _begin(out: Path) -> None:
-    """Keep parts from being made while they are merged. Raises ``ConfigError`` for a data set beside the parts."""
+    """Mark the parts as being merged, so that none is made meanwhile.
+
+    Raises ``ConfigError`` for shards beside the parts.
+    """
     with parts_lock(out):
         if is_merging(out):
             return
-        if there := sorted(path.name for pattern in ("*.tar", "*.tar.part") for path in out.glob(pattern)):
-            raise ConfigError(f"{out}: holds {there[0]}, which is of none of its parts: move it elsewhere, then merge")
+        if extra := sorted(path.name for pattern in ("*.tar", "*.tar.part") for path in out.glob(pattern)):
+            raise ConfigError(f"{out}: holds {extra[0]}, which is in none of its parts: move it elsewhere, then merge")
         write_whole(merging_path(out), b"")
 
 
@@ -133,7 +135,7 @@ def _end(out: Path) -> None:
 
 
 def _finished_parts(out: Path, plan: PartsPlan) -> list[FinishedPart]:
-    """What the parts have left, in their order. Raises ``ShardError`` where one is missing, or at work."""
+    """The completion records of all parts, in order. Raises ``ShardError`` if a part is missing or unfinished."""
     folders = [part_folder(out, part, plan.of) for part in range(plan.of)]
     with reading(out / PARTS):
         others = sorted({path.name for path in (out / PARTS).glob("*-of-*")} - {path.name for path in folders})
@@ -148,30 +150,30 @@ def _finished_parts(out: Path, plan: PartsPlan) -> list[FinishedPart]:
         remedy = f"delete {folder} and run {command_of(out, plan, part)}"
         finished.require_of(plan, part, finished_path(folder), remedy)
         if others := sorted(finished.splits.keys() - plan.shard_sizes.keys()):
-            raise ConfigError(f"{finished_path(folder)}: tells of split {others[0]}, as no other part: {remedy}")
+            raise ConfigError(f"{finished_path(folder)}: has split {others[0]}, which the plan lacks: {remedy}")
     return parts
 
 
 def _finished(folder: Path, plan: PartsPlan) -> FinishedPart | None:
-    """What a part has left. Raises ``OutputError`` while it is made."""
+    """The completion record of a part. Raises ``OutputError`` while the part is made."""
     with locked(folder / lock_name(plan.splits[0]), "making this part"):
         return read_finished(folder)
 
 
-def _require_none(parts: Sequence[int], what: str, out: Path, plan: PartsPlan) -> None:
-    """Raise ``ShardError`` if parts are missing, or not finished."""
+def _require_none(parts: Sequence[int], fault: str, out: Path, plan: PartsPlan) -> None:
+    """Raise ``ShardError`` if there are any ``parts``; ``fault`` completes ``part 1/4 is …``."""
     if not parts:
         return
     names = ", ".join(f"{part}/{plan.of}" for part in parts[:NAMED])
     more = f" and {len(parts) - NAMED} more" if len(parts) > NAMED else ""
     verb = "is" if len(parts) == 1 else "are"
-    raise ShardError(f"{out}: part {names}{more} {verb} {what}: run {command_of(out, plan, parts[0])}")
+    raise ShardError(f"{out}: part {names}{more} {verb} {fault}: run {command_of(out, plan, parts[0])}")
 
 
 def _sources(out: Path, plan: PartsPlan, parts: Sequence[FinishedPart]) -> dict[tuple[str, str], list[_Source]]:
-    """Split and name of each shard of the data set to the shards of parts that it is made of, in their order.
+    """(split, name) of each shard of the data set to the parts' shards that it is made of, in order.
 
-    Raises ``ShardError`` for one that is missing or damaged.
+    Raises ``ShardError`` if one of them is missing or damaged.
     """
     sources: dict[tuple[str, str], list[_Source]] = {}
     for part in parts:
@@ -191,7 +193,7 @@ def _sources(out: Path, plan: PartsPlan, parts: Sequence[FinishedPart]) -> dict[
 
 
 def _fault(source: _Source, *, is_shared: bool) -> str | None:
-    """What is wrong with a shard of a part; of one that is renamed its length alone is looked at."""
+    """The fault of a part's shard, if any; a shard that is only renamed is checked by its length alone."""
     with reading(source.path):
         size = source.path.stat().st_size if source.path.exists() else 0
     if size != source.record.size:
@@ -205,11 +207,11 @@ def _fault(source: _Source, *, is_shared: bool) -> str | None:
 
 
 def _join(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, ShardTable]:
-    """A shard of the data set, made of those of its parts, which are gone then."""
+    """Make a shard of the data set from the parts' shards, which are removed."""
     count = sum(source.record.count for source in sources)
     with reading(target):
-        is_there = target.exists()
-    if is_there:
+        exists = target.exists()
+    if exists:
         table = scan_shard(target, sources[0].layout)
         record = sources[0].record if len(sources) == 1 else shard_record(target, table)
     elif len(sources) == 1:
@@ -218,7 +220,7 @@ def _join(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, ShardT
         with writing(target):
             sources[0].path.rename(target)
     else:
-        record, table = _copied(target, sources)
+        record, table = _concatenate(target, sources)
     if len(table) != count:
         raise ShardError(f"{target}: {len(table)} samples, where its parts have {count}: move it elsewhere, then merge")
     for source in sources:
@@ -228,14 +230,14 @@ def _join(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, ShardT
 
 
 def _table(source: _Source) -> ShardTable:
-    """The contents of a whole shard of a part."""
+    """The contents of a part's shard."""
     if source.table is not None and len(source.table) == source.record.count:
         return source.table
     return scan_shard(source.path, source.layout)
 
 
-def _copied(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, ShardTable]:
-    """The samples of several shards as one; gone on with where a merge was stopped."""
+def _concatenate(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, ShardTable]:
+    """Copy the samples of several shards into one; resumes a stopped copy."""
     layout = sources[0].layout
     shard = GrowingShard(target, empty_table(layout), layout)
     try:
@@ -246,8 +248,8 @@ def _copied(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, Shar
         shard.close()
 
 
-def _describe(out: Path, plan: PartsPlan, records: Mapping[str, Sequence[ShardRecord]]) -> None:
-    """Write manifest and rejects."""
+def _write_manifest(out: Path, plan: PartsPlan, records: Mapping[str, Sequence[ShardRecord]]) -> None:
+    """Write the manifest and the joined reject log."""
     named = plan.named
     manifest = Manifest(recipe=None if named is None else RecipeRecord(named.name, named.sha256))
     for split, shards in records.items():
@@ -263,8 +265,8 @@ def _remove(folder: Path) -> None:
             shutil.rmtree(folder)
 
 
-def _way_out(out: Path) -> str:
-    """What to do about a folder without parts."""
+def _remedy(out: Path) -> str:
+    """The remedy for a folder without parts."""
     if splits_in(out):
         return "it holds a data set that is whole: read it as it is"
     return "give a folder in which gcd generate --shard I/N has made some"

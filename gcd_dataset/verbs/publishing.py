@@ -1,4 +1,4 @@
-"""A data set brought to the Hub."""
+"""Uploading a data set to the Hub."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ __all__ = ["Published", "publish"]
 
 @dataclass(frozen=True)
 class Published:
-    """What went up, or would."""
+    """The result of ``publish``: the staged files and the commit."""
 
     staged: Staged
     commit: str | None
-    """Of the repository; ``None`` where nothing was sent."""
+    """Commit of the repository; ``None`` for a dry run."""
 
 
 def publish(
@@ -31,13 +31,13 @@ def publish(
     dry_run: bool = False,
     endpoint: str | None = None,
     token: str | None = None,
-    told: Callable[[Staged], None] = lambda staged: None,
+    on_staged: Callable[[Staged], None] = lambda staged: None,
 ) -> Published:
-    """Bring a folder of shards to the repository ``repo`` of the Hub, with card, Croissant and splits.
+    """Upload a folder of shards to the repository ``repo`` of the Hub, with card, Croissant and splits.
 
-    ``out``: folder for what goes up, by default ``published`` in that of the data set; gone on with where an earlier
-    call was stopped. ``told`` is called with what is in it before anything is sent; with ``dry_run`` nothing is. Raises
-    as ``stage`` and ``upload`` do, of which the other options are.
+    ``out``: staging folder, by default ``published`` in the folder of the data set; an earlier call that was stopped is
+    resumed. ``on_staged`` is called with the staged files before anything is sent; with ``dry_run`` nothing is sent.
+    The other options are those of ``hub.publish.stage`` and ``upload``. Raises as these do.
     """
     folder = Path(dataset)
     staged = stage(
@@ -49,6 +49,6 @@ def publish(
         endpoint=endpoint,
         partial=partial,
     )
-    told(staged)
+    on_staged(staged)
     commit = None if dry_run else upload(staged, repo, endpoint=endpoint, token=token, private=private)
     return Published(staged, commit)

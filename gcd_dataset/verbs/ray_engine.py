@@ -1,12 +1,12 @@
-"""Garments made on a Ray cluster: ranges of designs are its tasks, and its GPUs drape for all of them.
+"""Generation on a Ray cluster: a task makes the samples of a range of indices, and actors on the GPUs drape.
 
-    missing indices ─► ranges ─► tasks, a bounded number at a time ─► results, fetched in order ─► the one writer, here
+    missing indices ─► ranges ─► tasks, a bounded number at a time ─► results in order ─► the writer, this process
                                    │  ▲
                                    ▼  │
-                                 actors that drape, two for each GPU; without GPUs each task drapes on its CPU
+                                 draping actors, two for each GPU; without GPUs each task drapes on its CPU
 
-Ray places the tasks and repeats those that are lost with a worker or a node. Samples are functions of seed and index
-and this process alone writes them, so that a repeated task makes the same bytes and none is stored twice.
+Ray schedules the tasks and retries a task that is lost with its worker or node. A sample depends on seed and index
+only, and only this process writes, so a retried task makes the same bytes and no sample is stored twice.
 """
 
 import contextlib
@@ -36,46 +36,48 @@ from gcd_dataset.records import Sample
 __all__ = [
     "Actor",
     "RayCluster",
+    "code_versions",
     "mismatch",
-    "near_first",
-    "on_cluster",
-    "origin",
+    "nearest_first",
     "ranges",
     "ray_cluster",
     "samples_of_range",
+    "with_cluster_device",
 ]
 
-CONNECTED = 30.0  # s within which a cluster answers at its address
-STARTED = 120.0  # s within which a worker starts on each node, and an actor on a GPU
-LOOK = 30.0  # s between two looks at the nodes while a result is waited for
-RETRIES = 3  # of a range whose worker or node was lost
-AHEAD = 2  # ranges begun for each that is made at a time, so that none waits for the writer
-RANGE = 5.0  # CPU-s of a range: a task costs Ray some milliseconds
-EVENT = 160  # characters of a message of Ray
-SHARES = 4  # ranges for each that is made at a time, at least, where there is little to do
-CPUS_BESIDE_GPU = 0.5  # of a task: two share a core, and one prepares while the last garments of another are draped
+CONNECTED = 30.0  # s: timeout for a cluster to answer at its address
+STARTED = 120.0  # s: timeout for a worker to start on each node, and for an actor on a GPU
+LOOK = 30.0  # s between checks of the nodes while waiting for a result
+RETRIES = 3  # of a task whose worker or node was lost
+AHEAD = 2  # tasks submitted for each slot, so that none is idle while the writer is busy
+RANGE = 5.0  # CPU-s of a task: its overhead in Ray is some milliseconds
+EVENT = 160  # characters of an event message of Ray
+SHARES = 4  # least number of tasks for each slot in a short run
+CPUS_BESIDE_GPU = 0.5  # CPUs of a task that drapes on a GPU: one task prepares while another waits for its drapes
 
 logger = logging.getLogger("gcd_dataset")
 
 
 @contextmanager
 def ray_cluster(config: MakeConfig, workers: int | None = None) -> Iterator["RayCluster"]:
-    """The cluster that this program is connected to, that of ``RAY_ADDRESS``, one on this machine, or a new local one.
+    """Connect to a Ray cluster for the block.
 
-    A new one ends with the block. ``workers``: ranges made at a time; by default one for each CPU of the cluster, or
-    two where its GPUs drape. Raises ``ConfigError`` where ray is not installed, a cluster does not answer within half
-    a minute, has no GPU that the config asks for, or where a node has another version of what decides bytes.
+    In this order: the cluster that this program is already connected to, the one at ``RAY_ADDRESS``, one that runs on
+    this machine, or a new local one, which ends with the block. ``workers``: tasks that run at a time, by default one
+    for each CPU of the cluster, or two if GPUs drape. Raises ``ConfigError`` if ray is not installed, the cluster does
+    not answer within half a minute, it lacks the GPU that the config asks for, or a node has other versions of the
+    packages that determine the samples.
     """
     ray = _imported()
     with ExitStack() as opened:
         if not ray.is_initialized():
-            _hear_events(ray)
+            _log_events(ray)
             opened.callback(ray.shutdown)
             _connect(ray, os.environ.get("RAY_ADDRESS"))
         _require_same(ray)
         resources = ray.cluster_resources()
         gpus = int(resources.get("GPU", 0)) if config.stage == "drape" else 0
-        config = on_cluster(config, gpus)
+        config = with_cluster_device(config, gpus)
         actors = _actors(ray, gpus) if config.device == "cuda" else ()
         opened.callback(_end, ray, [actor.handle for actor in actors])
         cpus = CPUS_BESIDE_GPU if actors else 1.0
@@ -84,61 +86,61 @@ def ray_cluster(config: MakeConfig, workers: int | None = None) -> Iterator["Ray
 
 
 class Actor(NamedTuple):
-    """One that drapes."""
+    """A draping actor."""
 
     handle: Any
     node: str
-    """Identifier of the node that it was started on."""
+    """Identifier of its node."""
 
 
 @dataclass(frozen=True)
 class RayCluster:
-    """A cluster that is connected, of the versions that are here."""
+    """A connected cluster; its nodes have the same package versions as this machine."""
 
     config: MakeConfig
-    """What is made, with the device that the cluster drapes on."""
+    """Options of the samples; the device is the one that the cluster drapes on."""
     slots: int
-    """Ranges made at a time."""
+    """Number of tasks that run at a time."""
     cpus: float
-    """Share of a core that a range takes."""
+    """CPUs of a task."""
     actors: tuple["Actor", ...]
-    """Those that drape."""
+    """Draping actors; empty if tasks drape on their CPU."""
 
     def produce(
         self, seed: int, indices: Sequence[int], *, finished: Callable[[Sample], Any], seconds: float
     ) -> Iterator[Any]:
-        """What ``finished`` returns for the samples of ``indices``, in order; ``seconds``: of a CPU for one of them.
+        """The results of ``finished`` for the samples of ``indices``, in order.
 
-        Raises what ``generator.maker.produce`` raises, after the results before it, and ``GcdError`` where Ray has lost
-        a range too often.
+        ``seconds``: CPU time of one sample. Errors of ``generator.maker.produce`` are raised after the results before
+        them. Raises ``GcdError`` for a task that Ray has lost too often.
         """
         import ray
 
         size = samples_of_range(len(indices), seconds, self.slots)
         waiting = enumerate(ranges(indices, self.config.wearers, size))
-        task = ray.remote(num_cpus=self.cpus, max_retries=RETRIES, retry_exceptions=False)(_make)
-        flight: deque[Any] = deque()
+        submit = ray.remote(num_cpus=self.cpus, max_retries=RETRIES, retry_exceptions=False)(_run_task).remote
+        in_flight: deque[Any] = deque()
         try:
             while True:
-                for number, part in islice(waiting, AHEAD * self.slots - len(flight)):
-                    work = _Range(number, seed, part, self.config, finished, origin())
-                    flight.append(task.remote(work, self.actors))
-                if not flight:
+                for number, part in islice(waiting, AHEAD * self.slots - len(in_flight)):
+                    task = _Task(number, seed, part, self.config, finished, code_versions())
+                    in_flight.append(submit(task, self.actors))
+                if not in_flight:
                     return
-                made = _fetched(ray, flight[0])
-                flight.popleft()
-                for level, message in made.said:
+                done = _fetch(ray, in_flight[0])
+                in_flight.popleft()
+                for level, message in done.logged:
                     logger.log(level, "%s", message)
-                yield from made.results
-                if made.error is not None:
-                    raise made.error
+                yield from done.results
+                if done.error is not None:
+                    raise done.error
         finally:
-            for reference in flight:
+            for reference in in_flight:
                 ray.cancel(reference, force=True)
 
 
 def ranges(indices: Iterable[int], wearers: int, size: int) -> Iterator[tuple[int, ...]]:
-    """Indices in a row, ``size`` of them or a few more: the samples of a design stay together.
+    """The indices in ranges of ``size``, or a few more: the samples of a design stay together.
 
     >>> list(ranges([0, 1, 2, 3, 5], wearers=2, size=3))
     [(0, 1, 2, 3), (5,)]
@@ -154,7 +156,7 @@ def ranges(indices: Iterable[int], wearers: int, size: int) -> Iterator[tuple[in
 
 
 def samples_of_range(count: int, seconds: float, slots: int) -> int:
-    """Samples of a range that takes ``RANGE`` seconds, or less where there are too few for all slots.
+    """The number of samples that take ``RANGE`` CPU-seconds, or fewer if all slots would not be busy otherwise.
 
     >>> samples_of_range(100_000, 0.1, 64), samples_of_range(64, 0.1, 2), samples_of_range(3, 30.0, 2)
     (50, 8, 1)
@@ -162,25 +164,25 @@ def samples_of_range(count: int, seconds: float, slots: int) -> int:
     return max(min(int(RANGE / seconds), math.ceil(count / (SHARES * slots))), 1)
 
 
-def near_first(actors: Sequence[Actor], node: str, number: int) -> list[Any]:
-    """The handles in the order in which task ``number`` on a node tries them: those of its node, then the others.
+def nearest_first(actors: Sequence[Actor], node: str, number: int) -> list[Any]:
+    """Actor handles in the order in which task ``number`` on ``node`` tries them: first the actors of its node.
 
-    Each is the first of some task, so that all have as much to do.
+    The order is rotated by ``number``, so that the tasks are spread evenly over the actors.
 
-    >>> near_first([Actor("a", "x"), Actor("b", "x"), Actor("c", "y")], "x", 1)
+    >>> nearest_first([Actor("a", "x"), Actor("b", "x"), Actor("c", "y")], "x", 1)
     ['b', 'a', 'c']
     """
-    found = []
+    handles = []
     for group in ([actor for actor in actors if actor.node == node], [actor for actor in actors if actor.node != node]):
-        turn = number % max(len(group), 1)
-        found += [actor.handle for actor in group[turn:] + group[:turn]]
-    return found
+        shift = number % max(len(group), 1)
+        handles += [actor.handle for actor in group[shift:] + group[:shift]]
+    return handles
 
 
-def on_cluster(config: MakeConfig, gpus: int) -> MakeConfig:
-    """The config with the kind of device that a cluster with so many GPUs drapes on, ``cpu`` or ``cuda``.
+def with_cluster_device(config: MakeConfig, gpus: int) -> MakeConfig:
+    """The config with the device that a cluster with ``gpus`` GPUs drapes on: ``cpu`` or ``cuda``.
 
-    Raises ``ConfigError`` for GPUs that it does not have, or by their numbers.
+    Raises ``ConfigError`` for ``cuda`` without a GPU, and for a device number: Ray assigns the GPUs.
     """
     if config.device not in ("auto", "cpu", "cuda"):
         raise ConfigError(f"device {config.device}: Ray hands out the GPUs of its nodes: give auto, cpu or cuda")
@@ -193,48 +195,49 @@ def on_cluster(config: MakeConfig, gpus: int) -> MakeConfig:
 
 
 @dataclass(frozen=True)
-class _Range:
-    """What a task makes."""
+class _Task:
+    """The arguments of a task."""
 
     number: int
     seed: int
     indices: tuple[int, ...]
     config: MakeConfig
     finished: Callable[[Sample], Any]
-    origin: Mapping[str, str]
-    """Versions where the samples are written."""
+    """Applied to each sample on the node; its results are sent back."""
+    versions: Mapping[str, str]
+    """``code_versions`` of the writing process."""
 
 
 @dataclass(frozen=True)
-class _Made:
-    """What a task has made, and the error that ended it: Ray repeats no task that returns."""
+class _TaskResult:
+    """Results of a task and the error that ended it; returned, not raised, so that Ray does not retry."""
 
     results: tuple[Any, ...]
     error: Exception | None
-    said: tuple[tuple[int, str], ...]
-    """Level and message of what was logged meanwhile."""
+    logged: tuple[tuple[int, str], ...]
+    """Level and message of the task's log records."""
 
 
-def _make(work: _Range, actors: Sequence[Actor]) -> _Made:
-    """The task."""
+def _run_task(task: _Task, actors: Sequence[Actor]) -> _TaskResult:
+    """Make the samples of a task; runs on a node."""
     results: list[Any] = []
     error: Exception | None = None
-    with _heard() as said:
+    with _captured_log() as logged:
         try:
-            if differs := mismatch(work.origin, origin()):  # of a node that has joined since
-                raise ConfigError(f"node {_node()}: {differs}")
+            if difference := mismatch(task.versions, code_versions()):  # the node may have joined after the check
+                raise ConfigError(f"node {_node()}: {difference}")
             with ExitStack() as opened:
-                draper = opened.enter_context(_draper(actors, work.number)) if work.config.stage == "drape" else None
-                for result in produce(work.seed, work.indices, work.config, draper=draper, finished=work.finished):
-                    results.append(result)  # noqa: PERF402 - those before an error are kept
-        except (OSError, MemoryError) as met:
+                draper = opened.enter_context(_draper(actors, task.number)) if task.config.stage == "drape" else None
+                for result in produce(task.seed, task.indices, task.config, draper=draper, finished=task.finished):
+                    results.append(result)  # noqa: PERF402 - keeps the results before an error
+        except (OSError, MemoryError) as fault:
             error = OutputError(
-                f"node {_node()}: {met}: make room there, or take it out of the cluster, then give the same command "
+                f"node {_node()}: {fault}: make room there, or take it out of the cluster, then give the same command "
                 "again: it goes on from here"
             )
-        except Exception as met:  # noqa: BLE001 -- raised where the results are read
-            error = met
-    return _Made(tuple(results), error, tuple(said))
+        except Exception as fault:  # noqa: BLE001 -- raised in the writing process
+            error = fault
+    return _TaskResult(tuple(results), error, tuple(logged))
 
 
 def _draper(actors: Sequence[Actor], number: int) -> Draper:
@@ -247,18 +250,18 @@ def _draper(actors: Sequence[Actor], number: int) -> Draper:
 
     from gcd_dataset.generator.drapers.ray_actor import RayDraper
 
-    return RayDraper(near_first(actors, ray.get_runtime_context().get_node_id(), number))
+    return RayDraper(nearest_first(actors, ray.get_runtime_context().get_node_id(), number))
 
 
 @contextmanager
-def _heard() -> Iterator[list[tuple[int, str]]]:
-    """What this package logs in the block, from warnings on."""
-    said: list[tuple[int, str]] = []
+def _captured_log() -> Iterator[list[tuple[int, str]]]:
+    """Level and message of this package's warnings and errors in the block."""
+    logged: list[tuple[int, str]] = []
     handler = logging.Handler(logging.WARNING)
-    handler.emit = lambda record: said.append((record.levelno, record.getMessage()))  # type: ignore[method-assign]
+    handler.emit = lambda record: logged.append((record.levelno, record.getMessage()))  # type: ignore[method-assign]
     logger.addHandler(handler)
     try:
-        yield said
+        yield logged
     finally:
         logger.removeHandler(handler)
 
@@ -270,31 +273,37 @@ def _node() -> str:
 
 
 @cache
-def origin() -> dict[str, str]:
-    """Versions of all that decides bytes, and a hash of this package: a checkout changes without its version."""
+def code_versions() -> dict[str, str]:
+    """Versions of the packages that determine the samples, and a hash of this package's source files.
+
+    The hash is needed since a checkout changes without its version.
+    """
     root = Path(__file__).resolve().parents[1]
-    found = hashlib.sha256()
+    sources = hashlib.sha256()
     for folder, below, names in os.walk(root, followlinks=True):
         below.sort()
         for name in sorted(name for name in names if name.endswith(".py")):
             path = Path(folder, name)
-            found.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
-    return versions() | {"sources": found.hexdigest()[:12]}
+            sources.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
+    return versions() | {"sources": sources.hexdigest()[:12]}
 
 
 def mismatch(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str | None:
-    """How the versions of a node differ from those here, and the remedy; ``None`` where they do not."""
-    other = [f"{name} {theirs.get(name, 'missing')} instead of {mine}" for name, mine in ours.items()]
-    other = [told for told, name in zip(other, ours, strict=True) if theirs.get(name) != ours[name]]
-    return f"{', '.join(other)}: install the same on every node" if other else None
+    """The differences between the versions of a node and those here, with a remedy; ``None`` if there are none."""
+    different = [
+        f"{name} {theirs.get(name, 'missing')} instead of {version}"
+        for name, version in ours.items()
+        if theirs.get(name) != version
+    ]
+    return f"{', '.join(different)}: install the same on every node" if different else None
 
 
-# ----------------------------------------------------------------------------------------------------------------- here
+# ------------------------------------------------------------------------------------------------------ on this machine
 
 
 def _imported() -> ModuleType:
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a local cluster would report to its makers
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else a FutureWarning
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no usage report from a local cluster
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # avoids a FutureWarning
     try:
         import ray
     except ImportError as error:
@@ -302,8 +311,8 @@ def _imported() -> ModuleType:
     return ray
 
 
-def _hear_events(ray: ModuleType) -> None:
-    """Have nodes and workers that are lost logged in a line each: Ray prints them on stdout, whatever it is told."""
+def _log_events(ray: ModuleType) -> None:
+    """Log Ray's events, such as lost nodes, in one line each: Ray prints them on stdout, and no option stops it."""
 
     def log(data: Mapping[str, Any], *_: object, **__: object) -> None:
         logger.warning("Ray: %s", shown(" ".join(" ".join(data["lines"]).split())[:EVENT]))
@@ -312,7 +321,7 @@ def _hear_events(ray: ModuleType) -> None:
 
 
 def _connect(ray: ModuleType, address: str | None) -> None:
-    """Connect to the cluster at ``address``, or to one of this machine, or to a new one. Raises ``ConfigError``."""
+    """Connect to the cluster at ``address``, to one on this machine, or to a new one. Raises ``ConfigError``."""
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
     if address not in (None, "", "auto", "local"):
         _require_answer(address)
@@ -321,8 +330,8 @@ def _connect(ray: ModuleType, address: str | None) -> None:
     if address != "local":
         with contextlib.suppress(ConnectionError):
             ray.init(address="auto", **quiet)
-            there = ray.get_runtime_context().gcs_address
-            logger.info("Ray: the cluster at %s runs on this machine and is used; RAY_ADDRESS=local starts one", there)
+            running = ray.get_runtime_context().gcs_address
+            logger.info("Ray: using the cluster at %s on this machine; RAY_ADDRESS=local starts a new one", running)
             return
     if address == "auto":
         raise ConfigError("RAY_ADDRESS is auto, and no Ray cluster runs on this machine: start one, or unset it")
@@ -343,9 +352,9 @@ except Exception as error:
 
 
 def _require_answer(address: str) -> None:
-    """Raise ``ConfigError`` where no cluster of this version of Ray answers soon.
+    """Raise ``ConfigError`` unless a cluster of this version of Ray answers within ``CONNECTED`` seconds.
 
-    Asked by a process of its own: Ray tries for minutes, prints all the while, and cannot be stopped.
+    Connects in a subprocess: Ray tries for minutes, prints meanwhile, and cannot be interrupted.
     """
     if "://" in address:
         raise ConfigError(
@@ -367,69 +376,69 @@ def _require_answer(address: str) -> None:
 
 
 def _require_same(ray: ModuleType) -> None:
-    """Raise ``ConfigError`` with the nodes whose versions differ from those here, or that do not answer."""
+    """Raise ``ConfigError`` with the first node that has other versions than this machine, or does not answer."""
     from ray.exceptions import RayError, RayTaskError
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-    nodes = {node["NodeID"]: node["NodeManagerAddress"] for node in _working(ray)}
+    nodes = {node["NodeID"]: node["NodeManagerAddress"] for node in _usable_nodes(ray)}
     asked = {}
     for node, address in nodes.items():
-        there = NodeAffinitySchedulingStrategy(node, soft=False)
-        asked[ray.remote(num_cpus=0, scheduling_strategy=there)(_asked_origin()).remote()] = address
+        on_node = NodeAffinitySchedulingStrategy(node, soft=False)
+        asked[ray.remote(num_cpus=0, scheduling_strategy=on_node)(_versions_task()).remote()] = address
     answered, silent = ray.wait(list(asked), num_returns=len(asked), timeout=STARTED) if asked else ([], [])
     faults = [f"node {asked[reference]}: no answer within {STARTED:.0f} s: see ray status" for reference in silent]
     for reference in answered:
         try:
-            differs = mismatch(origin(), ray.get(reference))
+            differs = mismatch(code_versions(), ray.get(reference))
         except RayTaskError as error:
             differs = f"{type(error.cause).__name__}: {error.cause}"
         except RayError:
-            continue  # lost meanwhile: Ray gives it nothing to do
+            continue  # the node was lost meanwhile: Ray schedules nothing on it
         if differs:
             faults.append(f"node {asked[reference]}: {differs}")
     if faults:
         raise ConfigError(faults[0] + (f"; and {len(faults) - 1} more nodes" if len(faults) > 1 else ""))
 
 
-def _asked_origin() -> Callable[[], dict[str, str]]:
-    """A function that goes to a node as its code, since the node may lack this package."""
+def _versions_task() -> Callable[[], dict[str, str]]:
+    """A function that Ray pickles by value, since the node may lack this package; it returns the node's versions."""
 
     def found() -> dict[str, str]:
         try:
-            from gcd_dataset.verbs.ray_engine import origin
-        except ImportError:  # not there, or a version without Ray
+            from gcd_dataset.verbs.ray_engine import code_versions
+        except ImportError:  # not installed, or a version without the Ray engine
             try:
                 from gcd_dataset import __version__
             except ImportError:
                 return {}
             return {"gcd_dataset": __version__}
-        return origin()
+        return code_versions()
 
     return found
 
 
-def _working(ray: ModuleType) -> list[dict[str, Any]]:
-    """The nodes that are alive and take tasks or actors."""
+def _usable_nodes(ray: ModuleType) -> list[dict[str, Any]]:
+    """The nodes that are alive and have CPUs or GPUs."""
     return [node for node in ray.nodes() if node["Alive"] and {"CPU", "GPU"} & node["Resources"].keys()]
 
 
 def _actors(ray: ModuleType, gpus: int) -> Sequence[Actor]:
-    """Those of the GPUs' actors that stand within ``STARTED`` seconds; other jobs may have some of the GPUs."""
+    """The draping actors that start within ``STARTED`` seconds; other jobs may occupy some of the GPUs."""
     from gcd_dataset.generator.drapers.ray_actor import start_actor
 
     started = [start_actor("cuda:0", gpus=1 / DRAPERS_PER_GPU) for _ in range(gpus * DRAPERS_PER_GPU)]
-    standing = {actor.ready.remote(): actor for actor in started}
-    answered, late = ray.wait(list(standing), num_returns=len(standing), timeout=STARTED)
-    _end(ray, [standing[reference] for reference in late])
+    starting = {actor.ready.remote(): actor for actor in started}
+    answered, late = ray.wait(list(starting), num_returns=len(starting), timeout=STARTED)
+    _end(ray, [starting[reference] for reference in late])
     actors = []
+    fault = f"none was free within {STARTED:.0f} s, see ray status"
     for reference in answered:
         try:
-            actors.append(Actor(standing[reference], ray.get(reference)))
+            actors.append(Actor(starting[reference], ray.get(reference)))
         except ray.exceptions.RayError as error:
             fault = " ".join(str(getattr(error, "cause", None) or error).split())
     if not actors:
-        told = fault if answered else f"none was free within {STARTED:.0f} s, see ray status"
-        raise ConfigError(f"no GPU of the Ray cluster can drape: {told}: give --device cpu, or free one")
+        raise ConfigError(f"no GPU of the Ray cluster can drape: {fault}: give --device cpu, or free one")
     return actors
 
 
@@ -438,21 +447,19 @@ def _end(ray: ModuleType, handles: Iterable[Any]) -> None:
         ray.kill(handle)
 
 
-def _fetched(ray: ModuleType, reference: Any) -> _Made:
-    """What a task has made. Raises ``GcdError`` where Ray cannot have it made."""
-    goes_on = "give the same command again: it goes on from here"
+def _fetch(ray: ModuleType, reference: Any) -> _TaskResult:
+    """The result of a task. Raises ``GcdError`` if Ray cannot run it."""
+    resume = "give the same command again: it goes on from here"
     while not ray.wait([reference], timeout=LOOK)[0]:
-        if not any(node["Resources"].get("CPU") for node in _working(ray)):
-            raise GcdError(f"no node of the Ray cluster is left: add one (ray status shows them), then {goes_on}")
+        if not any(node["Resources"].get("CPU") for node in _usable_nodes(ray)):
+            raise GcdError(f"no node of the Ray cluster is left: add one (ray status shows them), then {resume}")
     try:
         return ray.get(reference)
-    except ray.exceptions.RayTaskError as error:  # before or after our own code: a node without it
-        raise GcdError(
-            f"on a node of the Ray cluster: {type(error.cause).__name__}: {error.cause}; {goes_on}"
-        ) from None
+    except ray.exceptions.RayTaskError as error:  # outside our own code: the node lacks this package
+        raise GcdError(f"on a node of the Ray cluster: {type(error.cause).__name__}: {error.cause}; {resume}") from None
     except ray.exceptions.RayError as error:
         lost = " ".join(str(error).split())[:200]
         raise GcdError(
             f"Ray lost a range of garments {RETRIES + 1} times, the last by {type(error).__name__} ({lost}): see ray "
-            f"status and its logs, then {goes_on}"
+            f"status and its logs, then {resume}"
         ) from error

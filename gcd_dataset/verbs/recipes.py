@@ -1,4 +1,4 @@
-"""Data sets by name: what there is, whether a folder is one of them, and having one made."""
+"""Data sets of recipes: listing the recipes, verifying a folder against one, and making one on demand."""
 
 import logging
 import multiprocessing
@@ -21,14 +21,14 @@ from gcd_dataset.shards.layout import recipe_hash
 from gcd_dataset.shards.manifest import MANIFEST, Manifest, RecipeRecord, read_manifest
 from gcd_dataset.shards.pattern_arrays import stored_patterns
 from gcd_dataset.shards.reader import ShardReader
-from gcd_dataset.verbs.making import MADE, generate_recipe
+from gcd_dataset.verbs.making import CPU_SECONDS, generate_recipe
 from gcd_dataset.verbs.progress import Progress
 from gcd_dataset.verbs.seal import is_sealed
-from gcd_dataset.workers import without_program
+from gcd_dataset.workers import without_main_module
 
-__all__ = ["have_recipe", "recipe_faults", "recipe_lines"]
+__all__ = ["ensure_recipe", "recipe_faults", "recipe_lines"]
 
-SAMPLED = 32  # designs that are made again where a recipe does not tell the hash of all its patterns
+SAMPLED = 32  # designs made again to verify a recipe without a hash of all its patterns
 LOCK = ".recipe.lock"
 
 log = logging.getLogger(__name__)
@@ -38,7 +38,7 @@ log = logging.getLogger(__name__)
 
 
 def recipe_lines(name: str = "") -> Iterator[str]:
-    """A line for each recipe of the package; of the one of that name all it says. Raises ``ConfigError``."""
+    """One line for each recipe of the package; with a ``name``, the details of that recipe. Raises ``ConfigError``."""
     if not name:
         recipes = [find_recipe(name) for name in recipe_names()]
         width = max(len(recipe.name) for recipe in recipes)
@@ -50,24 +50,24 @@ def recipe_lines(name: str = "") -> Iterator[str]:
     yield f"  splits: {', '.join(f'{split} {size}' for split, size in recipe.sizes().items())}"
     made = {option: value for option, value in recipe_of(recipe.config).items() if option != "device"}
     yield f"  options: {', '.join(f'{option} {value}' for option, value in made.items() if value != {})}"
-    yield f"  patterns: {recipe.patterns or 'nobody has made all of them yet'}"
+    yield f"  patterns: {recipe.patterns or 'no hash yet: not all of them have been made'}"
 
 
 # ------------------------------------------------------------------------------------------------------------- verify
 
 
 def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
-    """Why a folder is not the data set of a recipe, one line each.
+    """The differences between a folder and the data set of a recipe, one line each.
 
-    Its manifest names the recipe; each split holds the samples that the recipe puts there, made with its seed and
-    options on any device; and the patterns have the recipe's hash. Where the recipe does not tell that, some patterns
-    are made again and compared. Raises ``ShardError`` for a folder that cannot be read.
+    Checked: the manifest names the recipe; each split holds the samples that the recipe assigns to it, made with its
+    seed and options on any device; the patterns have the recipe's hash. For a recipe without a hash, some patterns are
+    made again and compared. Raises ``ShardError`` for a folder that cannot be read.
     """
     manifest = read_manifest(folder) or Manifest()
-    there = manifest.recipe or RecipeRecord("", "")
-    if (there.name, there.sha256) != (recipe.name, recipe.sha256):
-        named = f"{there.name} ({there.sha256})" if there.name else "none"
-        yield f"{folder / MANIFEST}: tells of recipe {named}, asked for {recipe.name} ({recipe.sha256})"
+    stored = manifest.recipe or RecipeRecord("", "")
+    if (stored.name, stored.sha256) != (recipe.name, recipe.sha256):
+        named = f"{stored.name} ({stored.sha256})" if stored.name else "none"
+        yield f"{folder / MANIFEST}: names recipe {named}, asked for {recipe.name} ({recipe.sha256})"
         return
     faults = [*_split_faults(folder, manifest, recipe)]
     yield from faults
@@ -79,10 +79,10 @@ def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
     except GcdError as error:
         yield str(error)
         return
-    if not there.patterns:
+    if not stored.patterns:
         yield f"{folder / MANIFEST}: no hash of the patterns yet: run gcd generate --recipe {recipe.name} again"
-    elif not found.agrees(there.patterns):
-        yield f"{folder}: its patterns have hash {found.text}, and {MANIFEST} tells of {there.patterns}"
+    elif not found.agrees(stored.patterns):
+        yield f"{folder}: its patterns have hash {found.text}, {MANIFEST} lists {stored.patterns}"
     if recipe.patterns:
         if not found.agrees(recipe.patterns):
             yield f"{folder}: its patterns have hash {found.text}, those of {recipe.name} {recipe.patterns}"
@@ -91,13 +91,13 @@ def recipe_faults(folder: Path, recipe: Recipe) -> Iterator[str]:
 
 
 def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[str]:
-    """Samples that are missing, or in the wrong split, and splits made otherwise."""
-    held = splits_in(folder)
-    for split in sorted(set(held) - set(recipe.splits)):
+    """Samples that are missing or in the wrong split, and splits made with another seed or other options."""
+    stored_splits = splits_in(folder)
+    for split in sorted(set(stored_splits) - set(recipe.splits)):
         yield f"{folder}: split {split} is none of {recipe.name}: take it away"
     asked = recipe_of(recipe.config)
     for split in recipe.splits:
-        if split not in held:
+        if split not in stored_splits:
             yield f"{folder}: no split {split}: run gcd generate --recipe {recipe.name} again"
             continue
         record = manifest.splits.get(split)
@@ -111,103 +111,104 @@ def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[
             met, wanted = record.recipe.get(other[0]), asked.get(other[0])
             yield f"{folder / MANIFEST}: split {split} was made with {other[0]}={met!r}, the recipe has {wanted!r}"
         reader = ShardReader(FolderStore(folder), split)
-        there = reader.index.table.sample[reader.rows(range(len(reader)))]
+        stored = reader.index.table.sample[reader.rows(range(len(reader)))]
         wanted = recipe.indices_in(split)
-        if missing := len(np.setdiff1d(wanted, there)):
+        if missing := len(np.setdiff1d(wanted, stored)):
             yield f"{folder}: split {split} lacks {missing} of {len(wanted)} samples: run gcd generate again"
-        if foreign := len(np.setdiff1d(there, wanted)):
+        if foreign := len(np.setdiff1d(stored, wanted)):
             yield f"{folder}: split {split} holds {foreign} samples of other splits: delete it, and make it again"
 
 
 def _sampled_faults(folder: Path, readers: Iterable[ShardReader], recipe: Recipe) -> Iterator[str]:
-    """Designs whose patterns are others when they are made again."""
+    """Compare the stored patterns of some designs with the patterns when made again; one line for each difference."""
     designs = np.unique(np.linspace(0, recipe.designs - 1, min(recipe.designs, SAMPLED)).astype(int)).tolist()
-    log.info("%s does not tell the hash of all its patterns: %d designs are made again", recipe.name, len(designs))
+    log.info("%s has no hash of all its patterns: %d designs are made again", recipe.name, len(designs))
     made = dict(made_patterns(recipe, designs))
     for reader in readers:
         for index, pattern in stored_patterns(reader, of=made.keys()):
             if not PatternHash.of([(index, made[index])]).agrees(PatternHash.of([(index, pattern)]).text):
-                yield f"{folder}: {pattern.name} has another pattern when it is made again"
+                yield f"{folder}: {pattern.name} has another pattern when made again: generate the data set anew"
 
 
 # ------------------------------------------------------------------------------------------------------------ loading
 
 
-def have_recipe(recipe: Recipe, folder: Path) -> None:
-    """Have the data set of a recipe in a folder: made now, with a bar on stderr, unless all of it is there.
+def ensure_recipe(recipe: Recipe, folder: Path) -> None:
+    """Make the data set of a recipe in a folder, with a progress bar on stderr, unless it is complete there.
 
-    Another process that asks for it meanwhile waits. Raises ``ConfigError`` for a folder that holds something else, or
-    the data set as another version of this package made it; else as ``generate_recipe``.
+    Concurrent calls wait for each other. Raises ``ConfigError`` for a folder that holds something else, or the data set
+    as another version of this package made it; otherwise as ``generate_recipe``.
     """
     if not is_sealed(folder, recipe):
-        with _alone(make_folder(folder), recipe):
+        with _lock_folder(make_folder(folder), recipe):
             if not is_sealed(folder, recipe):
                 _make(recipe, folder)
-    there = (read_manifest(folder) or Manifest()).recipe
-    if recipe.patterns and there is not None and there.patterns != recipe.patterns:
+    stored = (read_manifest(folder) or Manifest()).recipe
+    if recipe.patterns and stored is not None and stored.patterns != recipe.patterns:
         raise ConfigError(
-            f"{folder}: {recipe.name} with other patterns than this version of the package draws: delete it, and it is "
-            "made anew, or read it as a folder"
+            f"{folder}: {recipe.name} with other patterns than this version of the package draws: delete the folder to "
+            "make it anew, or read it by its path"
         )
 
 
 def _make(recipe: Recipe, folder: Path) -> None:
     from tqdm import tqdm
 
-    _tell_estimate(recipe, folder)
-    workers = 0 if multiprocessing.current_process().daemon else None  # a DataLoader's worker may have no processes
+    _log_estimate(recipe, folder)
+    workers = 0 if multiprocessing.current_process().daemon else None  # a DataLoader's worker cannot start processes
     with tqdm(total=recipe.count, unit="garment", desc=recipe.name) as bar:
 
-        def told(progress: Progress) -> None:
+        def report(progress: Progress) -> None:
             bar.update(progress.done - bar.n)
 
-        with without_program():
-            generate_recipe(folder, recipe, workers=workers, told=told)
+        with without_main_module():
+            generate_recipe(folder, recipe, workers=workers, on_progress=report)
 
 
-def _tell_estimate(recipe: Recipe, folder: Path) -> None:
+def _log_estimate(recipe: Recipe, folder: Path) -> None:
     from gcd_dataset.generator.drape import seconds_to_drape
     from gcd_dataset.generator.drape.device import cores
 
     manifest = read_manifest(folder) or Manifest()
-    there = sum(shard.count for split in manifest.splits.values() for shard in split.shards)
-    missing, config = recipe.count - there, recipe.config
-    seconds = MADE[config.stage] * missing / cores()
+    stored = sum(shard.count for split in manifest.splits.values() for shard in split.shards)
+    missing, config = recipe.count - stored, recipe.config
+    seconds = CPU_SECONDS[config.stage] * missing / cores()
     if config.stage == "drape":
         seconds = max(seconds, seconds_to_drape(missing, config.device, config.resolution))
     log.warning(
-        "%s: %d garments are to be made in %s, in about %s; stopped, it goes on from there",
+        "%s: making %d garments in %s takes about %s; the next call resumes a stopped one",
         recipe.name,
         missing,
         folder,
-        _spoken(seconds),
+        _duration(seconds),
     )
 
 
-def _spoken(seconds: float) -> str:
+def _duration(seconds: float) -> str:
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 @contextmanager
-def _alone(folder: Path, recipe: Recipe) -> Iterator[None]:
-    """Hold the folder; wait, and say so, while another process makes the data set there."""
+def _lock_folder(folder: Path, recipe: Recipe) -> Iterator[None]:
+    """Lock the folder for the block; waits, with a warning, while another process makes the data set there."""
     task = f"making {recipe.name}"
-    with ExitStack() as held:
+    with ExitStack() as stack:
         try:
-            held.enter_context(locked(folder / LOCK, task))
+            stack.enter_context(locked(folder / LOCK, task))
         except OutputError as error:
-            if not isinstance(error.__cause__, BlockingIOError) or _begins_for_parent():
+            if not isinstance(error.__cause__, BlockingIOError) or _is_importing_main():
                 raise
             log.warning("%s: another process is %s there: waiting for it", folder, task)
-            held.enter_context(locked(folder / LOCK, task, wait=True))
+            stack.enter_context(locked(folder / LOCK, task, wait=True))
         yield
 
 
-def _begins_for_parent() -> bool:
-    """Whether this process runs a program's top level again for the workers of the one that holds the lock.
+def _is_importing_main() -> bool:
+    """Whether this is a spawned worker that imports the main module again.
 
-    That one waits for us: multiprocessing ends such a process in the same way, by the same mark.
+    Its parent may hold the lock and wait for it, so waiting here would deadlock. The flag is the one by which
+    multiprocessing forbids such a process to start processes.
     """
     return bool(getattr(multiprocessing.current_process(), "_inheriting", False))

@@ -1,4 +1,4 @@
-"""A data set of ours in the folders of the published GarmentCodeData."""
+"""Exporting a data set to the folder layout of the published GarmentCodeData."""
 
 import hashlib
 import io
@@ -35,7 +35,7 @@ __all__ = ["export_published", "exported_splits"]
 
 logger = logging.getLogger("gcd_dataset")
 
-BATCH = 5000  # designs
+BATCH = 5000  # designs in a batch
 LETTERS = string.ascii_uppercase + string.digits
 LETTERS_IN_NAME = 10
 SPLIT_FILE = "GarmentCodeData_v2_official_train_valid_test_data_split.json"
@@ -46,22 +46,23 @@ CLOTH_OPACITY, OUTLINE = 166, 0.5  # of 255; cm
 
 @dataclass(frozen=True)
 class PublishedName:
-    """What a garment is called there."""
+    """Batch, folder and name of a garment in the published layout."""
 
     batch: str
     body_folder: str
     name: str
     body_sample: str | None
+    """Name of a random body; ``None`` for the default body."""
 
     @property
     def listed(self) -> str:
-        """The entry of a split: designs are listed under the default body, whoever wears them."""
+        """The garment's entry in the split file: always under the default body, as the file lists designs."""
         return f"{self.batch}/{BODY_FOLDERS['default']}/{self.name}"
 
 
 @dataclass
 class _Batch:
-    """What has been noted about the garments of one batch on one kind of body."""
+    """Properties of the garments of one batch and one body folder, by garment name."""
 
     panels: dict[str, int] = field(default_factory=dict)
     types: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -70,33 +71,36 @@ class _Batch:
 
 
 def exported_splits(folder: Path | str) -> dict[str, ShardReader]:
-    """The splits of a data set that have a name in the layout; others are told. Raises ``ShardError`` without any."""
-    there = splits_in(folder)
-    others = ", ".join(split for split in there if split not in SPLIT_NAMES)
-    if others and not set(there) & set(SPLIT_NAMES):
+    """The splits of a data set that exist in the published layout, with a warning about others.
+
+    Raises ``ShardError`` if there is none.
+    """
+    splits = splits_in(folder)
+    others = ", ".join(split for split in splits if split not in SPLIT_NAMES)
+    if others and not set(splits) & set(SPLIT_NAMES):
         raise ShardError(
             f"{folder}: no split that the published layout has a name for: there is {others}: "
             "give --hdf5 FILE and --split"
         )
     if others:
         logger.warning("%s: left out: %s: the published layout has %s alone", folder, others, ", ".join(SPLIT_NAMES))
-    return {split: ShardReader(folder, split) for split in SPLIT_NAMES if split in (there or ("train",))}
+    return {split: ShardReader(folder, split) for split in SPLIT_NAMES if split in (splits or ("train",))}
 
 
 def export_published(readers: Mapping[str, ShardReader], out: Path | str) -> Generator[str, None, None]:
-    """Write all garments, yielding the name of each; the split and the properties of the batches come last.
+    """Write all garments, yielding the name of each; the split file and the batch properties are written last.
 
-    Garments that came from a release keep their names. Ours are named by seed and design, 5,000 designs a batch; those
-    on the neutral body go to ``default_body``. Those that did not settle are written too, and noted as failed, as the
-    authors' tools do. The folder must be new or empty, or one where an earlier run with these garments was stopped:
-    it goes on there. Raises ``ConfigError``, ``OutputError`` and ``ShardError``.
+    Garments from a release keep their names. Generated garments are named by seed and design, 5,000 designs in a batch;
+    garments on the neutral body go to ``default_body``. Garments that did not settle are written and listed as failed,
+    as GarmentCode's tools do. ``out`` must be new or empty, or hold a stopped export of the same garments, which is
+    resumed. Raises ``ConfigError``, ``OutputError`` and ``ShardError``.
     """
-    with release_draft(out, _told_apart(readers)) as draft:
-        yield from _written(readers, draft)
+    with release_draft(out, _fingerprint(readers)) as draft:
+        yield from _write_garments(readers, draft)
 
 
-def _told_apart(readers: Mapping[str, ShardReader]) -> str:
-    """What tells these garments, and how they are written, from others."""
+def _fingerprint(readers: Mapping[str, ShardReader]) -> str:
+    """Identifies the exported garments and the version that writes them, so that only the same export is resumed."""
     contents = {}
     for split, reader in readers.items():
         table = reader.index.table
@@ -104,7 +108,7 @@ def _told_apart(readers: Mapping[str, ShardReader]) -> str:
     return json.dumps({"version": __version__, "contents": contents})
 
 
-def _written(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> Iterator[str]:
+def _write_garments(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> Iterator[str]:
     batches: dict[tuple[str, str], _Batch] = {}
     splits: dict[str, dict[str, None]] = {}
     first_batch = 0
@@ -113,61 +117,61 @@ def _written(readers: Mapping[str, ShardReader], draft: ReleaseDraft) -> Iterato
         last = 0
         for position in range(len(reader)):
             sample = reader.sample(position)
-            place = _place(sample, split, first_batch)
+            published = _published_name(sample, split, first_batch)
             last = max(last, _design_number(sample))
-            _write(sample, place, draft, batches.setdefault((place.batch, place.body_folder), _Batch()))
+            _write(sample, published, draft, batches.setdefault((published.batch, published.body_folder), _Batch()))
             if sample.drape is not None and sample.drape.outcome is Outcome.SETTLED:
-                listed[place.listed] = None
-            yield place.name
+                listed[published.listed] = None
+            yield published.name
         first_batch += last // BATCH + 1
-    for (batch, body_folder), noted in batches.items():
-        tree = batch_properties(batch, noted.panels, noted.types, noted.counts, noted.fails)
-        write_whole(draft.folder / batch / body_folder / properties_name(body_folder), yaml_bytes(tree))
+    for (name, body_folder), batch in batches.items():
+        tree = batch_properties(name, batch.panels, batch.types, batch.counts, batch.fails)
+        write_whole(draft.folder / name / body_folder / properties_name(body_folder), yaml_bytes(tree))
     lists = {name: list(splits.get(name, {})) for name, *_ in SPLIT_NAMES.values()}
     write_whole(draft.folder / SPLIT_FILE, json.dumps(lists, indent=4).encode())
 
 
-def _write(sample: Sample, place: PublishedName, draft: ReleaseDraft, noted: _Batch) -> None:
-    tree, folder = _tree(sample), Path(place.batch, place.body_folder, "data", place.name)
+def _write(sample: Sample, published: PublishedName, draft: ReleaseDraft, batch: _Batch) -> None:
+    tree, folder = _design(sample), Path(published.batch, published.body_folder, "data", published.name)
     if not draft.holds(folder):
-        files = garment_files(sample, place.name, tree, _drawn(sample), body_sample=place.body_sample)
+        files = garment_files(sample, published.name, tree, _drawing(sample), body_sample=published.body_sample)
         draft.put(folder, files)
-    _note(sample, place.name, tree, noted)
+    _add_properties(sample, published.name, tree, batch)
 
 
-def _note(sample: Sample, name: str, tree: Mapping[str, Any], noted: _Batch) -> None:
+def _add_properties(sample: Sample, name: str, tree: Mapping[str, Any], batch: _Batch) -> None:
     drape, mesh = sample.drape, sample.box_mesh
     assert drape is not None
     assert mesh is not None
-    noted.panels[name] = len(sample.pattern.panels)
-    noted.types[name] = garment_type(tree)
-    noted.counts[name] = {
+    batch.panels[name] = len(sample.pattern.panels)
+    batch.types[name] = garment_type(tree)
+    batch.counts[name] = {
         "fin_frame": drape.frames,
         "self_collisions": drape.self_crossings,
         "body_collisions": drape.body_crossings,
         "face_count": len(mesh.faces),
     }
     if drape.outcome is not Outcome.SETTLED:
-        noted.fails[name] = FAIL_CLASSES[drape.outcome]
+        batch.fails[name] = FAIL_CLASSES[drape.outcome]
 
 
 # --------------------------------------------------------------------------------------------------------------- names
 
 
-def _place(sample: Sample, split: str, first_batch: int) -> PublishedName:
-    made = sample.provenance
-    if made.source:
-        return _place_in_release(sample.key, made.source, made.body_name)
+def _published_name(sample: Sample, split: str, first_batch: int) -> PublishedName:
+    provenance = sample.provenance
+    if provenance.source:
+        return _name_in_release(sample.key, provenance.source, provenance.body_name)
     number = _design_number(sample)
-    batch, name = f"garments_{BATCH}_{first_batch + number // BATCH}", _name(f"{split}:{made.seed}:{number}")
-    if made.body_name == "neutral":
+    batch, name = f"garments_{BATCH}_{first_batch + number // BATCH}", _name(f"{split}:{provenance.seed}:{number}")
+    if provenance.body_name == "neutral":
         return PublishedName(batch, BODY_FOLDERS["default"], name, None)
     pose = "apart" if sample.shape is not None and sample.shape.legs_apart else "straight"
     return PublishedName(batch, BODY_FOLDERS["random"], name, f"{first_batch * BATCH + number:05d}_{pose}")
 
 
-def _place_in_release(key: str, source: str, body_name: str) -> PublishedName:
-    """The place that a garment had in its release, under names that lead nowhere else."""
+def _name_in_release(key: str, source: str, body_name: str) -> PublishedName:
+    """The name that a garment had in its release, made safe as a path."""
     parts = source.rsplit("/", 3)
     if len(parts) != 4:
         raise ShardError(f"sample {key}: its meta.json has source {shown(source)}: give RELEASE/BATCH/BODIES/NAME")
@@ -176,18 +180,18 @@ def _place_in_release(key: str, source: str, body_name: str) -> PublishedName:
 
 
 def _design_number(sample: Sample) -> int:
-    """Of a design among those of its seed: with ``bodies="both"`` two samples are of one design.
+    """Number of the sample's design within its seed; with ``bodies="both"`` two samples share a design.
 
-    A design that several random bodies wear counts as several: the layout has one folder for random bodies.
+    A design on several random bodies counts as several designs: the layout has a single folder for random bodies.
     """
-    made = sample.provenance
-    if made.recipe.get("bodies_each", 1) > 1:
-        return made.index
-    return made.index // (2 if made.source or made.recipe.get("bodies") == "both" else 1)
+    provenance = sample.provenance
+    if provenance.recipe.get("bodies_each", 1) > 1:
+        return provenance.index
+    return provenance.index // (2 if provenance.source or provenance.recipe.get("bodies") == "both" else 1)
 
 
 def _name(design: str) -> str:
-    """``rand_`` and ten letters, always the same for a design."""
+    """``rand_`` and ten letters or digits, derived from a hash of ``design``."""
     number = int.from_bytes(hashlib.sha256(design.encode()).digest(), "big")
     return "rand_" + "".join(LETTERS[number // len(LETTERS) ** i % len(LETTERS)] for i in range(LETTERS_IN_NAME))
 
@@ -195,13 +199,13 @@ def _name(design: str) -> str:
 # ------------------------------------------------------------------------------------------------------------- content
 
 
-def _tree(sample: Sample) -> Mapping[str, Any]:
-    """The tree of design parameters; that of a release is kept as it is."""
+def _design(sample: Sample) -> Mapping[str, Any]:
+    """The tree of design parameters; a published garment's tree is unchanged."""
     return sample.design if sample.provenance.source else design_tree(design_from_dict(sample.design))
 
 
-def _drawn(sample: Sample) -> PatternDrawing:
-    """The pattern drawn, and its panels laid out for the texture."""
+def _drawing(sample: Sample) -> PatternDrawing:
+    """Pictures of the pattern, and the texture with its layout."""
     plan = lay_out(sample.pattern)
     return PatternDrawing(
         svg=pattern_svg(sample.pattern),
@@ -213,7 +217,7 @@ def _drawn(sample: Sample) -> PatternDrawing:
 
 
 def _texture(plan: LayPlan) -> bytes:
-    """The panels in their places, outlined; clear elsewhere."""
+    """PNG of the laid-out panels, filled and outlined on a transparent background."""
     scale = min(TEXTURE, LARGEST_TEXTURE / max(plan.width, plan.height))
     height = scale * plan.height
     image = Image.new("RGBA", (round(scale * plan.width), round(height)))

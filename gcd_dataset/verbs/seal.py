@@ -1,4 +1,7 @@
-"""The name of a data set in its manifest: there before the first sample, the hash of its patterns after the last."""
+"""The recipe of a data set in its manifest.
+
+``claim`` writes the recipe's name before the first sample; ``seal`` adds the hash of all patterns after the last.
+"""
 
 import logging
 from collections.abc import Mapping
@@ -23,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 def claim(folder: Path, recipe: Recipe | None) -> None:
-    """Name the recipe in the manifest of a folder that is to be filled, after all other checks.
+    """Write the recipe's name to the manifest of a folder before it is filled; called after all other checks.
 
     Raises as ``require_claimable`` does, and ``OutputError`` for a folder that cannot be written.
     """
@@ -32,34 +35,34 @@ def claim(folder: Path, recipe: Recipe | None) -> None:
 
 
 def require_claimable(folder: Path, recipe: Recipe | None) -> RecipeRecord | None:
-    """The recipe that the manifest of a folder names, if any.
+    """The recipe in the manifest of a folder, if any, provided that samples of ``recipe`` may be added to the folder.
 
-    Raises ``ConfigError`` for a folder that holds the data set of another recipe, or of none, and for ``None`` one of a
-    recipe.
+    Raises ``ConfigError`` for a folder with the data set of another recipe, or of none; with ``recipe=None``, for a
+    folder with the data set of a recipe.
     """
     folder = user_path(folder)
     with reading(folder):
         manifest = read_manifest(folder) if folder.is_dir() else None
-    there = None if manifest is None else manifest.recipe
+    stored = None if manifest is None else manifest.recipe
     if recipe is None:
-        if there is not None:
+        if stored is not None:
             raise ConfigError(
-                f"{folder / MANIFEST}: the data set {there.name}: go on with --recipe, or choose another folder"
+                f"{folder / MANIFEST}: the data set {stored.name}: go on with --recipe, or choose another folder"
             )
         return None
     asked = RecipeRecord(recipe.name, recipe.sha256)
-    if there is None and manifest is not None and manifest.splits:
+    if stored is None and manifest is not None and manifest.splits:
         raise ConfigError(f"{folder / MANIFEST}: made without a recipe, asked for {recipe.name}: choose another folder")
-    if there is not None and (there.name, there.sha256) != (asked.name, asked.sha256):
+    if stored is not None and (stored.name, stored.sha256) != (asked.name, asked.sha256):
         raise ConfigError(
-            f"{folder / MANIFEST}: made by recipe {_told(there)}, asked for {_told(asked)}: use the same or another "
+            f"{folder / MANIFEST}: made by recipe {_brief(stored)}, asked for {_brief(asked)}: use the same or another "
             "folder"
         )
-    return there
+    return stored
 
 
-class Named(Protocol):
-    """A recipe, or what the parts of its data set have noted of it."""
+class NamedRecipe(Protocol):
+    """A ``Recipe``, or its record in the plan of a data set made in parts."""
 
     @property
     def name(self) -> str: ...
@@ -71,12 +74,11 @@ class Named(Protocol):
     def patterns(self) -> str: ...
 
 
-def seal(folder: Path, recipe: Named) -> None:
-    """Put the hash of all patterns into the manifest of a whole data set; nothing where it is.
+def seal(folder: Path, recipe: NamedRecipe) -> None:
+    """Write the hash of all patterns to the manifest of a complete data set, unless it is there.
 
-    Where the recipe tells it, and numbers on the boundary between two steps alone are rounded otherwise, the recipe's
-    is put there: the same from every machine. Warns of patterns that are others. Raises ``ShardError`` for damaged
-    samples, ``OutputError``.
+    If the hash agrees with the recipe's (``PatternHash.agrees``), the recipe's is written, so that all machines write
+    the same one; if not, a warning is logged. Raises ``ShardError`` for damaged samples, ``OutputError``.
     """
     folder = user_path(folder)
     if is_sealed(folder, recipe):
@@ -85,27 +87,27 @@ def seal(folder: Path, recipe: Named) -> None:
     agrees = found.agrees(recipe.patterns)
     if recipe.patterns and not agrees:
         log.warning(
-            "%s: its patterns are not those of %s: this version of the package, or of NumPy, SciPy or Shapely, draws "
-            "others; it is a data set all the same, but not the one of that name",
+            "%s: its patterns differ from those of %s: this version of the package, or of NumPy, SciPy or Shapely, "
+            "draws others; the data set can be used, but not under that name",
             folder,
             recipe.name,
         )
     keep_recipe(folder, RecipeRecord(recipe.name, recipe.sha256, recipe.patterns if agrees else found.text))
 
 
-def is_sealed(folder: Path, recipe: Named) -> bool:
-    """Whether all of the recipe's data set has been put into a folder, by what its manifest says."""
+def is_sealed(folder: Path, recipe: NamedRecipe) -> bool:
+    """Whether the manifest of a folder names the recipe and has the hash of its patterns: the data set is complete."""
     with reading(folder):
         manifest = read_manifest(folder) if folder.is_dir() else None
-    there = None if manifest is None else manifest.recipe
-    return there is not None and (there.name, there.sha256) == (recipe.name, recipe.sha256) and bool(there.patterns)
+    stored = None if manifest is None else manifest.recipe
+    return stored is not None and (stored.name, stored.sha256) == (recipe.name, recipe.sha256) and bool(stored.patterns)
 
 
-def hash_of(folder: Path, recipe: Named) -> PatternHash:
+def hash_of(folder: Path, recipe: NamedRecipe) -> PatternHash:
     """The hash of the patterns of all splits. Raises ``ShardError``."""
     store = FolderStore(folder)
     return sum((PatternHash.of(stored_patterns(ShardReader(store, split))) for split in recipe.splits), PatternHash())
 
 
-def _told(record: RecipeRecord) -> str:
+def _brief(record: RecipeRecord) -> str:
     return f"{record.name} ({record.sha256[:DIGITS]})"

@@ -1,4 +1,4 @@
-"""What the authors' tools note about a batch of garments, under their names, in ``dataset_properties_….yaml``."""
+"""Statistics of a batch of garments, as in the release's ``dataset_properties_….yaml``, under the same keys."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -14,8 +14,8 @@ __all__ = ["batch_properties", "garment_type"]
 
 UPPERS = {member.value: member.garment for member in Upper}
 BOTTOMS = {member.value: member.garment for member in Bottom}
-DRESS = 1.4  # length of top, belt and bottom, from which on a top with a skirt is a dress
-LENGTHS = ((0.3, "mini"), (0.5, "knee_len"), (0.65, "midi"), (np.inf, "maxi"))  # of bottoms, up to
+DRESS = 1.4  # least sum of the lengths of top, belt and skirt of a dress
+LENGTHS = ((0.3, "mini"), (0.5, "knee_len"), (0.65, "midi"), (np.inf, "maxi"))  # upper bounds of a bottom's length
 SHORT_SLEEVE = 0.5
 FAILS = (
     "crashes", "cloth_body_intersection", "cloth_self_intersection", "static_equilibrium", "fast_finish",
@@ -24,7 +24,7 @@ FAILS = (
 
 
 def garment_type(design: Mapping[str, Any]) -> dict[str, Any]:
-    """Main type and styles of a design tree, by the rules of the authors' sampler."""
+    """Main type and styles of a design tree, by the rules of GarmentCodeData's sampler."""
 
     def value(*path: str) -> Any:
         node: Any = design
@@ -33,7 +33,7 @@ def garment_type(design: Mapping[str, Any]) -> dict[str, Any]:
         return node.get("v") if isinstance(node, Mapping) else node
 
     upper, bottom = UPPERS.get(value("meta", "upper")), BOTTOMS.get(value("meta", "bottom"))
-    below = float(value(bottom.length_told_by or bottom.section, "length") or 0.0) if bottom else 0.0
+    below = float(value(bottom.statistics_length_section or bottom.section, "length") or 0.0) if bottom else 0.0
     at_waist = upper is not None and upper.at_waist
     top = 1.0 if at_waist else float(value(upper.section if upper else "shirt", "length") or 0.0)
     belt = float(value("waistband", "width") or 0.0) if value("meta", "wb") else 0.0
@@ -63,9 +63,10 @@ def batch_properties(
     counts: Mapping[str, Mapping[str, int]],
     fails: Mapping[str, str],
 ) -> dict[str, Any]:
-    """The tree of the file: what is noted of each garment by name, and over all of them.
+    """The tree of the properties file: figures of each garment by name, and summaries over the batch.
 
-    ``counts``: of each garment ``fin_frame``, ``self_collisions``, ``body_collisions`` and ``face_count``.
+    By name of the garment: ``panels``: number of panels; ``types``: ``garment_type``; ``counts``: ``fin_frame``,
+    ``self_collisions``, ``body_collisions`` and ``face_count``; ``fails``: class of the failure.
     """
     by_name: dict[str, dict[str, int]] = {
         key: {name: count[key] for name, count in counts.items()}
@@ -116,13 +117,13 @@ def _spread(values: Iterable[int]) -> dict[str, float]:
 
 
 def _summary(types: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """How many garments there are of each type, and of each style by type."""
-    found = list(types)
+    """Numbers of garments by main type, and by style and main type."""
+    kinds = list(types)
     styles: dict[str, Counter[str]] = {}
-    for kind in found:
+    for kind in kinds:
         for style in kind["styles"]:
             styles.setdefault(style, Counter()).update(("total", kind["main"]))
     return {
-        "main": dict(Counter(kind["main"] for kind in found)),
-        "style": {style: dict(counted) for style, counted in styles.items()},
+        "main": dict(Counter(kind["main"] for kind in kinds)),
+        "style": {style: dict(counts) for style, counts in styles.items()},
     }

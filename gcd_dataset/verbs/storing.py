@@ -1,7 +1,7 @@
-"""The splits that garments are stored in.
+"""Writing garments into their splits.
 
-Without a recipe: ``train``, and with ``on_fail="keep"`` drapes that failed in ``failed``. With a recipe: the split of
-the design, settled or not.
+Without a recipe all garments go to ``train``, except that ``on_fail="keep"`` puts failed drapes into ``failed``. With a
+recipe a garment goes to the split of its design, settled or not.
 """
 
 import contextlib
@@ -21,34 +21,34 @@ from gcd_dataset.shards.layout import FAILED, TRAIN, Bytes, shard_number
 from gcd_dataset.shards.unfinished import filling
 from gcd_dataset.shards.writer import SHARD_SIZE
 
-__all__ = ["GarmentWriter", "SplitRule", "division_of", "filling_all", "is_begun"]
+__all__ = ["GarmentWriter", "SplitRule", "is_begun", "marked_unfinished", "split_rule"]
 
-SMALLEST_SHARE = 0.01  # shards of a smaller split hold fewer samples than those of the others
+SMALLEST_SHARE = 0.01  # a split with a smaller share gets shards of fewer samples
 
 
 @dataclass(frozen=True)
 class SplitRule:
-    """How the garments of a data set are divided into splits."""
+    """The rule that divides the garments of a data set into splits."""
 
     shard_sizes: Mapping[str, int]
-    """Split to the range of indices of its shards; the first split is always there, ``failed`` when it has a sample."""
+    """Split to the number of indices that a shard spans. The first split always exists; ``failed`` only if used."""
     counts: Mapping[str, int] | None
-    """Split to its samples in the end, where that is known."""
+    """Split to its final number of samples; ``None`` if it depends on outcomes."""
     split_of: Callable[[int, Outcome | None], str]
-    """The split of the sample with an index, whose drape ended so."""
+    """Index and outcome of a sample to its split."""
     recipe: Recipe | None = None
-    """That divides them."""
+    """The recipe that defines the splits."""
 
     @property
-    def at_once(self) -> tuple[str, ...]:
-        """Splits that are begun before their first sample."""
+    def initial_splits(self) -> tuple[str, ...]:
+        """Splits that are created before their first sample: all but ``failed``."""
         return tuple(split for split in self.shard_sizes if split != FAILED)
 
 
-def division_of(config: MakeConfig, recipe: Recipe | None = None) -> SplitRule:
-    """The splits of the garments made with ``config``, or of a recipe."""
+def split_rule(config: MakeConfig, recipe: Recipe | None = None) -> SplitRule:
+    """The split rule of a recipe, or of the garments made with ``config``."""
     if recipe is not None:
-        # Shards of all splits hold about as many samples each.
+        # A recipe interleaves its splits: wider index ranges give shards of about SHARD_SIZE samples in each.
         sizes = {split: round(SHARD_SIZE / max(share, SMALLEST_SHARE)) for split, share in recipe.splits.items()}
         return SplitRule(sizes, recipe.sizes(), lambda index, outcome: recipe.split_of(index), recipe)
     if config.stage != "drape" or config.on_fail != "keep":
@@ -60,18 +60,18 @@ def division_of(config: MakeConfig, recipe: Recipe | None = None) -> SplitRule:
 class GarmentWriter:
     """Writes the garments of one seed and config into a folder, each into its split.
 
-    The lock of the first split keeps other writers out of all. Raises as ``ShardWriter`` does, and ``ConfigError`` for
-    a folder whose ``train`` holds failed drapes where they are kept apart.
+    The lock of the first split excludes other writers from all splits. Raises as ``ShardWriter`` does, and
+    ``ConfigError`` for a folder of an older version, which put failed drapes into ``train``.
     """
 
-    def __init__(self, folder: Path, seed: int, config: MakeConfig, division: SplitRule) -> None:
+    def __init__(self, folder: Path, seed: int, config: MakeConfig, rule: SplitRule) -> None:
         self._folder, self._seed, self._recipe = folder, seed, recipe_of(config)
-        self._division = division
+        self._rule = rule
         self._splits: dict[str, ShardWriter] = {}
         with contextlib.ExitStack() as self._opened:
-            for split in division.at_once:
+            for split in rule.initial_splits:
                 self._writer(split)
-            if FAILED in division.shard_sizes:
+            if FAILED in rule.shard_sizes:
                 _require_settled(folder)
                 if is_begun(folder, FAILED):
                     self._writer(FAILED)
@@ -79,12 +79,12 @@ class GarmentWriter:
 
     @property
     def done(self) -> frozenset[int]:
-        """Indices of the samples that are whole on disk, in all splits."""
+        """Indices of the samples that are complete on disk, in all splits."""
         return frozenset[int]().union(*(writer.done for writer in self._splits.values()))
 
     def add(self, index: int, members: Mapping[str, Bytes], outcome: Outcome | None) -> None:
         """Add a sample. Raises as ``ShardWriter.add`` does."""
-        self._writer(self._division.split_of(index, outcome)).add(index, members)
+        self._writer(self._rule.split_of(index, outcome)).add(index, members)
 
     def __enter__(self) -> Self:
         return self
@@ -96,33 +96,33 @@ class GarmentWriter:
 
     def _writer(self, split: str) -> ShardWriter:
         if split not in self._splits:
-            size = self._division.shard_sizes[split]
+            size = self._rule.shard_sizes[split]
             writer = ShardWriter(self._folder, split=split, seed=self._seed, recipe=self._recipe, shard_size=size)
             self._splits[split] = self._opened.enter_context(writer)
         return self._splits[split]
 
 
 @contextlib.contextmanager
-def filling_all(folder: Path, count: int, division: SplitRule) -> Iterator[None]:
-    """Note how many samples the splits are to have, until the block ends well. Raises ``OutputError``."""
-    with contextlib.ExitStack() as notes:
-        if division.counts is None:
-            notes.enter_context(filling(folder, count, *division.shard_sizes))
-        for split, its in (division.counts or {}).items():
-            notes.enter_context(filling(folder, its, split))
+def marked_unfinished(folder: Path, count: int, rule: SplitRule) -> Iterator[None]:
+    """Mark the splits as unfinished, with their final counts, until the block succeeds. Raises ``OutputError``."""
+    with contextlib.ExitStack() as marks:
+        if rule.counts is None:
+            marks.enter_context(filling(folder, count, *rule.shard_sizes))
+        for split, split_count in (rule.counts or {}).items():
+            marks.enter_context(filling(folder, split_count, split))
         yield
 
 
 def is_begun(folder: Path, split: str) -> bool:
-    """Whether a folder holds shards of a split, or one that a killed run left."""
+    """Whether a folder holds shards of a split, unfinished ones included."""
     names = [path.name.removesuffix(".part") for path in folder.glob("*.tar*")]
     return any(shard_number(name, split) is not None for name in names)
 
 
 def _require_settled(folder: Path) -> None:
-    """Raise ``ConfigError`` where failed drapes are in ``train``: an earlier version put them there."""
+    """Raise ``ConfigError`` if ``train`` holds failed drapes: an older version put them there."""
     if TRAIN in splits_in(folder) and not read_index(folder, TRAIN).table.settled.all():
         raise ConfigError(
-            f"{folder}: its train holds failed drapes, which now go into split {FAILED}: what is there can be read; "
-            "make more in another folder"
+            f"{folder}: split {TRAIN} holds failed drapes, which this version puts into split {FAILED}: the folder can "
+            "be read; make further samples in another folder"
         )

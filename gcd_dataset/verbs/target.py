@@ -1,4 +1,4 @@
-"""Where samples go: a folder of shards, a part of one, or a store at a URL."""
+"""Targets of generated samples: a folder of shards, a part of one, or a store at a URL."""
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,80 +20,82 @@ from gcd_dataset.shards.job_parts import require_merged
 from gcd_dataset.shards.layout import Bytes
 from gcd_dataset.shards.manifest import SplitRecord
 from gcd_dataset.shards.rejects import RejectLog, has_rejects
-from gcd_dataset.verbs.array_jobs import JobPart, PartPlace, begin_part
+from gcd_dataset.verbs.array_jobs import JobPart, PartFolder, begin_part
 from gcd_dataset.verbs.seal import claim, require_claimable
-from gcd_dataset.verbs.storing import GarmentWriter, SplitRule, division_of, filling_all
+from gcd_dataset.verbs.storing import GarmentWriter, SplitRule, marked_unfinished, split_rule
 
 __all__ = ["FolderTarget", "Target", "Writer", "require_folder", "target_of"]
 
 
 class Writer(Protocol):
-    """Takes samples."""
+    """Stores samples, one by one."""
 
     def add(
         self, index: int, members: Mapping[str, Bytes], outcome: Outcome | None, turned_down: Sequence[Rejected]
     ) -> None:
-        """Add a sample as the files of the data set's layout, and the attempts turned down before it."""
+        """Store a sample, given as members, and the attempts rejected before it."""
 
 
 class Target(Protocol):
-    """A data set that is made. Its methods raise ``ConfigError`` where something else is there."""
+    """The destination of a data set. Its methods raise ``ConfigError`` if another data set is there."""
 
     @property
     def indices(self) -> range:
-        """Its samples."""
+        """Indices of the samples that belong here."""
 
     def done(self) -> frozenset[int]:
-        """The samples that need not be made again; what a killed run left half-written is put in order."""
+        """Indices of the stored samples; repairs shards that a killed run left unfinished."""
 
-    def filling(self, *, is_missing: bool) -> AbstractContextManager[Writer]:
-        """The only writer, of samples that are missing if any; the data set is whole once the block has ended well."""
+    def writing(self, *, is_missing: bool) -> AbstractContextManager[Writer]:
+        """The single writer of the missing samples; the data set is complete when the block succeeds.
+
+        ``is_missing``: whether any sample is missing.
+        """
 
 
 @dataclass(frozen=True)
 class FolderTarget:
-    """A folder of shards. Raises ``OutputError`` where it cannot be written."""
+    """A folder of shards. Methods raise ``OutputError`` if it cannot be written."""
 
     folder: Path
-    """Of the data set, or of the part."""
+    """Folder of the data set, or of the part."""
     indices: range
     seed: int
     config: MakeConfig
-    division: SplitRule
-    """Into splits."""
-    place: PartPlace | None = None
-    """Of a part."""
+    rule: SplitRule
+    part: PartFolder | None = None
+    """The part, if the data set is made in parts."""
 
     def done(self) -> frozenset[int]:
-        if self.place is not None and self.place.is_merged:
+        if self.part is not None and self.part.is_merged:
             return frozenset(self.indices)
         with self._writer() as writer:
             return writer.done
 
     @contextlib.contextmanager
-    def filling(self, *, is_missing: bool) -> Iterator[Writer]:
-        if self.place is not None and not is_missing and self.place.is_finished:
-            yield _Full(self.folder)
+    def writing(self, *, is_missing: bool) -> Iterator[Writer]:
+        if self.part is not None and not is_missing and self.part.is_finished:
+            yield _CompleteWriter(self.folder)
             return
-        with filling_all(self.folder, len(self.indices), self.division):
+        with marked_unfinished(self.folder, len(self.indices), self.rule):
             if is_missing or not has_rejects(self.folder):
                 with self._writer() as writer, self._reject_log(writer) as rejects:
-                    if self.place is not None:
-                        self.place.begin()
+                    if self.part is not None:
+                        self.part.begin()
                     yield _FolderWriter(writer, rejects)
             else:
-                yield _Full(self.folder)
-        if self.place is not None:
-            self.place.finish()
+                yield _CompleteWriter(self.folder)
+        if self.part is not None:
+            self.part.finish()
 
-    def opened(self) -> "_OpenWriter":
-        """The writer of the folder, to be closed."""
-        with contextlib.ExitStack() as opened:
-            writer = opened.enter_context(self._writer())
-            return _OpenWriter(writer, opened.enter_context(self._reject_log(writer)), opened.pop_all())
+    def open(self) -> "_OpenWriter":
+        """An open writer of the folder; the caller closes it."""
+        with contextlib.ExitStack() as stack:
+            writer = stack.enter_context(self._writer())
+            return _OpenWriter(writer, stack.enter_context(self._reject_log(writer)), stack.pop_all())
 
     def _writer(self) -> GarmentWriter:
-        return GarmentWriter(self.folder, self.seed, self.config, self.division)
+        return GarmentWriter(self.folder, self.seed, self.config, self.rule)
 
     def _reject_log(self, writer: GarmentWriter) -> RejectLog:
         return RejectLog(self.folder, seed=self.seed, wearers=self.config.wearers, done=lambda: writer.done)
@@ -101,7 +103,7 @@ class FolderTarget:
 
 @dataclass(frozen=True)
 class _FolderWriter:
-    """Writes samples into their splits, and what was turned down before them."""
+    """Writes samples into their splits, and rejected attempts into the reject log."""
 
     writer: GarmentWriter
     rejects: RejectLog
@@ -115,30 +117,30 @@ class _FolderWriter:
 
 @dataclass(frozen=True)
 class _OpenWriter(_FolderWriter):
-    """The same, until it is closed."""
+    """A folder writer that is closed by a call."""
 
-    held: contextlib.ExitStack
+    stack: contextlib.ExitStack
 
     @property
     def done(self) -> frozenset[int]:
-        """The samples that are whole on disk."""
+        """Indices of the samples that are complete on disk."""
         return self.writer.done
 
     def close(self) -> None:
-        """Make whole what was added."""
-        self.held.close()
+        """Finish the shards and release the locks."""
+        self.stack.close()
 
 
 @dataclass(frozen=True)
-class _Full:
-    """The writer of a data set in which nothing is missing."""
+class _CompleteWriter:
+    """The writer of a complete data set: rejects every sample."""
 
     folder: Path
 
     def add(
         self, index: int, members: Mapping[str, Bytes], outcome: Outcome | None, turned_down: Sequence[Rejected]
     ) -> None:
-        raise ConfigError(f"{self.folder}: sample {index} is there already: write what is missing")
+        raise ConfigError(f"{self.folder}: sample {index} is there already: write missing samples only")
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,7 @@ class _UrlTarget:
     def done(self) -> frozenset[int]:
         return self.store.done(len(self.indices))
 
-    def filling(self, *, is_missing: bool) -> AbstractContextManager[Writer]:
+    def writing(self, *, is_missing: bool) -> AbstractContextManager[Writer]:
         return self.store.filling(len(self.indices))
 
 
@@ -166,53 +168,53 @@ def target_of(
     spool: Path | str | None = None,
     patience: float | None = None,
 ) -> Target:
-    """Samples 0 … ``count`` - 1 of a seed and a config, or those of a part, in a folder or at the URL of a store.
+    """The target for samples 0 … ``count`` - 1 of a seed and a config, or for a part, in a folder or at a URL.
 
-    ``spool``: folder in which shards wait for their upload, by default in ``~/.cache/gcd_dataset``; ``patience`` as
-    ``GarmentDataset`` takes it. Raises ``ConfigError`` for options that do not fit the place, for a folder that holds
-    the data set of another recipe, and parts of another plan or not merged.
+    ``spool``: folder in which shards wait for their upload, by default in ``~/.cache/gcd_dataset``; ``patience`` as for
+    ``GarmentDataset``. Raises ``ConfigError`` for options that do not fit a folder, or a URL; for a folder with the
+    data set of another recipe, with parts of another plan, or, without ``part``, with parts that are not merged.
     """
-    place, division = parse_target(out), division_of(config, recipe)
-    if isinstance(place, Folder):
+    target, rule = parse_target(out), split_rule(config, recipe)
+    if isinstance(target, Folder):
         for name, value in (("spool", spool), ("patience", patience)):
             if value is not None:
-                raise ConfigError(f"{name}={value} is for URLs, and {place} is a folder: leave it out")
-        folder = user_path(place.path)
-        require_claimable(folder, recipe)  # before the plan of parts is written
-        target = _folder_target(folder, count, seed, config, division, part)
+                raise ConfigError(f"{name}={value} is for URLs, and {target} is a folder: leave it out")
+        folder = user_path(target.path)
+        require_claimable(folder, recipe)  # fails before the plan of the parts is written
+        folder_target = _folder_target(folder, count, seed, config, rule, part)
         claim(folder, recipe)
-        return target
-    for what, is_asked in (("data sets of recipes", recipe is not None), ("parts", part is not None)):
+        return folder_target
+    for data, is_asked in (("data sets of recipes", recipe is not None), ("parts", part is not None)):
         if is_asked:
-            raise _only_here(place, what)
+            raise _folder_needed(target, data)
     remote = Remote(patience=patience)
     spools = remote.folder / "spool" if spool is None else user_path(spool)
-    asked = {split: SplitRecord(seed, recipe_of(config), size) for split, size in division.shard_sizes.items()}
-    opened = partial(_opened, seed, config, division)
-    return _UrlTarget(StoreTarget(place, asked, spools, opened, patience=remote.patience), range(count))
+    asked = {split: SplitRecord(seed, recipe_of(config), size) for split, size in rule.shard_sizes.items()}
+    open_writer = partial(_open_writer, seed, config, rule)
+    return _UrlTarget(StoreTarget(target, asked, spools, open_writer, patience=remote.patience), range(count))
 
 
-def _opened(seed: int, config: MakeConfig, division: SplitRule, folder: Path) -> _OpenWriter:
-    return FolderTarget(folder, range(0), seed, config, division).opened()
+def _open_writer(seed: int, config: MakeConfig, rule: SplitRule, folder: Path) -> _OpenWriter:
+    return FolderTarget(folder, range(0), seed, config, rule).open()
 
 
 def _folder_target(
-    folder: Path, count: int, seed: int, config: MakeConfig, division: SplitRule, part: JobPart | None
+    folder: Path, count: int, seed: int, config: MakeConfig, rule: SplitRule, part: JobPart | None
 ) -> FolderTarget:
     if part is None:
         require_merged(folder, ConfigError)
-        return FolderTarget(folder, range(count), seed, config, division)
-    place = begin_part(folder, part, count, seed, config, division)
-    return FolderTarget(place.folder, place.indices, seed, config, division, place)
+        return FolderTarget(folder, range(count), seed, config, rule)
+    part_folder = begin_part(folder, part, count, seed, config, rule)
+    return FolderTarget(part_folder.path, part_folder.indices, seed, config, rule, part_folder)
 
 
-def require_folder(out: Path | str, what: str) -> Path:
-    """The folder, if ``out`` is one. Raises ``ConfigError`` for the URL of a store."""
-    place = parse_target(out)
-    if not isinstance(place, Folder):
-        raise _only_here(place, what)
-    return place.path
+def require_folder(out: Path | str, data: str) -> Path:
+    """The folder that ``out`` names. Raises ``ConfigError`` for the URL of a store; ``data`` is named in the error."""
+    target = parse_target(out)
+    if not isinstance(target, Folder):
+        raise _folder_needed(target, data)
+    return target.path
 
 
-def _only_here(place: Url, what: str) -> ConfigError:
-    return ConfigError(f"{place}: {what} are made in a folder: give one, and copy it there")
+def _folder_needed(url: Url, data: str) -> ConfigError:
+    return ConfigError(f"{url}: {data} are made in a folder: give one, and copy it there")

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from gcd_dataset.records import Record
 
-__all__ = ["Nearest", "SkinSurface", "divided", "nearest_on_triangles"]
+__all__ = ["Nearest", "SkinSurface", "divided"]
 
 LONGEST = 6.0  # cm: longer edges are halved first, so that a near triangle has a near middle
 MOST = 300_000  # triangles that a mesh may be divided into for that; slivers of a metre would be millions
@@ -64,7 +64,8 @@ class SkinSurface(Record):
     def nearest(self, points: Float[np.ndarray, "n 3"]) -> Nearest:
         """The nearest point of the surface to each point."""
         near = self.tree.query(points, k=min(CANDIDATES, len(self.corners)))[1].reshape(len(points), -1)
-        on = nearest_on_triangles(points[:, None], self.corners[near])
+        triangles = self.corners[near].reshape(-1, 3, 3)
+        on = trimesh.triangles.closest_point(triangles, points.repeat(near.shape[1], axis=0)).reshape(*near.shape, 3)
         distances = np.linalg.norm(on - points[:, None], axis=2)
         best = distances.argmin(axis=1)
         row = np.arange(len(points))
@@ -89,28 +90,3 @@ def divided(
         return vertices, faces, np.arange(len(faces))
     fine, pieces, owners = trimesh.remesh.subdivide_to_size(vertices, faces, longest, return_index=True)
     return fine, pieces, owners
-
-
-def nearest_on_triangles(
-    points: Float[np.ndarray, "*n 3"], corners: Float[np.ndarray, "*n 3 3"]
-) -> Float[np.ndarray, "*n 3"]:
-    """The nearest point of each triangle: its foot where that lies inside, else the nearest of its three sides."""
-    a, ab, ac = corners[..., 0, :], corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
-    ap = points - a
-    d00, d01, d11 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
-    d20, d21 = _dot(ap, ab), _dot(ap, ac)
-    scale = d00 * d11 - d01 * d01
-    v, w = (d11 * d20 - d01 * d21) / scale, (d00 * d21 - d01 * d20) / scale
-    foot = a + v[..., None] * ab + w[..., None] * ac
-    inside = (v >= 0) & (w >= 0) & (v + w <= 1)
-    ends = np.roll(corners, -1, axis=-2)
-    along = ends - corners
-    share = np.clip(_dot(points[..., None, :] - corners, along) / _dot(along, along), 0.0, 1.0)
-    on_sides = corners + share[..., None] * along
-    nearest = np.linalg.norm(on_sides - points[..., None, :], axis=-1).argmin(axis=-1)
-    on_side = np.take_along_axis(on_sides, nearest[..., None, None], axis=-2)[..., 0, :]
-    return np.where(inside[..., None], foot, on_side)
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.einsum("...i,...i->...", a, b)

@@ -95,7 +95,7 @@ def take(vertices: Float[np.ndarray, "v 3"], marks: Marks, sites: "Sites") -> Ta
     spine = section(skin, local.spine, X, (at["nape_of_neck"][X] + at["mid_waist_back"][X]) / 2).reshape(-1, 3)
     leg_level, leg_circ = _leg_girth(skin, local, marks, wide)
     tape = _Tape(upright, at, marks.rings, found, spine, over_bust, leg_circ, sites.arm.length(vertices))
-    measurements = Measurements(**{name: float(known.taken(tape)) for name, known in MEASURE.items()})
+    measurements = Measurements(**{name: float(known.formula(tape)) for name, known in MEASURE.items()})
     levels = {name: float(points[0, Y]) for name, points in found.items()} | {"leg_circ": leg_level}
     return Taken(measurements, levels, _at_border(levels, marks, wide))
 

@@ -1,14 +1,15 @@
 """Signed distance field of a body on a grid, with the nearest body part of each voxel, and the skin as a mesh.
 
 Internal faces (eyes, sockets, mouth) are left out and the openings closed with lids, so that the body is solid: cloth
-finds neither a cavity nor a second skin behind the first.
+finds neither a cavity nor a second skin behind the first. A hand is its convex hull: a voxel is as wide as a finger,
+and fingers would pierce cloth that slips between them.
 """
 
 import hashlib
 import threading
 import weakref
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Self
@@ -17,9 +18,10 @@ from weakref import WeakValueDictionary
 import numpy as np
 import warp as wp
 from jaxtyping import Float, Int, UInt8
+from scipy.spatial import ConvexHull
 
 from gcd_dataset.generator.body.holes import VisibleSkin, sides_of
-from gcd_dataset.generator.drape.kernels.field import BLOCK, Voxels, fill_fields, measure_blocks
+from gcd_dataset.generator.drape.kernels.field import BLOCK, Hull, Voxels, add_hulls, fill_fields, measure_blocks
 from gcd_dataset.records import Body, BodyPart
 
 __all__ = ["AXES", "FOREARM", "BodyField", "HostField", "body_field", "body_fields"]
@@ -109,11 +111,16 @@ class HostField:
     """Height below which there are no lids [cm]."""
     axes: Float[np.ndarray, "2 axes 3"]
     """See ``BodyField.axes``."""
+    hands: tuple[Float[np.ndarray, "h 3"], ...]
+    """The vertices of each hand [cm]."""
+    hand_planes: tuple[Float[np.ndarray, "p 4"], ...]
+    """Half-spaces of each hand's convex hull: outward normal [1] and offset [cm]."""
 
     @classmethod
     def of(cls, body: Body) -> Self:
         known = _skin(_digests(body)[0], body)
         points = known.skin.points(body.vertices)
+        hands = _hands(points, known)
         used = points[known.vertices].T.copy()  # NumPy reduces rows three times as fast as columns
         low = used.min(axis=1) - BAND - CELL
         size = np.ceil((used.max(axis=1) + BAND + CELL - low) / CELL).astype(int) + 1
@@ -126,6 +133,8 @@ class HostField:
             shape=tuple(int(n) for n in size),
             lids_above=min((float(points[rim, 1].min()) for rim in known.skin.rims), default=np.inf) - BAND,
             axes=_axes(points, known),
+            hands=hands,
+            hand_planes=tuple(ConvexHull(hand).equations for hand in hands),
         )
 
 
@@ -222,7 +231,31 @@ def _make_fields(hosts: Sequence[HostField], device: str) -> list[BodyField]:
     most_blocks = max(entry.blocks.size for entry in voxels)
     for kernel, threads in ((measure_blocks, most_blocks), (fill_fields, most_blocks * int(BLOCK) ** 3)):
         wp.launch(kernel, dim=(len(hosts), threads), inputs=[bodies, CELL, BAND], device=device)
+    hulls = [hull for host, entry in zip(hosts, voxels, strict=True) for hull in _hulls(host, entry, device)]
+    if hulls:
+        largest = max(int(np.prod(hull.size)) for hull in hulls)
+        inputs = [wp.array(hulls, dtype=Hull, device=device), CELL]
+        wp.launch(add_hulls, dim=(len(hulls), largest), inputs=inputs, device=device)
     return made
+
+
+def _hands(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> tuple[Float[np.ndarray, "h 3"], ...]:
+    """The vertices of the left and of the right hand, as far as the body has them."""
+    vertices = points[np.unique(known.skin.faces[known.hands])]
+    sides = (vertices[vertices[:, 0] > 0.0], vertices[vertices[:, 0] <= 0.0])
+    return tuple(side for side in sides if len(side) and np.linalg.matrix_rank(side - side[0], tol=1e-3) == 3)
+
+
+def _hulls(host: HostField, voxels: Voxels, device: str) -> Iterator[Hull]:
+    """The hull of each hand, with the voxels within ``BAND`` of it."""
+    for vertices, planes in zip(host.hands, host.hand_planes, strict=True):
+        first = np.maximum(np.floor((vertices.min(axis=0) - BAND - host.low) / CELL), 0).astype(int)
+        end = np.minimum(np.ceil((vertices.max(axis=0) + BAND - host.low) / CELL) + 1, host.shape).astype(int)
+        hull = Hull()
+        hull.planes = wp.array(planes.astype(np.float32), dtype=wp.vec4, device=device)
+        hull.first, hull.size = wp.vec3i(*first.tolist()), wp.vec3i(*(end - first).tolist())
+        hull.low, hull.distance = voxels.low, voxels.distance
+        yield hull
 
 
 def _axes(points: Float[np.ndarray, "w 3"], known: _SkinTopology) -> Float[np.ndarray, "2 axes 3"]:

@@ -1,4 +1,4 @@
-"""Coarse to fine: start a garment from the drape of its coarse mesh."""
+"""CoarseMesh to fine: start a garment from the drape of its coarse mesh."""
 
 from collections.abc import Sequence
 
@@ -8,14 +8,14 @@ import warp as wp
 from gcd_dataset.generator.drape.kernels.refine import refine
 from gcd_dataset.generator.drape.kernels.world import DIVERGED
 from gcd_dataset.generator.drape.solver import Solver
-from gcd_dataset.generator.mesh.coarse import Coarse
+from gcd_dataset.generator.mesh.coarse import CoarseMesh
 
 __all__ = ["start_from_coarse"]
 
 MIN_FRAMES = 4  # frames of the fine mesh before it may count as at rest
 
 
-def start_from_coarse(coarse: Solver, fine: Solver, worlds: Sequence[tuple[int, int, Coarse]]) -> None:
+def start_from_coarse(coarse: Solver, fine: Solver, worlds: Sequence[tuple[int, int, CoarseMesh]]) -> None:
     """Start garments of ``fine`` from the end of their coarse drapes.
 
     ``worlds``: world index in ``coarse``, world index in ``fine``, and the coarse mesh that interpolates between them.

@@ -2,9 +2,12 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float
+
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.drape.fabric import STIFFEST, Fabric
-from gcd_dataset.generator.mesh import Coarse
+from gcd_dataset.generator.mesh import CoarseMesh
 from gcd_dataset.records import Body, BoxMesh, Measurements
 
 __all__ = ["DrapeConfig", "DrapeJob"]
@@ -42,12 +45,14 @@ class DrapeConfig:
     """Move cloth that is inside the body out to the skin."""
     part_filters: bool = True
     """Collision filter: skirts and trousers pass through the arms, bodices above them through the forearms."""
+    untangling_steps: int = 60
+    """Implicit steps at most for a garment that crosses itself at rest; 0 leaves it as it is."""
     exact_finish: bool = True
     """Finally move cloth off the skin's triangles themselves, where the distance field is too coarse."""
     coarse_start: bool = True
     """Drape a mesh of twice the spacing first and continue from its shape: faster, with fewer crossings."""
-    curved_start: bool = False
-    """Bend panels round trunk and arms before sewing; else they start flat, where the pattern places them."""
+    sewing_start: bool = True
+    """Start wide skirts on a cone round the legs and wide bodices between the arms, not flat before and behind."""
     sewing_time: float = 0.2
     """The seams close over this time [s]."""
     held_time: float = 0.25
@@ -108,5 +113,7 @@ class DrapeJob:
     body: Body
     measurements: Measurements
     fabric: Fabric = USUAL_FABRIC
-    coarse: Coarse | None = None
+    coarse: CoarseMesh | None = None
     """The coarse mesh of ``coarse_start``. Without it the drape makes one, in the time a GPU takes for two drapes."""
+    start: Float[np.ndarray, "v 3"] | None = None
+    """Positions of ``sewing_start`` for ``coarse``, or for ``box_mesh`` without it [cm]; computed where left out."""

@@ -95,11 +95,6 @@ class Fabric:
         """Tensile stiffness along the warp [g/s²]."""
         return self.pull.warp * DYNES_PER_CM
 
-    @property
-    def rigidity(self) -> float:
-        """Bending rigidity along the warp [g cm²/s²]."""
-        return self.bend.warp * DYNE_CM
-
     def softened(self, limit: float = STIFFEST) -> Self:
         """The fabric with limited tensile stiffness, which allows longer substeps.
 

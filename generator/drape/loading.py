@@ -19,6 +19,7 @@ from gcd_dataset.generator.drape.kernels import (
     step,
     stillness,
     topology,
+    untangling,
 )
 from gcd_dataset.generator.estimates import core_seconds
 
@@ -40,6 +41,7 @@ KERNELS: tuple[ModuleType, ...] = (
     step,
     stillness,
     topology,
+    untangling,
 )
 GPU_SECONDS = 0.027  # a garment at 1 cm on an H200, 1 000 garments, 128 at once: benchmarks/reports/drape_sampled.md
 LONG = 10.0  # s: shorter times are not logged

@@ -79,7 +79,8 @@ def build_model(
     field, offsets, parts = _join_fields(bodies, device)
     steps, lengths = _time_steps(topology), _median_lengths(topology)
     worlds = [_world(job, config, COARSE_GAP if k in coarse else 1.0) for k, job in enumerate(jobs)]
-    for k, world in enumerate(worlds):
+    for k, (world, stiffness) in enumerate(zip(worlds, _median_stiffness(topology), strict=True)):
+        world.stiffness = stiffness
         world.max_frames = config.max_frames // 2 if k in coarse else config.max_frames
     for world, step, length, start, end in zip(
         worlds, steps, lengths, topology.vertex_offset, topology.vertex_offset[1:], strict=False
@@ -135,6 +136,13 @@ def _time_steps(topology: Topology) -> np.ndarray:
     spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
     median = np.array([np.median(ratio[a:b:SAMPLE]) for a, b in spans])
     return np.sqrt(SAFETY * STABLE * INERTIA_GAIN * median)
+
+
+def _median_stiffness(topology: Topology) -> list[float]:
+    """The median stiffness of each garment's vertices [g/s²]."""
+    stiffness = topology.stiffness.numpy()
+    spans = zip(topology.vertex_offset[:-1], topology.vertex_offset[1:], strict=True)
+    return [float(np.median(stiffness[a:b:SAMPLE])) for a, b in spans]
 
 
 def _inertia(topology: Topology, steps: np.ndarray, device: str) -> wp.array:

@@ -11,6 +11,7 @@ from gcd_dataset.generator.drape.device import launch_lock
 from gcd_dataset.generator.drape.holds import fell, find_keepers, off_body
 from gcd_dataset.generator.drape.kernels.world import DIVERGED, DONE
 from gcd_dataset.generator.drape.solver import Solver
+from gcd_dataset.generator.drape.untangling import untangle
 from gcd_dataset.records import Drape, Outcome
 
 __all__ = ["collect", "slid_off"]
@@ -23,6 +24,10 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     state, topology = solver.state, solver.model.topology
     with launch_lock:
         chosen = np.isin(np.arange(solver.model.n_worlds), worlds)
+        if solver.config.untangling_steps:
+            crossing = (solver.self_crossings(chosen) > 0) & (state.status.numpy() == DONE)
+            if crossing.any():
+                untangle(solver, crossing)
         if solver.config.exact_finish:
             solver.leave_skin(chosen)
         self_crossings, body_crossings = solver.self_crossings(chosen), solver.body_crossings(chosen)

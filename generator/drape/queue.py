@@ -12,7 +12,6 @@ from typing import Self
 import numpy as np
 from jaxtyping import Bool
 
-from gcd_dataset.generator.drape.arrange import arranged
 from gcd_dataset.generator.drape.body_field import HostField
 from gcd_dataset.generator.drape.carry import carry_over
 from gcd_dataset.generator.drape.coarse_start import start_from_coarse
@@ -23,7 +22,8 @@ from gcd_dataset.generator.drape.kernels.world import RUNNING
 from gcd_dataset.generator.drape.model import build_model
 from gcd_dataset.generator.drape.outcome import collect
 from gcd_dataset.generator.drape.solver import Solver, nothing
-from gcd_dataset.generator.mesh import Coarse, coarse_start
+from gcd_dataset.generator.dressing.sewing_start import sewing_start
+from gcd_dataset.generator.mesh import CoarseMesh, coarse_start
 from gcd_dataset.records import Drape
 
 __all__ = ["PreparedJob", "drape_unordered"]
@@ -94,7 +94,7 @@ class _Pass:
 
     number: int
     fine: DrapeJob
-    coarse: Coarse | None
+    coarse: CoarseMesh | None
     """The coarse mesh in the coarse pass; None in the fine pass."""
     constraints: BodyConstraints
     """The constraints of ``job``."""
@@ -103,19 +103,21 @@ class _Pass:
     """Frames of the coarse pass, in the fine pass."""
     previous_world: int | None = None
     """The garment's world in the previous batch."""
-    refined_from: Coarse | None = None
+    refined_from: CoarseMesh | None = None
     """The coarse mesh in that world, if this is the first batch of the fine pass."""
 
     @classmethod
     def first(cls, number: int, given: DrapeJob | PreparedJob, config: DrapeConfig) -> Self:
-        prepared = given if isinstance(given, PreparedJob) and not config.curved_start else None
+        prepared = given if isinstance(given, PreparedJob) else None
         job = given.job if isinstance(given, PreparedJob) else given
         coarse = (job.coarse or coarse_start(job.box_mesh)) if config.coarse_start else None
-        if config.curved_start and coarse:
-            coarse = replace(coarse, mesh=arranged(coarse.mesh, job.body))
-        elif config.curved_start:
-            job = replace(job, box_mesh=arranged(job.box_mesh, job.body))
-        return cls(number, job, coarse, _constraints(job, coarse, prepared), prepared)
+        constraints = _constraints(job, coarse, prepared)
+        if config.sewing_start:
+            mesh = coarse.mesh if coarse else job.box_mesh
+            known = job.start if (job.coarse is None) == (coarse is None) else None
+            mesh = replace(mesh, vertices=sewing_start(mesh, job.body) if known is None else known)
+            coarse, job = (replace(coarse, mesh=mesh), job) if coarse else (None, replace(job, box_mesh=mesh))
+        return cls(number, job, coarse, constraints, prepared)
 
     @property
     def job(self) -> DrapeJob:
@@ -138,11 +140,11 @@ class _Pass:
         )
 
 
-def _job(fine: DrapeJob, coarse: Coarse | None) -> DrapeJob:
+def _job(fine: DrapeJob, coarse: CoarseMesh | None) -> DrapeJob:
     return fine if coarse is None else replace(fine, box_mesh=coarse.mesh)
 
 
-def _constraints(fine: DrapeJob, coarse: Coarse | None, prepared: PreparedJob | None) -> BodyConstraints:
+def _constraints(fine: DrapeJob, coarse: CoarseMesh | None, prepared: PreparedJob | None) -> BodyConstraints:
     """The constraints of the coarse mesh, or of the fine mesh without one; precomputed where possible."""
     known = None
     if prepared is not None:

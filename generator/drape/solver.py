@@ -38,7 +38,7 @@ class Solver:
         self._bound_faces()
         self._bvh = wp.Bvh(self.state.lower, self.state.upper, groups=model.face_world)
         self._roots = wp.zeros(model.n_worlds, dtype=int, device=model.device)
-        self._none = wp.zeros_like(self.state.tangled)
+        self._none, self._every = wp.zeros_like(self.state.tangled), wp.ones_like(self.state.tangled)
         self._graphs: list[wp.Graph] = []
 
     def frame(self, between: Callable[[], None] = nothing) -> None:
@@ -52,15 +52,16 @@ class Solver:
                 self._bvh.rebuild()
         if not self._graphs:
             with launch_lock:
-                steps = self._captured(self._search_and_step)
+                steps = self.captured(self._search_and_step)
                 rounds = self.config.substeps // self.config.search_every
-                self._graphs = [self._captured(self._begin_frame), *rounds * [steps], self._captured(self._end_frame)]
+                self._graphs = [self.captured(self._begin_frame), *rounds * [steps], self.captured(self._end_frame)]
         for graph in self._graphs:
             between()
             wp.capture_launch(graph)
         self.frames += 1
 
-    def _captured(self, launches: Callable[[], None]) -> wp.Graph:
+    def captured(self, launches: Callable[[], None]) -> wp.Graph:
+        """The launches as a graph."""
         with wp.ScopedCapture(device=self.model.device) as capture:
             launches()
         return capture.graph
@@ -77,15 +78,15 @@ class Solver:
         m, s = self.model, self.state
         chosen, through = self._chosen(worlds), wp.zeros_like(s.search.listed)
         allowed, start, moved = wp.empty_like(s.search.skin), wp.clone(s.x), wp.empty_like(s.x)
-        self._launch(finish.reset_allowed_moves, m.n_vertices, [m.worlds, m.cloth], [allowed])
+        self.launch(finish.reset_allowed_moves, m.n_vertices, [m.worlds, m.cloth], [allowed])
         wp.copy(s.search.searching, chosen)
         self._search()
         threads = 1 if m.device == "cpu" else 256
-        self._launch(finish.bound_moves, (m.n_worlds, threads), [m.worlds, s.contacts, threads, chosen, s.x], [allowed])
+        self.launch(finish.bound_moves, (m.n_worlds, threads), [m.worlds, s.contacts, threads, chosen, s.x], [allowed])
         for _ in range(FINISHING_ROUNDS):
-            self._launch(finish.mark_body_crossings, m.n_edges, [m.cloth, chosen, s.x], [through])
+            self.launch(finish.mark_body_crossings, m.n_edges, [m.cloth, chosen, s.x], [through])
             inputs = [m.worlds, m.cloth, chosen, through, allowed, start, s.x]
-            self._launch(finish.leave_skin, m.n_vertices, inputs, [moved])
+            self.launch(finish.leave_skin, m.n_vertices, inputs, [moved])
             wp.copy(s.x, moved)
 
     def self_crossings(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
@@ -94,7 +95,7 @@ class Solver:
         chosen = self._chosen(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
         self._refit_bvh()
-        self._launch(
+        self.launch(
             crossing.count_self_crossings,
             m.n_edges,
             [m.cloth, self._bvh.id, self._roots, chosen, self.state.x],
@@ -107,7 +108,7 @@ class Solver:
         m = self.model
         chosen = self._chosen(worlds)
         counts = wp.zeros(m.n_worlds, dtype=int, device=m.device)
-        self._launch(crossing.count_body_crossings, m.n_edges, [m.cloth, chosen, self.state.x], [counts])
+        self.launch(crossing.count_body_crossings, m.n_edges, [m.cloth, chosen, self.state.x], [counts])
         return counts.numpy()
 
     def body_through(self, worlds: Bool[np.ndarray, " w"] | None = None) -> Int[np.ndarray, " w"]:
@@ -118,7 +119,7 @@ class Solver:
         edges = wp.array([_edges_of(body) for body in m.bodies], dtype=crossing.BodyEdges, device=m.device)
         self._refit_bvh()
         most_edges = max(len(body.edges) for body in m.bodies)
-        self._launch(
+        self.launch(
             crossing.count_body_through,
             (m.n_worlds, most_edges),
             [m.cloth, edges, self._bvh.id, self._roots, chosen, self.state.x],
@@ -130,7 +131,7 @@ class Solver:
         """(e) length over flat length of every edge."""
         m = self.model
         ratio = wp.empty(m.n_edges, dtype=float, device=m.device)
-        self._launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.topology.hinges.spring, self.state.x], [ratio])
+        self.launch(stillness.stretch_edges, m.n_edges, [m.cloth, m.topology.hinges.spring, self.state.x], [ratio])
         return ratio.numpy()
 
     def _chosen(self, worlds: Bool[np.ndarray, " w"] | None) -> wp.array:
@@ -143,13 +144,13 @@ class Solver:
         m, s, c = self.model, self.state, self.config
         if c.exempt_crossings or c.untangle or c.pull_to_parts:
             wp.capture_if(s.crossing.any_searched, self._find_crossings)
-        self._launch(contacts.scan_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
+        self.launch(contacts.scan_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
 
     def _search_and_step(self) -> None:
         """Search for contacts in the worlds where a search is due, then ``search_every`` substeps."""
         m, s = self.model, self.state
         s.search.any_search.zero_()
-        self._launch(
+        self.launch(
             search.plan_search,
             m.n_worlds,
             [s.status],
@@ -164,13 +165,13 @@ class Solver:
         m, s = self.model, self.state
         s.crossing.any_searched.zero_()
         threads = 1 if m.device == "cpu" else 256
-        self._launch(
+        self.launch(
             stillness.watch_frame,
             (m.n_worlds, threads),
             [m.worlds, m.cloth, threads, s.frames, s.x],
             [s.status, s.x_seen, s.counts],
         )
-        self._launch(
+        self.launch(
             stillness.end_frame,
             m.n_worlds,
             [m.worlds, s.time],
@@ -181,13 +182,13 @@ class Solver:
         m, s = self.model, self.state
         threads = self._threads
         ahead, ahead_next = (s.ahead_next, s.ahead) if odd else (s.ahead, s.ahead_next)
-        self._launch(
+        self.launch(
             contacts.push_contacts,
             threads,
             [m.worlds, m.cloth, s.contacts, threads, s.status, s.crossing, s.contact_weight, s.x, s.v],
             [s.time, s.push],
         )
-        self._launch(
+        self.launch(
             step.step,
             m.n_vertices,
             [m.worlds, m.cloth, m.rows, before_search, s.status, s.time, s.held, ahead],
@@ -198,8 +199,8 @@ class Solver:
         """List crossings of cloth with cloth and mark their vertices as tangled."""
         m, s = self.model, self.state
         self._refit_bvh()
-        self._launch(crossing.clear_tangled, m.n_vertices, [m.cloth, s.crossing], [s.tangled])
-        self._launch(
+        self.launch(crossing.clear_tangled, m.n_vertices, [m.cloth, s.crossing], [s.tangled])
+        self.launch(
             crossing.find_crossings,
             m.n_edges,
             [m.worlds, m.cloth, self._bvh.id, self._roots, s.crossing, s.beside, s.x],
@@ -209,40 +210,54 @@ class Solver:
     def _search(self) -> None:
         """Find contacts: pairs that may touch before the next search, in the worlds where a search is due."""
         m, s = self.model, self.state
-        threads = self._threads
         if self.config.remember_sides:
             self._keep_passed_pairs()
-        self._launch(sides.clear_lists, m.n_worlds, [s.search.searching], [s.contacts])
-        s.newest.fill_(-1)
-        self._launch(
-            search.fill_grid,
-            m.n_vertices,
-            [m.worlds, m.cloth, s.search.searching, s.tangled, s.x],
-            [s.newest, s.older, s.beside, s.search.listed],
-        )
-        per_vertex = 1 if m.device == "cpu" else max(1, min(GPU_THREADS // m.n_vertices, 14))
-        self._launch(
-            search.find_near_vertices,
-            (m.n_vertices, per_vertex),
-            [m.worlds, m.cloth, per_vertex, s.search.searching, s.x, s.newest, s.older],
-            [s.search.x, s.search.skin, s.beside, s.contacts],
-        )
-        self._launch(search.scan_near_work, m.n_worlds + 1, [m.worlds, s.search.searching], [s.contacts])
-        if self.config.self_contact:
-            exempt = s.tangled if self.config.exempt_crossings else self._none
-            inputs = [m.worlds, m.cloth, threads, exempt, s.passed, s.x]
-            self._launch(search.find_contacts, threads, inputs, [s.search.listed, s.contacts])
+        exempt = s.tangled if self.config.exempt_crossings else self._none
+        self._find_contacts(s.tangled, exempt, s.passed)
         if self.config.remember_sides:
             per_world = 1 if m.device == "cpu" else 256
             inputs = [m.worlds, per_world, s.search.searching]
-            self._launch(sides.restore_kept, (m.n_worlds, per_world), inputs, [s.search.listed, s.contacts])
-        self._launch(
+            self.launch(sides.restore_kept, (m.n_worlds, per_world), inputs, [s.search.listed, s.contacts])
+        self.launch(
             search.find_long_edges,
             m.n_edges,
             [m.worlds, m.cloth, s.search.searching, s.x],
             [s.search.listed, s.contacts],
         )
-        self._launch(contacts.scan_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
+        self.launch(contacts.scan_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
+
+    def find_contacts_of(self, active: wp.array) -> None:
+        """Find the contacts of the worlds marked in ``active`` (w), but for pairs where the cloth crosses."""
+        wp.copy(self.state.search.searching, active)
+        self._find_contacts(self._none, self._every, self._none)
+
+    def _find_contacts(self, listed: wp.array, exempt: wp.array, passed: wp.array) -> None:
+        """Broad and narrow phase in the worlds that are searched.
+
+        ``listed`` (v) marks vertices that belong to a list already, ``exempt`` (v) those that may be where cloth
+        crosses, ``passed`` (v) those that have passed through cloth.
+        """
+        m, s = self.model, self.state
+        threads = self._threads
+        self.launch(sides.clear_lists, m.n_worlds, [s.search.searching], [s.contacts])
+        s.newest.fill_(-1)
+        self.launch(
+            search.fill_grid,
+            m.n_vertices,
+            [m.worlds, m.cloth, s.search.searching, listed, s.x],
+            [s.newest, s.older, s.beside, s.search.listed],
+        )
+        per_vertex = 1 if m.device == "cpu" else max(1, min(GPU_THREADS // m.n_vertices, 14))
+        self.launch(
+            search.find_near_vertices,
+            (m.n_vertices, per_vertex),
+            [m.worlds, m.cloth, per_vertex, s.search.searching, s.x, s.newest, s.older],
+            [s.search.x, s.search.skin, s.beside, s.contacts],
+        )
+        self.launch(search.scan_near_work, m.n_worlds + 1, [m.worlds, s.search.searching], [s.contacts])
+        if self.config.self_contact:
+            inputs = [m.worlds, m.cloth, threads, exempt, passed, s.x]
+            self.launch(search.find_contacts, threads, inputs, [s.search.listed, s.contacts])
 
     def _keep_passed_pairs(self) -> None:
         """Set aside the contacts that have passed through each other since the last search, with their old sides."""
@@ -251,8 +266,8 @@ class Solver:
         for cleared in (s.passed, s.contacts.kept_point_count, s.contacts.kept_edge_count):
             cleared.zero_()
         inputs = [m.worlds, s.contacts, threads, s.status, s.search.searching, s.search.x, s.x]
-        self._launch(sides.mark_passed, threads, inputs, [s.passed])
-        self._launch(
+        self.launch(sides.mark_passed, threads, inputs, [s.passed])
+        self.launch(
             sides.keep_sides, threads, [m.worlds, threads, s.status, s.search.searching, s.passed], [s.contacts]
         )
 
@@ -260,18 +275,24 @@ class Solver:
         """Refit the BVH to the current positions."""
         self._bound_faces()
         self._bvh.refit()
-        self._launch(crossing.find_roots, self.model.n_worlds, [self._bvh.id], [self._roots])
+        self.launch(crossing.find_roots, self.model.n_worlds, [self._bvh.id], [self._roots])
+
+    def refitted_bvh(self) -> tuple[int, wp.array]:
+        """The BVH of all faces at their current positions, and the root of each world in it."""
+        self._refit_bvh()
+        return self._bvh.id, self._roots
 
     def _bound_faces(self) -> None:
         m, s = self.model, self.state
-        self._launch(boxes.bound_faces, len(m.face_world), [m.cloth, s.x], [s.lower, s.upper])
+        self.launch(boxes.bound_faces, len(m.face_world), [m.cloth, s.x], [s.lower, s.upper])
 
     @property
     def _threads(self) -> int:
         """Threads of the kernels that walk contact lists in strides."""
         return 1 if self.model.device == "cpu" else min(GPU_THREADS, 2 * self.model.n_vertices)
 
-    def _launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
+    def launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list, outputs: list) -> None:
+        """Launch a kernel on the model's device, in blocks that suit the batch."""
         block = 64 if self.model.n_vertices < GPU_THREADS else 256  # small blocks spread a small batch over the GPU
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.model.device, block_dim=block)
 

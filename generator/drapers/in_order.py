@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar, Union
 
 from gcd_dataset.generator.drapers.draper import Draper, DrapeReply, DrapeRequest
-from gcd_dataset.waits import noted
+from gcd_dataset.waits import record_wait
 
 if TYPE_CHECKING:
     from gcd_dataset.generator.drape import DrapeJob
@@ -100,7 +100,7 @@ class _Dispatcher:
         assert self._draper is not None  # tasks without jobs are never waited for
         reply = self._draper.receive()
         for name, wait in reply.waits.items():
-            noted(name, wait)
+            record_wait(name, wait)
         task, job = self._job_of.pop(reply.number)
         task.replies[job] = reply
         try:

@@ -154,7 +154,7 @@ class RequestQueue:
         begin = time.perf_counter()
         with self._arrived:
             self._arrived.wait_for(lambda: bool(self._waiting))
-        self._clock.idle(time.perf_counter() - begin)
+        self._clock.add_idle(time.perf_counter() - begin)
         pictures = PictureQueue(device)
         drapes = drape_unordered(
             self._jobs(),
@@ -173,7 +173,7 @@ class RequestQueue:
 
     def _reply(self, client: Client, device: str, reply: DrapeReply) -> None:
         """Send a reply, with the time that this process has waited since the last one."""
-        client.reply(replace(reply, waits={device: self._clock.taken()}))
+        client.reply(replace(reply, waits={device: self._clock.lap()}))
 
     def _jobs(self) -> Iterator[DrapeJob | PreparedJob | None]:
         """The jobs of waiting requests, without end; ``None`` whenever no request waits."""

@@ -1,4 +1,4 @@
-"""Dressing: a pattern of any origin made ready for a drape, and what had to be assumed for that."""
+"""Dressing: prepare a pattern of any origin for a drape: place its panels, label panels and held edges."""
 
 from dataclasses import dataclass
 
@@ -13,27 +13,27 @@ __all__ = ["Dressing", "dress", "has_legs"]
 
 @dataclass(frozen=True)
 class Dressing:
-    """A pattern that hangs round a body, every panel and every edge that holds it labelled."""
+    """A pattern placed round a body, with labels on every panel and on the edges that hold it up."""
 
     pattern: Pattern
     assumed: tuple[str, ...]
-    """What its file did not say, with the reason; one sentence each."""
+    """Assumptions where the file has gaps, one sentence each, with the reason."""
 
 
 def dress(pattern: Pattern, body: Body, size: Measurements) -> Dressing:
-    """The pattern ready for a drape on that body; what its file says stays as it is.
+    """The pattern ready for a drape on that body. Placements and labels in the file stay unless they cannot be draped.
 
-    Raises ``PatternError`` where the panels' places cannot be told, ``BodyError`` for a body without a trunk or a
-    measure.
+    Raises ``PatternError`` where the seams do not determine the placements of panels, ``BodyError`` for a body without
+    a trunk or a missing measure.
     """
     wearer = wearer_of(body, size)
     placed, moved = place_panels(pattern, wearer)
     labelled, parts = label_panels(placed, wearer)
     held, holds = label_edges(labelled, wearer)
-    return Dressing(held, (*moved, *parts, *holds, *_loose(held)))
+    return Dressing(held, (*moved, *parts, *holds, *_without_seams(held)))
 
 
-def _loose(pattern: Pattern) -> tuple[str, ...]:
+def _without_seams(pattern: Pattern) -> tuple[str, ...]:
     if len(pattern.panels) > 1 and not pattern.seams:
         return ("the pattern has no stitches: its panels fall one by one; add pattern.stitches",)
     return ()

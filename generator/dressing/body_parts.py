@@ -1,4 +1,4 @@
-"""Which part of the body a panel covers, by where it hangs."""
+"""Label panels with the part of the body that they cover, by their placement."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -11,17 +11,17 @@ from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, Panel, PanelRole, Pattern
 from gcd_dataset.spec import role_by_name
 
-__all__ = ["covered_part", "label_panels", "label_sentences", "trunk_part"]
+__all__ = ["describe_labels", "label_panels", "trunk_part"]
 
-ASIDE = 0.1  # of half the trunk's width: what comes nearer to the middle is on no arm
-BESIDE = 20.0  # cm from an arm's axis to the middle of a panel, at most, for the panel to be on that arm
-BEFORE = 28.0  # cm before or behind the arm: lapels hang further out
-BEYOND = 25.0  # cm that the middle of a panel may hang beyond the ends of an arm: cuffs hang there before sewing
-ABOVE_WAIST = 15.0  # cm that a skirt's panel may reach above the waist
-ABOVE_CROTCH = 4.0  # cm: what ends higher is a band
-BAND = 24.0  # cm: so is what is no taller, and ends
-UNDER_CROTCH = 2.0  # cm below the crotch, or higher
-WHERE = {
+ASIDE = 0.1  # of half the trunk's width: a panel nearer to the middle is on no arm
+BESIDE = 20.0  # cm from an arm's axis to the centroid of a panel on that arm, at most
+BEFORE = 28.0  # cm before or behind the arm, at most: lapels hang further out
+BEYOND = 25.0  # cm from the end of an arm to the centroid of its panel, at most: cuffs hang there before sewing
+ABOVE_WAIST = 15.0  # cm: a skirt's panel may reach this far above the waist
+ABOVE_CROTCH = 4.0  # cm: a panel that ends higher above the crotch is a band
+BAND = 24.0  # cm: the tallest panel for which ``UNDER_CROTCH`` applies instead
+UNDER_CROTCH = 2.0  # cm: a short panel that ends no further below the crotch is a band
+POSITIONS = {
     PanelRole.ARM: "beside an arm",
     PanelRole.LEG: "round hips and legs",
     PanelRole.BODY: "round the trunk",
@@ -29,15 +29,15 @@ WHERE = {
 
 
 def label_panels(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
-    """The pattern with a label on every panel, and a sentence for each kind of label that was added."""
-    found = {panel.name: covered_part(panel, wearer) for panel in pattern.panels if not panel.label}
-    found = _off_skirts(found, pattern)
+    """The pattern with a label on every panel, and a sentence for each kind of added label."""
+    found = {panel.name: _covered_part(panel, wearer) for panel in pattern.panels if not panel.label}
+    found = _relabel_skirts(found, pattern)
     panels = tuple(replace(panel, label=found.get(panel.name, panel.label)) for panel in pattern.panels)
-    return replace(pattern, panels=panels), tuple(label_sentences(found))
+    return replace(pattern, panels=panels), tuple(describe_labels(found))
 
 
-def _off_skirts(found: Mapping[str, PanelRole], pattern: Pattern) -> dict[str, PanelRole]:
-    """The labels, where no panel on an arm is sewn to one on legs: a wide skirt hangs where the arms are."""
+def _relabel_skirts(found: Mapping[str, PanelRole], pattern: Pattern) -> dict[str, PanelRole]:
+    """The labels with arm panels sewn to leg panels relabelled as legs: a wide skirt hangs where the arms are."""
     parts = {panel.name: found.get(panel.name, panel.label) for panel in pattern.panels}
     while True:
         sewn = [
@@ -49,13 +49,13 @@ def _off_skirts(found: Mapping[str, PanelRole], pattern: Pattern) -> dict[str, P
         parts |= dict.fromkeys(skirts, PanelRole.LEG)
 
 
-def covered_part(panel: Panel, wearer: Wearer) -> PanelRole:
-    """What a panel covers, by where it hangs; its name has no say."""
+def _covered_part(panel: Panel, wearer: Wearer) -> PanelRole:
+    """The part of the body that a panel covers, by its placement alone, whatever its name."""
     return PanelRole.ARM if _is_on_arm(panel, wearer) else trunk_part(panel, wearer)
 
 
 def trunk_part(panel: Panel, wearer: Wearer) -> PanelRole:
-    """Legs or body, for a panel that is on no arm."""
+    """``LEG`` or ``BODY``, for a panel that is on no arm."""
     heights = panel.placement.apply(panel_outline(panel))[:, 1]
     low, high = heights.min(), heights.max()
     is_band = low > wearer.crotch + (ABOVE_CROTCH if high - low > BAND else -UNDER_CROTCH)
@@ -65,27 +65,23 @@ def trunk_part(panel: Panel, wearer: Wearer) -> PanelRole:
 def _is_on_arm(panel: Panel, wearer: Wearer) -> bool:
     flat = panel_outline(panel)
     points = panel.placement.apply(flat)
-    middle = panel.placement.apply(np.array(shapely.Polygon(flat).centroid.coords[0]))
-    side = np.sign(middle[0])
+    centroid = panel.placement.apply(np.array(shapely.Polygon(flat).centroid.coords[0]))
+    side = np.sign(centroid[0])
     arm = wearer.limbs.get(BodyPart.LEFT_ARM if side > 0 else BodyPart.RIGHT_ARM)
     aside = (side * points[:, 0]).min() > ASIDE * wearer.limbs[BodyPart.TRUNK].wide
-    if arm is None or not aside or middle[1] > wearer.nape:  # hoods and collars stand beside the head
+    if arm is None or not aside or centroid[1] > wearer.nape:  # hoods and collars stand beside the head
         return False
-    across, along, forward = np.abs(arm.local(middle))
+    across, along, forward = np.abs(arm.local(centroid))
     half = float(np.ptp(arm.skin @ arm.axis)) / 2
     return bool(across < BESIDE and along < half + BEYOND and forward < BEFORE)
 
 
-def label_sentences(found: Mapping[str, PanelRole | str]) -> Iterator[str]:
-    """A sentence for each part that panels without a label were taken to cover."""
-    for part in WHERE:
+def describe_labels(found: Mapping[str, PanelRole | str]) -> Iterator[str]:
+    """A sentence for each part of the body with its newly labelled panels."""
+    for part in POSITIONS:
         names = [name for name, label in found.items() if label == part]
         if names:
-            are = (
-                "panel {} has no label: taken to cover"
-                if len(names) == 1
-                else "panels {} have no label: taken to cover"
-            )
+            panels = f"panel {names[0]} has" if len(names) == 1 else f"panels {', '.join(names)} have"
             odd = [name for name in names if role_by_name(name) not in (None, part)]
-            hint = f"; by name, {', '.join(odd)} would not" if odd else ""
-            yield f"{are.format(', '.join(names))} {part}, since hung {WHERE[part]}{hint}"
+            hint = f"; the names suggest another part for {', '.join(odd)}" if odd else ""
+            yield f"{panels} no label: assumed to cover {part}, from the position {POSITIONS[part]}{hint}"

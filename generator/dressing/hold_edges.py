@@ -1,4 +1,4 @@
-"""Which edges hold a garment up: necklines, strapless tops and waists, found among its openings."""
+"""Label the edges that hold a garment up: necklines, strapless tops and waists, found among its openings."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.generator.dressing.openings import Opening, edge_line, openings_of, panel_outline
+from gcd_dataset.generator.dressing.openings import Opening, edge_points, openings_of, panel_outline
 from gcd_dataset.generator.dressing.wearer import Wearer
 from gcd_dataset.records import BodyPart, EdgeRef, EdgeRole, Panel, PanelRole, Pattern
 from gcd_dataset.spec import is_trouser_leg
@@ -15,44 +15,44 @@ __all__ = ["has_legs", "label_edges"]
 
 COLLARS = (EdgeRole.RIGHT_COLLAR, EdgeRole.LEFT_COLLAR)
 HOLDING = frozenset({*COLLARS, EdgeRole.STRAPLESS_TOP, EdgeRole.LOWER_INTERFACE})
-ASIDE = 8.0  # cm from the middle: the centre of an opening further out is that of an arm or a leg
-LEGS_WITHIN = 36.0  # cm: centres of openings further out are those of sleeves
-OVER_WAIST = 12.0  # cm: a top edge higher than this over the waist is a bodice's
-WAIST_BAND = 35.0  # cm above and below the waist, in which the top of what hangs there is looked for
-ONE_SIDE = 0.2  # of its width: how far off the middle the mean of an edge or panel is that belongs to one side
+ASIDE = 8.0  # cm from the middle to the centre of an opening, beyond which it belongs to an arm or a leg
+LEGS_WITHIN = 36.0  # cm from the middle to the centre of an opening, beyond which it belongs to a sleeve
+OVER_WAIST = 12.0  # cm above the waist: a higher top edge belongs to a bodice
+BELOW_WAIST = 35.0  # cm below the waist: the lowest top edge of a bottom
+ONE_SIDE = 0.2  # of the width of an edge or panel: its mean is further off the middle if it belongs to one side
 
 
 def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, ...]]:
-    """The pattern with labels on the edges that hold it up, and a sentence for each label that was added.
+    """The pattern with labels on the edges that hold it up, and a sentence for each added label.
 
-    What hangs from the shoulders is given its collars; else the highest opening round the trunk is a strapless top,
-    or a waist. Labels that are there stay, and nothing is added beside one that does the same.
+    A garment that hangs from the shoulders gets collars; on others the highest opening round the trunk is a strapless
+    top or a waist. Existing labels stay; a garment that has a holding label already gets no other.
     """
-    there = {edge.label for panel in pattern.panels for edge in panel.edges}
+    labels = {edge.label for panel in pattern.panels for edge in panel.edges}
     openings = openings_of(pattern)
-    if hangs_from_shoulders(pattern, openings, wearer):
-        if there & set(COLLARS):
+    if _hangs_from_shoulders(pattern, openings, wearer):
+        if labels & set(COLLARS):
             return pattern, ()
         found = _collars(pattern, openings, wearer)
         return _labelled(pattern, found), tuple(_collar_sentences(found))
-    if there & HOLDING:
+    if labels & HOLDING:
         return pattern, ()
     top = next((o for o in openings if abs(o.centre[0]) < ASIDE and _is_round_trunk(o, wearer)), None)
     if top is None:
         return pattern, (
             "no opening lies round the waist or the bust: nothing holds the garment up; "
-            "label the edge that should be held lower_interface or strapless_top",
+            "label the edge to hold lower_interface or strapless_top",
         )
     is_bodice = top.centre[1] > wearer.waist + OVER_WAIST
-    label, place = (EdgeRole.STRAPLESS_TOP, "bust") if is_bodice else (EdgeRole.LOWER_INTERFACE, "waist")
+    label = EdgeRole.STRAPLESS_TOP if is_bodice else EdgeRole.LOWER_INTERFACE
+    level, landmark = (wearer.armpit, "armpits") if is_bodice else (wearer.waist, "waist")
     return _labelled(pattern, dict.fromkeys(top.edges, label)), (
-        f"{_named(top.edges)} taken for {label}: the highest opening round the trunk, {top.length:.0f} cm long, "
-        f"lies {top.centre[1] - (wearer.waist if place == 'waist' else wearer.armpit):+.0f} cm from the "
-        f"{'waist' if place == 'waist' else 'armpits'}",
+        f"{_named(top.edges)} labelled {label}: the highest opening round the trunk, {top.length:.0f} cm long, "
+        f"{top.centre[1] - level:+.0f} cm from the {landmark}",
     )
 
 
-def hangs_from_shoulders(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> bool:
+def _hangs_from_shoulders(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> bool:
     """Whether arms go through the garment: it has sleeves, or an opening beside the trunk above the waist."""
     if any(panel.label == PanelRole.ARM for panel in pattern.panels):
         return True
@@ -60,9 +60,9 @@ def hangs_from_shoulders(pattern: Pattern, openings: tuple[Opening, ...], wearer
 
 
 def has_legs(pattern: Pattern) -> bool:
-    """Whether legs go through the garment one by one, so that its wearer's must not touch.
+    """Whether the garment has two legs, so that it must be draped on a body with its legs apart.
 
-    It has an opening low on either side, and but one round the middle, above them; or its panels are named so.
+    By the names of its panels, or by its openings: one low on either side, and a single one round the middle, above.
     """
     if any(is_trouser_leg(panel.name) for panel in pattern.panels):
         return True
@@ -78,11 +78,11 @@ def has_legs(pattern: Pattern) -> bool:
 def _is_round_trunk(opening: Opening, wearer: Wearer) -> bool:
     wide = opening.low[0] < 0 < opening.high[0]
     deep = opening.high[2] - opening.low[2] > wearer.limbs[BodyPart.TRUNK].deep
-    return bool(wide and deep and wearer.waist - WAIST_BAND < opening.centre[1] < wearer.nape)
+    return bool(wide and deep and wearer.waist - BELOW_WAIST < opening.centre[1] < wearer.nape)
 
 
 def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) -> dict[EdgeRef, EdgeRole]:
-    """The edges of the neckline, each with its side; those across the middle with none."""
+    """The edges of the neckline with their collar labels; edges across the middle get none."""
     necks = {panel.name for panel in pattern.panels if _is_over_neck(panel, wearer)}
     sewn = {side: other for s in pattern.seams for side, other in ((s.left, s.right), (s.right, s.left))}
     ends = [ref for ref, other in sewn.items() if ref.panel not in necks and other.panel in necks]
@@ -91,23 +91,23 @@ def _collars(pattern: Pattern, openings: tuple[Opening, ...], wearer: Wearer) ->
             ends += [ref for ref in opening.edges if ref.panel not in necks]
     found = {}
     for ref in ends:
-        line = edge_line(pattern.panel(ref.panel), ref.edge)
+        line = edge_points(pattern.panel(ref.panel), ref.edge)
         if pattern.panel(ref.panel).label != PanelRole.BODY or line[:, 1].max() < wearer.waist + OVER_WAIST:
             continue
-        middle = _side(line[:, 0]) or _side(_points(pattern.panel(ref.panel))[:, 0])
-        if middle:
-            found[ref] = COLLARS[int(middle > 0)]
+        side = _side(line[:, 0]) or _side(_points(pattern.panel(ref.panel))[:, 0])
+        if side:
+            found[ref] = COLLARS[int(side > 0)]
     return found
 
 
 def _side(x: Float[np.ndarray, " n"]) -> float:
-    """1 for what is to the left of the middle, -1 to the right, 0 across it."""
+    """1 for points on the wearer's left, -1 on the right, 0 across the middle."""
     middle = float(x.mean())
     return float(np.sign(middle)) if abs(middle) > ONE_SIDE * float(np.ptp(x)) else 0.0
 
 
 def _is_over_neck(panel: Panel, wearer: Wearer) -> bool:
-    """Whether a panel is a hood or a collar: most of it hangs above the nape."""
+    """Whether a panel is a hood or a collar: most of it lies above the nape."""
     return bool(np.median(_points(panel)[:, 1]) > wearer.nape)
 
 
@@ -116,21 +116,21 @@ def _points(panel: Panel) -> Float[np.ndarray, "n 3"]:
 
 
 def _labelled(pattern: Pattern, found: dict[EdgeRef, EdgeRole]) -> Pattern:
-    def panel(given: Panel) -> Panel:
+    def labelled(panel: Panel) -> Panel:
         edges = tuple(
-            replace(edge, label=edge.label or found.get(EdgeRef(given.name, i), ""))
-            for i, edge in enumerate(given.edges)
+            replace(edge, label=edge.label or found.get(EdgeRef(panel.name, i), ""))
+            for i, edge in enumerate(panel.edges)
         )
-        return replace(given, edges=edges)
+        return replace(panel, edges=edges)
 
-    return replace(pattern, panels=tuple(panel(p) for p in pattern.panels))
+    return replace(pattern, panels=tuple(map(labelled, pattern.panels)))
 
 
 def _collar_sentences(found: dict[EdgeRef, EdgeRole]) -> Iterable[str]:
     for label in COLLARS:
         refs = [ref for ref, given in found.items() if given == label]
         if refs:
-            yield f"{_named(refs)} taken for {label}: arms go through the garment, and there it lies round the neck"
+            yield f"{_named(refs)} labelled {label}: arms go through the garment, and these edges lie round the neck"
 
 
 def _named(refs: Iterable[EdgeRef]) -> str:

@@ -1,8 +1,8 @@
-"""What dressing must know of a wearer: heights on the trunk, and where the arms are."""
+"""The wearer as dressing needs it: heights on the trunk, and axes of trunk and arms."""
 
 from dataclasses import dataclass
 
-from gcd_dataset.generator.drape.limbs import Limb, limbs_of
+from gcd_dataset.generator.body.limbs import Limb, limbs_of
 from gcd_dataset.records import Body, BodyPart, Measurements
 
 __all__ = ["Wearer", "wearer_of"]
@@ -10,31 +10,25 @@ __all__ = ["Wearer", "wearer_of"]
 
 @dataclass(frozen=True, eq=False)
 class Wearer:
-    """Heights over the floor [cm], girths [cm], trunk and arms."""
+    """Levels over the floor [cm] and limbs of a body."""
 
     nape: float
     armpit: float
     waist: float
-    hips: float
     crotch: float
-    waist_girth: float
-    neck_width: float
     limbs: dict[BodyPart, Limb]
     body: Body
 
 
 def wearer_of(body: Body, size: Measurements) -> Wearer:
-    """The wearer of that body. Raises ``BodyError`` where a measure is missing, or the body has no trunk."""
-    size.require("height", "head_l", "waist_line", "hips_line", "armscye_depth", "crotch_hip_diff", "waist", "neck_w")
-    nape, hips = size.height - size.head_l, size.waist_level - size.hips_line
+    """The levels and limbs of a body. Raises ``BodyError`` for a missing measure or a body without a trunk."""
+    size.require("height", "head_l", "waist_line", "hips_line", "armscye_depth", "crotch_hip_diff")
+    nape = size.height - size.head_l
     return Wearer(
         nape=nape,
         armpit=nape - size.armscye_depth,
         waist=size.waist_level,
-        hips=hips,
-        crotch=hips - size.crotch_hip_diff,
-        waist_girth=size.waist,
-        neck_width=size.neck_w,
+        crotch=size.waist_level - size.hips_line - size.crotch_hip_diff,
         limbs=limbs_of(body),
         body=body,
     )

@@ -1,16 +1,17 @@
-"""The wardrobe: what can be designed, what chance designs, and the patterns of designs.
+"""The wardrobe: design parameters, random designs, and the patterns of designs.
 
-A garment of your own, a skirt for instance, is one file and one line. ``gathered_skirt.py`` is a short example.
+A new garment, for example a skirt, takes one file and one line. ``gathered_skirt.py`` is a short example.
 
-1. The file, in this folder: a frozen ``Design`` (``space.py``), whose fields hold default, range and docstring; a
-   function of the wearer's measures [cm], that design and the ``Cutting`` that returns a ``Component`` of
-   ``gcd_dataset.generator.pattern``; and a record, ``SimpleBottom`` for a skirt (``garment.py``), that names both and
-   says what outfits, chance, rules and statistics must know: length, gathers, weight in the draw, ….
-2. The line: a member of ``Bottom`` in ``wardrobe.py``. Its section joins the design, design files and overlays; chance
-   draws it by its weight (0: only where an overlay names it); the battery of tests draws it for all of its wearers.
+1. The file, in this folder, has three parts: a frozen ``Design`` (``space.py``), each field with default, range and
+   docstring; a function of the wearer's measures [cm], that design and a ``Cutting``, which returns a ``Component`` of
+   ``gcd_dataset.generator.pattern``; and a record, ``SimpleBottom`` for a skirt (``garment.py``), with both and all
+   facts for outfits, sampling, rules and statistics: length, gathers, sampling weight, ….
+2. The line is a member of ``Bottom`` in ``wardrobe.py``. It adds the section to the outfit's design, to design files
+   and to overlays; sampling draws the garment by its weight (0: only if an overlay names it); the test battery draws it
+   for all test wearers.
 
-``cape.py`` and ``poncho.py`` are uppers made in this way. Shirts are in ``upper.py``, waistbands in ``waistband.py``,
-rules that turn designs down in ``rules.py``.
+``cape.py`` and ``poncho.py`` are such uppers. Shirts are in ``upper.py``, waistbands in ``waistband.py``, the rules
+that reject designs in ``rules.py``.
 """
 
 from gcd_dataset.generator.garments.design import OutfitDesign

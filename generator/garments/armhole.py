@@ -1,4 +1,4 @@
-"""Armholes: shapes from the underarm up to the shoulder, cut into the corner between side and shoulder."""
+"""Armholes: shapes from the underarm up to the shoulder, to cut into the corner between side and shoulder."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -14,7 +14,7 @@ CURVE = Cubic((0.2, -0.35), (0.5, -0.2))  # edge frame, from underarm to shoulde
 
 
 class Armhole(Enum):
-    """The armholes there are."""
+    """Shape of an armhole, by GarmentCode's name."""
 
     SQUARE = "ArmholeSquare"
     ANGLE = "ArmholeAngle"
@@ -22,9 +22,9 @@ class Armhole(Enum):
 
 
 def armhole(kind: Armhole, width: float, depth: float, *, corner: float) -> tuple[Stroke, ...]:
-    """From the underarm at (0, 0) to the shoulder, ``width`` inwards and ``depth`` upwards [cm].
+    """The edge from the underarm at (0, 0) to the shoulder, ``width`` inwards and ``depth`` upwards [cm].
 
-    ``corner`` is where the corner of an angled one lies, as a fraction of its width and height.
+    ``corner``: position of the corner of an angled armhole, as a fraction of its width and height.
     """
     drawn = DRAWINGS[kind](width, depth, corner)
     return tuple(replace(stroke, name="armhole", label=EdgeRole.RIGHT_ARMHOLE) for stroke in drawn.strokes)
@@ -47,4 +47,4 @@ DRAWINGS: Mapping[Armhole, Callable[[float, float, float], Outline]] = {
     Armhole.ANGLE: _angle,
     Armhole.CURVE: _curve,
 }
-"""The drawing of each, from width, depth [cm] and corner."""
+"""Drawing functions of width [cm], depth [cm] and corner."""

@@ -1,4 +1,4 @@
-"""The fitted bodice: halves that follow bust and waist by darts, and end at the waist."""
+"""The fitted bodice: halves that end at the waist, fitted to bust and waist by darts."""
 
 from dataclasses import replace
 from math import pi, tan
@@ -10,26 +10,26 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["fitted_back", "fitted_front"]
 
-WAIST_DART_SHARE = 2 / 3  # of the front's waist excess, the rest goes at the side, GarmentCode
+WAIST_DART_SHARE = 2 / 3  # of the front's waist excess; the side takes in the rest, GarmentCode
 WAIST_DART_LEG = 0.9  # of waist to bust, GarmentCode
 SIDE_DART_LEG = 0.75  # of side to bust point, GarmentCode
-OUTER_DART_LEG = 0.9  # of the leg of the dart nearer to the centre, GarmentCode
-DARTS_APART = 0.25  # of the half distance of the bum points, by which the back's darts lie beside them, GarmentCode
-SIDE_SHARE = 1 / 6  # of the back's waist excess that goes at the side, GarmentCode
-SIDE_STRAIGHT = 4.0  # cm of waist excess below which none goes there, GarmentCode
-WAIST_RISE = 0.25  # of the back's shoulder rise, by which its waist is hollowed at the centre, GarmentCode
+OUTER_DART_LEG = 0.9  # of the inner dart's leg, GarmentCode
+DARTS_APART = 0.25  # of half the distance of the bum points: offset of the back's darts from them, GarmentCode
+SIDE_SHARE = 1 / 6  # of the back's waist excess: the side's part, GarmentCode
+SIDE_STRAIGHT = 4.0  # cm of waist excess below which the side stays straight, GarmentCode
+WAIST_RISE = 0.25  # of the back's shoulder rise: how far its waist rises at the centre, GarmentCode
 LEFTWARDS = pi  # heading of the hem [rad]
 UPWARDS = pi / 2  # heading of the side [rad]
 
 
 def fitted_front(size: Measurements) -> TorsoHalf:
-    """Half a front: a dart at the bust in the side, another under the bust in the waist."""
+    """Half a front, with a side dart at the bust and a waist dart under the bust."""
     bust, waist = 0.5 * (size.bust - size.back_width), 0.5 * (size.waist - size.waist_back_width)
     shoulder = 0.5 * size.shoulder_w
     rise = tan(size.shoulder_incl) * shoulder
     point, to_bust = 0.5 * size.bust_points, size.waist_line - size.drawn_bust_line
     intake = max(WAIST_DART_SHARE * (bust - waist), 0.0)
-    level = size.waist_over_bust_line  # of the shoulder's outer end
+    level = size.waist_over_bust_line  # height of the shoulder's outer end
     opening = size.waist_over_bust_line - size.waist_line
     if opening <= 0.0:
         raise PatternError(
@@ -49,7 +49,7 @@ def fitted_front(size: Measurements) -> TorsoHalf:
 
 
 def fitted_back(size: Measurements) -> TorsoHalf:
-    """Half a back: two darts in the waist, which is hollowed towards the centre."""
+    """Half a back with two waist darts; its waist curves up towards the centre."""
     width, waist = 0.5 * size.back_width, 0.5 * size.waist_back_width
     slope = tan(size.shoulder_incl)
     level, rise = size.waist_line - slope * (width - 0.5 * size.shoulder_w), slope * width
@@ -67,7 +67,7 @@ def fitted_back(size: Measurements) -> TorsoHalf:
 
 
 def _taken_in(size: Measurements, back: TorsoHalf, *, excess: float, leg: float) -> TorsoHalf:
-    """The back narrowed at the waist: by two darts of one width, and at the side where much is to be taken in."""
+    """The back narrowed at the waist by two darts of equal width, and at the side for a large excess."""
     at_side = 0.0 if excess < SIDE_STRAIGHT else SIDE_SHARE * excess
     width, point = 0.5 * (excess - at_side), 0.5 * size.bum_points
     outer, inner = (1 + DARTS_APART) * point + 1.5 * width, (1 - DARTS_APART) * point + 0.5 * width
@@ -75,11 +75,11 @@ def _taken_in(size: Measurements, back: TorsoHalf, *, excess: float, leg: float)
     outline = cut_into(outline, "bottom", dart(width, leg, name="inner_dart"), at=inner)
     waist, side = outline.run("bottom")[-1], outline.run("side")[0]
     corner = (waist.end[0] + at_side, waist.end[1])
-    moved = outline.with_strokes((waist, side), (replace(waist, end=corner), replace(side, start=corner)))
-    return replace(back, outline=moved, darts=("outer_dart", "inner_dart"))
+    outline = outline.with_strokes((waist, side), (replace(waist, end=corner), replace(side, start=corner)))
+    return replace(back, outline=outline, darts=("outer_dart", "inner_dart"))
 
 
 def _with_dart(drawn: Outline, heading: float, width: float, leg: float, name: str) -> Outline:
-    """Drawn on over a dart in an edge of this heading [rad], its tip to the right of the travel."""
+    """With a dart in an edge of this heading [rad], its tip to the right of the drawing direction."""
     legs = (stroke.mirrored().rotated(heading - pi) for stroke in dart(width, leg, name=name))
     return drawn.then(*chain_from(drawn.pen, *legs))

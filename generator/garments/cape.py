@@ -1,6 +1,7 @@
-"""The cape: a part of a circle round the neck, ``right_cape_front``, its mirror image, and ``cape_back``.
+"""The cape: a sector of a circle round the neck. Panels ``right_cape_front``, ``left_cape_front`` and ``cape_back``.
 
-Shoulder seams follow the shoulders and then fall over the arms, so that half a circle lies as smoothly as a whole one.
+Its shoulder seams follow the shoulders and then bend down over the arms, so that a half circle lies as smoothly as a
+full one.
 """
 
 from dataclasses import dataclass
@@ -9,7 +10,14 @@ from math import pi
 from gcd_dataset.curves import Arc, Point
 from gcd_dataset.generator.garments.garment import SimpleUpper
 from gcd_dataset.generator.garments.neckline import Neckline
-from gcd_dataset.generator.garments.overgarment import NeckHole, both_halves, hung, neck_hole, right_neck, with_shoulder
+from gcd_dataset.generator.garments.overgarment import (
+    NeckHole,
+    both_halves,
+    neck_hole,
+    placed_at_neck,
+    right_neck,
+    with_shoulder,
+)
 from gcd_dataset.generator.garments.space import Design, real
 from gcd_dataset.generator.pattern import Component, Outline, Piece
 from gcd_dataset.records import Measurements
@@ -24,20 +32,20 @@ class CapeDesign(Design):
     length: float = real(1.1, 0.7, 2.2)
     """From the nape to the hem, as a fraction of nape to waist."""
     circle: float = real(0.75, 0.5, 1.0)
-    """How much of a full circle front and back together are cut from."""
+    """Front and back together, as a fraction of a full circle."""
     neck: float = real(1.15, 1.05, 1.5)
-    """Opening for the neck, as a fraction of the neck's base."""
+    """Opening for the neck, as a fraction of the base of the neck."""
     closed: float = real(0.2, 0.1, 1.0)
-    """How far down from the neck the front is closed, as a fraction of its middle."""
+    """Sewn length of the front opening from the neck down, as a fraction of the whole."""
 
 
 def cape(size: Measurements, design: CapeDesign) -> Component:
-    """Two fronts and a back, sewn over the shoulders and at the front; nothing is sewn to its hem."""
+    """Two fronts and a back, sewn over the shoulders and down the front. Offers no interface."""
     hole = neck_hole(size, design.neck)
-    front = hung(Piece("right_cape_front", _right_front(size, design, hole)), size, hole, front=True)
+    front = placed_at_neck(Piece("right_cape_front", _right_front(size, design, hole)), size, hole, front=True)
     half = _to_hem(size, design, hole)
-    behind = both_halves(half, right_neck(hole, Neckline.CIRCLE, front=False))
-    back = hung(Piece("cape_back", behind), size, hole, front=False)
+    back_outline = both_halves(half, right_neck(hole, Neckline.CIRCLE, front=False))
+    back = placed_at_neck(Piece("cape_back", back_outline), size, hole, front=False)
     right = Component.of(front)
     left = right.mirrored("right", "left")
     mirror = left.piece("left_cape_front")
@@ -50,7 +58,7 @@ def cape(size: Measurements, design: CapeDesign) -> Component:
 
 
 def _right_front(size: Measurements, design: CapeDesign, hole: NeckHole) -> Outline:
-    """From the side of the neck down the shoulder to the hem, and up the middle to the throat."""
+    """The right front: from the side of the neck down the shoulder to the hem, and up the middle to the throat."""
     neck, drawn = right_neck(hole, Neckline.CIRCLE, front=True), _to_hem(size, design, hole)
     closed_to = -hole.front + design.closed * (drawn.pen[1] + hole.front)
     if design.closed < 1:
@@ -66,7 +74,7 @@ def _to_hem(size: Measurements, design: CapeDesign, hole: NeckHole) -> Outline:
 
 
 def _level_arc(side: Point, low: float) -> Arc:
-    """The hem from the side seam, level where it reaches the middle ``low`` cm under the start."""
+    """The hem from the side seam to the middle, ``low`` cm under the origin, where it is level."""
     wide, deep = -side[0], low + side[1]
     return Arc((wide**2 + deep**2) / (2 * deep), large=False, right=True)
 
@@ -78,5 +86,5 @@ CAPE = SimpleUpper(
     weight=0,
     carries=False,
     cut=cape,
-    long=lambda size, design: design.length * size.waist_line,
+    length_of=lambda size, design: design.length * size.waist_line,
 )

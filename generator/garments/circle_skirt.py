@@ -1,4 +1,4 @@
-"""Circle skirts: two sectors of a ring, or halves of a ring cut off centre, ``skirt_front`` and ``skirt_back``."""
+"""Circle skirts: two ring sectors, or halves of an off-centre ring. Panels ``skirt_front`` and ``skirt_back``."""
 
 from dataclasses import replace
 from math import hypot, pi, sqrt
@@ -7,7 +7,7 @@ from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, HemCutDesign, flare_skirt_length
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
-from gcd_dataset.generator.garments.ring import sector
+from gcd_dataset.generator.garments.panel_shapes import sector
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, waist_ring
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, cut_end, cut_into, notch
@@ -15,39 +15,39 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["ASYMMETRIC_CIRCLE_SKIRT", "CIRCLE_SKIRT", "asymmetric_circle_skirt", "circle_skirt"]
 
-LEAST_HEM = 0.01  # of the hem: a cut that leaves less beside it begins at the side seam, GarmentCode
+LEAST_HEM = 0.01  # of the hem: a cut that leaves less beside it is moved to the side seam, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the axis, GarmentCode
 
 
 def circle_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
-    """Front and back of equal size, at least 5 cm long; offers ``top``, ``bottom`` [rings].
+    """Front and back of equal size, at least 5 cm long; offers the rings ``top`` and ``bottom``.
 
-    The tops are equal although front and back of the waist are not: their gathers shift the seams to where the
-    waist's sides are.
+    Both tops have the same length although the front and the back of the waist differ: gathers shift the side seams to
+    the sides of the waist.
     """
     length = max(cutting.length, SHORTEST)
     half = sector("skirt", 0.5 * girth_at_rise(size, cutting.rise), pi * design.suns, length)
-    return _sewn(size, half, half, design.cut, length, cutting.tag)
+    return _sewn(size, half, half, design.cut, length, cutting.suffix)
 
 
 def asymmetric_circle_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
-    """A full circle of cloth whose waist is cut off centre, as long behind as it is cut, at least 5 cm.
+    """A full circle of cloth with the waist cut off centre; the back is ``cutting.length`` long, at least 5 cm.
 
-    Offers ``top`` and ``bottom`` [rings]. Raises ``PatternError`` for a hem cut that opens the waist or a side.
+    Offers the rings ``top`` and ``bottom``. Raises ``PatternError`` for a hem cut into the waist or a side.
     """
     length = max(cutting.length, SHORTEST)
-    radius, before = girth_at_rise(size, cutting.rise) / (2 * pi), design.asymm.front_length * length
-    front, back = _half_ring(radius, before, length), _half_ring(radius, length, before)
-    skirt = _sewn(size, front, back, design.cut, length, cutting.tag)
+    radius, front_length = girth_at_rise(size, cutting.rise) / (2 * pi), design.asymm.front_length * length
+    front, back = _half_ring(radius, front_length, length), _half_ring(radius, length, front_length)
+    skirt = _sewn(size, front, back, design.cut, length, cutting.suffix)
     for piece in skirt.pieces if design.cut.add else ():
         _require_uncut_waist(piece, radius)
     return skirt
 
 
-def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, length: float, tag: str) -> Component:
-    """Front and back hung, cut and sewn at the sides."""
-    front = replace(front, name=f"skirt_front{tag}").at(0, size.waist_level, FRONT)
-    back = replace(back, name=f"skirt_back{tag}").at(0, size.waist_level, BACK)
+def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, length: float, suffix: str) -> Component:
+    """Front and back, placed, with their hem cut, and sewn at the sides."""
+    front = replace(front, name=f"skirt_front{suffix}").at(0, size.waist_level, FRONT)
+    back = replace(back, name=f"skirt_back{suffix}").at(0, size.waist_level, BACK)
     if cut.add:
         front, back = _with_hem_cut(front, back, cut, length)
     return (
@@ -58,18 +58,19 @@ def _sewn(size: Measurements, front: Piece, back: Piece, cut: HemCutDesign, leng
     )
 
 
-def _half_ring(radius: float, own: float, other: float) -> Piece:
-    """Half of a disk with a round hole off its centre: ``own`` cm of cloth in the middle, ``other`` in the other half.
+def _half_ring(radius: float, near: float, far: float) -> Piece:
+    """Half of a disk with a round hole off its centre.
 
-    Hangs from the origin, the middle between the ends of its ``top``; its sides are named as on a ``band``.
+    ``near`` and ``far``: width of the ring in the middle of this half and of the other half [cm].
+    The origin is the middle between the ends of its ``top``; its edges have the names of a ``band``'s.
     """
-    outer = radius + 0.5 * (own + other)
-    centre = 0.5 * (other - own)  # of the disk, over that of the hole
+    outer = radius + 0.5 * (near + far)
+    centre = 0.5 * (far - near)  # height of the disk's centre over that of the hole
     side = sqrt(outer**2 - centre**2)
     outline = (
         Outline.start(-radius, 0)
         .line(-side, 0, name="right")
-        .curve(side, 0, Arc(outer, large=own > other, right=True), name="bottom")
+        .curve(side, 0, Arc(outer, large=near > far, right=True), name="bottom")
         .line(radius, 0, name="left")
         .curve(-radius, 0, Arc(radius, large=False, right=False), name="top")
     )
@@ -77,27 +78,27 @@ def _half_ring(radius: float, own: float, other: float) -> Piece:
 
 
 def _require_uncut_waist(piece: Piece, hole: float) -> None:
-    """Raise ``PatternError`` where the tip of a cut lies in the hole of a half ring, or over its sides."""
+    """Raise ``PatternError`` for a cut whose tip lies in the hole of a half ring, or over its sides."""
     for x, y in (stroke.end for stroke in piece.outline.strokes if stroke.name == "hem_cut.0"):
         if y >= 0 or hypot(x, y) <= hole:
-            ways = "lower flare-skirt.cut.depth, or raise flare-skirt.asymm.front_length"
+            remedy = "lower flare-skirt.cut.depth, or raise flare-skirt.asymm.front_length"
             raise PatternError(
-                f"{piece.name}: the tip of the hem cut, at ({x:.1f}, {y:.1f}) cm, is off the cloth: {ways}"
+                f"{piece.name}: the tip of the hem cut, at ({x:.1f}, {y:.1f}) cm, is off the cloth: {remedy}"
             )
 
 
 def _with_hem_cut(front: Piece, back: Piece, cut: HemCutDesign, length: float) -> tuple[Piece, Piece]:
-    """Front and back, the cut in one of them, moved inwards where it would run over the end of the hem."""
+    """Front and back with the cut in one of them, moved inwards if it would run over the end of the hem."""
     shape = notch(cut.width * length, cut.depth * length, name="hem_cut")
     if cut.place > 0:
         return _with_cut(front, shape, cut.width * length, cut.place), back
     return front, _with_cut(back, shape, cut.width * length, 1 + cut.place)
 
 
-def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, place: float) -> Piece:
-    """The piece with a shape cut into its hem, centred at a fraction of its length from the wearer's right."""
+def _with_cut(piece: Piece, shape: tuple[Stroke, ...], width: float, share: float) -> Piece:
+    """The piece with a shape cut into its hem, centred at a share of the hem's length from the wearer's right."""
     hem = piece.outline.length("bottom")
-    at, least = place * hem, 0.5 * width + LEAST_HEM * hem
+    at, least = share * hem, 0.5 * width + LEAST_HEM * hem
     if at < least:
         return replace(piece, outline=cut_end(piece.outline, "bottom", shape, last=False))
     if at > hem - least:
@@ -114,11 +115,11 @@ CIRCLE_SKIRT = SimpleBottom(
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=circle_skirt,
-    long=flare_skirt_length,
-    closed=_uncut,
+    length_of=flare_skirt_length,
+    without_slits=_uncut,
     flared=True,
-    fullness="suns",
-    always_whole=lambda design: not design.cut.add,
+    fullness_parameter="suns",
+    always_sewable=lambda design: not design.cut.add,
 )
 
 ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
@@ -126,7 +127,7 @@ ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=asymmetric_circle_skirt,
-    long=flare_skirt_length,
-    closed=_uncut,
+    length_of=flare_skirt_length,
+    without_slits=_uncut,
     flared=True,
 )

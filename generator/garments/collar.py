@@ -1,4 +1,4 @@
-"""What is sewn to a neckline: turtleneck, lapel, hood."""
+"""Collars, sewn to a neckline: turtleneck, lapel, hood."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -7,10 +7,10 @@ from math import atan2, hypot, pi, sin
 
 from gcd_dataset.curves import Quadratic
 from gcd_dataset.generator.garments.hood import with_hood
-from gcd_dataset.generator.garments.ring import band, sector
+from gcd_dataset.generator.garments.panel_shapes import band, sector
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, real
 from gcd_dataset.generator.pattern import Component, Interface, Outline, Piece
-from gcd_dataset.generator.pattern.panel import Vector
+from gcd_dataset.generator.pattern.piece import Vector
 from gcd_dataset.records import Measurements
 
 __all__ = ["Collar", "CollarDesign", "with_collar"]
@@ -18,11 +18,11 @@ __all__ = ["Collar", "CollarDesign", "with_collar"]
 TURTLENECK_OUT = 10.0  # cm before and behind the axis, GarmentCode
 LAPEL_FRONT, LAPEL_BACK = 35.0, -10.0  # cm before and behind it, GarmentCode
 LAPEL_EDGE = Quadratic((0.7, 0.2))  # edge frame, from the lower tip to the upper, GarmentCode
-LAID_ROUND = (pi / 2, pi / 4, 0.0)  # rad: flat on the shoulders, GarmentCode
+LYING = (pi / 2, pi / 4, 0.0)  # rad: rotation of a collar that lies on the shoulders, GarmentCode
 
 
 class Collar(Enum):
-    """The collars there are."""
+    """Kind of collar, by GarmentCode's name."""
 
     TURTLENECK = "Turtle"
     LAPEL = "SimpleLapel"
@@ -37,7 +37,7 @@ class CollarDesign(Design):
     depth: int = integer(7, 2, 8)
     """Height of a turtleneck or lapel [cm]."""
     lapel_standing: bool = flag(False)
-    """Whether a lapel stands up straight at the nape, or lies round."""
+    """Whether a lapel stands up at the nape; otherwise it lies round the neck."""
     hood_depth: float = real(1.0, 1.0, 2.0, keep=0.6)
     """Top edge of the hood, as a fraction of half the neckline's width."""
     hood_length: float = real(1.0, 1.0, 1.5, keep=0.6)
@@ -45,15 +45,15 @@ class CollarDesign(Design):
 
 
 def with_collar(size: Measurements, design: CollarDesign, half: Component) -> Component:
-    """The right half of an upper body with the right half of its collar, if it has one, sewn to the neckline.
+    """The right half of an upper body with the right half of its collar, if any, sewn to the neckline.
 
-    The centre edges of the collar follow on those that the half offers as ``front_centre`` and ``back_centre``.
+    Appends the centre edges of the collar to the interfaces ``front_centre`` and ``back_centre``.
     """
     return half if design.style is None else COLLARS[design.style](size, design, half)
 
 
 def turtleneck(size: Measurements, design: CollarDesign, half: Component) -> Component:
-    """With two rectangles, as long as the neckline's front and back."""
+    """The half with two rectangles, as long as the front and the back of the neckline."""
     front_neck, back_neck = _neck_lengths(half)
     level = size.height - size.head_l + design.depth
     front = band("right_collar_front", front_neck, design.depth).at(-0.5 * front_neck, level, TURTLENECK_OUT)
@@ -72,7 +72,7 @@ def turtleneck(size: Measurements, design: CollarDesign, half: Component) -> Com
 
 
 def lapel(size: Measurements, design: CollarDesign, half: Component) -> Component:
-    """With a lapel in front, its wrong side out, and behind it a collar that stands up or lies round.
+    """The half with a lapel in front, its wrong side out, and a standing or lying collar behind.
 
     The shirt stays sewn at the front; the lapels are not sewn to each other.
     """
@@ -92,7 +92,7 @@ def lapel(size: Measurements, design: CollarDesign, half: Component) -> Componen
 
 
 def _lapel_front(neck: float, depth: float) -> Piece:
-    """From the tip along the shoulder seam to the neckline, down along that, and back along the free edge."""
+    """The lapel: from the tip along the shoulder seam, down the neckline, and back along the free edge."""
     outline = (
         Outline.start(0, 0)
         .line(depth, 0, name="top")
@@ -102,32 +102,32 @@ def _lapel_front(neck: float, depth: float) -> Piece:
     return Piece("right_collar_front", outline)
 
 
-def _standing_back(torso: Piece, depth: float, hung: Vector) -> tuple[Piece, Interface, Interface]:
-    """A band, the edge for the neckline [from the shoulder on], and that for the lapel [from the neckline up]."""
-    piece = band("right_collar_back", torso.outline.length("neck"), depth).at(*hung)
+def _standing_back(torso: Piece, depth: float, position: Vector) -> tuple[Piece, Interface, Interface]:
+    """A band, its interface to the neckline (from the shoulder), and its interface to the lapel (from the neckline)."""
+    piece = band("right_collar_back", torso.outline.length("neck"), depth).at(*position)
     return piece, piece.along("bottom"), piece.against("right")
 
 
-def _round_back(torso: Piece, depth: float, hung: Vector) -> tuple[Piece, Interface, Interface]:
-    """A ring sector that goes round the neckline's own arc, and the same two edges."""
+def _round_back(torso: Piece, depth: float, position: Vector) -> tuple[Piece, Interface, Interface]:
+    """A ring sector round the arc of the neckline, and the same two interfaces as of ``_standing_back``."""
     neck = torso.outline.edge("neck")
     width, drop = abs(neck.chord[0]), abs(neck.chord[1])
     turn = 2 * atan2(drop, width)  # an arc turns by twice the angle between its chord and its level end
-    piece = replace(sector("right_collar_back", neck.length, turn, depth), rotation=LAID_ROUND)
-    # GarmentCode hangs it by its shoulder end after turning x into y; readers of its files turn x into z about there.
-    swung = 0.5 * hypot(width, drop) * sin(LAID_ROUND[1])
-    x, y, z = hung
-    return piece.at(x, y - swung, z - swung), piece.against("top"), piece.along("right")
+    piece = replace(sector("right_collar_back", neck.length, turn, depth), rotation=LYING)
+    # GarmentCode places it by its shoulder end after turning x into y; readers of its files turn x into z about it.
+    offset = 0.5 * hypot(width, drop) * sin(LYING[1])
+    x, y, z = position
+    return piece.at(x, y - offset, z - offset), piece.against("top"), piece.along("right")
 
 
 def _neck_lengths(half: Component) -> tuple[float, float]:
-    """Length of the neckline in front and behind [cm]."""
+    """Length of the half neckline in front and behind [cm]."""
     front, back = (half.piece(name).outline.length("neck") for name in ("right_ftorso", "right_btorso"))
     return front, back
 
 
 def hood(size: Measurements, design: CollarDesign, half: Component) -> Component:
-    """With half a hood."""
+    """The half with half a hood."""
     return with_hood(size, half, depth=design.hood_depth, length=design.hood_length)
 
 
@@ -136,4 +136,4 @@ COLLARS: Mapping[Collar, Callable[[Measurements, CollarDesign, Component], Compo
     Collar.LAPEL: lapel,
     Collar.HOOD: hood,
 }
-"""What sews each of them to a half."""
+"""Functions that sew a collar to the right half of an upper body."""

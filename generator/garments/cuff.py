@@ -1,7 +1,7 @@
 """Cuffs of sleeves and trousers: a band, a small skirt, or a band with a skirt on it.
 
-The pieces of the right sleeve's are ``sl_right_cuff_f``, ``sl_right_cuff_skirt_b`` and so on, those of the right
-trouser leg's ``pant_r_cuff_f`` and so on.
+Panels of the right sleeve's cuff: ``sl_right_cuff_f``, ``sl_right_cuff_skirt_b``, …; of the right trouser leg's:
+``pant_r_cuff_f``, ….
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.ring import band, skirt_panel
+from gcd_dataset.generator.garments.panel_shapes import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements, PanelRole
@@ -22,23 +22,23 @@ __all__ = [
     "Cuff",
     "PantsCuffDesign",
     "SleeveCuffDesign",
-    "arm_in_cuff",
+    "arm_girth_in_cuff",
     "cuff",
     "sleeve_cuff_length",
     "with_sleeve_cuff",
 ]
 
 LONGEST_ON_SLEEVE = 0.7  # of the sleeve, GarmentCode
-SHORTEST = 0.1  # cm: less is no piece of cloth
-ON_SHOULDER = 0.12  # of shoulder to wrist, about: what lies before a sleeve's length is counted
+SHORTEST = 0.1  # cm: the shortest cuff
+ON_SHOULDER = 0.12  # of shoulder to wrist, about: the part above the armhole, where a sleeve's length begins
 ARM_LEVELS = (0.15, 0.25, 0.35, 0.5, 0.6, 0.7, 0.85, 1.0)  # of shoulder to wrist
-ARM_GIRTHS = (2.2, 1.9, 1.8, 1.61, 1.53, 1.48, 1.22, 1.0)  # of the wrist: means of our own bodies, each ± 0.05
+ARM_GIRTHS = (2.2, 1.9, 1.8, 1.61, 1.53, 1.48, 1.22, 1.0)  # of the wrist: means over this package's bodies, ± 0.05
 FRONT, BACK = 15.0, -15.0  # cm before and behind the limb, GarmentCode
 GAP = 2.0  # cm between sleeve, band and skirt before sewing, GarmentCode
 
 
 class Cuff(Enum):
-    """The cuffs there are."""
+    """Kind of cuff, by GarmentCode's name."""
 
     BAND = "CuffBand"
     SKIRT = "CuffSkirt"
@@ -47,7 +47,7 @@ class Cuff(Enum):
 
 @dataclass(frozen=True)
 class SleeveCuffDesign(Design):
-    """What ends a sleeve."""
+    """The cuff of a sleeve, or none."""
 
     type: Cuff | None = choice(None, *Cuff, None)
     top_ruffle: float = real(1.0, 1.0, 3.0)
@@ -64,7 +64,7 @@ class SleeveCuffDesign(Design):
 
 @dataclass(frozen=True)
 class PantsCuffDesign(Design):
-    """What ends a trouser leg."""
+    """The cuff of a trouser leg, or none."""
 
     type: Cuff | None = choice(None, *Cuff, None, keep=0.5)
     top_ruffle: float = real(1.0, 1.0, 2.0)
@@ -82,8 +82,8 @@ class PantsCuffDesign(Design):
 CuffDesign: TypeAlias = SleeveCuffDesign | PantsCuffDesign
 
 
-def arm_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
-    """Girth of the arm where it is widest inside the band at the end of a sleeve [cm]; 0 without a band."""
+def arm_girth_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
+    """Largest girth of the arm inside the band at the end of a sleeve [cm]; 0 without a band."""
     if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
         return 0.0
     skirt = design.cuff.skirt_fraction if design.cuff.type is Cuff.BAND_SKIRT else 0.0
@@ -94,7 +94,7 @@ def arm_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
 
 
 class CuffedSleeve(Protocol):
-    """What a cuff must know of the design of its sleeve."""
+    """A sleeve's design as its cuff needs it."""
 
     @property
     def length(self) -> float:
@@ -102,20 +102,20 @@ class CuffedSleeve(Protocol):
 
     @property
     def cuff(self) -> SleeveCuffDesign:
-        """Its cuff."""
+        """The design of its cuff."""
 
 
 def sleeve_cuff_length(size: Measurements, design: CuffedSleeve) -> float:
-    """What a sleeve's cuff takes off the sleeve [cm]; none if there is no cuff."""
+    """Length by which the cuff shortens its sleeve [cm]; 0 without a cuff."""
     if design.cuff.type is None:
         return 0.0
     return min(design.cuff.cuff_len, LONGEST_ON_SLEEVE * design.length) * size.arm_length
 
 
 def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component) -> Component:
-    """The right sleeve, lying along the x axis with its wrist to the left, and its cuff, no tighter than the wrist.
+    """The right sleeve along the x axis, wrist to the left, with its cuff, which is no tighter than the wrist.
 
-    Offers ``opening`` like the sleeve, and the top of a band as ``band`` [ring].
+    Offers ``opening`` like the sleeve, and the top of a band as the ring ``band``.
     """
     if design.cuff.type is None:
         return sleeve
@@ -123,18 +123,18 @@ def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component
     drawn = cuff("sl_right", girth, sleeve_cuff_length(size, design), design.cuff.type, design.cuff).labelled(
         PanelRole.ARM
     )
-    hung = drawn.turned(-pi / 2).placed_by("top", sleeve, "end", gap=GAP, top=True)
-    sewn = Component.of(sleeve, hung).sewn(sleeve.interface("end"), hung.interface("top"), gathered=True)
+    placed = drawn.turned(-pi / 2).placed_by("top", sleeve, "end", gap=GAP, top=True)
+    sewn = Component.of(sleeve, placed).sewn(sleeve.interface("end"), placed.interface("top"), gathered=True)
     offered = {"opening": sleeve.interface("opening")}
     if design.cuff.type in (Cuff.BAND, Cuff.BAND_SKIRT):
-        offered["band"] = hung.interface("top")
+        offered["band"] = placed.interface("top")
     return sewn.offering(**offered)
 
 
 def cuff(limb: str, girth: float, length: float, kind: Cuff, design: CuffDesign) -> Component:
-    """A cuff around a limb, hanging down from the origin; offers ``top`` [front from right to left, then back].
+    """A cuff round a limb, down from the origin; offers the ring ``top`` (front from right to left, then back).
 
-    Raises ``PatternError`` for a cuff too short to be cut from cloth.
+    Raises ``PatternError`` for a cuff shorter than ``SHORTEST``.
     """
     if kind is Cuff.BAND:
         return _band(limb, girth, length)
@@ -142,8 +142,8 @@ def cuff(limb: str, girth: float, length: float, kind: Cuff, design: CuffDesign)
         return _skirt(limb, girth, length, design)
     upper = _band(limb, girth, length * (1 - design.skirt_fraction))
     lower = _skirt(limb, girth, length * design.skirt_fraction, design)
-    hung = lower.placed_by("top", upper, "bottom", gap=GAP)
-    sewn = Component.of(upper, hung).sewn(upper.interface("bottom"), hung.interface("top"), gathered=True)
+    placed = lower.placed_by("top", upper, "bottom", gap=GAP)
+    sewn = Component.of(upper, placed).sewn(upper.interface("bottom"), placed.interface("top"), gathered=True)
     return sewn.offering(top=upper.interface("top"))
 
 
@@ -165,7 +165,7 @@ def _skirt(limb: str, girth: float, length: float, design: CuffDesign) -> Compon
 
 
 def _tube(name: str, length: float, half: Callable[[str], Piece]) -> tuple[Piece, Piece, Component]:
-    """Front and back of one shape, and the two sewn at their sides."""
+    """Front and back of the same shape, and the component of both, sewn at the sides."""
     if length < SHORTEST:
         raise PatternError(f"{name} is {length:.2f} cm long: raise cuff_len, or the length of the sleeve or trousers")
     front, back = half(f"{name}_f").at(0, 0, FRONT), half(f"{name}_b").at(0, 0, BACK)

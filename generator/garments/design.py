@@ -21,12 +21,12 @@ from gcd_dataset.generator.garments.upper_half import UpperHalf
 from gcd_dataset.generator.garments.waistband import Waistband, WaistbandDesign
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 
-__all__ = ["T_SHIRT", "Bottom", "LeftDesign", "MetaDesign", "OutfitDesign", "Upper"]
+__all__ = ["Bottom", "LeftDesign", "MetaDesign", "OutfitDesign", "Upper"]
 
 
 @dataclass(frozen=True)
 class MetaDesign(Design):
-    """Which parts the outfit has."""
+    """The parts of the outfit: upper, waistband, bottom."""
 
     upper: Upper | None = one_of(Upper, keep=0.3)
     wb: Waistband | None = choice(None, *Waistband, None, keep=0.5)
@@ -35,7 +35,7 @@ class MetaDesign(Design):
 
 @dataclass(frozen=True)
 class LeftDesign(Design):
-    """The left half of the upper body, where it is not the mirror image of the right one."""
+    """The left half of the upper body, if it is not the mirror image of the right one."""
 
     enable_asym: bool = flag(False, keep=0.8)
     shirt: LeftShirtDesign = part(LeftShirtDesign)
@@ -46,10 +46,10 @@ class LeftDesign(Design):
 @dataclass(frozen=True)
 @with_parts({garment.section: garment.design for garment in GARMENTS})
 class OutfitDesign(Design):
-    """A design without a body: what is not a choice is a fraction of a measure, an angle, or centimetres.
+    """A design independent of the body: each parameter is a choice, a fraction of a measure, an angle, or a length.
 
-    The fields are the sections of GarmentCode's designs. Garments that GarmentCode has not add their sections behind
-    them: ``garment.own(design)`` gives the section of a garment.
+    The fields are the sections of GarmentCode's designs, followed by the sections of garments that GarmentCode lacks.
+    ``garment.section_design(design)`` is the section of a garment.
     """
 
     meta: MetaDesign = part(MetaDesign)
@@ -66,7 +66,7 @@ class OutfitDesign(Design):
     pants: PantsDesign = section_of(PANTS)
 
     def sections_used(self) -> frozenset[str]:
-        """The sections, as fields, that the outfit is drawn from."""
+        """The names of the fields that the outfit is drawn from."""
         meta, used = self.meta, {"meta"}
         if meta.wb:
             used.add("waistband")
@@ -77,35 +77,31 @@ class OutfitDesign(Design):
         return frozenset(used)
 
     def mends(self) -> frozenset[Mend]:
-        """The mends that change the pattern of the outfit, or may."""
+        """The mends that may change the pattern of the outfit."""
         worn: list[Garment[Any]] = [] if self.meta.upper is None else [self.meta.upper.garment]
         if self.meta.bottom is not None:
             worn += [self.meta.bottom.garment, *self.meta.bottom.garment.parts(self)]
         return frozenset({Mend.EXPORT_PIVOT}.union(*(garment.mends for garment in worn)))
 
-    def writes(self, name: str) -> bool:
+    def includes(self, name: str) -> bool:
         return name in self.sections_used()
 
     def halves(self) -> tuple[UpperHalf, ...]:
-        """What the halves of a shirt are drawn from, those that differ; none without a shirt."""
+        """The designs of the two halves of a shirt, one design if they are alike; empty without a shirt."""
         if self.meta.upper is None or not isinstance(self.meta.upper.garment, Shirt):
             return ()
         left = self.left_half()
         return (self.right_half(),) if left is None else (self.right_half(), left)
 
     def right_half(self) -> UpperHalf:
-        """What the right half of the upper body is drawn from; it has a collar only if the left one is its image."""
+        """The design of the right half of the upper body; without a collar if the left half differs."""
         if not self.left.enable_asym:
             return self.shirt, self.collar, self.sleeve
         bare = replace(self.collar, component=replace(self.collar.component, style=None))
         return self.shirt, bare, self.sleeve
 
     def left_half(self) -> UpperHalf | None:
-        """What the left half is drawn from; ``None`` for the mirror image of the right one."""
+        """The design of the left half; ``None`` for the mirror image of the right one."""
         if not self.left.enable_asym:
             return None
         return self.left.shirt.beside(self.shirt), self.left.collar.beside(self.collar), self.left.sleeve
-
-
-T_SHIRT = OutfitDesign(meta=MetaDesign(upper=Upper.SHIRT), sleeve=SleeveDesign(sleeveless=False))
-"""GarmentCode's other default."""

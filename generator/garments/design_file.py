@@ -16,18 +16,18 @@ from gcd_dataset.yamlfile import strict_yaml
 __all__ = ["design_tree", "read_design", "write_design"]
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-WANTED = "give GarmentCode's design_params.yaml"
+REMEDY = "give GarmentCode's design_params.yaml"
 
 
 def read_design(path: Path | str) -> OutfitDesign:
-    """The design in a ``design_params.yaml``; what the file does not name keeps its default.
+    """The design in a ``design_params.yaml``; parameters that the file omits keep their defaults.
 
-    Raises ``ConfigError`` with file and path for a file that is missing or broken, a parameter that there is not, and a
-    value that it cannot take.
+    Raises ``ConfigError`` with file and parameter path for a missing or broken file, an unknown parameter, or a value
+    outside its range.
     """
     content = _parsed(Path(path))
     if not isinstance(content, Mapping) or not isinstance(content.get("design"), Mapping):
-        raise ConfigError(f"{path}: has no tree named design: {WANTED}")
+        raise ConfigError(f"{path}: has no tree named design: {REMEDY}")
     try:
         return from_dict(OutfitDesign, _values(DesignSpace.declared(OutfitDesign), content["design"], ""))
     except ConfigError as error:
@@ -35,12 +35,12 @@ def read_design(path: Path | str) -> OutfitDesign:
 
 
 def write_design(design: OutfitDesign, path: Path | str) -> None:
-    """The design as a ``design_params.yaml``, every number to its last digit. Raises ``OutputError``."""
+    """Write the design as a ``design_params.yaml``, numbers at full precision. Raises ``OutputError``."""
     write_whole(path, yaml.dump({"design": design_tree(design)}, Dumper=DUMPER, sort_keys=False).encode())
 
 
 def design_tree(design: OutfitDesign) -> dict[str, Any]:
-    """The tree of parameters: each a value ``v`` beside range, type and the share of designs that keep its default."""
+    """The tree of parameters: each leaf has its value ``v``, its ``range``, ``type`` and ``default_prob``."""
     return _leaves(DesignSpace.declared(OutfitDesign), to_dict(design))
 
 
@@ -48,23 +48,23 @@ def _parsed(path: Path) -> Any:
     try:
         return strict_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}): {WANTED}") from error
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}): {REMEDY}") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: byte {error.start} is no text in UTF-8: {WANTED}") from error
+        raise ConfigError(f"{path}: byte {error.start} is no text in UTF-8: {REMEDY}") from error
     except RecursionError as error:
-        raise ConfigError(f"{path}: nested too deep: {WANTED}") from error
+        raise ConfigError(f"{path}: nested too deep: {REMEDY}") from error
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise ConfigError(f"{path}: {place}{error.problem or error.context}: mend the YAML") from error
-    except (yaml.YAMLError, ValueError) as error:  # a character that YAML forbids; a date that there is not
-        raise ConfigError(f"{path}: {' '.join(str(error).split())}: mend the YAML") from error
+        position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise ConfigError(f"{path}: {position}{error.problem or error.context}: correct the YAML") from error
+    except (yaml.YAMLError, ValueError) as error:  # a character that YAML forbids; an impossible date
+        raise ConfigError(f"{path}: {' '.join(str(error).split())}: correct the YAML") from error
 
 
-def _values(space: DesignSpace[Any], tree: Mapping[str, Any], above: str) -> dict[str, Any]:
-    """The tree with each leaf's value in its place; what is not in the space is left as it stands."""
+def _values(space: DesignSpace[Any], tree: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """The tree with each leaf replaced by its value; entries that are not parameters stay unchanged."""
     spaces = {entry.key: entry.space for entry in space.entries}
-    return {key: _value(spaces.get(key), node, f"{above}{key}") for key, node in tree.items()}
+    return {key: _value(spaces.get(key), node, f"{prefix}{key}") for key, node in tree.items()}
 
 
 def _value(space: Space | DesignSpace[Any] | None, node: Any, path: str) -> Any:

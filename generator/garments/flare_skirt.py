@@ -1,4 +1,4 @@
-"""The section of a design that flared skirts share: skirts cut from circles of cloth, or of widening panels."""
+"""The design section of flared skirts: skirts cut from circles of cloth, or from widening panels."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ __all__ = ["AsymmetricSkirtDesign", "FlareSkirtDesign", "HemCutDesign", "PanelSk
 
 @dataclass(frozen=True)
 class PanelSkirtDesign(Design):
-    """How a flared skirt is divided into panels."""
+    """The division of a flared skirt into panels."""
 
     n_panels: int = integer(4, 4, 15)
     panel_curve: float = choice(0, -0.35, -0.25, -0.15, 0, 0.15, 0.25, 0.35, 0.45)
@@ -28,16 +28,16 @@ class HemCutDesign(Design):
     width: float = real(0.1, 0.05, 0.4)
     """At the hem, as a fraction of the skirt's length."""
     place: float = real(-0.5, -1.0, 1.0)
-    """Fraction of the hem's length at which it is centred: of the front's, from the wearer's right, if positive; else
-    of the back's, from her left."""
+    """Centre of the cut: if positive, in the front, as a fraction of its hem from the wearer's right; if negative, in
+    the back, as a fraction of its hem from the wearer's left."""
 
 
 @dataclass(frozen=True)
 class AsymmetricSkirtDesign(Design):
-    """A circle skirt cut off centre."""
+    """A circle skirt with its waist cut off centre."""
 
     front_length: float = real(0.5, 0.1, 0.9, keep=0.5)
-    """At the middle of the front, as a fraction of the length behind."""
+    """Length at the middle of the front, as a fraction of the length behind."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +49,12 @@ class FlareSkirtDesign(Design):
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Where the top sits: 0 at the hips, 1 at the waist."""
     suns: float = real(0.75, 0.1, 1.95)
-    """How many full circles the front and the back together are cut from."""
+    """Number of full circles that front and back together are cut from."""
     skirt_many_panels: PanelSkirtDesign = part(PanelSkirtDesign, key="skirt-many-panels")
     asymm: AsymmetricSkirtDesign = part(AsymmetricSkirtDesign)
     cut: HemCutDesign = part(HemCutDesign)
 
 
 def flare_skirt_length(size: Measurements, design: FlareSkirtDesign, rise: float) -> float:
-    """From the top to the hem along the cloth [cm]; behind, where the front is shorter."""
+    """From the top to the hem along the cloth [cm]; measured behind if the front is shorter."""
     return max(length_below_waist(size, design.length, rise=rise), SHORTEST)

@@ -1,6 +1,7 @@
-"""Garments as records: all that outfits, chance, rules, mends and statistics know of each.
+"""Garment records: all facts about a garment for outfits, sampling, rules, mends and statistics.
 
-Every upper and bottom has one record, which stands at the end of the file that draws it; ``wardrobe.py`` lists them.
+Every upper and bottom has one record, at the end of the file that draws it; ``wardrobe.py`` lists them. A ring is an
+interface that goes once round the body.
 """
 
 from abc import ABC, abstractmethod
@@ -21,11 +22,11 @@ __all__ = [
     "BottomGarment",
     "CombinedBottom",
     "Cutting",
+    "DesignedBottom",
     "Garment",
     "GarmentChoice",
     "SimpleBottom",
     "SimpleUpper",
-    "Sized",
     "UpperGarment",
     "one_of",
     "section_of",
@@ -36,32 +37,32 @@ D = TypeVar("D", bound=Design)
 
 @dataclass(frozen=True, kw_only=True)
 class Garment(ABC, Generic[D]):
-    """What is known of any garment."""
+    """The facts common to all garments."""
 
     name: str
-    """In design files: GarmentCode's name, where GarmentCode has this garment."""
+    """Name in design files; GarmentCode's name if GarmentCode has this garment."""
     section: str
-    """The section of an outfit's design that the garment is drawn from, as design files call it."""
+    """Name in design files of the section of an outfit's design that the garment is drawn from."""
     design: type[D]
-    """The kind of that section."""
+    """Class of that section."""
     weight: int = 1
-    """Chance of being drawn beside garments of weight 1; at 0, a garment is drawn only where an overlay names it."""
+    """Sampling weight relative to the other garments; with 0, only overlays that name the garment sample it."""
     mends: frozenset[Mend] = frozenset()
-    """The faults of GarmentCode's drawing of this garment that ours mends."""
+    """Faults of GarmentCode's drawing of this garment that this package mends."""
 
     @property
     def field(self) -> str:
-        """The section as a field of ``OutfitDesign``."""
+        """The section's field in ``OutfitDesign``."""
         return self.section.replace("-", "_")
 
-    def own(self, design: "OutfitDesign") -> D:
+    def section_design(self, design: "OutfitDesign") -> D:
         """The garment's section of an outfit's design."""
         section: D = getattr(design, self.field)
         return section
 
 
 class GarmentChoice(Enum):
-    """Garments to choose from. A member is declared by its record; its value is the record's name."""
+    """Base of enums of garments. A member is declared by a record; its value is the record's name."""
 
     _value_: str
     garment: Garment[Any]
@@ -73,12 +74,12 @@ class GarmentChoice(Enum):
 
 
 def one_of(kind: type[GarmentChoice], *, keep: float) -> Any:
-    """A parameter of a design: one of the garments of a kind, each with the weight of its record, or none."""
+    """A design parameter: one of the garments of an enum, each with the weight of its record, or ``None``."""
     return choice(None, *kind, None, keep=keep, weights=(*(member.garment.weight for member in kind), 1))
 
 
 def section_of(garment: Garment[Any]) -> Any:
-    """A part of a design: the section that a garment is drawn from."""
+    """A part of a design: the section of a garment."""
     return part(garment.design, key=garment.section)
 
 
@@ -92,33 +93,35 @@ class UpperGarment(Garment[D]):
     carries: bool = True
     """Whether a waistband or a bottom can be sewn to its hem."""
     at_waist: bool = False
-    """Whether it always ends at the waist, so that what is sewn to it begins there."""
+    """Whether it always ends at the waist, so that the part sewn to its hem begins there."""
 
     @abstractmethod
     def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
-        """The garment for an outfit's design; offers ``bottom`` [ring] if it carries anything."""
+        """The component for an outfit's design; offers the ring ``bottom`` if ``carries``."""
 
     @abstractmethod
     def length(self, size: Measurements, design: "OutfitDesign") -> float:
-        """From the nape to the hem behind, for an outfit's design [cm]."""
+        """Length from the nape to the hem behind, for an outfit's design [cm]."""
 
     def sections_used(self, design: "OutfitDesign") -> tuple[str, ...]:
-        """The sections of an outfit's design that the garment is drawn from, as fields."""
+        """The fields of an outfit's design that the garment is drawn from."""
         return (self.field,)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimpleUpper(UpperGarment[D]):
-    """An upper that is drawn from one section: anything but a shirt."""
+    """An upper that is drawn from one section: any upper but a shirt."""
 
     cut: Callable[[Measurements, D], Component]
-    long: Callable[[Measurements, D], float]
+    """The component, from its section."""
+    length_of: Callable[[Measurements, D], float]
+    """Length from the nape to the hem behind, from its section [cm]."""
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
-        return self.cut(size, self.own(design)).labelled(PanelRole.BODY)
+        return self.cut(size, self.section_design(design)).labelled(PanelRole.BODY)
 
     def length(self, size: Measurements, design: "OutfitDesign") -> float:
-        return self.long(size, self.own(design))
+        return self.length_of(size, self.section_design(design))
 
 
 # ------------------------------------------------------------------------------------------------------------- bottoms
@@ -126,15 +129,15 @@ class SimpleUpper(UpperGarment[D]):
 
 @dataclass(frozen=True, slots=True)
 class Cutting:
-    """How a bottom is cut to its place in an outfit."""
+    """Rise and length of a bottom in an outfit, which may differ from those of its section."""
 
     rise: float
-    """Where its top sits: 0 at the hips, 1 at the waist."""
+    """Position of its top: 0 at the hips, 1 at the waist."""
     length: float
     """From the top to the hem [cm]."""
     mends: frozenset[Mend]
-    tag: str = ""
-    """What the names of its panels end in."""
+    suffix: str = ""
+    """Suffix of its panels' names."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,42 +145,42 @@ class BottomGarment(Garment[D]):
     """A garment that hangs from the waist."""
 
     legs: bool = False
-    """Whether the legs go through it one by one."""
-    gathers: str = ""
-    """The parameter of its section that gathers its top; empty where the top is never gathered."""
+    """Whether it has two legs."""
+    gather_parameter: str = ""
+    """The parameter of its section that gathers its top; empty if the top is never gathered."""
     flared: bool = False
-    """Whether it is heavy where it is long or wide, so that a firm band must hold it."""
-    fullness: str = ""
-    """The parameter of its section that makes a flared one wide; empty where all are as wide."""
+    """Whether it is heavy if long or wide, so that it needs a firm band."""
+    fullness_parameter: str = ""
+    """The parameter of its section for the width of a flared bottom; empty if the width is fixed."""
     cuffs: Callable[[Measurements, D, float], tuple[float, float]] | None = None
-    """Girth of a band at the end of its legs and of the leg inside the band, for a rise [cm]; ``None``: has no legs."""
-    always_whole: Callable[[D], bool] = field(default=lambda design: False)
-    """Whether nothing is cut into the panels of such a design that could run into anything else."""
-    length_told_by: str = ""
-    """The section whose ``length`` the statistics of GarmentCodeData's authors give; empty for its own."""
+    """Girths of the band at the end of its legs and of the leg inside the band, for a rise [cm]; ``None``: no legs."""
+    always_sewable: Callable[[D], bool] = field(default=lambda design: False)
+    """Whether sampling can skip the check that the panels can be sewn: no cut can run into another edge."""
+    statistics_length_section: str = ""
+    """The section whose ``length`` GarmentCodeData's published statistics report; empty for its own section."""
 
     @abstractmethod
     def draw(self, size: Measurements, design: "OutfitDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
-        """The garment for an outfit's design, its top at ``rise``; offers ``top`` [ring]."""
+        """The component for an outfit's design, its top at ``rise``; offers the ring ``top``."""
 
     @abstractmethod
     def rise(self, design: "OutfitDesign") -> float:
-        """Where its top sits by an outfit's design: 0 at the hips, 1 at the waist."""
+        """Position of its top in an outfit's design: 0 at the hips, 1 at the waist."""
 
     @abstractmethod
     def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
-        """From the top, at a rise, to the hem, for an outfit's design [cm]."""
+        """Length from the top, at a rise, to the hem, for an outfit's design [cm]."""
 
     def parts(self, design: "OutfitDesign") -> "tuple[BottomGarment[Any], ...]":
-        """The bottoms that it is made of in an outfit's design, from the top down; none where it is one piece."""
+        """The bottoms that a combined one consists of, from the top down; empty for a simple bottom."""
         return ()
 
     def top(self, design: "OutfitDesign") -> "BottomGarment[Any]":
-        """The bottom whose top is that of the whole: itself, where it is one piece."""
+        """The uppermost part of a combined bottom; a simple bottom itself."""
         return next(iter(self.parts(design)), self)
 
-    def lengthened(self, design: "OutfitDesign") -> "BottomGarment[Any]":
-        """The bottom whose section holds the ``length`` of the whole: itself, unless it borrows that of a part."""
+    def length_garment(self, design: "OutfitDesign") -> "BottomGarment[Any]":
+        """The bottom whose section has the ``length`` parameter: itself, or the part whose length it uses."""
         return self
 
 
@@ -186,88 +189,88 @@ class SimpleBottom(BottomGarment[D]):
     """A bottom that is drawn from one section."""
 
     cut: Callable[[Measurements, D, Cutting], Component]
-    """The component; it offers ``top``, and ``bottom`` if levels may hang under it [rings]."""
-    long: Callable[[Measurements, D, float], float]
-    """From the top, at a rise, to the hem [cm]."""
-    closed: Callable[[D], D] = field(default=lambda design: design)
-    """The design without slits and cuts, which would be in the way of what is sewn to the hem."""
+    """The component; it offers the ring ``top``, and ``bottom`` if levels may hang under it."""
+    length_of: Callable[[Measurements, D, float], float]
+    """Length from the top, at a rise, to the hem [cm]."""
+    without_slits: Callable[[D], D] = field(default=lambda design: design)
+    """The design without slits and cuts, so that another part can be sewn to the hem."""
     ungathered: Callable[[D], D] = field(default=lambda design: design)
     """The design without gathers at the top."""
-    tilt: Callable[[D], float] = field(default=lambda design: 0.0)
-    """Of the hem [degrees]."""
+    hem_tilt: Callable[[D], float] = field(default=lambda design: 0.0)
+    """Tilt of the hem [degrees]."""
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
-        own = self.own(design)
-        return self.cut(size, own, Cutting(rise, self.long(size, own, rise), mends))
+        section = self.section_design(design)
+        return self.cut(size, section, Cutting(rise, self.length_of(size, section, rise), mends))
 
     def rise(self, design: "OutfitDesign") -> float:
-        rise: float = self.own(design).rise  # type: ignore[attr-defined]
+        rise: float = self.section_design(design).rise  # type: ignore[attr-defined]
         return rise
 
     def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
-        return self.long(size, self.own(design), rise)
+        return self.length_of(size, self.section_design(design), rise)
 
 
 @dataclass(frozen=True, slots=True)
-class Sized(Generic[D]):
-    """A simple bottom and the design it is to be drawn from, for a bottom made of several."""
+class DesignedBottom(Generic[D]):
+    """A simple bottom with its design: a part of a combined bottom."""
 
     garment: SimpleBottom[D]
     design: D
 
     @property
     def rise(self) -> float:
-        """Where its top sits by its own section."""
+        """Position of its top: 0 at the hips, 1 at the waist."""
         rise: float = self.design.rise  # type: ignore[attr-defined]
         return rise
 
     def length(self, size: Measurements, rise: float) -> float:
-        """By its own section [cm]."""
-        return self.garment.long(size, self.design, rise)
+        """Length from the top, at a rise, to the hem [cm]."""
+        return self.garment.length_of(size, self.design, rise)
 
     def cut(self, size: Measurements, cutting: Cutting) -> Component:
-        """Without slits and cuts."""
-        return self.garment.cut(size, self.garment.closed(self.design), cutting)
+        """The component without slits and cuts."""
+        return self.garment.cut(size, self.garment.without_slits(self.design), cutting)
 
-    def ungathered(self) -> "Sized[D]":
+    def ungathered(self) -> "DesignedBottom[D]":
         """The same without gathers at its top."""
-        return Sized(self.garment, self.garment.ungathered(self.design))
+        return DesignedBottom(self.garment, self.garment.ungathered(self.design))
 
     @property
-    def tilt(self) -> float:
-        """Of its hem [degrees]."""
-        return self.garment.tilt(self.design)
+    def hem_tilt(self) -> float:
+        """Tilt of its hem [degrees]."""
+        return self.garment.hem_tilt(self.design)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CombinedBottom(BottomGarment[D]):
-    """A bottom that is made of simple ones, which have sections of their own."""
+    """A bottom made of simple bottoms, each with its own section."""
 
-    made_of: Callable[[D], tuple[SimpleBottom[Any], ...]]
-    """Its parts by its section, from the top down."""
-    combine: Callable[[Measurements, D, tuple[Sized[Any], ...], float, frozenset[Mend]], Component]
-    """The component, its top at a rise; it offers ``top`` [ring]."""
-    sits: Callable[[D, tuple[Sized[Any], ...]], float]
-    """Where its top sits: 0 at the hips, 1 at the waist."""
-    long: Callable[[Measurements, D, tuple[Sized[Any], ...], float], float]
-    """From the top, at a rise, to the hem [cm]."""
-    long_as_top: bool = False
-    """Whether it has no length of its own, but that of its first part."""
+    parts_of: Callable[[D], tuple[SimpleBottom[Any], ...]]
+    """Its parts, from its section, from the top down."""
+    combine: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float, frozenset[Mend]], Component]
+    """The component, its top at a rise; it offers the ring ``top``."""
+    rise_of: Callable[[D, tuple[DesignedBottom[Any], ...]], float]
+    """Position of its top: 0 at the hips, 1 at the waist."""
+    length_of: Callable[[Measurements, D, tuple[DesignedBottom[Any], ...], float], float]
+    """Length from the top, at a rise, to the hem [cm]."""
+    inherits_length: bool = False
+    """Whether its length is the ``length`` of its uppermost part."""
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, rise: float, mends: frozenset[Mend]) -> Component:
-        return self.combine(size, self.own(design), self._sized(design), rise, mends)
+        return self.combine(size, self.section_design(design), self._designed_parts(design), rise, mends)
 
     def rise(self, design: "OutfitDesign") -> float:
-        return self.sits(self.own(design), self._sized(design))
+        return self.rise_of(self.section_design(design), self._designed_parts(design))
 
     def length(self, size: Measurements, design: "OutfitDesign", rise: float) -> float:
-        return self.long(size, self.own(design), self._sized(design), rise)
+        return self.length_of(size, self.section_design(design), self._designed_parts(design), rise)
 
     def parts(self, design: "OutfitDesign") -> tuple[SimpleBottom[Any], ...]:
-        return self.made_of(self.own(design))
+        return self.parts_of(self.section_design(design))
 
-    def lengthened(self, design: "OutfitDesign") -> BottomGarment[Any]:
-        return self.top(design) if self.long_as_top else self
+    def length_garment(self, design: "OutfitDesign") -> BottomGarment[Any]:
+        return self.top(design) if self.inherits_length else self
 
-    def _sized(self, design: "OutfitDesign") -> tuple[Sized[Any], ...]:
-        return tuple(Sized(part, part.own(design)) for part in self.parts(design))
+    def _designed_parts(self, design: "OutfitDesign") -> tuple[DesignedBottom[Any], ...]:
+        return tuple(DesignedBottom(part, part.section_design(design)) for part in self.parts(design))

@@ -1,10 +1,10 @@
-"""The gathered skirt (GarmentCode's ``Skirt2``): two trapezes, ``skirt_front`` and ``skirt_back``."""
+"""The gathered skirt (GarmentCode's ``Skirt2``): two trapezoids. Panels ``skirt_front`` and ``skirt_back``."""
 
 from dataclasses import dataclass, replace
 
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
 from gcd_dataset.generator.garments.mends import Mend
-from gcd_dataset.generator.garments.ring import skirt_panel
+from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, integer, real
 from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
@@ -18,7 +18,7 @@ FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
 
 @dataclass(frozen=True)
 class GatheredSkirtDesign(Design):
-    """A skirt of straight pieces, gathered at the top."""
+    """A skirt of trapezoids, gathered at the top."""
 
     length: float = real(0.2, -0.2, 0.95)
     """Below the hips, as a fraction of hips to floor."""
@@ -29,19 +29,19 @@ class GatheredSkirtDesign(Design):
     bottom_cut: float = real(0.0, 0.0, 0.9, keep=0.3)
     """Slits at both sides, as a fraction of the part below the hips."""
     flare: int = integer(0, 0, 20, keep=0.5)
-    """By how much each side of the hem stands out [cm]."""
+    """Width added to each side of the hem [cm]."""
 
 
 def gathered_skirt(size: Measurements, design: GatheredSkirtDesign, cutting: Cutting) -> Component:
-    """Front and back, at least 5 cm long; offers ``top`` and ``bottom`` [rings]."""
+    """Front and back, at least 5 cm long; offers the rings ``top`` and ``bottom``."""
     rise, length = cutting.rise, max(cutting.length, SHORTEST)
     back_width, slit = back_at_rise(size, rise), _slit(design, length - rise * size.hips_line, cutting.mends)
 
     def panel(name: str, width: float) -> Piece:
         return skirt_panel(name, width, length, flare=design.flare, ruffle=design.ruffle, bottom_cut=slit)
 
-    front = panel(f"skirt_front{cutting.tag}", girth_at_rise(size, rise) - back_width).at(0, size.waist_level, FRONT)
-    back = panel(f"skirt_back{cutting.tag}", back_width).at(0, size.waist_level, BACK)
+    front = panel(f"skirt_front{cutting.suffix}", girth_at_rise(size, rise) - back_width).at(0, size.waist_level, FRONT)
+    back = panel(f"skirt_back{cutting.suffix}", back_width).at(0, size.waist_level, BACK)
     return (
         Component.of(front, back)
         .sewn(front.along("right"), back.along("right"))
@@ -51,14 +51,14 @@ def gathered_skirt(size: Measurements, design: GatheredSkirtDesign, cutting: Cut
 
 
 def _length(size: Measurements, design: GatheredSkirtDesign, rise: float) -> float:
-    """From the top to the hem [cm]."""
+    """Length from the top to the hem [cm]."""
     return max(length_below_waist(size, design.length, rise=rise), SHORTEST)
 
 
 def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]) -> float:
-    """Height of the side slits [cm]; none in a skirt that ends above the hips."""
-    whole = below_hips if Mend.SLIT_LENGTH in mends else design.length
-    return design.bottom_cut * max(whole, 0.0)
+    """Height of the side slits [cm]; 0 for a skirt that ends above the hips."""
+    length = below_hips if Mend.SLIT_LENGTH in mends else design.length
+    return design.bottom_cut * max(length, 0.0)
 
 
 GATHERED_SKIRT = SimpleBottom(
@@ -67,9 +67,9 @@ GATHERED_SKIRT = SimpleBottom(
     mends=frozenset({Mend.SLIT_LENGTH}),
     design=GatheredSkirtDesign,
     cut=gathered_skirt,
-    long=_length,
-    closed=lambda design: replace(design, bottom_cut=0.0),
+    length_of=_length,
+    without_slits=lambda design: replace(design, bottom_cut=0.0),
     ungathered=lambda design: replace(design, ruffle=1.0),
-    gathers="ruffle",
-    always_whole=lambda design: True,
+    gather_parameter="ruffle",
+    always_sewable=lambda design: True,
 )

@@ -1,11 +1,11 @@
-"""The godet skirt: another skirt with triangles let into its hem."""
+"""The godet skirt: a base skirt with triangular inserts (godets) in its hem."""
 
 from dataclasses import dataclass, replace
 from math import atan2, hypot, sqrt
 from typing import Any
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, GarmentChoice, SimpleBottom, Sized
+from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, DesignedBottom, GarmentChoice, SimpleBottom
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
@@ -15,14 +15,14 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["GODET_SKIRT", "GodetBase", "GodetSkirtDesign", "with_godets"]
 
-LEAST_HEM = 0.01  # of the hem left: a cut that leaves less before it begins at once, GarmentCode
-NARROWEST, SHALLOWEST = 1.0, 1.0  # cm, of a cut, GarmentCode
-CLOSED = 1e-6  # cm: less hem than that is none
+LEAST_HEM = 0.01  # of the remaining hem: a cut that would leave less hem before it leaves none, GarmentCode
+NARROWEST, SHALLOWEST = 1.0, 1.0  # cm: least width and depth of a cut, GarmentCode
+CLOSED = 1e-6  # cm: shorter pieces of hem are left out
 STAND_OFF = 5.0  # cm from a panel to its godets, away from the body, GarmentCode
 
 
 class GodetBase(GarmentChoice):
-    """Skirts that godets are let into."""
+    """Base skirts for godets."""
 
     garment: SimpleBottom[Any]
 
@@ -32,32 +32,32 @@ class GodetBase(GarmentChoice):
 
 @dataclass(frozen=True)
 class GodetSkirtDesign(Design):
-    """Triangles in a hem."""
+    """Godets in a hem."""
 
     base: GodetBase = choice(GodetBase.PENCIL, *GodetBase, keep=0.7)
-    """The skirt, with the parameters of its own section."""
+    """The base skirt, with the parameters of its own section."""
     insert_w: int = integer(15, 10, 50)
-    """Width of a triangle at the hem [cm]."""
+    """Width of a godet at the hem [cm]."""
     insert_depth: int = integer(20, 10, 50)
-    """Its height [cm]."""
+    """Height of a godet [cm]."""
     num_inserts: int = choice(4, 4, 6, 8, 10, 12)
-    """How many, front and back together."""
+    """Number of godets, front and back together."""
     cuts_distance: int = integer(5, 0, 10)
-    """Hem between two cuts [cm]."""
+    """Length of hem between two cuts [cm]."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """The cut that a godet is let into [cm]; its sides are as long as the godet's."""
+    """The cut for a godet [cm]; its sides have the length of the godet's sides."""
 
     width: float
     depth: float
     distance: float
-    """Hem between two cuts; half of it lies before the first."""
+    """Length of hem between two cuts; half of it lies before the first."""
 
 
 def with_godets(skirt: Component, design: GodetSkirtDesign) -> Component:
-    """The skirt of two panels with godets let into both hems; offers ``top`` [ring]."""
+    """The skirt of two panels with godets in both hems; offers the ring ``top``."""
     front, back = skirt.pieces
     opened = (_opened(front, design, from_right=True), _opened(back, design, from_right=False))
     godets = tuple(godet for piece in skirt.pieces for godet in _godets(piece, design))
@@ -75,7 +75,7 @@ def _name(piece: Piece, number: int) -> str:
 
 
 def _godets(piece: Piece, design: GodetSkirtDesign) -> tuple[Piece, ...]:
-    """The triangles of a panel, counted from the wearer's right, side by side at the level of the hem's lower end."""
+    """The godets of a panel from the wearer's right to left, side by side at the level of the hem's lower end."""
     count, width, depth = design.num_inserts // 2, design.insert_w, design.insert_depth
     triangle = Outline.start(0, 0).line(0.5 * width, depth, name="right").line(width, 0, name="left").close(name="hem")
     x, y, z = piece.translation
@@ -89,10 +89,10 @@ def _godets(piece: Piece, design: GodetSkirtDesign) -> tuple[Piece, ...]:
 
 
 def _opened(piece: Piece, design: GodetSkirtDesign, *, from_right: bool) -> Piece:
-    """The panel with the cuts in its straight hem, which is drawn from the wearer's left to her right.
+    """The panel with cuts in its straight hem, which is drawn from the wearer's left to right.
 
-    They begin at one end, and what is left over lies at the other; they are numbered from the right.
-    Raises ``PatternError`` for cuts deeper than the panel.
+    The cuts are laid out from one end of the hem; the remaining hem is at the other. They are numbered from the
+    wearer's right. Raises ``PatternError`` for cuts deeper than the panel.
     """
     hem, count = piece.outline.edge("bottom"), design.num_inserts // 2
     cut, low = _cut(hem.length, count, design), -min(hem.start[1], hem.end[1])
@@ -110,12 +110,12 @@ def _opened(piece: Piece, design: GodetSkirtDesign, *, from_right: bool) -> Piec
         drawn = drawn.line(start + cut.width, 0, name=f"cut_{number}_right")
     if drawn.pen[0] < hem.length - CLOSED:
         drawn = drawn.line(hem.length, 0, name="bottom")
-    turned = (stroke.rotated(atan2(hem.chord[1], hem.chord[0])) for stroke in drawn.strokes)
-    return replace(piece, outline=piece.outline.with_strokes((hem,), chain_from(hem.start, *turned)))
+    rotated = (stroke.rotated(atan2(hem.chord[1], hem.chord[0])) for stroke in drawn.strokes)
+    return replace(piece, outline=piece.outline.with_strokes((hem,), chain_from(hem.start, *rotated)))
 
 
 def _cut(hem: float, count: int, design: GodetSkirtDesign) -> _Cut:
-    """The hem shared out between the cuts; where a godet is too narrow for its share, the cut is flat instead."""
+    """A cut of an equal share of the hem; a godet too narrow for that share gets a shallow cut."""
     width, distance = hem / count - design.cuts_distance, float(design.cuts_distance)
     if width < NARROWEST:
         width, distance = NARROWEST, hem / count - NARROWEST
@@ -126,7 +126,7 @@ def _cut(hem: float, count: int, design: GodetSkirtDesign) -> _Cut:
 
 
 def _starts(hem: float, count: int, cut: _Cut) -> list[float]:
-    """Where the cuts begin [cm], from the end of the hem at which they are laid out."""
+    """Start of each cut along the hem [cm], from the end where the layout begins."""
     starts: list[float] = []
     reached, gap = 0.0, 0.5 * cut.distance
     for _ in range(count):
@@ -137,7 +137,11 @@ def _starts(hem: float, count: int, cut: _Cut) -> list[float]:
 
 
 def _combined(
-    size: Measurements, design: GodetSkirtDesign, parts: tuple[Sized[Any], ...], rise: float, mends: frozenset[Mend]
+    size: Measurements,
+    design: GodetSkirtDesign,
+    parts: tuple[DesignedBottom[Any], ...],
+    rise: float,
+    mends: frozenset[Mend],
 ) -> Component:
     (base,) = parts
     return with_godets(base.cut(size, Cutting(rise, base.length(size, rise), mends)), design)
@@ -147,10 +151,10 @@ GODET_SKIRT = CombinedBottom(
     name="GodetSkirt",
     section="godet-skirt",
     design=GodetSkirtDesign,
-    made_of=lambda design: (design.base.garment,),
+    parts_of=lambda design: (design.base.garment,),
     combine=_combined,
-    sits=lambda design, parts: parts[0].rise,
-    long=lambda size, design, parts, rise: parts[0].length(size, rise),
-    long_as_top=True,
-    length_told_by="skirt",
+    rise_of=lambda design, parts: parts[0].rise,
+    length_of=lambda size, design, parts, rise: parts[0].length(size, rise),
+    inherits_length=True,
+    statistics_length_section="skirt",
 )

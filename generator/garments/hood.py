@@ -1,16 +1,17 @@
-"""The hood: two panels, ``right_hood`` and its mirror image, seen from the side."""
+"""The hood: two panels, ``right_hood`` and its mirror image ``left_hood``, one on each side of the head."""
 
 from math import pi
 
 from gcd_dataset.curves import Point, Quadratic
-from gcd_dataset.generator.pattern import Component, Outline, Piece, swayed_cubic
+from gcd_dataset.generator.pattern import Component, Outline, Piece, s_shaped_cubic
 from gcd_dataset.records import Measurements
 
 __all__ = ["hood_outline", "with_hood"]
 
-RAISED, SET_BACK = 9.6, 0.4  # cm; GarmentCode: 10 and 0, then by a truncated pivot up to 1 lower and 1 further back
-FORWARD = 1.2  # of half the neckline's width: how far the hood's opening stands before the shoulder, GarmentCode
-OVER_CROWN = 0.5  # of half the neckline's width: height of the hood over its length, GarmentCode
+# GarmentCode: 10 and 0 cm, then up to 1 cm lower and further back, since its files truncate the pivot.
+RAISED, SET_BACK = 9.6, 0.4  # cm above and behind the shoulder
+FORWARD = 1.2  # of half the neckline's width: from the shoulder forward to the hood's opening, GarmentCode
+OVER_CROWN = 0.5  # of half the neckline's width: height of the hood above ``height``, GarmentCode
 BACK_OF_HEAD = Quadratic((0.2, -0.5))  # edge frame, from crown to nape, GarmentCode
 LEVEL: Point = (1.0, 0.0)
 
@@ -18,8 +19,8 @@ LEVEL: Point = (1.0, 0.0)
 def with_hood(size: Measurements, half: Component, *, depth: float, length: float) -> Component:
     """The right half of an upper body with the right half of a hood sewn to its neckline.
 
-    ``depth`` is the top edge as a fraction of half the neckline's width, ``length`` the height as a fraction of nape
-    to crown.
+    ``depth``: length of the top edge, as a fraction of half the neckline's width; ``length``: height of the hood, as a
+    fraction of nape to crown.
     """
     front_neck, back_neck = (half.piece(name) for name in ("right_ftorso", "right_btorso"))
     outline = hood_outline(
@@ -46,15 +47,16 @@ def _extent(piece: Piece) -> Point:
 def hood_outline(
     front: Point, front_length: float, back: Point, back_length: float, *, top: float, height: float
 ) -> Outline:
-    """From the nape along the neckline to the throat, up along the opening, and back over the head.
+    """The outline: from the nape along the neckline to the throat, up the opening, and back over the head.
 
-    ``front`` and ``back`` are width and depth of the shirt's half necklines, the lengths those of their edges [cm];
-    ``top`` is a fraction of the width, ``height`` that over the shoulder but for ``OVER_CROWN`` [cm]. Both parts of
-    the neckline leave and arrive about level. The shoulder is the origin, but for the slide of the back's end.
+    ``front``, ``back``: width and depth of the shirt's half necklines [cm]; ``front_length``, ``back_length``: lengths
+    of their edges [cm]; ``top``: length of the top edge, as a fraction of half the neckline's width; ``height``: over
+    the shoulder, without ``OVER_CROWN`` [cm]. Both neck edges start and end about level and meet near the origin, the
+    shoulder: the end of the back's edge slides.
     """
     half_width = back[0]
-    back_neck = swayed_cubic((-back[0], -back[1]), (0.0, 0.0), tangent=LEVEL, length=back_length)
-    front_neck = swayed_cubic(back_neck.end, (front[0], -front[1]), tangent=LEVEL, length=front_length)
+    back_neck = s_shaped_cubic((-back[0], -back[1]), (0.0, 0.0), tangent=LEVEL, length=back_length)
+    front_neck = s_shaped_cubic(back_neck.end, (front[0], -front[1]), tangent=LEVEL, length=front_length)
     opening, crown = FORWARD * half_width, height + OVER_CROWN * half_width
     return (
         Outline.start(*back_neck.start)

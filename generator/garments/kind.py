@@ -1,4 +1,4 @@
-"""Kinds of garments by what they cover, and which of them a design space leaves."""
+"""Kinds of garments: upper, lower and full-body; and the kinds that a design space allows."""
 
 from collections.abc import Mapping
 from enum import Enum
@@ -8,51 +8,51 @@ from gcd_dataset.generator.garments.design import MetaDesign, Upper
 from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.generator.garments.space import DesignSpace
 
-__all__ = ["NEEDS", "Kind", "choice_of", "kinds_left", "upper_choice"]
+__all__ = ["HAS_UPPER_AND_BOTTOM", "Kind", "choice_of", "possible_kinds", "upper_choice"]
 
 
 class Kind(Enum):
-    """What of the body a garment covers."""
+    """Kind of a garment by the part of the body that it covers."""
 
     UPPER = "upper"
     LOWER = "lower"
     FULL = "full-body"
 
 
-NEEDS: Mapping[Kind, tuple[bool, bool]] = {
+HAS_UPPER_AND_BOTTOM: Mapping[Kind, tuple[bool, bool]] = {
     Kind.UPPER: (True, False),
     Kind.LOWER: (False, True),
     Kind.FULL: (True, True),
 }
-"""Whether a garment of that kind has an upper, and a bottom."""
+"""Whether a garment of each kind has an upper, and whether it has a bottom."""
 
 
 def choice_of(space: DesignSpace[Any], name: str) -> Choice:
-    """The space of a parameter that is a choice."""
+    """The space of a parameter, by name, that is a choice."""
     return next(entry.space for entry in space.entries if entry.name == name and isinstance(entry.space, Choice))
 
 
-def kinds_left(meta: DesignSpace[MetaDesign]) -> list[Kind]:
-    """The kinds of garment that this section of a design space leaves."""
-    bottoms = choice_of(meta, "bottom").lot
+def possible_kinds(meta: DesignSpace[MetaDesign]) -> list[Kind]:
+    """The kinds of garment that the ``meta`` section of a design space allows."""
+    bottoms = choice_of(meta, "bottom").weighted_options
     return [
         kind
-        for kind, (_, has_bottom) in NEEDS.items()
+        for kind, (_, has_bottom) in HAS_UPPER_AND_BOTTOM.items()
         if _uppers(meta, kind) and any((bottom is not None) == has_bottom for bottom in bottoms)
     ]
 
 
 def upper_choice(meta: DesignSpace[MetaDesign], kind: Kind) -> Choice:
-    """The uppers that a garment of a kind may have: nothing is sewn to one that carries nothing."""
+    """The uppers of a kind of garment, without uppers that cannot carry its bottom or waistband."""
     space = choice_of(meta, "upper")
     return space.narrowed([plain(upper) for upper in _uppers(meta, kind)])
 
 
 def _uppers(meta: DesignSpace[MetaDesign], kind: Kind) -> list[Upper | None]:
-    has_upper, has_bottom = NEEDS[kind]
-    hangs_alone = not has_bottom and None in choice_of(meta, "wb").lot
+    has_upper, has_bottom = HAS_UPPER_AND_BOTTOM[kind]
+    hangs_alone = not has_bottom and None in choice_of(meta, "wb").weighted_options
     return [
         upper
-        for upper in choice_of(meta, "upper").lot
+        for upper in choice_of(meta, "upper").weighted_options
         if (upper is not None) == has_upper and (upper is None or upper.garment.carries or hangs_alone)
     ]

@@ -7,7 +7,7 @@ from math import radians
 from typing import Any, TypeAlias
 
 from gcd_dataset.generator.garments.circle_skirt import ASYMMETRIC_CIRCLE_SKIRT, CIRCLE_SKIRT
-from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, GarmentChoice, SimpleBottom, Sized
+from gcd_dataset.generator.garments.garment import CombinedBottom, Cutting, DesignedBottom, GarmentChoice, SimpleBottom
 from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import ALL_MENDS, Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
@@ -21,7 +21,7 @@ GAP = 5.0  # cm between a hem and the level under it before sewing, GarmentCode
 
 
 class LevelsBase(GarmentChoice):
-    """Skirts for the top."""
+    """Skirts for the base."""
 
     garment: SimpleBottom[Any]
 
@@ -42,7 +42,7 @@ class Level(GarmentChoice):
 
 
 DrawLevel: TypeAlias = Callable[[Measurements, str], Component]
-"""Draws a level for a wearer whose waist is as wide as the level's top; its panels' names end in a tag."""
+"""Draws a level from measures and a suffix of its panels' names; the waist of the measures is the level's top."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class LevelsSkirtDesign(Design):
     base: LevelsBase = choice(LevelsBase.PENCIL, *LevelsBase)
     level: Level = choice(Level.GATHERED, *Level)
     num_levels: int = integer(1, 1, 5)
-    """How many levels hang under the base."""
+    """Number of levels under the base."""
     level_ruffle: float = real(1.0, 1.0, 1.7)
     """Gathers at the top of a level: level over the hem above."""
     length: float = real(0.5, 0.2, 0.95)
-    """Of all, below the hips, as a fraction of hips to floor."""
+    """Length of the whole skirt below the hips, as a fraction of hips to floor."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
-    """Where the top sits: 0 at the hips, 1 at the waist."""
+    """Position of the top: 0 at the hips, 1 at the waist."""
     base_length_frac: float = real(0.5, 0.2, 0.8)
     """The base's share of the length."""
 
@@ -66,26 +66,26 @@ class LevelsSkirtDesign(Design):
 def _lengths(
     size: Measurements, design: LevelsSkirtDesign, *, rise: float, mends: frozenset[Mend]
 ) -> tuple[float, float]:
-    """Of the base, from a top at ``rise``, and of each level [cm]."""
-    whole = design.length * size.leg_length
-    base, levels = design.base_length_frac * whole, (1 - design.base_length_frac) * whole
-    above = rise if Mend.LEVEL_GIRTH in mends else design.rise
-    return base + above * size.hips_line, levels / design.num_levels
+    """Lengths of the base, from a top at ``rise``, and of each level [cm]."""
+    below_hips = design.length * size.leg_length
+    base, levels = design.base_length_frac * below_hips, (1 - design.base_length_frac) * below_hips
+    base_rise = rise if Mend.LEVEL_GIRTH in mends else design.rise
+    return base + base_rise * size.hips_line, levels / design.num_levels
 
 
 def with_levels(
-    base: Component, level: DrawLevel, design: LevelsSkirtDesign, *, size: Measurements, tilt: float
+    base: Component, level: DrawLevel, design: LevelsSkirtDesign, *, size: Measurements, hem_tilt: float
 ) -> Component:
-    """The base with levels hung one under the other, each gathered to the hem above; offers ``top`` [ring].
+    """The base with levels one under the other, each gathered to the hem above; offers the ring ``top``.
 
-    ``tilt`` is that of the base's hem [degrees].
+    ``hem_tilt``: tilt of the base's hem [degrees].
     """
     skirts = [base]
     for number in range(design.num_levels):
         front, back = (design.level_ruffle * hem for hem in _hems(skirts[-1]))
         wearer = replace(size, waist=front + back, waist_back_width=back)
-        below = level(wearer, f"_{number}").turned(-radians(tilt))
-        skirts.append(below.placed_by("top", skirts[-1], "bottom", gap=GAP))
+        next_level = level(wearer, f"_{number}").turned(-radians(hem_tilt))
+        skirts.append(next_level.placed_by("top", skirts[-1], "bottom", gap=GAP))
     whole = Component.of(*skirts)
     for above, below in pairwise(skirts):
         whole = whole.sewn(above.interface("bottom"), below.interface("top"), gathered=True)
@@ -93,24 +93,28 @@ def with_levels(
 
 
 def _hems(skirt: Component) -> tuple[float, float]:
-    """Lengths of the hem before and behind [cm]."""
+    """Lengths of the hem in front and behind [cm]."""
     front, back = (skirt.piece(section.panel).outline.length(section.edge) for section in skirt.interface("bottom"))
     return front, back
 
 
 def _combined(
-    size: Measurements, design: LevelsSkirtDesign, parts: tuple[Sized[Any], ...], rise: float, mends: frozenset[Mend]
+    size: Measurements,
+    design: LevelsSkirtDesign,
+    parts: tuple[DesignedBottom[Any], ...],
+    rise: float,
+    mends: frozenset[Mend],
 ) -> Component:
-    """A base and levels, none with slits; the levels have no gathers but those of ``level_ruffle``."""
+    """A base and levels without slits; only ``level_ruffle`` gathers the levels."""
     base, level = parts[0], parts[1].ungathered()
     base_length, level_length = _lengths(size, design, rise=rise, mends=mends)
     level_rise = 1.0 if Mend.LEVEL_GIRTH in mends else level.rise
     return with_levels(
         base.cut(size, Cutting(rise, base_length, mends)),
-        lambda wearer, tag: level.cut(wearer, Cutting(level_rise, level_length, mends, tag)),
+        lambda wearer, suffix: level.cut(wearer, Cutting(level_rise, level_length, mends, suffix)),
         design,
         size=size,
-        tilt=base.tilt,
+        hem_tilt=base.hem_tilt,
     )
 
 
@@ -124,8 +128,8 @@ LEVELS_SKIRT = CombinedBottom(
     section="levels-skirt",
     mends=frozenset({Mend.LEVEL_GIRTH}),
     design=LevelsSkirtDesign,
-    made_of=lambda design: (design.base.garment, design.level.garment),
+    parts_of=lambda design: (design.base.garment, design.level.garment),
     combine=_combined,
-    sits=lambda design, parts: design.rise,
-    long=lambda size, design, parts, rise: _length(size, design, rise),
+    rise_of=lambda design, parts: design.rise,
+    length_of=lambda size, design, parts, rise: _length(size, design, rise),
 )

@@ -1,17 +1,17 @@
-"""Faults of GarmentCode's programs that ours mend; each can be put back, to compare patterns with GarmentCode's.
+"""Mends: faults of GarmentCode's programs that this package corrects. Each can be switched off to compare patterns.
 
-Mended without a switch, since no outline or place hangs on them:
+Faults corrected without a switch, since they change neither outlines nor placements:
 
-- an edge that a seam divides keeps its label on every piece;
-- panels and seams have one order, the same in every run;
-- designs are written with all their digits, and not three of them;
-- crossings are told by distance, so edges that touch at the start of both are no crossing, and arcs are not cut short;
-- seams of one design and body never depend on a solver's path: curves are closed forms, or solved to rounding;
-- a design without upper and bottom, a belt alone included, is refused with its reason.
+- every part of an edge that a seam divides keeps the edge's label;
+- the order of panels and seams is the same in every run;
+- designs are written with all digits, not with three;
+- crossings are found by distance: edges that touch where both start do not cross, and arcs are tested in full;
+- seams do not depend on the path of a solver: curves are closed forms, or solved to rounding;
+- a design without upper and bottom, a waistband alone included, is rejected with a reason.
 
-In the curves that GarmentCode leaves to a minimiser with too few conditions (one end tangent of a quadratic, the cap of
-a sleeve, the seam of a hood), ours meets length and tangents exactly, and follows what the minimiser prefers elsewhere
-(``pattern/tangent.py``, ``pattern/fit.py``).
+Some curves GarmentCode leaves to an underdetermined minimiser: a quadratic with one end tangent, the cap of a sleeve,
+the seam of a hood. This package meets length and tangents exactly, and otherwise follows the minimiser's results
+(``pattern/tangent.py``, ``pattern/cubic_fit.py``).
 """
 
 from enum import Enum
@@ -20,7 +20,7 @@ __all__ = ["ALL_MENDS", "Mend"]
 
 
 class Mend(Enum):
-    """One mended fault: what GarmentCode does, and what we do."""
+    """A corrected fault; its value describes the drawing of this package and that of GarmentCode."""
 
     SLIT_LENGTH = (
         "skirt.bottom_cut is a fraction of the skirt below the hips; GarmentCode takes that fraction, "
@@ -38,8 +38,8 @@ class Mend(Enum):
         "its slope, and leaves slivers or cuts through a fitted back"
     )
     SLEEVE_SURPLUS = (
-        "what a sleeve's front half has over its back moves to the back where it is long enough to sew; GarmentCode "
-        "moves all from two millimetres on"
+        "the surplus of a sleeve's front half over its back moves to the back if it is long enough to sew; GarmentCode "
+        "moves any surplus over two millimetres"
     )
     EXPORT_PIVOT = (
         "a panel hangs in the file where it hung in the drawing; GarmentCode moves the drawing's origin to the first "

@@ -1,4 +1,4 @@
-"""Necklines: half shapes, from the shoulder down to the centre, cut into the corner between the two."""
+"""Necklines: half shapes from the shoulder down to the centre, to cut into the corner between the two edges."""
 
 from dataclasses import dataclass, fields, replace
 from enum import Enum
@@ -24,7 +24,7 @@ __all__ = [
     "worn_neckline",
 ]
 
-SHOULDER_LEFT = 1.0  # cm beside a neckline of full width, GarmentCode
+SHOULDER_LEFT = 1.0  # cm of shoulder beside a neckline of full width, GarmentCode
 CENTRE_LEFT = 1.0  # cm of centre edge under the deepest neckline, GarmentCode
 CURVY = Cubic((0.4, 0.3), (0.8, -0.3))  # edge frame, from shoulder to centre, GarmentCode
 CURVY_FLIPPED = Cubic((0.4, -0.3), (0.8, 0.3))
@@ -32,7 +32,7 @@ LAPEL_BEZIER = (0.5, 0.3)  # control point of a Bézier neckline under a lapel, 
 
 
 class Neckline(Enum):
-    """The necklines there are."""
+    """Shape of half a neckline, by GarmentCode's name."""
 
     CIRCLE = "CircleNeckHalf"
     CURVY = "CurvyNeckHalf"
@@ -52,7 +52,7 @@ class NecklineDesign(Design):
     b_collar: Neckline = choice(Neckline.CIRCLE, *Neckline, keep=0.8)
     """At the back."""
     width: float = real(0.2, -0.5, 1.0, keep=0.4)
-    """-1 closed, 0 as wide as the neck, 1 as wide as the shoulders allow."""
+    """-1: closed; 0: as wide as the neck; 1: as wide as the shoulders allow."""
     fc_depth: float = real(0.4, 0.3, 2.0, keep=0.3)
     """In front, as a fraction of shoulder to bust."""
     bc_depth: float = real(0.0, 0.0, 2.0, keep=0.4)
@@ -62,13 +62,13 @@ class NecklineDesign(Design):
     bc_angle: int = integer(95, 70, 110)
     """At the back."""
     f_bezier_x: float = real(0.3, 0.05, 0.95, keep=0.4)
-    """In front: where along its chord the control point of a Bézier neckline lies, as a fraction of the chord."""
+    """In front: position of a Bézier neckline's control point along its chord, as a fraction of the chord."""
     f_bezier_y: float = real(0.55, 0.05, 0.95, keep=0.4)
-    """How far off its chord, likewise."""
+    """In front: distance of the control point from the chord, as a fraction of the chord."""
     b_bezier_x: float = real(0.15, 0.05, 0.95, keep=0.4)
-    """At the back, along the chord."""
+    """At the back: position along the chord."""
     b_bezier_y: float = real(0.1, 0.05, 0.95, keep=0.4)
-    """At the back, off the chord."""
+    """At the back: distance from the chord."""
     f_flip_curve: bool = flag(False, keep=0.8)
     """In front: whether a curvy, arc or Bézier neckline bulges the other way."""
     b_flip_curve: bool = flag(False, keep=0.8)
@@ -78,7 +78,7 @@ class NecklineDesign(Design):
 
 @dataclass(frozen=True)
 class LeftNecklineDesign(Design):
-    """The left half of a neckline, where it differs from the right one; it is as deep."""
+    """The left half of a neckline that differs from the right one; both have the same depth."""
 
     f_collar: Neckline = choice(Neckline.CIRCLE, *Neckline, keep=0.4)
     b_collar: Neckline = choice(Neckline.CIRCLE, *Neckline, keep=0.8)
@@ -93,15 +93,15 @@ class LeftNecklineDesign(Design):
     b_flip_curve: bool = flag(False, keep=0.8)
 
     def beside(self, right: NecklineDesign) -> NecklineDesign:
-        """The whole left neckline: as deep as the right one, and without a collar."""
-        own = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        return NecklineDesign(**own, fc_depth=right.fc_depth, bc_depth=right.bc_depth)
+        """The complete design of the left neckline: depths from the right one, no collar."""
+        values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return NecklineDesign(**values, fc_depth=right.fc_depth, bc_depth=right.bc_depth)
 
 
 def worn_neckline(design: NecklineDesign) -> NecklineDesign:
-    """The neckline that the collar asks for: turtlenecks and hoods sit on round ones, lapels on a round back.
+    """The neckline adapted to its collar: round for turtlenecks and hoods, round at the back for lapels.
 
-    A Bézier neckline under a lapel has the control point ``LAPEL_BEZIER`` whatever the design says, as GarmentCode's.
+    A Bézier neckline under a lapel has the control point ``LAPEL_BEZIER`` whatever the design, as in GarmentCode.
     """
     match design.component.style:
         case None:
@@ -121,7 +121,7 @@ def neckline_width(size: Measurements, design: NecklineDesign) -> float:
 
 
 def neckline_drop(size: Measurements, design: NecklineDesign, *, front: bool, room: float) -> float:
-    """How far the lowest point lies under the level of the shoulder's outer end [cm]; ``room``: to the hem there."""
+    """Depth of the lowest point under the shoulder's outer end [cm]; ``room``: from that level to the hem."""
     depth = design.fc_depth if front else design.bc_depth
     return min(depth * size.drawn_bust_line, room - CENTRE_LEFT)
 
@@ -131,8 +131,8 @@ def half_neckline(
 ) -> tuple[Stroke, ...]:
     """The right half of a neckline, from the shoulder at the origin down to the centre.
 
-    ``shoulder`` is the width of the half panel at the level of the shoulder's outer end, and ``room`` the height of
-    that level over the hem at the centre [cm]. Raises ``PatternError`` for a neckline that does not go down.
+    ``shoulder``: width of the half panel at the level of the shoulder's outer end; ``room``: height of that level over
+    the hem at the centre [cm]. Raises ``PatternError`` for a neckline wider than the shirt.
     """
     half_width = 0.5 * neckline_width(size, design)
     depth = neckline_drop(size, design, front=front, room=room) + tan(size.shoulder_incl) * (shoulder - half_width)
@@ -143,7 +143,7 @@ def half_neckline(
 
 
 def neckline_shape(design: NecklineDesign, *, front: bool, half_width: float, depth: float) -> tuple[Stroke, ...]:
-    """The drawing of a half neckline of this size [cm], from the origin to ``(half_width, -depth)``."""
+    """The strokes of a half neckline from the origin to ``(half_width, -depth)`` [cm]."""
     kind = design.f_collar if front else design.b_collar
     flip = design.f_flip_curve if front else design.b_flip_curve
     angle = radians(design.fc_angle if front else design.bc_angle)
@@ -168,9 +168,9 @@ def neckline_shape(design: NecklineDesign, *, front: bool, half_width: float, de
 
 
 def _circle(half_width: float, depth: float) -> Arc:
-    """Half of the arc through both shoulders and the lowest point: of radius ``(h² + d²) / 2d``, level at its end.
+    """Half of the arc through both shoulders and the lowest point, level there: its radius is ``(h² + d²) / 2d``.
 
-    The whole of a neckline deeper than ``half_width`` is more than half a circle: it bulges out beyond the shoulders.
+    Both halves of a neckline deeper than ``half_width`` form more than half a circle, wider than the shoulder points.
     """
     return Arc((half_width**2 + depth**2) / (2 * depth), large=False, right=True)
 

@@ -1,4 +1,4 @@
-"""Outfits: an upper, a waistband and a bottom, or some of them, sewn to each other from the top down."""
+"""Outfits: an upper, a waistband and a bottom, or some of them, sewn together from the top down."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -26,37 +26,37 @@ BACKS = (("back_width", "bust"), ("waist_back_width", "waist"), ("hip_back_width
 def outfit(
     size: Measurements, design: OutfitDesign, *, name: str = "outfit", mends: frozenset[Mend] = ALL_MENDS
 ) -> Pattern:
-    """The pattern of a design for a wearer, hung around the wearer from the top down.
+    """The pattern of a design for a wearer, placed round the body.
 
-    Raises ``BodyError`` for measures that nobody took or that no body has, and ``PatternError`` for an outfit without
-    upper and bottom, or where a part cannot be drawn for this wearer.
+    Raises ``BodyError`` for missing or impossible measures, and ``PatternError`` for an outfit without upper and
+    bottom, or with a part that cannot be drawn for this wearer.
     """
     return assemble(pieces(size, design, mends=mends), name)
 
 
 def pieces(size: Measurements, design: OutfitDesign, *, mends: frozenset[Mend] = ALL_MENDS) -> Component:
-    """All pieces of an outfit with their seams, as ``outfit`` assembles them; raises as that does."""
-    parts = _hung(_parts(_measured(size), design, mends))
+    """The component of an outfit, as ``outfit`` assembles it. Raises as ``outfit`` does."""
+    parts = _placed(_parts(_checked(size), design, mends))
     whole = Component.of(*parts)
     for above, below in pairwise(parts):
         whole = whole.sewn(above.interface("bottom"), below.interface("top"), gathered=True)
     if Mend.EXPORT_PIVOT not in mends:
-        whole = replace(whole, pieces=tuple(_displaced(piece) for piece in whole.pieces))
-    held = [hung.interface("top") for hung in parts if "top" in hung.interfaces]
-    return whole.with_edge_label(held[0], EdgeRole.LOWER_INTERFACE) if held else whole
+        whole = replace(whole, pieces=tuple(_with_export_pivot(piece) for piece in whole.pieces))
+    tops = [part.interface("top") for part in parts if "top" in part.interfaces]
+    return whole.with_edge_label(tops[0], EdgeRole.LOWER_INTERFACE) if tops else whole
 
 
 def bottom_rise(design: OutfitDesign) -> float:
-    """Where the top of the bottom sits, 0 at the hips and 1 at the waist: there under what ends there, and for none."""
+    """Position of the bottom's top: 0 at the hips, 1 at the waist, as for no bottom or under an ``at_waist`` upper."""
     upper, bottom = design.meta.upper, design.meta.bottom
     if bottom is None or (upper is not None and upper.garment.at_waist):
         return 1.0
     return bottom.garment.rise(design)
 
 
-@lru_cache(maxsize=8)  # drawn to see whether it is whole, it is asked for again for the outfit
+@lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the outfit draws it again
 def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
-    """The bottom of a design that has one; offers ``top`` [ring]."""
+    """The bottom of a design that has one; offers the ring ``top``."""
     assert design.meta.bottom is not None
     return design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design), mends=mends).labelled(PanelRole.LEG)
 
@@ -77,22 +77,22 @@ def _parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> 
     return tuple(parts)
 
 
-def _hung(parts: tuple[Component, ...]) -> tuple[Component, ...]:
-    """Each part under the one before."""
-    hung = parts[:1]
+def _placed(parts: tuple[Component, ...]) -> tuple[Component, ...]:
+    """The parts, each moved under the one before."""
+    placed = parts[:1]
     for below in parts[1:]:
-        hung = (*hung, below.placed_by("top", hung[-1], "bottom", gap=GAP))
-    return hung
+        placed = (*placed, below.placed_by("top", placed[-1], "bottom", gap=GAP))
+    return placed
 
 
-def _displaced(piece: Piece) -> Piece:
-    """The piece moved in its plane by what its first corner lacks to whole centimetres."""
+def _with_export_pivot(piece: Piece) -> Piece:
+    """The piece moved in its plane by the fractional part of its first corner's coordinates, as in GarmentCode."""
     x, y, z = piece.placement.matrix[:, :2] @ [fmod(coordinate, 1.0) for coordinate in piece.outline.origin]
     return piece.moved((float(x), float(y), float(z)))
 
 
-def _measured(size: Measurements) -> Measurements:
-    """The measurements, if a garment can be drawn from them."""
+def _checked(size: Measurements) -> Measurements:
+    """The measurements. Raises ``BodyError`` if a measure is missing, or a back is no part of its girth."""
     size.require(*MEASURES_USED)
     for back, girth in BACKS:
         if not 0 < getattr(size, back) < getattr(size, girth):

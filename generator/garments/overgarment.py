@@ -1,7 +1,7 @@
-"""What capes and ponchos have in common: a front and a back that hang from the neck, over shoulders and arms.
+"""Parts of capes and ponchos: a front and a back that hang from the neck over shoulders and arms.
 
-Drawings begin at the point where the shoulder meets the neck on the wearer's right, ``(-half_width, 0)``, and hang
-with that point where the wearer has it; x = 0 is the wearer's middle.
+Drawings begin at the right side of the neck, ``(-half_width, 0)``, where neck and shoulder meet, and are placed with
+that point on the body; x = 0 is the wearer's middle.
 """
 
 from dataclasses import dataclass, replace
@@ -12,10 +12,10 @@ from gcd_dataset.generator.garments.neckline import Neckline, NecklineDesign, ne
 from gcd_dataset.generator.pattern import Outline, Piece, Stroke, chain_from
 from gcd_dataset.records import EdgeRole, Measurements
 
-__all__ = ["NeckHole", "both_halves", "hung", "neck_hole", "right_neck", "with_shoulder"]
+__all__ = ["NeckHole", "both_halves", "neck_hole", "placed_at_neck", "right_neck", "with_shoulder"]
 
-NECK_WIDTH = 0.8  # of neck_w, the way round the back of the neck: straight across, from shoulder to shoulder
-FRONT_DROP, BACK_DROP = 0.42, 0.1  # of neck_w: throat and nape below the sides of the neck
+NECK_WIDTH = 0.8  # of neck_w, which is measured round the back of the neck: width of the neck straight across
+FRONT_DROP, BACK_DROP = 0.42, 0.1  # of neck_w: depth of throat and nape below the sides of the neck
 FRONT, BACK = 30.0, -25.0  # cm before and behind the axis
 
 
@@ -25,18 +25,19 @@ class NeckHole:
 
     half_width: float
     front: float
-    """Its depth in front."""
+    """Depth in front."""
     back: float
+    """Depth behind."""
 
 
 def neck_hole(size: Measurements, ease: float) -> NeckHole:
-    """The opening round the base of the neck, times ``ease``."""
+    """The opening for the base of the neck, enlarged by the factor ``ease``."""
     around = ease * size.neck_w
     return NeckHole(0.5 * NECK_WIDTH * around, FRONT_DROP * around, BACK_DROP * around)
 
 
 def right_neck(hole: NeckHole, kind: Neckline, *, front: bool) -> tuple[Stroke, ...]:
-    """The right half of the neckline, from the shoulder to the middle."""
+    """The right half of the neckline, from the side of the neck to the middle."""
     design = NecklineDesign(f_collar=kind, b_collar=kind)
     depth = hole.front if front else hole.back
     drawn = neckline_shape(design, front=front, half_width=hole.half_width, depth=depth)
@@ -45,33 +46,37 @@ def right_neck(hole: NeckHole, kind: Neckline, *, front: bool) -> tuple[Stroke, 
 
 
 def with_shoulder(outline: Outline, size: Measurements, *, fall: float, length: float) -> Outline:
-    """Drawn on from the right side of the neck: down the shoulder, and on to the hem in a curve; ``length`` cm in all.
+    """With the shoulder seam from the right side of the neck: straight along the shoulder, then a curve to the hem.
 
-    ``fall``: how far the seam's end sinks below the level [rad]; the shoulder sinks no further.
+    ``length``: of the whole seam [cm]; ``fall``: slope of its end below the horizontal [rad], and the upper bound of
+    the shoulder's slope.
     """
     slope, (x, y) = min(size.shoulder_incl, fall), outline.pen
     shoulder = min((0.5 * size.shoulder_w + x) / cos(slope), 0.5 * length)
-    end, bend = _on((x, y), slope, shoulder), _on((x, y), slope, 0.5 * (shoulder + length))
-    hem = _on(bend, fall, 0.5 * (length - shoulder))
+    end, bend = (
+        _point_towards_right((x, y), slope, shoulder),
+        _point_towards_right((x, y), slope, 0.5 * (shoulder + length)),
+    )
+    hem = _point_towards_right(bend, fall, 0.5 * (length - shoulder))
     return outline.line(*end, name="shoulder").curve(*hem, Quadratic(to_frame(end, hem, bend)), name="side")
 
 
 def both_halves(right: Outline, neck: tuple[Stroke, ...]) -> Outline:
-    """A whole front or back: its right half, from the neck to the middle of the hem, the mirror image, the neckline.
+    """A whole front or back from its right half, drawn from the neck to the middle of the hem, and half its neckline.
 
-    The names of the mirror image's edges begin with ``left_``.
+    Edges of the mirror image have the prefix ``left_``.
     """
     left = [replace(stroke.mirrored(), name=f"left_{stroke.name}").reversed() for stroke in reversed(right.strokes)]
     left_neck = [replace(stroke.mirrored(), label=EdgeRole.LEFT_COLLAR) for stroke in neck]
     return right.then(*left, *left_neck, *(stroke.reversed() for stroke in reversed(neck)))
 
 
-def hung(piece: Piece, size: Measurements, hole: NeckHole, *, front: bool) -> Piece:
-    """The piece with the sides of its neckline at those of the neck."""
+def placed_at_neck(piece: Piece, size: Measurements, hole: NeckHole, *, front: bool) -> Piece:
+    """The piece placed with the sides of its neckline at the sides of the neck."""
     level = size.height - size.head_l - hole.half_width * tan(size.shoulder_incl)
     return piece.at(0, level, FRONT if front else BACK)
 
 
-def _on(start: Point, sinking: float, length: float) -> Point:
-    """The point ``length`` cm towards the wearer's right."""
+def _point_towards_right(start: Point, sinking: float, length: float) -> Point:
+    """The point ``length`` cm towards the wearer's right, along a line of slope ``sinking`` [rad]."""
     return start[0] - length * cos(sinking), start[1] - length * sin(sinking)

@@ -1,8 +1,8 @@
-"""Overlays: what a data set asks of its designs ("only hoodies", "no asymmetry"), as a narrower design space.
+"""Overlays: a data set's restrictions on its designs ("only hoodies", "no asymmetry"), as a narrower design space.
 
-An overlay is a TOML file under the names of a design file. A value fixes a parameter; a table narrows what may be
-drawn: ``range`` (of a number) or ``options`` (of a choice; ``"none"`` for none of them), and ``keep``, the probability
-of the default::
+An overlay is a TOML file with the names of a design file. A value fixes a parameter; a table narrows its space:
+``range`` (of a number) or ``options`` (of a choice; ``"none"`` for none of them), and ``keep``, the probability of the
+default::
 
     [meta]
     bottom = { options = ["Pants", "none"], keep = 0.2 }
@@ -28,7 +28,7 @@ from typing import Any, Self
 
 from gcd_dataset.errors import ConfigError, shown
 from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
-from gcd_dataset.generator.garments.kind import choice_of, kinds_left
+from gcd_dataset.generator.garments.kind import choice_of, possible_kinds
 from gcd_dataset.generator.garments.parameter import Choice, Space
 from gcd_dataset.generator.garments.space import DesignSpace, Leaf, require_known
 from gcd_dataset.tomlfile import read_toml
@@ -40,48 +40,48 @@ NONE = "none"  # TOML has no null
 
 @dataclass(frozen=True)
 class Overlay:
-    """What is narrower than GarmentCode's design space; made by ``from_dict`` or ``read_overlay``, which check it."""
+    """The parameters with a space narrower than GarmentCode's. Make one with ``from_dict`` or ``read_overlay``."""
 
     changes: tuple[Leaf, ...] = ()
-    """The parameters it speaks of, as it leaves them, in the order of a design file."""
+    """The changed parameters with their new spaces, in the order of a design file."""
 
     @cached_property
     def space(self) -> DesignSpace[OutfitDesign]:
-        """The design space that is left: what ``draw`` draws from, whole or by its parts (``space.of(...)``)."""
+        """The narrowed design space, for ``draw``; ``space.of(...)`` is one of its parts."""
         return DesignSpace.declared(OutfitDesign).changed(dict(self.changes))
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """The overlay of nested plain values, as TOML and JSON hold them.
+        """The overlay from nested plain values, as in TOML and JSON.
 
-        Raises ``ConfigError`` with the path of a name that no parameter has, or of what it could not be before, and
-        where no garment is left.
+        Raises ``ConfigError`` with the path of an unknown parameter or of a value outside its space, and for an overlay
+        that allows no garment.
         """
         declared = DesignSpace.declared(OutfitDesign)
         require_known(declared, values)
         overlay = cls(tuple(_changes(declared, values, "")))
-        if not kinds_left(overlay.space.of(MetaDesign)):
+        if not possible_kinds(overlay.space.of(MetaDesign)):
             raise ConfigError(_no_garment(overlay.space.of(MetaDesign)))
         return overlay
 
     def to_dict(self) -> dict[str, Any]:
-        """Nested plain values, which ``from_dict`` reads: for the manifest of a data set."""
+        """Nested plain values for a manifest; ``from_dict`` reads them."""
         tree: dict[str, Any] = {}
         for path, space in self.changes:
-            *above, name = path.split(".")
+            *parents, name = path.split(".")
             node = tree
-            for key in above:
+            for key in parents:
                 node = node.setdefault(key, {})
-            node[name] = _said(space)
+            node[name] = _to_plain(space)
         return tree
 
 
 NO_OVERLAY = Overlay()
-"""GarmentCode's whole design space."""
+"""No restriction: GarmentCode's whole design space."""
 
 
 def read_overlay(path: Path | str) -> Overlay:
-    """The overlay in a TOML file. Raises ``ConfigError`` with the file, and the line or parameter that is wrong."""
+    """The overlay in a TOML file. Raises ``ConfigError`` with the file and the wrong line or parameter."""
     values = read_toml(path)
     try:
         return Overlay.from_dict(values)
@@ -90,56 +90,58 @@ def read_overlay(path: Path | str) -> Overlay:
 
 
 def _no_garment(meta: DesignSpace[MetaDesign]) -> str:
-    """Why no garment is left."""
+    """The error message for a ``meta`` section that allows no garment."""
     if all(choice_of(meta, name).range == [None] for name in ("upper", "bottom")):
         return "meta.upper and meta.bottom are both none, so there is no garment: leave one of them in"
     uppers = ", ".join(name for name in choice_of(meta, "upper").range if name is not None)
     return f"nothing is sewn to meta.upper = {uppers}, so there is no garment: let meta.wb and meta.bottom be none"
 
 
-def _changes(space: DesignSpace[Any], values: Mapping[str, Any], above: str) -> Iterator[Leaf]:
+def _changes(space: DesignSpace[Any], values: Mapping[str, Any], prefix: str) -> Iterator[Leaf]:
     for entry in space.entries:
         if entry.key not in values:
             continue
-        path, said = above + entry.key, values[entry.key]
+        path, given = prefix + entry.key, values[entry.key]
         if isinstance(entry.space, DesignSpace):
-            yield from _changes(entry.space, said, f"{path}.")
+            yield from _changes(entry.space, given, f"{path}.")
             continue
         try:
-            yield Leaf(path, _changed(entry.space, said))
+            yield Leaf(path, _changed(entry.space, given))
         except ConfigError as error:
             raise ConfigError(f"{path} {error}") from error
 
 
-def _changed(space: Space, said: Any) -> Space:
-    """The space narrowed by what an overlay says of it: a value, or a table."""
-    word = _word(space)
-    if not isinstance(said, Mapping):
-        value = _null(space, said)
+def _changed(space: Space, given: Any) -> Space:
+    """The space narrowed by an overlay's entry: a value or a table."""
+    range_key = _range_key(space)
+    if not isinstance(given, Mapping):
+        value = _parsed_option(space, given)
         return space.narrowed([value] if isinstance(space, Choice) else [value, value])
-    if unknown := [key for key in said if key not in (word, "keep")]:
-        raise ConfigError(f"takes no {shown(unknown[0])}: it is {space}, so give {word}, keep, or a value")
-    if not said:
-        raise ConfigError(f"is an empty table: give {word}, keep, or a value")
-    if word in said:
-        if not isinstance(said[word], list):
-            raise ConfigError(f"has {word} = {said[word]!r}, not a list: write {word} = [{said[word]!r}]")
-        space = space.narrowed([_null(space, value) for value in said[word]])
-    return space.favouring(_probability(said["keep"])) if "keep" in said else space
+    if unknown := [key for key in given if key not in (range_key, "keep")]:
+        raise ConfigError(f"takes no {shown(unknown[0])}: it is {space}, so give {range_key}, keep, or a value")
+    if not given:
+        raise ConfigError(f"is an empty table: give {range_key}, keep, or a value")
+    if range_key in given:
+        if not isinstance(given[range_key], list):
+            raise ConfigError(
+                f"has {range_key} = {given[range_key]!r}, not a list: write {range_key} = [{given[range_key]!r}]"
+            )
+        space = space.narrowed([_parsed_option(space, value) for value in given[range_key]])
+    return space.with_keep(_probability(given["keep"])) if "keep" in given else space
 
 
-def _said(space: Space) -> dict[str, Any]:
+def _to_plain(space: Space) -> dict[str, Any]:
     values = [NONE if value is None else value for value in space.range]
-    return {_word(space): values} | ({} if space.keep is None else {"keep": space.keep})
+    return {_range_key(space): values} | ({} if space.keep is None else {"keep": space.keep})
 
 
-def _word(space: Space) -> str:
-    """What an overlay calls the values of a parameter."""
+def _range_key(space: Space) -> str:
+    """The key for a parameter's values in an overlay's table."""
     return "options" if isinstance(space, Choice) else "range"
 
 
-def _null(space: Space, value: Any) -> Any:
-    empty = isinstance(space, Choice) and space.holds(None) and isinstance(value, str) and value.lower() == NONE
+def _parsed_option(space: Space, value: Any) -> Any:
+    empty = isinstance(space, Choice) and space.accepts(None) and isinstance(value, str) and value.lower() == NONE
     return None if empty else value
 
 

@@ -1,4 +1,4 @@
-"""The panelled skirt (GarmentCode's ``SkirtManyPanels``): ``skirt_panel_0`` and so on around the body."""
+"""The panelled skirt (GarmentCode's ``SkirtManyPanels``): panels ``skirt_panel_0``, … round the body."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -8,7 +8,7 @@ from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign, flare_skirt_length
 from gcd_dataset.generator.garments.garment import Cutting, SimpleBottom
-from gcd_dataset.generator.garments.ring import skirt_panel
+from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, across
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
@@ -18,16 +18,16 @@ __all__ = ["PANEL_SKIRT", "panel_skirt"]
 
 
 def panel_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) -> Component:
-    """Panels sewn to a ring, each at least 5 cm high, the hems together as wide as a skirt of ``suns``.
+    """Panels sewn to a ring, each at least 5 cm high; the hems together are as long as that of a skirt of ``suns``.
 
-    Offers ``top`` [ring].
+    Offers the ring ``top``.
     """
     count = design.skirt_many_panels.n_panels
     length, share = max(cutting.length, SHORTEST), 1 / count
     top, flare = share * girth_at_rise(size, cutting.rise), share * pi * design.suns * length
     panel = _with_bent_hem(skirt_panel("skirt_panel", top, length, flare=flare), design.skirt_many_panels.panel_curve)
     panels = [
-        _hung(replace(panel, name=f"skirt_panel_{index}"), index, count).moved((0, size.waist_level, 0))
+        _placed_in_ring(replace(panel, name=f"skirt_panel_{index}"), index, count).moved((0, size.waist_level, 0))
         for index in range(count)
     ]
     skirt = Component.of(*panels)
@@ -37,7 +37,7 @@ def panel_skirt(size: Measurements, design: FlareSkirtDesign, cutting: Cutting) 
 
 
 def _with_bent_hem(panel: Piece, bulge: float) -> Piece:
-    """The panel with its hem bent to an arc, whose sagitta is ``bulge`` chords, positive outwards.
+    """The panel with an arc as its hem; ``bulge`` is sagitta over chord, positive outwards.
 
     Raises ``PatternError`` for a hem that bends inwards over the sides or the top.
     """
@@ -53,11 +53,11 @@ def _with_bent_hem(panel: Piece, bulge: float) -> Piece:
     return replace(panel, outline=panel.outline.with_strokes((hem,), (replace(hem, curve=arc),)))
 
 
-def _hung(panel: Piece, index: int, count: int) -> Piece:
-    """The panel upright, as one of a ring of panels that begins at the wearer's right and goes on over her front.
+def _placed_in_ring(panel: Piece, index: int, count: int) -> Piece:
+    """The upright panel in its position of a ring, which begins at the wearer's right and continues over the front.
 
-    As GarmentCode hangs them: the ring is as far from the axis as a polygon whose sides are the hems; a panel touches
-    it with the right corner of its top, and its middle faces straight outwards.
+    As in GarmentCode: the ring is as far from the axis as a regular polygon of the hems; a panel touches the ring with
+    the right corner of its top, and its middle faces outwards.
     """
     away = panel.outline.length("bottom") / (2 * tan(pi / count))
     half = 0.5 * panel.outline.length("top")
@@ -72,7 +72,7 @@ PANEL_SKIRT = SimpleBottom(
     section="flare-skirt",
     design=FlareSkirtDesign,
     cut=panel_skirt,
-    long=flare_skirt_length,
+    length_of=flare_skirt_length,
     flared=True,
-    fullness="suns",
+    fullness_parameter="suns",
 )

@@ -1,4 +1,4 @@
-"""Trousers: ``pant_f_r``, ``pant_b_r`` and their mirror images, with or without cuffs.
+"""Trousers: panels ``pant_f_r``, ``pant_b_r`` and their mirror images, with or without cuffs.
 
 A leg panel is drawn from the outer end of its hem up the side seam, over the hip to the waist, across to the centre,
 down into the crotch and back along the inside leg.
@@ -20,21 +20,21 @@ from gcd_dataset.generator.garments.trunk import blend, girth_at_rise, waist_bac
 from gcd_dataset.generator.pattern import Component, Outline, Piece, backwards, cut_into, dart, tangent_quadratic
 from gcd_dataset.records import Measurements
 
-__all__ = ["PANTS", "PantsDesign", "cuff_and_leg", "pants"]
+__all__ = ["PANTS", "PantsDesign", "cuff_and_leg_girth", "pants"]
 
-CROTCH_EASE = 5.0  # cm on top of what the legs are wider than the hips, GarmentCode
-FRONT_CROTCH = 0.25  # of the front's hip: how far the crotch reaches beyond the centre, GarmentCode
-BACK_RAISE = 1.1  # height from hips to waist behind, where the seat needs it, over that in front, GarmentCode
-CENTRE_STRAIGHT = 0.45  # of hips to waist: where the centre seam begins to curve into the crotch, GarmentCode
-INSIDE_DROP = 1.5  # crotch heights: the hem's inner end lies no higher under the hips, GarmentCode
+CROTCH_EASE = 5.0  # cm added to the difference of two legs and the hips, GarmentCode
+FRONT_CROTCH = 0.25  # of the front's hip: extent of the crotch beyond the centre, GarmentCode
+BACK_RAISE = 1.1  # height from hips to waist behind, over the seat, as a fraction of that in front, GarmentCode
+CENTRE_STRAIGHT = 0.45  # of hips to waist: the centre seam curves into the crotch below this height, GarmentCode
+INSIDE_DROP = 1.5  # crotch heights below the hips: the highest position of the hem's inner end, GarmentCode
 INSIDE_SHIFT = 2.0  # cm by which the inside leg leans in from the crotch, GarmentCode
-HEM_FULLNESS, INSIDE_FULLNESS = 0.75, 0.3  # of a side seam, an inside leg: where their bend is, GarmentCode
-DART_DEPTH, OUTER_DART = 0.8, 0.9  # legs: of hips to waist; the back's outer dart over its inner one, GarmentCode
-SHORTEST_LEG = 0.2  # of hips to floor, what a cuff leaves, GarmentCode
+HEM_FULLNESS, INSIDE_FULLNESS = 0.75, 0.3  # of the chord: position of the bend of side seam and inside leg, GarmentCode
+DART_DEPTH, OUTER_DART = 0.8, 0.9  # dart leg, of hips to waist; the back's outer dart over its inner one, GarmentCode
+SHORTEST_LEG = 0.2  # of hips to floor: least length of the leg without its cuff, GarmentCode
 CENTRE_GAP, FRONT, BACK = 0.5, 25.0, -20.0  # cm from the crotch to the axis; before and behind it, GarmentCode
 CUFF_GAP = 5.0  # cm between leg and cuff before sewing, GarmentCode
 LEG_LEVELS = (0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the crotch's height
-LEG_GIRTHS = (0.40, 0.49, 0.61, 0.65, 0.71, 0.83, 0.94, 1.0)  # of leg_circ: means of our own bodies, each ± 0.05
+LEG_GIRTHS = (0.40, 0.49, 0.61, 0.65, 0.71, 0.83, 0.94, 1.0)  # of leg_circ: means over this package's bodies, ± 0.05
 UP: Point = (0.0, 1.0)
 DOWN: Point = (0.0, -1.0)
 INWARDS: Point = (1.0, 0.0)
@@ -47,9 +47,9 @@ class PantsDesign(Design):
     length: float = real(0.3, 0.2, 0.9)
     """Below the hips, as a fraction of hips to floor; cuffs included."""
     width: float = real(1.0, 1.0, 1.5, keep=0.5)
-    """Ease at the crotch, as a fraction of the least."""
+    """Width of the crotch, as a fraction of the least."""
     flare: float = real(1.0, 0.5, 1.2, keep=0.3)
-    """Hem, as a fraction of a straight leg's: each edge moves by a quarter of the change."""
+    """Hem, as a fraction of a straight leg's hem; each of its four ends moves by a quarter of the change."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
     """Where the top sits: 0 at the hips, 1 at the waist."""
     cuff: PantsCuffDesign = part(PantsCuffDesign)
@@ -62,7 +62,7 @@ class _Dart(NamedTuple):
     width: float
     leg: float
     from_centre: float
-    """To its middle, along the waist."""
+    """Distance of its middle from the centre, along the waist."""
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,15 @@ class _Quarter:
     depth: float
     """From the waist to the hips."""
     lean: float
-    """By how much the side leans in from hips to waist."""
+    """Horizontal distance by which the side leans in from hips to waist."""
     crotch: float
-    """How far the crotch reaches beyond the centre."""
+    """Extent of the crotch beyond the centre."""
     darts: tuple[_Dart, ...]
-    """They take up what the waist is narrower and the side does not lean in; from the centre outwards."""
+    """They take in the rest of the difference of hips and waist; from the centre outwards."""
 
 
 def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:
-    """Two legs sewn at the crotch; offers ``top`` [ring]."""
+    """Two legs sewn at the crotch; offers the ring ``top``."""
     right = _leg(size, design, rise)
     left = right.mirrored("_r", "_l")
     return (
@@ -98,8 +98,8 @@ def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:
     )
 
 
-def cuff_and_leg(size: Measurements, design: PantsDesign, rise: float) -> tuple[float, float]:
-    """Girth of a band at the end of the legs, and of the leg where it is widest inside the band [cm]; 0 without one."""
+def cuff_and_leg_girth(size: Measurements, design: PantsDesign, rise: float) -> tuple[float, float]:
+    """Girth of the band at the end of a leg, and largest girth of the leg inside it [cm]; 0 without a band."""
     if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
         return 0.0, 0.0
     length = _cuff_length(size, design)
@@ -114,7 +114,7 @@ def cuff_and_leg(size: Measurements, design: PantsDesign, rise: float) -> tuple[
 
 
 def _leg(size: Measurements, design: PantsDesign, rise: float) -> Component:
-    """The right leg; offers each edge that meets the left one, or the waistband."""
+    """The right leg; offers the edges that meet the left leg or the waistband."""
     front_quarter = _front_quarter(size, rise)
     back_quarter = _back_quarter(size, rise, crotch=_back_crotch(size, design, front_quarter.crotch))
     front = _panel("pant_f_r", size, design, front_quarter).moved((0, 0, FRONT))
@@ -138,27 +138,27 @@ def _leg(size: Measurements, design: PantsDesign, rise: float) -> Component:
 
 
 def _with_cuff(size: Measurements, design: PantsDesign, leg: Component, kind: Cuff) -> Component:
-    """The right leg and its cuff, hung under the inner end of the hem."""
+    """The right leg and its cuff, placed under the inner end of the hem."""
     girth = leg.length("hem") / design.cuff.top_ruffle
-    hung = cuff("pant_r", girth, _cuff_length(size, design), kind, design.cuff)
-    hung = hung.placed_by("top", leg, "hem", gap=CUFF_GAP)
-    inwards = leg.points("hem")[:, 0].max() - hung.points("top")[:, 0].max()
-    hung = hung.moved((float(inwards), 0, 0))
-    sewn = Component.of(leg, hung).sewn(leg.interface("hem"), hung.interface("top"), gathered=True)
+    placed = cuff("pant_r", girth, _cuff_length(size, design), kind, design.cuff)
+    placed = placed.placed_by("top", leg, "hem", gap=CUFF_GAP)
+    inwards = leg.points("hem")[:, 0].max() - placed.points("top")[:, 0].max()
+    placed = placed.moved((float(inwards), 0, 0))
+    sewn = Component.of(leg, placed).sewn(leg.interface("hem"), placed.interface("top"), gathered=True)
     return sewn.offering(**{name: edges for name, edges in leg.interfaces.items() if name != "hem"})
 
 
 def _cuff_length(size: Measurements, design: PantsDesign) -> float:
-    """What a cuff takes off the leg [cm]; none if there is no cuff."""
+    """Length by which the cuff shortens the leg [cm]; 0 without a cuff."""
     if design.cuff.type is None:
         return 0.0
     return min(design.cuff.cuff_len, design.length - SHORTEST_LEG) * size.leg_length
 
 
 def _back_crotch(size: Measurements, design: PantsDesign, front: float) -> float:
-    """How far the back reaches between the legs, where the front reaches ``front`` [cm].
+    """Extent of the back's crotch beyond the centre [cm]; ``front``: that of the front.
 
-    Raises ``PatternError`` for legs so thin against the hips that nothing is left for the back.
+    Raises ``PatternError`` for legs so thin relative to the hips that nothing is left for the back.
     """
     crotch = design.width * (size.leg_circ - 0.5 * size.hips + CROTCH_EASE) - front
     if crotch <= 0:
@@ -186,7 +186,7 @@ def _back_quarter(size: Measurements, rise: float, *, crotch: float) -> _Quarter
 
 
 def _back_darts(seat: float, width: float, leg: float) -> tuple[_Dart, ...]:
-    """Two darts of ``width`` together, on both sides of the seat's fullest place, ``seat`` cm from the centre."""
+    """Two darts with a total ``width``, on both sides of the seat's fullest point, ``seat`` cm from the centre."""
     if width <= 0:
         return ()
     inner = _Dart("inner_dart", 0.5 * width, leg, 0.75 * seat + 0.25 * width)
@@ -198,9 +198,9 @@ def _back_at_rise(size: Measurements, rise: float) -> float:
     return blend(size.hip_back_width, size.waist_back_width, rise)
 
 
-def _lean(size: Measurements, depth: float, narrower: float) -> float:
-    """By how much the side leans in from hips to waist: as the body does, but no further than the waist is narrower."""
-    return min(depth * tan(size.drawn_hip_inclination), narrower)
+def _lean(size: Measurements, depth: float, excess: float) -> float:
+    """Distance by which the side leans in from hips to waist [cm]: by the hips' slope, at most by their excess."""
+    return min(depth * tan(size.drawn_hip_inclination), excess)
 
 
 def _panel(name: str, size: Measurements, design: PantsDesign, quarter: _Quarter) -> Piece:
@@ -216,7 +216,7 @@ def _panel(name: str, size: Measurements, design: PantsDesign, quarter: _Quarter
 
 
 def _outline(size: Measurements, design: PantsDesign, quarter: _Quarter, leg: float) -> Outline:
-    """The panel without its darts; a straight leg's hem begins at the origin, the hips lie ``leg`` cm over it."""
+    """The panel without darts; the hem of a straight leg begins at the origin, the hips are ``leg`` cm above."""
     waist, fork = leg + quarter.depth, (quarter.hips + quarter.crotch, leg - size.crotch_hip_diff)
     hip, side = (0.0, leg), (quarter.lean, waist)
     centre = (quarter.hips, leg + CENTRE_STRAIGHT * quarter.depth)
@@ -248,8 +248,8 @@ PANTS = SimpleBottom(
     section="pants",
     design=PantsDesign,
     cut=lambda size, design, cutting: pants(size, design, rise=cutting.rise),
-    long=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     legs=True,
-    cuffs=cuff_and_leg,
-    always_whole=lambda design: True,
+    cuffs=cuff_and_leg_girth,
+    always_sewable=lambda design: True,
 )

@@ -1,4 +1,4 @@
-"""What one parameter of a design may be: a number, a whole number, one of several options, yes or no."""
+"""Parameter spaces: the values of one design parameter, a number, an integer, a choice or a flag."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
@@ -17,11 +17,11 @@ __all__ = ["Choice", "Flag", "Integer", "Real", "Space", "plain"]
 
 @dataclass(frozen=True)
 class Space(ABC):
-    """The values one parameter may take, and the probability with which a draw keeps its default."""
+    """The allowed values of one parameter, and the probability that a draw keeps its default."""
 
     default: Any
     keep: float | None
-    """None: the default is not favoured, and may be drawn like any other value."""
+    """Probability of the default; ``None``: the default is drawn like any other value."""
 
     @property
     @abstractmethod
@@ -31,52 +31,52 @@ class Space(ABC):
     @property
     @abstractmethod
     def range(self) -> list[Any]:
-        """Its range in a design file, as plain values: both ends of a number's, all options of a choice."""
+        """Its range in a design file, as plain values: both ends for a number, all options for a choice."""
 
     @abstractmethod
-    def holds(self, value: Any) -> bool:
+    def accepts(self, value: Any) -> bool:
         """Whether the parameter can take this value."""
 
     @abstractmethod
     def read(self, value: Any) -> Any:
-        """The value for which a plain one stands. Raises ``ConfigError`` where the parameter cannot take it."""
+        """The value for a plain value, such as an enum member. Raises ``ConfigError`` for a value outside the space."""
 
     @abstractmethod
     def within(self, value: Any, low: float, high: float) -> bool:
-        """Whether a value lies between two numbers; a choice always does."""
+        """Whether a value lies between two numbers; always true for a choice."""
 
     @abstractmethod
     def pick(self, rng: np.random.Generator, low: float, high: float) -> Any:
-        """A value between two numbers, all equally likely, without a default that ``keep`` already favours."""
+        """A uniform value between two numbers; an integer or choice with a ``keep`` excludes its default."""
 
     @abstractmethod
     def narrowed(self, values: Sequence[Any]) -> Self:
-        """The same parameter kept to two ends, or to some of its options; a default left out is favoured no more.
+        """The space restricted to a range, given by its two ends, or to some of its options.
 
-        Raises ``ConfigError`` for what the parameter could not be before.
+        ``keep`` becomes ``None`` if the default is excluded. Raises ``ConfigError`` for values outside this space.
         """
 
     @abstractmethod
-    def favouring(self, keep: float) -> Self:
-        """The same parameter with another probability of its default. Raises ``ConfigError`` where nothing is left.
+    def with_keep(self, keep: float) -> Self:
+        """The space with another probability of its default. Raises ``ConfigError`` for a space left empty.
 
-        In place of a default that a narrowed range has left out stands the nearer end of that range.
+        If a narrowed range excludes the default, the nearer end of the range becomes the default.
         """
 
     def draw(self, rng: np.random.Generator, low: float = -np.inf, high: float = np.inf) -> Any:
-        """A value between ``low`` and ``high``: the default with probability ``keep``, else uniform over the others."""
+        """A value between ``low`` and ``high``: the default with probability ``keep``, otherwise ``pick``."""
         kept = self.keep is not None and rng.random() < self.keep
         return self.default if kept and self.within(self.default, low, high) else self.pick(rng, low, high)
 
-    def _held(self, value: Any) -> Any:
-        if not self.holds(value):
+    def _checked(self, value: Any) -> Any:
+        if not self.accepts(value):
             raise ConfigError(f"is {plain(value)!r}, not {self}")
         return value
 
 
 @dataclass(frozen=True)
 class Real(Space):
-    """A number."""
+    """A real number from ``low`` to ``high``."""
 
     low: float
     high: float
@@ -89,11 +89,11 @@ class Real(Space):
     def range(self) -> list[Any]:
         return [self.low, self.high]
 
-    def holds(self, value: Any) -> bool:
+    def accepts(self, value: Any) -> bool:
         return isinstance(value, int | float) and not isinstance(value, bool) and self.low <= value <= self.high
 
     def read(self, value: Any) -> float:
-        return float(self._held(value))
+        return float(self._checked(value))
 
     def within(self, value: Any, low: float, high: float) -> bool:
         return bool(low <= value <= high)
@@ -109,7 +109,7 @@ class Real(Space):
             raise ConfigError(f"has its range turned round: write [{high:g}, {low:g}]")
         return replace(self, low=low, high=high, keep=self.keep if low <= self.default <= high else None)
 
-    def favouring(self, keep: float) -> Self:
+    def with_keep(self, keep: float) -> Self:
         nearest = min(max(self.default, self.low), self.high)
         if keep == 0 and nearest != self.default:
             return self
@@ -127,17 +127,17 @@ class Real(Space):
 
 @dataclass(frozen=True)
 class Integer(Real):
-    """A whole number, both ends included."""
+    """An integer from ``low`` to ``high``, both included."""
 
     @property
     def kind(self) -> str:
         return "int"
 
-    def holds(self, value: Any) -> bool:
-        return super().holds(value) and float(value).is_integer()
+    def accepts(self, value: Any) -> bool:
+        return super().accepts(value) and float(value).is_integer()
 
     def read(self, value: Any) -> int:
-        return int(self._held(value))
+        return int(self._checked(value))
 
     def pick(self, rng: np.random.Generator, low: float, high: float) -> int:
         low, high = self._clipped(low, high)
@@ -155,11 +155,11 @@ class Choice(Space):
 
     options: tuple[Any, ...]
     weights: tuple[int, ...] = ()
-    """How often each option is in the lot that chance picks from, 0 for never; empty where all are in it once."""
+    """Sampling weight of each option; empty if all weigh 1."""
 
     @property
-    def lot(self) -> tuple[Any, ...]:
-        """What chance picks from."""
+    def weighted_options(self) -> tuple[Any, ...]:
+        """The options, each repeated by its weight; ``pick`` draws from them uniformly."""
         return (
             tuple(option for option, weight in self._weighed() for _ in range(weight)) if self.weights else self.options
         )
@@ -172,18 +172,18 @@ class Choice(Space):
     def range(self) -> list[Any]:
         return [plain(option) for option, weight in self._weighed() if weight]
 
-    def holds(self, value: Any) -> bool:
+    def accepts(self, value: Any) -> bool:
         return any(_same(value, option) for option in self.options)
 
     def read(self, value: Any) -> Any:
-        return self._held(next((option for option in self.options if _same(plain(option), value)), value))
+        return self._checked(next((option for option in self.options if _same(plain(option), value)), value))
 
     def within(self, value: Any, low: float, high: float) -> bool:
         return True
 
     def pick(self, rng: np.random.Generator, low: float, high: float) -> Any:
-        lot = self.lot
-        others = [option for option in lot if self.keep is None or not _same(option, self.default)] or lot
+        options = self.weighted_options
+        others = [option for option in options if self.keep is None or not _same(option, self.default)] or options
         return others[int(rng.integers(len(others)))]
 
     def narrowed(self, values: Sequence[Any]) -> Self:
@@ -196,9 +196,9 @@ class Choice(Space):
         weights = tuple(max(weight, 1) for _, weight in kept) if self.weights else ()
         return replace(self, options=options, weights=weights, keep=self.keep if left_in else None)
 
-    def favouring(self, keep: float) -> Self:
+    def with_keep(self, keep: float) -> Self:
         drawn = self.narrowed(self.range)
-        left_in = drawn.holds(self.default)
+        left_in = drawn.accepts(self.default)
         if keep == 0 and left_in and len(drawn.options) == 1:
             raise ConfigError(f"has no option left: keep is 0, and {plain(self.default)} is all there is")
         if keep > 0 and not left_in:
@@ -222,10 +222,10 @@ class Flag(Choice):
 
 
 def plain(value: Any) -> Any:
-    """The value as a design file holds it."""
+    """The value in a design file: an enum's member as its value, any other value itself."""
     return value.value if isinstance(value, Enum) else value
 
 
 def _same(value: Any, option: Any) -> bool:
-    """Whether they are one option: 0 and 0.0 are, 0 and ``False`` are not."""
+    """Whether both are the same option: 0 and 0.0 are, 0 and ``False`` are not."""
     return value is option or (value == option and isinstance(value, bool) == isinstance(option, bool))

@@ -1,4 +1,4 @@
-"""The pencil skirt: fitted to the hips with darts, ``skirt_front`` and ``skirt_back``."""
+"""The pencil skirt: fitted to the hips with darts. Panels ``skirt_front`` and ``skirt_back``."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -28,16 +28,16 @@ __all__ = ["PENCIL_SKIRT", "PencilSkirtDesign", "StyleCut", "pencil_skirt"]
 
 MEASURES_USED = ("hips_line", "bust_points", "bum_points", "hip_inclination")
 FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
-BACK_EASE = 1.05  # of the back between hips and top over the front, which is flatter, GarmentCode
-FRONT_DART, BACK_DART = 0.8, 0.85  # of a leg, over the height of the top above the hips, GarmentCode
-OUTER_DART = 0.9  # of the outer back dart's leg over the inner one's, GarmentCode
+BACK_EASE = 1.05  # height from hips to top behind, over that of the flatter front, GarmentCode
+FRONT_DART, BACK_DART = 0.8, 0.85  # dart leg, of the height from hips to top, GarmentCode
+OUTER_DART = 0.9  # leg of the back's outer dart, of its inner one's, GarmentCode
 SLIT_WIDTH = 2.0  # cm, GarmentCode
-SIDE_BEND = 0.75  # of a flared side's chord, beside which its control point lies, GarmentCode
+SIDE_BEND = 0.75  # of a flared side's chord: position of its control point, GarmentCode
 UP, DOWN = (0.0, 1.0), (0.0, -1.0)
 
 
 class StyleCut(Enum):
-    """Ornaments cut into a side seam. They are names only: chance never chooses one, and none is drawn."""
+    """Ornaments cut into a side seam: names only, never sampled, and refused by the drawing."""
 
     SUN = "Sun"
     SIGGRAPH_LOGO = "SIGGRAPH_logo"
@@ -68,15 +68,17 @@ class PencilSkirtDesign(Design):
 
 @dataclass(frozen=True, slots=True)
 class _Dart:
+    """A pair of darts [cm]."""
+
     at: float
-    """From the middle of the top [cm]; another lies on the other side."""
+    """Distance of each from the middle of the top."""
     width: float
     leg: float
 
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """What tells the front from the back [cm]."""
+    """The measures that differ between front and back [cm]."""
 
     name: str
     hips: float
@@ -84,25 +86,25 @@ class _Shape:
     height: float
     """From the hips to the top."""
     lean: float
-    """By how much the side leans inwards from the hips to the top; the darts take the rest."""
+    """Horizontal distance by which the side leans in from hips to top; the darts take in the rest."""
     darts: tuple[_Dart, ...]
 
 
 def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting) -> Component:
-    """Front and back, the front as long as it is cut; offers ``top`` and ``bottom`` [rings].
+    """Front and back; the front has the length of ``cutting``. Offers the rings ``top`` and ``bottom``.
 
-    Raises ``PatternError`` for a skirt that does not reach below the hips, and for an ornament, which is not drawn;
-    ``BodyError`` for measures that nobody took.
+    Raises ``PatternError`` for a skirt that ends above the hips, and for an ornament; ``BodyError`` for missing
+    measures.
     """
     if design.style_side_cut is not None:
         raise PatternError(
             f"no ornament is drawn: set pencil-skirt.style_side_cut, {design.style_side_cut.value}, to null"
         )
-    rise, tag = cutting.rise, cutting.tag
+    rise, suffix = cutting.rise, cutting.suffix
     below = cutting.length - rise * size.require(*MEASURES_USED).hips_line
     if below <= 0:
         raise PatternError(f"a pencil skirt ends {-below:.1f} cm above the hips: lengthen it, or choose another skirt")
-    shapes = (_front(size, rise, tag), _back(size, rise, tag))
+    shapes = (_front(size, rise, suffix), _back(size, rise, suffix))
     front, back = (_panel(size, design, shape, below) for shape in shapes)
     front = _slit(front, design.front_slit * below).at(0, size.waist_level, FRONT)
     back = _slit(back, design.back_slit * below).at(0, size.waist_level, BACK)
@@ -114,17 +116,17 @@ def pencil_skirt(size: Measurements, design: PencilSkirtDesign, cutting: Cutting
     )
 
 
-def _front(size: Measurements, rise: float, tag: str) -> _Shape:
-    """The front: one dart a side, beside the point of the bust."""
+def _front(size: Measurements, rise: float, suffix: str) -> _Shape:
+    """The front: one dart on each side, below the bust point."""
     hips, waist = 0.5 * (size.hips - size.hip_back_width), 0.5 * (girth_at_rise(size, rise) - back_at_rise(size, rise))
     height = rise * size.hips_line
     lean, taken = _sides_and_darts(size, hips - waist, height)
     single = _Dart(0.5 * (size.bust_points + taken), taken, FRONT_DART * height)
-    return _Shape(f"skirt_front{tag}", hips, height, lean, (single,) if taken else ())
+    return _Shape(f"skirt_front{suffix}", hips, height, lean, (single,) if taken else ())
 
 
-def _back(size: Measurements, rise: float, tag: str) -> _Shape:
-    """The back: two darts a side, on both sides of the fullest point."""
+def _back(size: Measurements, rise: float, suffix: str) -> _Shape:
+    """The back: two darts on each side, one on either side of the fullest point."""
     hips, waist = 0.5 * size.hip_back_width, 0.5 * back_at_rise(size, rise)
     height = BACK_EASE * rise * size.hips_line
     lean, taken = _sides_and_darts(size, hips - waist, height)
@@ -132,17 +134,17 @@ def _back(size: Measurements, rise: float, tag: str) -> _Shape:
     point = 0.5 * size.bum_points
     inner = _Dart(0.75 * point + 0.25 * taken, 0.5 * taken, leg)
     outer = _Dart(1.25 * point + 0.75 * taken, 0.5 * taken, OUTER_DART * leg)
-    return _Shape(f"skirt_back{tag}", hips, height, lean, (inner, outer) if taken else ())
+    return _Shape(f"skirt_back{suffix}", hips, height, lean, (inner, outer) if taken else ())
 
 
 def _sides_and_darts(size: Measurements, excess: float, height: float) -> tuple[float, float]:
-    """How much of the hips' excess over the top [cm] the side takes by leaning, and how much is left to the darts."""
+    """The hips' excess over the top, divided between the lean of the side and the darts [cm]."""
     lean = min(tan(size.drawn_hip_inclination) * height, excess)
     return lean, excess - lean
 
 
 def _panel(size: Measurements, design: PencilSkirtDesign, shape: _Shape, below: float) -> Piece:
-    """The panel, hung from the origin, the middle of its top, and drawn from the right end of its hem up."""
+    """The panel below the origin, the middle of its top; drawn from the right end of its hem up."""
     hem = shape.hips + 0.25 * size.hips * (design.flare - 1)
     tilt = tan(radians(design.low_angle)) * hem
     bottom, top = -shape.height - below, shape.hips - shape.lean
@@ -162,7 +164,7 @@ def _panel(size: Measurements, design: PencilSkirtDesign, shape: _Shape, below: 
 
 
 def _below_hips(hem: Point, hip: Point, design: PencilSkirtDesign, name: str, open_share: float) -> tuple[Stroke, ...]:
-    """A side from the hem up to the hips, its lower part open."""
+    """A side from the hem up to the hips; its lower ``open_share`` is a slit."""
     curve = LINE if design.flare == 1 else tangent_quadratic(hem, hip, end_tangent=UP, at=SIDE_BEND)
     side = Stroke(hem, hip, curve, name)
     if not open_share:
@@ -172,7 +174,7 @@ def _below_hips(hem: Point, hip: Point, design: PencilSkirtDesign, name: str, op
 
 
 def _darted(panel: str, right: float, left: float, darts: Sequence[_Dart]) -> tuple[Stroke, ...]:
-    """A straight top between two ends, with darts on both sides of its middle."""
+    """A straight top between two ends, with pairs of darts about its middle."""
     top = Outline.start(right, 0)
     both = [(-fold.at, fold) for fold in reversed(darts)] + [(fold.at, fold) for fold in darts]
     for number, (middle, fold) in enumerate(both):
@@ -187,7 +189,7 @@ def _darted(panel: str, right: float, left: float, darts: Sequence[_Dart]) -> tu
 
 
 def _slit(piece: Piece, depth: float) -> Piece:
-    """The piece with a slit in the middle of its hem."""
+    """The piece with a slit in the middle of its hem, ``depth`` cm deep."""
     if not depth:
         return piece
     middle = 0.5 * piece.outline.length("bottom")
@@ -195,7 +197,7 @@ def _slit(piece: Piece, depth: float) -> Piece:
 
 
 def _side(walk: Callable[..., Interface], side: str, *, ease: float) -> Interface:
-    """What is sewn of a side, from the hem up; above the hips it is eased in."""
+    """The sewn part of a side, from the hem up; ``ease`` gathers it above the hips."""
     return walk(side) + walk(f"{side}_hip", ruffle=ease)
 
 
@@ -212,7 +214,7 @@ PENCIL_SKIRT = SimpleBottom(
     section="pencil-skirt",
     design=PencilSkirtDesign,
     cut=pencil_skirt,
-    long=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
-    closed=lambda design: replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0),
-    tilt=lambda design: design.low_angle,
+    length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
+    without_slits=lambda design: replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0),
+    hem_tilt=lambda design: design.low_angle,
 )

@@ -1,6 +1,6 @@
-"""The poncho: a rectangle or a circle of cloth with an opening for the neck, ``poncho_front`` and ``poncho_back``.
+"""The poncho: a rectangle or a circle of cloth with a neck opening. Panels ``poncho_front`` and ``poncho_back``.
 
-It is sewn along the shoulders and the arms, and not folded there: the seams of a rectangle follow the shoulders' slope.
+Front and back are sewn, not folded, along shoulders and arms: the seams of a rectangle follow the shoulders' slope.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from gcd_dataset.curves import Arc
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.garment import SimpleUpper
 from gcd_dataset.generator.garments.neckline import Neckline
-from gcd_dataset.generator.garments.overgarment import NeckHole, both_halves, hung, neck_hole, right_neck
+from gcd_dataset.generator.garments.overgarment import NeckHole, both_halves, neck_hole, placed_at_neck, right_neck
 from gcd_dataset.generator.garments.space import Design, choice, real
 from gcd_dataset.generator.pattern import Component, Outline, Piece
 from gcd_dataset.records import Measurements
@@ -20,7 +20,7 @@ __all__ = ["PONCHO", "PonchoDesign", "PonchoShape", "poncho"]
 
 
 class PonchoShape(Enum):
-    """What a poncho is cut from."""
+    """Shape of the cloth."""
 
     RECTANGLE = "Rectangle"
     CIRCLE = "Circle"
@@ -34,30 +34,30 @@ class PonchoDesign(Design):
     length: float = real(1.2, 0.8, 2.0)
     """From the nape to the hem, as a fraction of nape to waist."""
     width: float = real(0.65, 0.45, 0.9)
-    """Of a rectangle, as a fraction of wrist to wrist."""
+    """Width of a rectangle, as a fraction of wrist to wrist."""
     neck: float = real(1.3, 1.1, 1.7)
-    """Opening for the neck, as a fraction of the neck's base."""
+    """Opening for the neck, as a fraction of the base of the neck."""
     neckline: Neckline = choice(Neckline.CIRCLE, Neckline.CIRCLE, Neckline.V)
     """Shape of the opening in front; it is round behind."""
 
 
 def poncho(size: Measurements, design: PonchoDesign) -> Component:
-    """Front and back of one shape, sewn over the shoulders and along the arms; nothing is sewn to its hem."""
+    """Front and back of the same shape, sewn over the shoulders and along the arms. Offers no interface."""
     hole = neck_hole(size, design.neck)
     half = _right_half(size, design, hole)
-    front = both_halves(half, right_neck(hole, design.neckline, front=True))
-    back = both_halves(half, right_neck(hole, Neckline.CIRCLE, front=False))
-    before = hung(Piece("poncho_front", front), size, hole, front=True)
-    behind = hung(Piece("poncho_back", back), size, hole, front=False)
+    front_outline = both_halves(half, right_neck(hole, design.neckline, front=True))
+    back_outline = both_halves(half, right_neck(hole, Neckline.CIRCLE, front=False))
+    front = placed_at_neck(Piece("poncho_front", front_outline), size, hole, front=True)
+    back = placed_at_neck(Piece("poncho_back", back_outline), size, hole, front=False)
     return (
-        Component.of(before, behind)
-        .sewn(before.along("shoulder"), behind.along("shoulder"))
-        .sewn(before.along("left_shoulder"), behind.along("left_shoulder"))
+        Component.of(front, back)
+        .sewn(front.along("shoulder"), back.along("shoulder"))
+        .sewn(front.along("left_shoulder"), back.along("left_shoulder"))
     )
 
 
 def _right_half(size: Measurements, design: PonchoDesign, hole: NeckHole) -> Outline:
-    """From the right side of the neck along the arm, and by the hem to the middle."""
+    """The right half: from the side of the neck along the arm, down the side, and along the hem to the middle."""
     low = hole.back + design.length * size.waist_line
     start = Outline.start(-hole.half_width, 0)
     if design.shape is PonchoShape.CIRCLE:
@@ -76,5 +76,5 @@ PONCHO = SimpleUpper(
     weight=0,
     carries=False,
     cut=poncho,
-    long=lambda size, design: design.length * size.waist_line,
+    length_of=lambda size, design: design.length * size.waist_line,
 )

@@ -1,6 +1,6 @@
-"""What makes a pattern unfit to be worn, as predicates that give their reason with figures.
+"""Rules that reject patterns which cannot be worn or sewn, as predicates that return a reason with figures.
 
-Each rule takes a ``DrawnOutfit`` and returns a ``Reject`` or ``None``; ``check_outfit`` asks them all.
+Each rule takes a ``DrawnOutfit`` and returns a ``Reject`` or ``None``; ``check_outfit`` applies all rules.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,16 +12,16 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
-from gcd_dataset.generator.garments.trunk import girth_at_rise
-from gcd_dataset.generator.garments.waistband import band_rise
-from gcd_dataset.generator.garments.wholeness import (
+from gcd_dataset.generator.garments.sewable import (
     CLOTH_GIVES,
     SHARPEST_CORNER,
-    band_and_arm,
     corner_angles,
+    cuff_and_arm_girth,
     is_mismatched,
 )
-from gcd_dataset.generator.pattern import SewnJoin, sew
+from gcd_dataset.generator.garments.trunk import girth_at_rise
+from gcd_dataset.generator.garments.waistband import band_rise
+from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.validate import Fault, Rule, Severity, check_pattern
 
@@ -30,7 +30,7 @@ __all__ = [
     "DrawnOutfit",
     "Reject",
     "check_outfit",
-    "cuff_and_leg",
+    "cuff_and_leg_girth",
     "garment_length",
     "has_firm_band",
     "has_snug_band",
@@ -43,20 +43,20 @@ __all__ = [
     "try_on",
 ]
 
-LIGHT_LENGTH = 0.5  # length of a flared skirt up to which a loose or thin band holds it, GarmentCode
-LIGHT_SUNS = 0.75  # flare-skirt.suns, the same
-FIRM_BAND = 0.25  # waistband.width above which a band at the body's own girth holds any skirt, GarmentCode
+LIGHT_LENGTH = 0.5  # the largest length of a flared skirt that needs no firm band, GarmentCode
+LIGHT_SUNS = 0.75  # the largest flare-skirt.suns of such a skirt, GarmentCode
+FIRM_BAND = 0.25  # waistband.width above which a snug band is firm, GarmentCode
 
 
 @dataclass(frozen=True, slots=True)
 class Reject:
-    """Why a pattern was turned down."""
+    """The reason why a pattern was rejected."""
 
     rule: str
     figures: str
-    """In words."""
+    """The measured values, in words."""
     numbers: Mapping[str, float] = field(default_factory=dict)
-    """The same by name, which ends in the unit where there is one."""
+    """The measured values by name; a name ends in its unit, if any: ``length_cm``."""
 
     def __str__(self) -> str:
         return f"{self.rule}: {self.figures}"
@@ -64,24 +64,24 @@ class Reject:
 
 @dataclass(frozen=True)
 class DrawnOutfit:
-    """An outfit drawn for a wearer."""
+    """An outfit drawn for a wearer, with its joins and the faults of its pattern."""
 
     size: Measurements
     design: OutfitDesign
     pattern: Pattern
-    joins: tuple[SewnJoin, ...]
+    joins: tuple[MeasuredJoin, ...]
     faults: tuple[Fault, ...]
-    """What ``validate`` finds."""
+    """From ``validate.check_pattern``."""
 
     @classmethod
     def of(cls, size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Self:
-        """The outfit drawn. Raises ``PatternError`` where it cannot be drawn for this wearer."""
-        pattern, joins = sew(pieces(size, design), name)
+        """Draw and check an outfit. Raises ``PatternError`` if it cannot be drawn for this wearer."""
+        pattern, joins = assemble_and_measure(pieces(size, design), name)
         return cls(size, design, pattern, joins, check_pattern(pattern))
 
 
 def try_on(size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Pattern | Reject:
-    """The pattern of a design for a wearer, or the first reason why it cannot be drawn, or not be worn."""
+    """The pattern of a design for a wearer, or the first reason why it cannot be drawn or worn."""
     if design.meta.upper is None and design.meta.bottom is None:
         return Reject("empty", "an outfit without upper and bottom, at most a belt: choose meta.upper or meta.bottom")
     try:
@@ -92,13 +92,13 @@ def try_on(size: Measurements, design: OutfitDesign, *, name: str = "outfit") ->
 
 
 def check_outfit(outfit: DrawnOutfit) -> tuple[Reject, ...]:
-    """All reasons to turn the pattern down; empty for one that can be worn."""
+    """All reasons to reject the pattern; empty if it can be worn."""
     found = (rule(outfit) for rule in RULES)
     return tuple(reject for reject in found if reject is not None)
 
 
 def reaches_floor(outfit: DrawnOutfit) -> Reject | None:
-    """The parts, hung one under the other, reach from the nape (a bottom alone: from the waist) past the floor."""
+    """The parts, one under the other, reach past the floor, from the nape or, for a bottom alone, from the waist."""
     length, room = garment_length(outfit.size, outfit.design), room_to_floor(outfit.size, outfit.design)
     if length <= room:
         return None
@@ -107,8 +107,8 @@ def reaches_floor(outfit: DrawnOutfit) -> Reject | None:
 
 
 def slides_off(outfit: DrawnOutfit) -> Reject | None:
-    """A bottom alone is wider at its top than the trunk is anywhere."""
-    if not _alone(outfit.design):
+    """A bottom alone is wider at its top than waist and hips."""
+    if not _is_bottom_alone(outfit.design):
         return None
     size = outfit.size
     girth, trunk = top_girth(size, outfit.design), max(size.waist, size.hips)
@@ -119,22 +119,22 @@ def slides_off(outfit: DrawnOutfit) -> Reject | None:
 
 
 def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
-    """A gathered skirt alone hangs from no band, or from one wider than the body."""
+    """A gathered skirt alone has no band, or one wider than the body."""
     design = outfit.design
-    if not _alone(design) or not is_gathered(design) or has_snug_band(design):
+    if not _is_bottom_alone(design) or not is_gathered(design) or has_snug_band(design):
         return None
-    gathers = top_parameter(design, "gathers")
+    gathers = top_parameter(design, "gather_parameter")
     if gathers <= 1:
         return None
     return Reject("loose_gathers", f"gathers of {gathers:.2f} hang from no snug waistband", {"gathers": gathers})
 
 
 def too_heavy(outfit: DrawnOutfit) -> Reject | None:
-    """A flared skirt alone is long or wide, and no firm band holds it."""
+    """A flared skirt alone is long or wide, and has no firm band."""
     design = outfit.design
-    if not _alone(design) or not is_flared(design) or has_firm_band(design):
+    if not _is_bottom_alone(design) or not is_flared(design) or has_firm_band(design):
         return None
-    length, suns = bottom_length(design), top_parameter(design, "fullness")
+    length, suns = bottom_length(design), top_parameter(design, "fullness_parameter")
     if length <= LIGHT_LENGTH and suns <= LIGHT_SUNS:
         return None
     figures = f"length {length:.2f} and {suns:.2f} suns hang from no firm waistband"
@@ -142,14 +142,14 @@ def too_heavy(outfit: DrawnOutfit) -> Reject | None:
 
 
 def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
-    """A band at the end of trousers or sleeves is narrower than the limb in it, by more than cloth gives."""
+    """A band at the end of a leg or sleeve is narrower than the limb inside it, by more than cloth stretches."""
     size, design = outfit.size, outfit.design
     if has_tight_cuffs(size, design):
-        cuff, leg = cuff_and_leg(size, design)
+        cuff, leg = cuff_and_leg_girth(size, design)
         figures = f"a cuff of {cuff:.1f} cm round a leg of {leg:.1f} cm: lower top_ruffle or cuff_len"
         return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": leg})
     for half in design.halves():
-        cuff, arm = band_and_arm(size, design, half)
+        cuff, arm = cuff_and_arm_girth(size, design, half)
         if 0.0 < cuff * CLOTH_GIVES < arm:
             figures = f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle"
             return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": arm})
@@ -157,17 +157,17 @@ def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
 
 
 def mismatched_seam(outfit: DrawnOutfit) -> Reject | None:
-    """Two sides of a seam differ in length where nothing is gathered, or by more than gathers can take."""
+    """The sides of a seam differ in length without gathers, or by more than gathers allow."""
     for sewn in outfit.joins:
         if is_mismatched(sewn):
             one, other = (f"{side[0].panel} {side[0].edge}" for side in (sewn.join.left, sewn.join.right))
-            figures = f"{sewn.left:.1f} cm of {one} on {sewn.right:.1f} cm of {other}"
-            return Reject("mismatched_seam", figures, {"left_cm": sewn.left, "right_cm": sewn.right})
+            figures = f"{sewn.left_length:.1f} cm of {one} on {sewn.right_length:.1f} cm of {other}"
+            return Reject("mismatched_seam", figures, {"left_cm": sewn.left_length, "right_cm": sewn.right_length})
     return None
 
 
 def sharp_corner(outfit: DrawnOutfit) -> Reject | None:
-    """A panel ends in a spike."""
+    """A panel has a corner under ``SHARPEST_CORNER``."""
     panels = outfit.pattern.panels
     angles = corner_angles([edge_hulls(panel) for panel in panels])
     if angles.min() >= SHARPEST_CORNER:
@@ -179,7 +179,7 @@ def sharp_corner(outfit: DrawnOutfit) -> Reject | None:
 
 
 def short_edge(outfit: DrawnOutfit) -> Reject | None:
-    """An edge is too short to be meshed and sewn."""
+    """An edge is too short to mesh and sew."""
     return _fault(outfit, "short_edge", lambda rule: rule is Rule.SHORT_EDGE)
 
 
@@ -189,7 +189,7 @@ def self_crossing(outfit: DrawnOutfit) -> Reject | None:
 
 
 def unsewable(outfit: DrawnOutfit) -> Reject | None:
-    """Anything else that forbids sewing."""
+    """Any other error of ``validate``."""
     return _fault(outfit, "unsewable", lambda rule: rule is not Rule.SELF_CROSSING and rule.severity is Severity.ERROR)
 
 
@@ -211,12 +211,12 @@ RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
 
 
 def room_to_floor(size: Measurements, design: OutfitDesign) -> float:
-    """From where the garment hangs down to the floor [cm]."""
+    """From the nape, or for a bottom alone from the waist, to the floor [cm]."""
     return size.waist_level if design.meta.upper is None else size.height - size.head_l
 
 
 def garment_length(size: Measurements, design: OutfitDesign) -> float:
-    """Upper, band and bottom, one under the other [cm]."""
+    """Length of upper, band and bottom, one under the other [cm]."""
     meta = design.meta
     upper = meta.upper.garment.length(size, design) if meta.upper else 0.0
     band = design.waistband.width * size.hips_line if meta.wb else 0.0
@@ -224,7 +224,7 @@ def garment_length(size: Measurements, design: OutfitDesign) -> float:
 
 
 def top_girth(size: Measurements, design: OutfitDesign) -> float:
-    """Girth at the upper end of a bottom with its band [cm]."""
+    """Girth at the top of a bottom with its band, if any [cm]."""
     rise = bottom_rise(design)
     if design.meta.wb is None:
         return girth_at_rise(size, rise)
@@ -232,71 +232,71 @@ def top_girth(size: Measurements, design: OutfitDesign) -> float:
 
 
 def has_snug_band(design: OutfitDesign) -> bool:
-    """Whether there is a band at the body's own girth."""
+    """Whether the outfit has a snug band: no wider than the body."""
     return design.meta.wb is not None and design.waistband.waist <= 1
 
 
 def has_firm_band(design: OutfitDesign) -> bool:
-    """Whether a band at the body's own girth, and high enough, holds the skirt."""
+    """Whether the outfit has a firm band: snug, and high enough to hold a heavy skirt."""
     return has_snug_band(design) and design.waistband.width > FIRM_BAND
 
 
 def top_of_bottom(design: OutfitDesign) -> BottomGarment[Any] | None:
-    """The record of the bottom, or of that which a bottom made of several begins with; ``None`` without a bottom."""
+    """The record of the bottom, of a combined one its uppermost part; ``None`` without a bottom."""
     return design.meta.bottom.garment.top(design) if design.meta.bottom else None
 
 
 def is_gathered(design: OutfitDesign) -> bool:
-    """Whether the bottom is a gathered skirt, or begins with one."""
+    """Whether the top of the bottom can be gathered."""
     top = top_of_bottom(design)
-    return top is not None and bool(top.gathers)
+    return top is not None and bool(top.gather_parameter)
 
 
 def is_flared(design: OutfitDesign) -> bool:
-    """Whether the bottom is a flared skirt, or begins with one."""
+    """Whether the bottom, or its uppermost part, is a flared skirt."""
     top = top_of_bottom(design)
     return top is not None and top.flared
 
 
-def top_parameter(design: OutfitDesign, role: Literal["gathers", "fullness"]) -> float:
-    """The parameter that gathers the top of the bottom, or makes it wide; 0 where it has none."""
+def top_parameter(design: OutfitDesign, role: Literal["gather_parameter", "fullness_parameter"]) -> float:
+    """The value of the parameter that gathers the bottom's top, or makes it wide; 0 without such a parameter."""
     top = top_of_bottom(design)
     name = "" if top is None else getattr(top, role)
-    return float(getattr(top.own(design), name)) if top is not None and name else 0.0
+    return float(getattr(top.section_design(design), name)) if top is not None and name else 0.0
 
 
 def bottom_length(design: OutfitDesign) -> float:
-    """The ``length`` of a bottom by its section."""
+    """The ``length`` parameter of the bottom."""
     assert design.meta.bottom is not None
-    return float(design.meta.bottom.garment.lengthened(design).own(design).length)
+    return float(design.meta.bottom.garment.length_garment(design).section_design(design).length)
 
 
-def cuff_and_leg(size: Measurements, design: OutfitDesign) -> tuple[float, float]:
-    """Girth of a band at the end of the legs, and of the leg where it is widest inside the band [cm]; 0 without one.
+def cuff_and_leg_girth(size: Measurements, design: OutfitDesign) -> tuple[float, float]:
+    """Girth of the band at the end of a leg, and largest girth of the leg inside it [cm]; 0 without a band.
 
-    Raises ``PatternError`` where legs cannot be drawn.
+    Raises ``PatternError`` for legs that cannot be drawn.
     """
     garment = design.meta.bottom.garment if design.meta.bottom else None
     if garment is None or garment.cuffs is None:
         return 0.0, 0.0
-    return garment.cuffs(size, garment.own(design), bottom_rise(design))
+    return garment.cuffs(size, garment.section_design(design), bottom_rise(design))
 
 
 def has_tight_cuffs(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether the legs do not go through the cuffs of trousers."""
+    """Whether the cuffs of trousers are too tight for the legs."""
     try:
-        cuff, leg = cuff_and_leg(size, design)
-    except PatternError:  # which the drawing tells
+        cuff, leg = cuff_and_leg_girth(size, design)
+    except PatternError:  # drawing the outfit reports it
         return False
     return cuff * CLOTH_GIVES < leg
 
 
-def _fault(outfit: DrawnOutfit, name: str, concerns: Callable[[Rule], bool]) -> Reject | None:
+def _fault(outfit: DrawnOutfit, name: str, selects: Callable[[Rule], bool]) -> Reject | None:
     for fault in outfit.faults:
-        if concerns(fault.rule):
+        if selects(fault.rule):
             return Reject(name, str(fault))
     return None
 
 
-def _alone(design: OutfitDesign) -> bool:
+def _is_bottom_alone(design: OutfitDesign) -> bool:
     return design.meta.upper is None and design.meta.bottom is not None

@@ -1,16 +1,16 @@
-"""Designs by chance: GarmentCode's rule for every parameter, kept to what its wearers can wear.
+"""Random designs: each parameter by GarmentCode's rule, within limits that keep the outfit wearable.
 
-Each parameter keeps its default with its probability, and is uniform over its range otherwise. What the rest of the
-design and the wearers' measures forbid is drawn again within what they allow; ``rules.py`` catches the rest. Unlike
-GarmentCode's sampler, this one
+Each parameter keeps its default with its ``keep`` probability, and is uniform over its range otherwise. A value outside
+the limits set by the rest of the design and by the wearers' measures is drawn again within them; ``rules.py`` catches
+the rest. Unlike GarmentCode's sampler, this one
 
-- chooses upper, lower and full-body garments a third each, before anything else (there a rejected design is drawn
-  whole again, which favours what is seldom rejected);
-- leaves a section that the garment has no use for at its defaults;
-- shortens a bottom whose hem would reach the floor, and lets a shirt with something sewn to it end near the waist;
-- fits a bottom without upper to the trunk, hangs a gathered one on a snug band, and keeps heavy flares off others;
-- draws armholes and necklines, slits, cuts and godets until they leave the panels whole, and trousers and sleeves
-  until legs and arms go through their cuffs.
+- chooses upper, lower and full-body garments with a third each, first of all (GarmentCode redraws a rejected design
+  completely, which favours designs that are rarely rejected);
+- leaves sections that the garment does not use at their defaults;
+- shortens a bottom that would reach the floor, and ends a shirt near the waist if a band or bottom is sewn to it;
+- fits a bottom without upper to the trunk, puts a gathered one on a snug band, and limits flares without a firm band;
+- redraws armholes, necklines, slits, cuts and godets until the panels can be sewn, and trousers and sleeves until legs
+  and arms fit through their cuffs.
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,7 +23,7 @@ import numpy as np
 from gcd_dataset.generator.body import build_body, measure, neutral_shape
 from gcd_dataset.generator.garments.design import LeftDesign, MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.garment import UpperGarment
-from gcd_dataset.generator.garments.kind import NEEDS, Kind, choice_of, kinds_left, upper_choice
+from gcd_dataset.generator.garments.kind import HAS_UPPER_AND_BOTTOM, Kind, choice_of, possible_kinds, upper_choice
 from gcd_dataset.generator.garments.neckline import LeftNecklineDesign
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice, Space
@@ -40,22 +40,23 @@ from gcd_dataset.generator.garments.rules import (
     top_girth,
     top_of_bottom,
 )
+from gcd_dataset.generator.garments.sewable import bottom_is_sewable, half_is_sewable, sleeve_is_tight, upper_is_sewable
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.space import DesignSpace, draw, from_dict, to_dict
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf
-from gcd_dataset.generator.garments.wholeness import bottom_is_whole, half_is_whole, sleeve_is_tight, upper_is_whole
 from gcd_dataset.records import Measurements
 
 __all__ = ["design_from_dict", "design_to_dict", "sample_design", "sample_kind"]
 
-JOINED_SHIRT = (0.8, 1.3)  # shirt.length at which a band or bottom is sewn on: near the waist, where it is as wide
-NECKLINES_TRIED, UPPERS_TRIED, BOTTOMS_TRIED = 10, 5, 10
+# With a band or bottom sewn to it, a shirt ends near the waist, where its hem has about their girth.
+JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length
+NECKLINE_TRIES, UPPER_TRIES, BOTTOM_TRIES = 10, 5, 10
 
 
 def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind:
-    """One of the kinds of garment that the overlay leaves, all equally likely."""
-    kinds = kinds_left(_sections(overlay)["meta"])
+    """One of the kinds of garment that the overlay allows, with equal probability."""
+    kinds = possible_kinds(_sections(overlay)["meta"])
     return kinds[int(rng.integers(len(kinds)))]
 
 
@@ -66,7 +67,7 @@ def sample_design(
     kind: Kind | None = None,
     overlay: Overlay = NO_OVERLAY,
 ) -> OutfitDesign:
-    """A random outfit that all ``wearers`` (the neutral body, if none is named) can most likely wear."""
+    """A random outfit that all ``wearers`` (by default the neutral body) can most likely wear."""
     draft = _Draft(rng, _sections(overlay), tuple(wearers) or (_neutral(),))
     design = draft.with_parts(kind or sample_kind(rng, overlay))
     if design.meta.wb:
@@ -82,9 +83,9 @@ def design_to_dict(design: OutfitDesign) -> dict[str, Any]:
 
 
 def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
-    """The design of nested plain values; what is not named keeps its default.
+    """The design from nested plain values; omitted parameters keep their defaults.
 
-    Raises ``ConfigError`` with the path of a name that no parameter has, or of a value that it cannot take.
+    Raises ``ConfigError`` with the path of an unknown parameter, or of a value outside its range.
 
     >>> design_from_dict({"meta": {"upper": None, "bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1}}).meta.bottom
     <Bottom.CIRCLE: 'SkirtCircle'>
@@ -97,18 +98,18 @@ def design_from_dict(values: Mapping[str, Any]) -> OutfitDesign:
 
 @dataclass(frozen=True)
 class _Draft:
-    """A design being drawn: what chance is, what may be drawn, and for whom."""
+    """Random draws for one design: the generator, the spaces of its sections, and the wearers' measures."""
 
     rng: np.random.Generator
     sections: Mapping[str, DesignSpace[Any]]
     sizes: tuple[Measurements, ...]
 
-    def drawn(self, section: str) -> Any:
-        """A section of the design by GarmentCode's rule."""
+    def draw_section(self, section: str) -> Any:
+        """A random section of the design, by GarmentCode's rule."""
         return draw(self.sections[section], self.rng)
 
-    def within(self, section: str, design: Any, **limits: tuple[float, float]) -> Any:
-        """The section, what lies outside its limits drawn anew within them."""
+    def redrawn_within(self, section: str, design: Any, **limits: tuple[float, float]) -> Any:
+        """The section with the values outside their limits drawn again within them."""
         changed = {}
         for name, (low, high) in limits.items():
             if not low <= getattr(design, name) <= high:
@@ -116,44 +117,46 @@ class _Draft:
         return replace(design, **changed)
 
     def with_parts(self, kind: Kind) -> OutfitDesign:
-        """Which upper, band and bottom there are."""
-        space, (_, has_bottom) = self.sections["meta"], NEEDS[kind]
+        """A design with a random upper, band and bottom."""
+        space, (_, has_bottom) = self.sections["meta"], HAS_UPPER_AND_BOTTOM[kind]
         upper = upper_choice(space, kind).draw(self.rng)
-        bottom = _chosen(choice_of(space, "bottom"), has_bottom).draw(self.rng)
+        bottom = _only(choice_of(space, "bottom"), has_bottom).draw(self.rng)
         bands = choice_of(space, "wb")
-        bands = bands if upper is None or upper.garment.carries else _chosen(bands, False)
+        bands = bands if upper is None or upper.garment.carries else _only(bands, False)
         return OutfitDesign(meta=MetaDesign(upper, bands.draw(self.rng), bottom))
 
     def with_band(self, design: OutfitDesign) -> OutfitDesign:
-        """With a waistband; one under nothing is no wider than the trunk."""
-        design = replace(design, waistband=self.drawn("waistband"))
+        """With a random waistband; without an upper it is no wider than the trunk."""
+        design = replace(design, waistband=self.draw_section("waistband"))
         if design.meta.upper:
             return design
         snug = replace(design, waistband=replace(design.waistband, waist=1.0))
         widest = min(max(size.waist, size.hips) / top_girth(size, snug) for size in self.sizes)
-        return replace(design, waistband=self.within("waistband", design.waistband, waist=(1.0, widest)))
+        return replace(design, waistband=self.redrawn_within("waistband", design.waistband, waist=(1.0, widest)))
 
     def with_upper(self, design: OutfitDesign) -> OutfitDesign:
-        """With the sections of its upper: the first of some whose panels are whole."""
+        """With the sections of its upper: the first of ``UPPER_TRIES`` draws that can be sewn, or the last."""
         assert design.meta.upper is not None
         garment = design.meta.upper.garment
         return self._with_shirt(design, garment) if isinstance(garment, Shirt) else self._with_other(design, garment)
 
     def _with_other(self, design: OutfitDesign, garment: UpperGarment[Any]) -> OutfitDesign:
-        for _ in range(UPPERS_TRIED):
-            design = replace(design, **{garment.field: self.drawn(garment.field)})
-            if all(upper_is_whole(size, design) for size in self.sizes):
+        for _ in range(UPPER_TRIES):
+            design = replace(design, **{garment.field: self.draw_section(garment.field)})
+            if all(upper_is_sewable(size, design) for size in self.sizes):
                 break
         return design
 
     def _with_shirt(self, design: OutfitDesign, garment: Shirt) -> OutfitDesign:
-        """With a shirt, its neckline and sleeves."""
-        for _ in range(UPPERS_TRIED):
-            trial = replace(design, shirt=self._shirt(design, garment), sleeve=self.drawn("sleeve"), left=self._left())
+        """With the sections of a shirt: body, left half, neckline and sleeves."""
+        for _ in range(UPPER_TRIES):
+            trial = replace(
+                design, shirt=self._shirt(design, garment), sleeve=self.draw_section("sleeve"), left=self._left()
+            )
             if self._has_tight_sleeves(trial):
                 continue
-            for _ in range(NECKLINES_TRIED):
-                trial = replace(trial, collar=self.drawn("collar"))
+            for _ in range(NECKLINE_TRIES):
+                trial = replace(trial, collar=self.draw_section("collar"))
                 if self._is_whole(trial, trial.right_half()):
                     break
             else:
@@ -163,8 +166,8 @@ class _Draft:
         return trial
 
     def _with_left_neckline(self, design: OutfitDesign) -> OutfitDesign | None:
-        """With a left half whose panels are whole too; none, if no neckline was found for it."""
-        for _ in range(NECKLINES_TRIED):
+        """With a left neckline that can be sewn, if the left half differs; ``None`` if none was found."""
+        for _ in range(NECKLINE_TRIES):
             half = design.left_half()
             if half is None or self._is_whole(design, half):
                 return design
@@ -176,78 +179,86 @@ class _Draft:
         return any(sleeve_is_tight(size, design, half) for half in design.halves() for size in self.sizes)
 
     def _is_whole(self, design: OutfitDesign, half: UpperHalf) -> bool:
-        return all(half_is_whole(size, design, half) for size in self.sizes)
+        return all(half_is_sewable(size, design, half) for size in self.sizes)
 
     def with_bottom(self, design: OutfitDesign) -> OutfitDesign:
-        """With the sections of its bottom, as long and wide as the floor and what holds it allow: the first of some
-        whose panels are whole."""
-        for _ in range(BOTTOMS_TRIED):
-            trial = self._light_enough(self._off_the_floor(self._held_up(self._with_bottom_drawn(design))))
+        """With the sections of its bottom: the first of ``BOTTOM_TRIES`` draws that can be sewn and worn, or the last.
+
+        Its length and width are limited by the floor and by the waistband.
+        """
+        for _ in range(BOTTOM_TRIES):
+            trial = self._without_heavy_flare(
+                self._shortened_to_floor(self._with_snug_band(self._with_bottom_drawn(design)))
+            )
             if any(has_tight_cuffs(size, trial) for size in self.sizes):
                 continue
-            if _is_plain(trial) or all(bottom_is_whole(size, trial) for size in self.sizes):
+            if _is_plain(trial) or all(bottom_is_sewable(size, trial) for size in self.sizes):
                 break
         return trial
 
     def _with_bottom_drawn(self, design: OutfitDesign) -> OutfitDesign:
         assert design.meta.bottom is not None
         garment = design.meta.bottom.garment
-        design = replace(design, **{garment.field: self.drawn(garment.field)})
+        design = replace(design, **{garment.field: self.draw_section(garment.field)})
         for section in dict.fromkeys(part.field for part in garment.parts(design)):
-            design = replace(design, **{section: self.drawn(section)})
+            design = replace(design, **{section: self.draw_section(section)})
         return design
 
     def _shirt(self, design: OutfitDesign, garment: Shirt) -> ShirtDesign:
-        shirt: ShirtDesign = self.drawn("shirt")
-        joined = not garment.at_waist and (design.meta.wb or design.meta.bottom)
+        shirt: ShirtDesign = self.draw_section("shirt")
+        joined = not garment.at_waist and (design.meta.wb or design.meta.bottom)  # a part is sewn to its hem
         longest = min(room_to_floor(size, design) / size.waist_line for size in self.sizes)
         limits = JOINED_SHIRT if joined else (-np.inf, longest)
-        kept: ShirtDesign = self.within("shirt", shirt, length=limits)
-        return kept
+        in_limits: ShirtDesign = self.redrawn_within("shirt", shirt, length=limits)
+        return in_limits
 
     def _left(self) -> LeftDesign:
-        left: LeftDesign = self.drawn("left")
+        left: LeftDesign = self.draw_section("left")
         return left if left.enable_asym else LeftDesign()
 
-    def _off_the_floor(self, design: OutfitDesign) -> OutfitDesign:
-        """The bottom no longer than from the hem above it to the floor; lengths are fractions of hips to floor."""
+    def _shortened_to_floor(self, design: OutfitDesign) -> OutfitDesign:
+        """With the bottom short enough to end above the floor; lengths are fractions of hips to floor."""
         section = _length_section(design)
         drawn: Any = getattr(design, section)
         excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
         if excess <= 0:
             return design
-        return replace(design, **{section: self.within(section, drawn, length=(-np.inf, drawn.length - excess))})
+        return replace(
+            design, **{section: self.redrawn_within(section, drawn, length=(-np.inf, drawn.length - excess))}
+        )
 
-    def _held_up(self, design: OutfitDesign) -> OutfitDesign:
-        """A gathered bottom alone on a band at the body's own girth; where no band may be drawn, without gathers."""
+    def _with_snug_band(self, design: OutfitDesign) -> OutfitDesign:
+        """With a snug band for a gathered bottom alone; without gathers if the overlay allows no band."""
         if design.meta.upper or not is_gathered(design) or has_snug_band(design):
             return design
         bands = choice_of(self.sections["meta"], "wb")
-        if all(option is None for option in bands.lot):
-            return self._with_top_within(design, "gathers", (1.0, 1.0))
-        meta = replace(design.meta, wb=design.meta.wb or _chosen(bands, True).draw(self.rng))
-        band = self.within("waistband", self.drawn("waistband"), waist=(1.0, 1.0))
+        if all(option is None for option in bands.weighted_options):
+            return self._with_top_within(design, "gather_parameter", (1.0, 1.0))
+        meta = replace(design.meta, wb=design.meta.wb or _only(bands, True).draw(self.rng))
+        band = self.redrawn_within("waistband", self.draw_section("waistband"), waist=(1.0, 1.0))
         return replace(design, meta=meta, waistband=band)
 
-    def _light_enough(self, design: OutfitDesign) -> OutfitDesign:
-        """A bottom alone not heavy where no firm band holds it."""
+    def _without_heavy_flare(self, design: OutfitDesign) -> OutfitDesign:
+        """With a shorter and narrower bottom, if it is flared, alone, and has no firm band."""
         if design.meta.upper:
             return design
         if is_flared(design) and not has_firm_band(design):
             section, limits = _length_section(design), {"length": (-np.inf, LIGHT_LENGTH)}
-            design = replace(design, **{section: self.within(section, getattr(design, section), **limits)})
-            design = self._with_top_within(design, "fullness", (-np.inf, LIGHT_SUNS))
+            design = replace(design, **{section: self.redrawn_within(section, getattr(design, section), **limits)})
+            design = self._with_top_within(design, "fullness_parameter", (-np.inf, LIGHT_SUNS))
         return design
 
     def _with_top_within(
-        self, design: OutfitDesign, role: Literal["gathers", "fullness"], limits: tuple[float, float]
+        self, design: OutfitDesign, role: Literal["gather_parameter", "fullness_parameter"], limits: tuple[float, float]
     ) -> OutfitDesign:
-        """The bottom, the parameter that gathers its top or makes it wide drawn anew where it is outside its limits."""
+        """With the parameter that gathers the bottom's top, or makes it wide, within limits."""
         top = top_of_bottom(design)
         name = "" if top is None else getattr(top, role)
         if top is None or not name:
             return design
-        return replace(design, **{top.field: self.within(top.field, top.own(design), **{name: limits})})
+        return replace(
+            design, **{top.field: self.redrawn_within(top.field, top.section_design(design), **{name: limits})}
+        )
 
 
 @cache
@@ -262,24 +273,24 @@ def _neutral() -> Measurements:
 
 
 def _leaf(section: DesignSpace[Any], name: str) -> Space:
-    """The space of one parameter."""
+    """The space of one parameter, by name."""
     return next(entry.space for entry in section.entries if entry.name == name and isinstance(entry.space, Space))
 
 
-def _chosen(space: Choice, wanted: bool) -> Choice:
-    """The choice between something, or nothing at all."""
-    options = [option for option in space.range if (option is not None) == wanted]
+def _only(space: Choice, present: bool) -> Choice:
+    """The choice without ``None`` (``present``), or of ``None`` alone."""
+    options = [option for option in space.range if (option is not None) == present]
     return space.narrowed([space.read(option) for option in options])
 
 
 def _is_plain(design: OutfitDesign) -> bool:
-    """Whether nothing is cut into the bottom that could run into anything else."""
+    """Whether the bottom needs no sewability check: see ``BottomGarment.always_sewable``."""
     assert design.meta.bottom is not None
     garment = design.meta.bottom.garment
-    return garment.always_whole(garment.own(design))
+    return garment.always_sewable(garment.section_design(design))
 
 
 def _length_section(design: OutfitDesign) -> str:
-    """The section whose ``length`` says how far down the bottom reaches."""
+    """The field of the section with the bottom's ``length``."""
     assert design.meta.bottom is not None
-    return design.meta.bottom.garment.lengthened(design).field
+    return design.meta.bottom.garment.length_garment(design).field

@@ -1,4 +1,4 @@
-"""The shirt: its design, and the straight halves of front and back that it is cut from."""
+"""The shirt: its design, and the half front and half back of a straight one."""
 
 from dataclasses import dataclass
 from math import tan
@@ -14,10 +14,10 @@ __all__ = ["LeftShirtDesign", "ShirtDesign", "straight_back", "straight_front"]
 
 @dataclass(frozen=True)
 class ShirtDesign(Design):
-    """The body of a shirt; a fitted one has no length, width and flare of its own."""
+    """The body of a shirt; a fitted shirt ignores length, width and flare."""
 
     strapless: bool = flag(False, keep=0.8)
-    """Whether a fitted one ends over the bust."""
+    """Whether a fitted shirt ends above the bust."""
     length: float = real(1.2, 0.5, 3.5, keep=0.7)
     """As a fraction of nape to waist."""
     width: float = real(1.05, 1.0, 1.3, keep=0.4)
@@ -28,19 +28,19 @@ class ShirtDesign(Design):
 
 @dataclass(frozen=True)
 class LeftShirtDesign(Design):
-    """The left half of a shirt, where it differs from the right one; it is as long."""
+    """The left half of a shirt that differs from the right one; both have the same length."""
 
     strapless: bool = flag(False, keep=0.8)
     width: float = real(1.0, 1.0, 1.3, keep=0.4)
     flare: float = real(1.0, 0.7, 1.6, keep=0.4)
 
     def beside(self, right: ShirtDesign) -> ShirtDesign:
-        """The whole left half: as long as the right one."""
+        """The complete design of the left half: length from the right one."""
         return ShirtDesign(strapless=self.strapless, length=right.length, width=self.width, flare=self.flare)
 
 
 def straight_front(size: Measurements, design: ShirtDesign) -> TorsoHalf:
-    """Half a front, drawn shorter where it is wider than the back, so that both shoulders end at one height."""
+    """Half a front; if wider than the back it is drawn shorter, so that both shoulders end at the same height."""
     slope, chest = tan(size.shoulder_incl), 0.5 * design.width * (size.bust - size.back_width)
     side = design.length * size.waist_line - slope * (0.5 * size.bust - size.back_width)
     return _straight(chest, design.flare * chest, side, slope, waist=0.5 * waist_front(size))
@@ -53,7 +53,7 @@ def straight_back(size: Measurements, design: ShirtDesign) -> TorsoHalf:
 
 
 def _straight(chest: float, hem: float, side: float, slope: float, *, waist: float) -> TorsoHalf:
-    """A half with its shoulder ``side`` cm over the hem, which counts for ``waist`` cm in the seam there."""
+    """A half with its shoulder ``side`` cm over the hem; ``waist``: projected length of the hem in its seam [cm]."""
     rise = slope * chest
     outline = (
         Outline.start(0, 0)

@@ -1,6 +1,6 @@
-"""What skirts have in common: a front and a back, as wide at their top as the body, sewn at the sides.
+"""Functions for skirts of a front and a back, as wide at the top as the body and sewn at the sides.
 
-Pieces are drawn symmetrically about x = 0 and hang from the middle of their ``top``; ``right`` is the wearer's.
+Pieces are drawn symmetrically about x = 0, with the middle of their ``top`` at the origin; ``right`` is the wearer's.
 """
 
 from gcd_dataset.generator.garments.trunk import waist_back, waist_front
@@ -13,24 +13,24 @@ SHORTEST = 5.0  # cm, GarmentCode
 
 
 def length_below_waist(size: Measurements, below_hips: float, *, rise: float) -> float:
-    """From a top at ``rise`` (0 hips, 1 waist) to a hem so far below the hips, as a fraction of hips to floor [cm]."""
+    """Length [cm] from a top at ``rise`` (0 hips, 1 waist) to the hem; ``below_hips``: of hips to floor."""
     return rise * size.hips_line + below_hips * size.leg_length
 
 
 def waist_ring(size: Measurements, front: Piece, back: Piece) -> Interface:
-    """Both tops, gathered so that the side seams come to lie where the body's sides are at the waist."""
+    """The ring of both tops, gathered so that the side seams meet the sides of the waist."""
     front_ruffle = front.outline.length("top") / waist_front(size)
     back_ruffle = back.outline.length("top") / waist_back(size)
     return across(front, "top", ruffle=front_ruffle) + backwards(across(back, "top", ruffle=back_ruffle))
 
 
 def hem_ring(front: Piece, back: Piece) -> Interface:
-    """Both hems, for what is sewn under them."""
+    """The ring of both hems."""
     return across(front, "bottom") + backwards(across(back, "bottom"))
 
 
 def across(piece: Piece, edge: str, *, ruffle: float = 1.0) -> Interface:
-    """An edge walked from the wearer's right to her left, however it was drawn."""
+    """An edge walked from the wearer's right to the left, whatever its drawing direction."""
     run = piece.outline.run(edge)
     if run[0].start[0] < run[-1].end[0]:
         return piece.along(edge, ruffle=ruffle)

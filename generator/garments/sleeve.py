@@ -1,4 +1,4 @@
-"""Sleeves: ``right_sleeve_f`` and ``right_sleeve_b``; the left one is their mirror."""
+"""Sleeves: panels ``right_sleeve_f`` and ``right_sleeve_b``; the left sleeve is drawn as a right one and mirrored."""
 
 from dataclasses import dataclass, replace
 from math import atan2, cos, hypot, pi, radians, sin
@@ -16,9 +16,9 @@ from gcd_dataset.records import Measurements, PanelRole
 __all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve"]
 
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
-EVEN = 0.2  # cm along the front's opening: a surplus that begins nearer to its end is left there, GarmentCode
-SEWABLE = 0.6  # cm of surplus: less would make edges too short to sew
-STANDING_FROM = pi / 36  # rad of rest angle over the shoulder's slope from which a shoulder can stand, GarmentCode
+EVEN = 0.2  # cm along the front's opening: a crease nearer to an end is ignored, GarmentCode
+SEWABLE = 0.6  # cm of surplus: a shorter one would make edges too short to sew
+STANDING_FROM = pi / 36  # rad: least difference of rest angle and shoulder slope for a standing shoulder, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the arm, GarmentCode
 DOWN: Point = (0.0, -1.0)
 
@@ -29,36 +29,36 @@ class SleeveDesign(Design):
 
     sleeveless: bool = flag(True, keep=0.7)
     armhole_shape: Armhole = choice(Armhole.CURVE, *Armhole, keep=0.7)
-    """Of an armhole without sleeve; sleeves are set into curved ones."""
+    """Shape of an armhole without sleeve; sleeves are set into curved armholes."""
     length: float = real(0.3, 0.1, 1.15)
     """As a fraction of armhole to wrist."""
     connecting_width: float = real(0.2, 0.0, 2.0, keep=0.6)
-    """How much deeper the armhole is than the armscye with its ease, as a fraction of that."""
+    """Extra depth of the armhole, as a fraction of the armscye with its ease."""
     end_width: float = real(1.0, 0.2, 2.0, keep=0.4)
     """Width at the sleeve's end, as a fraction of its width at the armhole."""
     sleeve_angle: int = integer(10, 10, 50)
-    """How far the sleeve hangs from the shoulder line at rest [degrees]; never less than the shoulder's slope."""
+    """Rest angle: slope of the sleeve below the horizontal [degrees]; at least the shoulder's slope."""
     opening_dir_mix: float = real(0.1, -0.9, 0.8, keep=1.0)
-    """Direction in which the opening reaches the underarm: 0 along its chord, 1 straight down."""
+    """Tangent of the opening at the underarm: 0 along its chord, 1 straight down."""
     standing_shoulder: bool = flag(False, keep=0.8)
-    """Whether the sleeve begins flat beyond the shoulder, if it hangs 5 degrees more than the shoulder slopes."""
+    """Whether the sleeve continues the shoulder before it bends down; needs a rest angle 5 degrees over its slope."""
     standing_shoulder_len: float = real(5.0, 4.0, 10.0)
-    """For how long [cm]."""
+    """Length of that part [cm]."""
     connect_ruffle: float = real(1.0, 1.0, 2.0, keep=0.4)
     """Gathers at the armhole: opening over armhole."""
     smoothing_coeff: float = real(0.25, 0.1, 0.4, keep=0.8)
-    """Where the corner of an angled armhole lies, as a fraction of its width and height."""
+    """Position of an angled armhole's corner, as a fraction of its width and height."""
     cuff: SleeveCuffDesign = part(SleeveCuffDesign)
 
     @property
     def has_flared_cuff(self) -> bool:
-        """Whether there is a sleeve that ends in a skirt."""
+        """Whether the design has a sleeve, and its cuff a skirt."""
         return not self.sleeveless and self.cuff.type in (Cuff.SKIRT, Cuff.BAND_SKIRT)
 
 
 @dataclass(frozen=True)
 class LeftCuffDesign(SleeveCuffDesign):
-    """What ends a left sleeve that differs from the right one."""
+    """The cuff of a left sleeve that differs from the right one."""
 
     top_ruffle: float = real(1.0, 1.0, 2.0)
 
@@ -79,9 +79,9 @@ def sleeve(
     *,
     mends: frozenset[Mend],
 ) -> Component:
-    """The right sleeve for two armholes, lying along the arm, with its cuff; offers ``opening`` [front up, back down].
+    """The right sleeve for two armholes, along the arm, with its cuff; offers ``opening`` (front up, then back down).
 
-    Both armholes run from the underarm up to the shoulder.
+    Both armholes are drawn from the underarm up to the shoulder.
     """
     rest = max(radians(design.sleeve_angle), size.shoulder_incl)
     openings = [_opening(armhole, rest, design.opening_dir_mix) for armhole in (front_armhole, back_armhole)]
@@ -103,9 +103,9 @@ def sleeve(
 
 
 def _opening(armhole: Stroke, rest: float, mix: float) -> Stroke:
-    """The sleeve's edge for an armhole: as long, leaving the shoulder straight down, lowered by ``rest`` [rad].
+    """The sleeve's edge for an armhole, from the underarm up to the shoulder, which is the origin.
 
-    It runs from the underarm up to the shoulder, which is the origin.
+    It has the armhole's length, points straight down at the shoulder, and its chord is turned by ``rest`` [rad].
     """
     along = rotate(DOWN, -rest)
     towards = DOWN if mix > 0 else (-1.0, 0.0)
@@ -122,11 +122,12 @@ def _opening(armhole: Stroke, rest: float, mix: float) -> Stroke:
 
 
 def _equalised(front: Stroke, back: Stroke, *, shortest: float) -> tuple[tuple[Stroke, ...], tuple[Stroke, ...]]:
-    """Both openings with chords of one length and slope, so that the sleeve's halves match along the arm.
+    """Both openings with chords of equal length and slope, so that the sleeve's halves match along the arm.
 
-    Laid flat, the opening is the front and then, turned over, the back. The crease where the halves meet is where the
-    perpendicular bisector of the whole crosses the front; what lies beyond moves to the back. A front that is shorter
-    than its back, or longer by less than ``shortest`` cm, keeps its shape.
+    Laid flat, the whole opening is the front followed by the back, turned over. The crease between the halves is the
+    intersection of the front with the perpendicular bisector of the two underarm points; the surplus of the front
+    beyond the crease moves to the back. A front shorter than its back, or longer by less than ``shortest`` cm, keeps
+    its shape.
     """
     front_under, back_under = front.start, _turned_over(back).start
     span = (back_under[0] - front_under[0], back_under[1] - front_under[1])
@@ -140,7 +141,7 @@ def _equalised(front: Stroke, back: Stroke, *, shortest: float) -> tuple[tuple[S
 
 
 def _crease(front: Stroke, back_under: Point, span: Point) -> float | None:
-    """Parameter of the front opening where both underarm points are equally far away: the root of a cubic."""
+    """Curve parameter of the front opening that is equally far from both underarm points: the root of a cubic."""
     middle = (0.5 * (front.start[0] + back_under[0]), 0.5 * (front.start[1] + back_under[1]))
     p, q, r, s = ((x - middle[0]) * span[0] + (y - middle[1]) * span[1] for x, y in front.control_points())
     roots = np.roots([s - 3 * r + 3 * q - p, 3 * (r - 2 * q + p), 3 * (q - p), p])
@@ -153,7 +154,7 @@ def _turned_over(stroke: Stroke) -> Stroke:
 
 
 def _half(size: Measurements, design: SleeveDesign, name: str, opening: tuple[Stroke, ...], rest: float) -> Piece:
-    """Half a sleeve that hangs by ``rest`` [rad]: wrist at x = 0, its upper edge on the x axis."""
+    """Half a sleeve of rest angle ``rest`` [rad]: wrist at x = 0, upper edge on the x axis."""
     plain_height = abs(opening[-1].end[1] - opening[0].start[1])
     gathered = _gathered(opening, design.connect_ruffle)
     width, height = (abs(gathered[-1].end[axis] - gathered[0].start[axis]) for axis in (0, 1))
@@ -171,13 +172,13 @@ def _half(size: Measurements, design: SleeveDesign, name: str, opening: tuple[St
 
 
 def _with_standing_shoulder(outline: Outline, length: float, angle: float) -> Outline:
-    """Drawn on from the shoulder towards the wrist, straight on from the shoulder's slope before the sleeve bends."""
+    """With an edge from the shoulder towards the wrist that continues the shoulder's slope."""
     x, y = outline.pen
     return outline.line(x - length * cos(angle), y + length * sin(angle), name="upper")
 
 
 def _gathered(strokes: tuple[Stroke, ...], factor: float) -> tuple[Stroke, ...]:
-    """The strokes enlarged about their first point: longer by the factor, and of the same form."""
+    """The strokes scaled about their first point by a factor."""
     x0, y0 = strokes[0].start
 
     def enlarged(point: Point) -> Point:

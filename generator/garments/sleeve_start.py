@@ -1,4 +1,4 @@
-"""Where a sleeve hangs before it is sewn in."""
+"""Sew a sleeve into its armhole, with a placement before sewing that is clear of the trunk."""
 
 from bisect import bisect_left
 from math import cos, pi, sin
@@ -14,13 +14,13 @@ from gcd_dataset.records import Measurements
 __all__ = ["with_sleeve"]
 
 SLEEVE_GAP = 1.0  # cm into the armhole, GarmentCode
-SLEEVE_GAP_BY_ANGLE = 18 / pi  # cm/rad: a tenth of a centimetre a degree, GarmentCode
-OVERLAP = 150.0  # cm² of sleeve before the trunk with which plain shirts are sewn together cleanly
-DRAWN_OUT = 24  # cm by which a sleeve may start further out for it
+SLEEVE_GAP_BY_ANGLE = 18 / pi  # cm/rad: a tenth of a centimetre per degree, GarmentCode
+OVERLAP = 150.0  # cm²: area of sleeve in front of the trunk, at most; with this much plain shirts drape cleanly
+DRAWN_OUT = 24  # cm: the furthest shift of a sleeve along the arm
 
 
 def with_sleeve(size: Measurements, design: SleeveDesign, half: Component, *, mends: frozenset[Mend]) -> Component:
-    """The right half of an upper body with a sleeve in its armhole, cut as a curve in front and behind."""
+    """The right half of an upper body with a sleeve sewn to its armhole; needs ``ArmholeCurve`` in front and behind."""
     front, back = half.piece("right_ftorso"), half.piece("right_btorso")
     half = half.offering(armhole=front.along("armhole") + back.against("armhole"))
     gap = SLEEVE_GAP + SLEEVE_GAP_BY_ANGLE * size.arm_pose_angle
@@ -34,9 +34,9 @@ def with_sleeve(size: Measurements, design: SleeveDesign, half: Component, *, me
 
 
 def _clear_of(half: Component, arm: Component, angle: float) -> Component:
-    """The sleeve drawn out along the arm until it hangs no further over the trunk than that of a plain shirt does.
+    """The sleeve moved out along the arm until it overlaps the trunk by at most ``OVERLAP``, as a plain shirt's does.
 
-    Wide sides and gathered sleeves that start one in the other are sewn together tangled.
+    Without this, the drape sews wide sides and gathered sleeves together tangled.
     """
     trunk = shapely.union_all([_silhouette(piece) for piece in half.pieces])
     silhouette = shapely.union_all([_silhouette(piece) for piece in arm.pieces])

@@ -1,7 +1,7 @@
-"""Design spaces: parameters that say all about themselves in one place, and how chance chooses them.
+"""Design spaces: parameters declared with default, range and probability in one place, and random draws from them.
 
-A design is a frozen dataclass derived from ``Design``, its fields made by ``real``, ``integer``, ``choice``, ``flag``
-and, for a design inside a design, ``part``. A value outside its range is refused when the design is made.
+A design is a frozen dataclass derived from ``Design``, with fields made by ``real``, ``integer``, ``choice``, ``flag``
+and, for a design inside a design, ``part``. The constructor raises ``ConfigError`` for a value outside its range.
 
 >>> from dataclasses import dataclass
 >>> @dataclass(frozen=True)
@@ -53,21 +53,21 @@ P = TypeVar("P", bound="Design")
 
 @dataclass(frozen=True)
 class Design:
-    """A frozen bundle of parameters. Raises ``ConfigError`` for a value that its parameter cannot take."""
+    """A frozen set of parameters. Raises ``ConfigError`` for a value outside its parameter's range."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
             space, value = entry.metadata.get("space"), getattr(self, entry.name)
-            if space is not None and not space.holds(value):
+            if space is not None and not space.accepts(value):
                 raise ConfigError(f"{type(self).__name__}: {entry.name} is {plain(value)}, not {space}")
 
-    def writes(self, name: str) -> bool:
-        """Whether a design file holds this part of the design, one that ``with_parts`` has added."""
+    def includes(self, name: str) -> bool:
+        """Whether design files include this part, added by ``with_parts``."""
         return True
 
 
 def real(default: float, low: float, high: float, *, keep: float | None = None, key: str | None = None) -> Any:
-    """A number; ``key`` is its name in a design file where that differs from the field's."""
+    """A number; ``key``: its name in design files, if different from the field's name."""
     return _parameter(Real(default, keep, low, high), key)
 
 
@@ -83,7 +83,7 @@ def choice(
     key: str | None = None,
     weights: Sequence[int] = (),
 ) -> Any:
-    """One of several options, names or numbers; ``None`` stands for none of them. ``weights``: see ``Choice``."""
+    """One of several options, enum members or numbers; ``None`` means none of them. ``weights``: see ``Choice``."""
     return _parameter(Choice(default, keep, options, tuple(weights)), key)
 
 
@@ -98,10 +98,10 @@ def part(kind: type[Design], *, key: str | None = None) -> Any:
 
 
 def with_parts(kinds: Mapping[str, type[Design]]) -> Callable[[type[P]], type[P]]:
-    """A decorator, to be applied before ``dataclass``, for a design with more parts: names in design files to kinds.
+    """A decorator that adds parts to a design, from names in design files to classes. Write it below ``dataclass``.
 
-    Names that the design declares itself are left as they are. The other parts come after its own; ``draw`` and
-    ``leaves`` pass them over, and design files hold them where ``Design.writes`` says so.
+    Names that the design declares stay unchanged. Added parts follow the declared ones; ``draw`` and ``leaves`` skip
+    them, and design files include them if ``Design.includes`` returns true.
     """
 
     def extend(design: type[P]) -> type[P]:
@@ -127,49 +127,49 @@ class FieldEntry(NamedTuple):
 
     name: str
     key: str
-    """Its name in a design file."""
+    """Its name in design files."""
     space: "Space | DesignSpace[Any]"
     added: bool = False
-    """Whether ``with_parts`` has added it."""
+    """Whether ``with_parts`` added it."""
 
 
 class Leaf(NamedTuple):
-    """One parameter of a design, however deep."""
+    """One parameter of a design or of one of its parts."""
 
     path: str
-    """Its names in a design file from the root on: ``flare-skirt.cut.depth``."""
+    """Its path in design files: ``flare-skirt.cut.depth``."""
     space: Space
 
 
 @dataclass(frozen=True)
 class DesignSpace(Generic[D]):
-    """All that a kind of design may be: the space of each of its parameters, as declared or narrower."""
+    """The spaces of all parameters of a design class, as declared or narrowed."""
 
     kind: type[D]
     entries: tuple[FieldEntry, ...]
 
     @classmethod
     def declared(cls, kind: type[D]) -> "DesignSpace[D]":
-        """The space that the fields of a kind of design declare."""
+        """The space declared by the fields of a design class."""
         return cls(kind, tuple(FieldEntry(e.name, _key(e), _declared(e), "added" in e.metadata) for e in fields(kind)))
 
     def of(self, kind: type[P]) -> "DesignSpace[P]":
-        """The part that holds this kind of design. Raises ``ConfigError`` where there is none, or more than one."""
+        """The space of the part of this class. Raises ``ConfigError`` unless there is exactly one."""
         found = [space for space in self._parts() if space.kind is kind]
         if len(found) != 1:
             raise ConfigError(f"{self.kind.__name__} has {len(found)} parts of kind {kind.__name__}: name another kind")
         return found[0]
 
     def changed(self, spaces: Mapping[str, Space]) -> "DesignSpace[D]":
-        """The same with other spaces for the parameters at some paths. Raises ``ConfigError`` for a path to none."""
+        """The space with new spaces for the parameters at some paths. Raises ``ConfigError`` for an unknown path."""
         if unknown := spaces.keys() - {leaf.path for leaf in leaves(self, added=True)}:
             raise ConfigError(f"no design parameter is called {min(unknown)}: make the overlay again from its file")
         return self._changed(spaces, "")
 
-    def _changed(self, spaces: Mapping[str, Space], above: str) -> "DesignSpace[D]":
+    def _changed(self, spaces: Mapping[str, Space], prefix: str) -> "DesignSpace[D]":
         entries = []
         for entry in self.entries:
-            path, space = above + entry.key, entry.space
+            path, space = prefix + entry.key, entry.space
             new = space._changed(spaces, f"{path}.") if isinstance(space, DesignSpace) else spaces.get(path, space)
             entries.append(entry._replace(space=new))
         return replace(self, entries=tuple(entries))
@@ -182,9 +182,9 @@ class DesignSpace(Generic[D]):
 
 
 def leaves(kind: type[Design] | DesignSpace[Any], *, added: bool = False) -> Iterator[Leaf]:
-    """All parameters of a design, parts of parts included, in the order of the fields.
+    """All parameters of a design and its parts, in the order of the fields.
 
-    ``added``: with those of the parts that ``with_parts`` has added.
+    ``added``: include the parts added by ``with_parts``.
     """
     for entry in _space(kind).entries:
         if entry.added and not added:
@@ -201,9 +201,9 @@ def draw(
     *,
     within: Mapping[str, tuple[float, float]] | None = None,
 ) -> D:
-    """A random design, its fields drawn in their order; ``within`` narrows the ranges of some by name.
+    """A random design, drawn field by field; ``within``: limits of some fields, by name.
 
-    Where a narrowed range misses the parameter's own, the nearest value that the parameter can take is drawn.
+    If the limits exclude the whole range of a parameter, the nearest value of that range is drawn.
     """
     space, limits = _space(kind), within or {}
     values = {}
@@ -233,16 +233,16 @@ def _key(entry: Any) -> str:
 
 
 def to_dict(design: Design) -> dict[str, Any]:
-    """The design as nested plain values, under the names of a design file."""
-    written = (entry for entry in fields(design) if "added" not in entry.metadata or design.writes(entry.name))
+    """The design as nested plain values, with the names of design files."""
+    written = (entry for entry in fields(design) if "added" not in entry.metadata or design.includes(entry.name))
     values = {_key(entry): getattr(design, entry.name) for entry in written}
     return {key: to_dict(value) if isinstance(value, Design) else plain(value) for key, value in values.items()}
 
 
 def from_dict(kind: type[D], values: Mapping[str, Any]) -> D:
-    """The design of nested plain values; what is not named keeps its default.
+    """The design from nested plain values; omitted parameters keep their defaults.
 
-    Raises ``ConfigError`` with the path of a name that no parameter has, or of a value that it cannot take.
+    Raises ``ConfigError`` with the path of an unknown parameter, or of a value outside its range.
     """
     space = DesignSpace.declared(kind)
     require_known(space, values)
@@ -250,8 +250,7 @@ def from_dict(kind: type[D], values: Mapping[str, Any]) -> D:
 
 
 def require_known(space: DesignSpace[Any], values: Mapping[str, Any]) -> None:
-    """Raise ``ConfigError`` for a name in a tree of values that no parameter has, with the nearest one that is there,
-    and for a value in the place of a table."""
+    """Raise ``ConfigError`` for an unknown parameter, with the nearest name, or for a value instead of a table."""
     unknown = next(_unknown(space, values, ""), None)
     if unknown is None:
         return
@@ -263,24 +262,24 @@ def require_known(space: DesignSpace[Any], values: Mapping[str, Any]) -> None:
     raise ConfigError(f"no design parameter is called {shown(path)}: {remedy}")
 
 
-def _unknown(space: DesignSpace[Any], values: Mapping[str, Any], above: str) -> Iterator[tuple[str, list[str]]]:
-    """Paths that lead nowhere, each with the names there are in its place."""
+def _unknown(space: DesignSpace[Any], values: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, list[str]]]:
+    """Unknown paths, each with the known names at that level."""
     entries = {entry.key: entry.space for entry in space.entries}
     for key, value in values.items():
         if key not in entries:
-            yield f"{above}{key}", list(entries)
+            yield f"{prefix}{key}", list(entries)
         elif isinstance(inner := entries[key], DesignSpace):
             if not isinstance(value, Mapping):
-                raise ConfigError(f"{above}{key} is {value!r}, not a table of parameters")
-            yield from _unknown(inner, value, f"{above}{key}.")
+                raise ConfigError(f"{prefix}{key} is {value!r}, not a table of parameters")
+            yield from _unknown(inner, value, f"{prefix}{key}.")
 
 
-def _read(space: DesignSpace[D], values: Mapping[str, Any], above: str) -> D:
+def _read(space: DesignSpace[D], values: Mapping[str, Any], prefix: str) -> D:
     read = {}
     for entry in space.entries:
         if entry.key not in values:
             continue
-        value, path = values[entry.key], above + entry.key
+        value, path = values[entry.key], prefix + entry.key
         if isinstance(entry.space, DesignSpace):
             read[entry.name] = _read(entry.space, value, f"{path}.")
             continue

@@ -1,4 +1,4 @@
-"""The right half of a front or a back before its cuts: what straight and fitted shirts have in common."""
+"""The right half of a front or back before armhole and neckline are cut, for straight and fitted shirts."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -17,15 +17,15 @@ class TorsoHalf:
     shoulder: float
     """From the centre to the shoulder's outer end [cm]."""
     level: float
-    """Height of that end over the origin of the drawing [cm]."""
+    """Height of the shoulder's outer end over the origin of the drawing [cm]."""
     rise: float
-    """From there up to the base of the neck [cm]."""
+    """Height of the base of the neck over the shoulder's outer end [cm]."""
     lean: float = 0.0
-    """How much wider it gets for each cm below the shoulder's outer end."""
+    """Increase of its width per cm below the shoulder's outer end."""
     gather: float = 1.0
-    """Length of the hem over what it counts for in the seam at the waist."""
+    """Length of the hem over its projected length in the waist seam."""
     darts: tuple[str, ...] = ()
-    """Their names; the legs are the edges NAME.0 and NAME.1."""
+    """Names of the darts; their legs are the edges NAME.0 and NAME.1."""
 
     @property
     def neck_base(self) -> float:
@@ -34,28 +34,28 @@ class TorsoHalf:
 
     @property
     def upper_side(self) -> float:
-        """Length of the side between the shoulder, or the armhole, and the dart or the hem under it [cm]."""
+        """Length of the uppermost part of the side: from the shoulder or armhole to the next dart or the hem [cm]."""
         return self.outline.run("side")[-1].length
 
     @property
     def room(self) -> float:
-        """Length of the centre below the level of the shoulder's outer end, as long as no neckline is cut [cm]."""
+        """Length of the centre edge below the level of the shoulder's outer end, before a neckline is cut [cm]."""
         return self.outline.length("centre") - self.rise
 
     def armhole_room(self, shoulder_end: float) -> float:
-        """How deep an armhole may get whose upper end leaves ``shoulder_end`` cm from the centre [cm].
+        """Largest depth of an armhole with its upper end ``shoulder_end`` cm from the centre [cm].
 
-        That end lies on the shoulder, over its outer end, so the other is less deep under it. The upper end moves in
-        by the lean of that rise.
+        The upper end lies on the shoulder seam, above the shoulder's outer end by a rise that counts towards the depth;
+        it moves inwards by the lean over that rise.
         """
         slope = self.rise / self.shoulder
         over = slope * (self.shoulder - shoulder_end) / (1 - slope * self.lean)
         return self.level - self.outline.run("side")[-1].start[1] + over
 
     def width_below_shoulder(self, depth: float) -> float:
-        """From the centre to the side, ``depth`` cm under the shoulder's outer end."""
+        """Width from the centre to the side, ``depth`` cm below the shoulder's outer end [cm]."""
         return self.shoulder + depth * self.lean
 
     def cut_to(self, outline: Outline) -> Self:
-        """The same half with cuts in its outline."""
+        """The half with another outline, after cuts."""
         return replace(self, outline=outline)

@@ -1,4 +1,4 @@
-"""Shirts: straight or fitted, of two halves, alike or not."""
+"""Shirts, straight or fitted: two halves, mirror images or different."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ __all__ = ["FITTED_SHIRT", "STRAIGHT_SHIRT", "Shirt", "shirt"]
 
 
 def shirt(size: Measurements, design: "OutfitDesign", *, fitted: bool, mends: frozenset[Mend]) -> Component:
-    """Two halves sewn at the centres; offers ``bottom`` [ring]."""
+    """Two halves sewn at the centres; offers the ring ``bottom``."""
     left_design = design.left_half()
     right = right_half(size, *design.right_half(), fitted=fitted, mends=mends)
     other = right if left_design is None else right_half(size, *left_design, fitted=fitted, mends=mends)
@@ -35,19 +35,19 @@ def shirt(size: Measurements, design: "OutfitDesign", *, fitted: bool, mends: fr
 
 @dataclass(frozen=True, kw_only=True)
 class Shirt(UpperGarment[ShirtDesign]):
-    """A shirt; necklines, sleeves and a left half of its own are sections beside its own."""
+    """A shirt; its neckline, sleeves and differing left half have sections of their own."""
 
     section: str = "shirt"
     design: type[ShirtDesign] = ShirtDesign
     mends: frozenset[Mend] = frozenset({Mend.SLEEVE_START, Mend.ARMHOLE_ROOM, Mend.SLEEVE_SURPLUS})
     fitted: bool
-    """Whether darts fit it to bust and waist, where it ends."""
+    """Whether darts fit it to bust and waist; it then ends at the waist."""
 
     def draw(self, size: Measurements, design: "OutfitDesign", *, mends: frozenset[Mend]) -> Component:
         return shirt(size, design, fitted=self.fitted, mends=mends)
 
     def length(self, size: Measurements, design: "OutfitDesign") -> float:
-        return size.waist_line if self.at_waist else self.own(design).length * size.waist_line
+        return size.waist_line if self.at_waist else self.section_design(design).length * size.waist_line
 
     def sections_used(self, design: "OutfitDesign") -> tuple[str, ...]:
         left = design.left_half() is not None

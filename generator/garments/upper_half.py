@@ -1,4 +1,4 @@
-"""The right half of the upper body: with armhole, neckline, sleeve and collar, or cut off over the bust."""
+"""The right half of the upper body: with armhole, neckline, sleeve and collar, or strapless."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -24,7 +24,7 @@ FRONT, BACK = 30.0, -25.0  # cm before and behind the axis, GarmentCode
 FRONT_NAME, BACK_NAME = "right_ftorso", "right_btorso"
 
 UpperHalf: TypeAlias = tuple[ShirtDesign, NecklineDesign, SleeveDesign]
-"""What one half of the upper body is drawn from."""
+"""The design of one half of the upper body."""
 
 
 @lru_cache(maxsize=8)
@@ -39,8 +39,8 @@ def right_half(
 ) -> Component:
     """Front, back, sleeve and collar of the right side.
 
-    Offers what meets the left half, ``*_centre``, the hem, ``front_bottom`` and ``back_bottom``, each walked away
-    from the centre, and the top of a band at the end of the sleeve, ``band``.
+    Offers the edges that meet the left half as ``*_centre``, the hem as ``front_bottom`` and ``back_bottom``, each
+    walked away from the centre, and the top of a band at the end of the sleeve as ``band``.
     """
     half = right_torso(size, shirt, neck, arm, fitted=fitted, mends=mends)
     if not (fitted and shirt.strapless):
@@ -49,7 +49,7 @@ def right_half(
     return half.labelled(PanelRole.BODY)
 
 
-@lru_cache(maxsize=8)  # drawn to see whether it is whole, it is asked for again for the outfit
+@lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the outfit draws it again
 def right_torso(
     size: Measurements,
     shirt: ShirtDesign,
@@ -59,7 +59,10 @@ def right_torso(
     fitted: bool,
     mends: frozenset[Mend] = ALL_MENDS,
 ) -> Component:
-    """Front and back of the right side, cut but for what sleeve and collar add; offers what ``right_half`` does."""
+    """Front and back of the right side with armhole and neckline, without sleeve and collar.
+
+    Offers the interfaces of ``right_half``, except ``band``.
+    """
     if fitted and shirt.strapless:
         return _strapless(size, neck, arm, mends=mends)
     worn = worn_neckline(neck)
@@ -68,33 +71,33 @@ def right_torso(
     depth = _armhole_depth(size, arm, front, back, mends=mends)
     front = _with_neckline(size, worn, _with_armhole(size, arm, front, depth), front=True)
     back = _with_neckline(size, worn, _with_armhole(size, arm, back, depth), front=False)
-    half = _sewn_at_the_sides(size, front, back)
+    half = _with_sides_sewn(size, front, back)
     return half.sewn(half.piece(FRONT_NAME).along("shoulder"), half.piece(BACK_NAME).along("shoulder"))
 
 
-def _sewn_at_the_sides(size: Measurements, front: TorsoHalf, back: TorsoHalf) -> Component:
-    """Front and back hung by the bases of their necks, their darts and sides sewn."""
-    before, behind = _hung(size, FRONT_NAME, front, FRONT), _hung(size, BACK_NAME, back, BACK)
-    half = Component.of(before, behind).sewn(before.along("side"), behind.along("side"))
-    for piece, torso in ((before, front), (behind, back)):
+def _with_sides_sewn(size: Measurements, front: TorsoHalf, back: TorsoHalf) -> Component:
+    """Front and back placed with the base of the neck at the nape, their darts and sides sewn."""
+    front_piece, back_piece = _placed(size, FRONT_NAME, front, FRONT), _placed(size, BACK_NAME, back, BACK)
+    half = Component.of(front_piece, back_piece).sewn(front_piece.along("side"), back_piece.along("side"))
+    for piece, torso in ((front_piece, front), (back_piece, back)):
         for name in torso.darts:
             half = half.sewn(piece.along(f"{name}.0"), piece.against(f"{name}.1"))
     return half.offering(
-        front_centre=before.along("centre"),
-        back_centre=behind.along("centre"),
-        front_bottom=before.along("bottom", ruffle=front.gather),
-        back_bottom=behind.along("bottom", ruffle=back.gather),
+        front_centre=front_piece.along("centre"),
+        back_centre=back_piece.along("centre"),
+        front_bottom=front_piece.along("bottom", ruffle=front.gather),
+        back_bottom=back_piece.along("bottom", ruffle=back.gather),
     )
 
 
-def _hung(size: Measurements, name: str, half: TorsoHalf, z: float) -> Piece:
+def _placed(size: Measurements, name: str, half: TorsoHalf, z: float) -> Piece:
     return Piece(name, half.outline).at(0, size.height - size.head_l - half.neck_base, z)
 
 
 def _armhole_depth(
     size: Measurements, arm: SleeveDesign, front: TorsoHalf, back: TorsoHalf, *, mends: frozenset[Mend]
 ) -> float:
-    """Height of the armhole, leaving a centimetre of side seam [cm]."""
+    """Depth of the armhole [cm], which leaves at least a centimetre of side seam."""
     depth = min(size.eased_armscye_depth * (1 + arm.connecting_width), front.upper_side - SEAM_LEFT)
     if Mend.ARMHOLE_ROOM not in mends:
         return depth
@@ -102,7 +105,7 @@ def _armhole_depth(
 
 
 def _with_armhole(size: Measurements, arm: SleeveDesign, half: TorsoHalf, depth: float) -> TorsoHalf:
-    """The half with an armhole cut; sleeves are set into curved ones."""
+    """The half with its armhole cut; curved if it has a sleeve."""
     shoulder_end = 0.5 * size.sleeve_balance
     width, room = half.width_below_shoulder(depth) - shoulder_end, half.armhole_room(shoulder_end)
     if width <= 0.0:
@@ -120,7 +123,7 @@ def _with_armhole(size: Measurements, arm: SleeveDesign, half: TorsoHalf, depth:
 
 
 def _with_neckline(size: Measurements, neck: NecklineDesign, half: TorsoHalf, *, front: bool) -> TorsoHalf:
-    """The half with its neckline cut, in what the armhole has left of the shoulder."""
+    """The half with its neckline cut into the shoulder beside the armhole."""
     shape = half_neckline(size, neck, front=front, shoulder=half.shoulder, room=half.room)
     width, left = shape[-1].end[0] - shape[0].start[0], -half.outline.edge("shoulder").start[0]
     if width >= left:
@@ -134,14 +137,14 @@ def _with_neckline(size: Measurements, neck: NecklineDesign, half: TorsoHalf, *,
 def _strapless(size: Measurements, neck: NecklineDesign, arm: SleeveDesign, *, mends: frozenset[Mend]) -> Component:
     """Front and back of a fitted half that end in a line from the underarm to the lowest point of the neckline."""
     front, back = fitted_front(size), fitted_back(size)
-    kept = back.armhole_room(0.5 * size.sleeve_balance) - _armhole_depth(size, arm, front, back, mends=mends)
-    behind = _cropped(size, neck, back, kept, front=False)
-    kept = behind.outline.length("side") - (front.outline.length("side") - front.upper_side)
-    return _sewn_at_the_sides(size, _cropped(size, neck, front, kept, front=True), behind)
+    side = back.armhole_room(0.5 * size.sleeve_balance) - _armhole_depth(size, arm, front, back, mends=mends)
+    cropped_back = _cropped(size, neck, back, side, front=False)
+    side = cropped_back.outline.length("side") - (front.outline.length("side") - front.upper_side)
+    return _with_sides_sewn(size, _cropped(size, neck, front, side, front=True), cropped_back)
 
 
 def _cropped(size: Measurements, neck: NecklineDesign, half: TorsoHalf, kept: float, *, front: bool) -> TorsoHalf:
-    """The half cut off by a line to the centre from where ``kept`` cm of its upper side are left."""
+    """The half cut off by a line from the side, ``kept`` cm above the start of its uppermost part, to the centre."""
     side, shoulder, centre = half.outline.run("side")[-1], half.outline.edge("shoulder"), half.outline.edge("centre")
     inner = (0.0, half.level - neckline_drop(size, neck, front=front, room=half.room))
     if not 0.0 < kept < side.length:

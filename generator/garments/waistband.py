@@ -1,9 +1,9 @@
-"""Waistbands: ``wb_front`` and ``wb_back``, between what hangs from the shoulders and what hangs from the waist."""
+"""Waistbands, between upper and bottom. Panels ``wb_front`` and ``wb_back``."""
 
 from dataclasses import dataclass
 from enum import Enum
 
-from gcd_dataset.generator.garments.ring import band, sector
+from gcd_dataset.generator.garments.panel_shapes import band, sector
 from gcd_dataset.generator.garments.space import Design, real
 from gcd_dataset.generator.garments.trunk import back_share, girth_at_rise, waist_back, waist_front
 from gcd_dataset.generator.pattern import Component, Piece
@@ -15,7 +15,7 @@ FRONT, BACK = 20.0, -15.0  # cm before and behind the axis, GarmentCode
 
 
 class Waistband(Enum):
-    """The waistbands there are."""
+    """Kind of waistband, by GarmentCode's name."""
 
     STRAIGHT = "StraightWB"
     FITTED = "FittedWB"
@@ -26,13 +26,16 @@ class WaistbandDesign(Design):
     """Girth and height of the band."""
 
     waist: float = real(1.0, 1.0, 2.0, keep=0.7)
-    """Girth, as a fraction of the body's."""
+    """Girth, as a fraction of the body's girth."""
     width: float = real(0.2, 0.1, 1.0, keep=0.5)
     """Height, as a fraction of waist to hips."""
 
 
 def waistband(size: Measurements, design: WaistbandDesign, kind: Waistband, *, rise: float) -> Component:
-    """A band whose lower edge sits at ``rise`` (0 hips, 1 waist); offers ``top`` and ``bottom`` [rings]."""
+    """A band with its lower edge at ``rise`` (0 hips, 1 waist), or lower to end at the waist.
+
+    Offers the rings ``top`` and ``bottom``.
+    """
     low, height = band_rise(design, rise), design.width * size.hips_line
     top, bottom = (design.waist * girth_at_rise(size, at) for at in (low + design.width, low))
     top_back, bottom_back = top * back_share(size, low + design.width), bottom * back_share(size, low)
@@ -53,7 +56,7 @@ def waistband(size: Measurements, design: WaistbandDesign, kind: Waistband, *, r
 
 
 def band_rise(design: WaistbandDesign, rise: float) -> float:
-    """Where the lower edge sits: as low as the height of the band asks for, so that it ends at the waist."""
+    """Position of the lower edge: at ``rise``, or low enough for the band to end at the waist."""
     return min(rise, 1.0 - design.width)
 
 

@@ -1,4 +1,4 @@
-"""The wardrobe: every upper and every bottom there is, a line each."""
+"""The wardrobe: all uppers and bottoms, one line each."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ __all__ = ["GARMENTS", "Bottom", "Upper"]
 
 
 class Upper(GarmentChoice):
-    """What there is for the upper body."""
+    """Garments for the upper body."""
 
     garment: UpperGarment[Any]
 
@@ -29,7 +29,7 @@ class Upper(GarmentChoice):
 
 
 class Bottom(GarmentChoice):
-    """What there is for the lower body."""
+    """Garments for the lower body."""
 
     garment: BottomGarment[Any]
 
@@ -44,4 +44,4 @@ class Bottom(GarmentChoice):
 
 
 GARMENTS: tuple[Garment[Any], ...] = tuple(member.garment for kind in (Upper, Bottom) for member in kind)
-"""All records, in the order of their members."""
+"""All records, in the order of the members."""

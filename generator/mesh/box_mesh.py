@@ -1,4 +1,4 @@
-"""A pattern as one triangle mesh: panels meshed flat, put in their place round the body, and joined along the seams."""
+"""The box mesh of a pattern: panels triangulated flat, placed round the body, and joined along the seams."""
 
 import logging
 from collections.abc import Mapping
@@ -9,9 +9,9 @@ import shapely
 from jaxtyping import Float, Int
 
 from gcd_dataset.errors import MeshError
+from gcd_dataset.generator.mesh.border import MOST_POINTS, Border, edge_counts, sample_border
 from gcd_dataset.generator.mesh.lattice import lattice_size
-from gcd_dataset.generator.mesh.sample import MOST_POINTS, Border, edge_counts, sample_border
-from gcd_dataset.generator.mesh.stitch import merge_points, middles, seam_name, stitch_points
+from gcd_dataset.generator.mesh.stitch import mean_positions, merge_points, seam_name, stitch_points
 from gcd_dataset.generator.mesh.triangulate import Filling, Fillings, fill_outline
 from gcd_dataset.generator.mesh.turned_panels import flat_areas, turned_over
 from gcd_dataset.records import BoxMesh, EdgeRef, Panel, Pattern
@@ -20,41 +20,41 @@ __all__ = ["build_box_mesh"]
 
 log = logging.getLogger(__name__)
 
-NARROWEST = 0.05  # spacings: mean width of a panel under which its triangles would be slivers
-TOUCH = 1e-6  # cm between an edge and the point where it is said to cross another
+NARROWEST = 0.05  # spacings: the least mean width of a panel; triangles of narrower panels are slivers
+TOUCH = 1e-6  # cm: an edge nearer than this to a reported crossing takes part in it
 
 
 def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
-    """The pattern as a triangle mesh, with points at most ``spacing`` [cm] apart along every edge.
+    """The box mesh of a pattern, its points at most ``spacing`` [cm] apart along every edge.
 
-    Both sides of a seam get as many points as the longer one needs. Inside, edges are 0.97 spacings long in the median
-    and 1.43 at most; angles are over 20° except where the outline's own points leave no room for that: in sharper
-    corners, beside slits, and along edges much shorter than the spacing.
+    Both sides of a seam get the number of points that the longer side needs. Inside a panel the median mesh edge is
+    0.97 spacings long and the longest 1.43; angles exceed 20° except where the points of the outline forbid it: in
+    sharper corners, beside slits, and along edges much shorter than the spacing.
 
-    Faces on both sides of a seam are wound alike, counter-clockwise on the garment's outside. That is the right side of
-    the cloth, but for panels whose seams turn them over, as those of a lapel: ``turned_panels`` names them.
+    Faces on both sides of a seam have the same winding, counter-clockwise as seen from outside the garment. Outside is
+    the right side of the cloth except on panels that their seams turn over, such as lapels: see ``turned_panels``.
 
-    Raises ``MeshError`` for a panel or a seam that cannot be meshed, with its name and what to do.
+    Raises ``MeshError`` for a panel or a seam that cannot be meshed, with its name and a remedy.
     """
     if not 0.0 < spacing < np.inf:
         raise MeshError(f"a spacing of {spacing} cm makes no mesh: give a positive one")
     if not pattern.panels:
         raise MeshError(f"pattern {pattern.name} has no panels: there is nothing to mesh")
-    cut = _cut(pattern, spacing)
-    edges = cut.edges(pattern)
+    panels = _mesh_panels(pattern, spacing)
+    edges = panels.edges(pattern)
     sewn = stitch_points(pattern.seams, [(edges[seam.left], edges[seam.right]) for seam in pattern.seams])
-    vertex = merge_points(sewn, cut.panel_of_point, pattern.seams)
-    corners = _wound_alike(cut, pattern)
+    vertex = merge_points(sewn, panels.panel_of_point, pattern.seams)
+    corners = _consistent_corners(panels, pattern)
     faces = vertex[corners]
-    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)  # a seam may close a triangle on itself
-    _require_faces(faces[whole], vertex, cut, pattern)
+    proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)  # sewing two corners together collapses a triangle
+    _require_faces(faces[proper], vertex, panels, pattern)
     return BoxMesh(
-        vertices=middles(cut.placed, vertex),
-        faces=faces[whole],
-        uv=cut.flat,
-        corners=corners[whole],
+        vertices=mean_positions(panels.positions, vertex),
+        faces=faces[proper],
+        uv=panels.uv,
+        corners=corners[proper],
         uv_vertex=vertex,
-        panel_id=cut.panel_of_point[corners[whole, 0]],
+        panel_id=panels.panel_of_point[corners[proper, 0]],
         panel_names=tuple(panel.name for panel in pattern.panels),
         panel_labels=tuple(panel.label for panel in pattern.panels),
         seams=np.stack([vertex[sewn.left], sewn.seam], axis=1),
@@ -63,19 +63,21 @@ def build_box_mesh(pattern: Pattern, *, spacing: float = 1.0) -> BoxMesh:
 
 
 @dataclass(frozen=True)
-class _Cut:
-    """All panels meshed, not yet sewn; ``c`` counts the points of all of them."""
+class _MeshedPanels:
+    """All panels triangulated but not yet sewn; ``c`` counts the points of all panels."""
 
-    flat: Float[np.ndarray, "c 2"]
-    placed: Float[np.ndarray, "c 3"]
+    uv: Float[np.ndarray, "c 2"]
+    """Positions in the plane of each panel [cm]."""
+    positions: Float[np.ndarray, "c 3"]
+    """Positions round the body [cm]."""
     corners: Int[np.ndarray, "f 3"]
     panel_of_point: Int[np.ndarray, " c"]
     borders: tuple[Border, ...]
     first: Int[np.ndarray, " p"]
-    """Each panel's first point."""
+    """The first point of each panel."""
 
     def edges(self, pattern: Pattern) -> dict[EdgeRef, Int[np.ndarray, " n"]]:
-        """The points of every edge, from its start to its end."""
+        """The points of every edge, from start to end."""
         return {
             EdgeRef(panel.name, index): first + border.edge(index)
             for panel, border, first in zip(pattern.panels, self.borders, self.first, strict=True)
@@ -83,29 +85,29 @@ class _Cut:
         }
 
 
-def _cut(pattern: Pattern, spacing: float) -> _Cut:
+def _mesh_panels(pattern: Pattern, spacing: float) -> _MeshedPanels:
     counts = edge_counts(pattern, spacing)
     borders = tuple(sample_border(panel, counts) for panel in pattern.panels)
-    known: Fillings = {}
-    meshes = [_mesh_panel(panel, border, spacing, known) for panel, border in zip(pattern.panels, borders, strict=True)]
+    cache: Fillings = {}
+    meshes = [_mesh_panel(panel, border, spacing, cache) for panel, border in zip(pattern.panels, borders, strict=True)]
     sizes = np.array([len(points) for points, _ in meshes])
     first = np.cumsum(sizes) - sizes
-    return _Cut(
-        flat=np.concatenate([points for points, _ in meshes]),
-        placed=np.concatenate(
+    return _MeshedPanels(
+        uv=np.concatenate([points for points, _ in meshes]),
+        positions=np.concatenate(
             [panel.placement.apply(points) for panel, (points, _) in zip(pattern.panels, meshes, strict=True)]
         ),
-        corners=np.concatenate([start + faces for start, (_, faces) in zip(first, meshes, strict=True)]),
+        corners=np.concatenate([offset + faces for offset, (_, faces) in zip(first, meshes, strict=True)]),
         panel_of_point=np.repeat(np.arange(len(meshes)), sizes),
         borders=borders,
         first=first,
     )
 
 
-def _wound_alike(cut: _Cut, pattern: Pattern) -> Int[np.ndarray, "f 3"]:
-    """The corners of all faces, those of panels that are sewn in wrong side out the other way round."""
-    panel = cut.panel_of_point[cut.corners[:, 0]]
-    areas = np.bincount(panel, np.abs(flat_areas(cut.flat[cut.corners])), minlength=len(pattern.panels))
+def _consistent_corners(panels: _MeshedPanels, pattern: Pattern) -> Int[np.ndarray, "f 3"]:
+    """The corners of all faces, in reversed order on panels that are sewn in wrong side out."""
+    panel = panels.panel_of_point[panels.corners[:, 0]]
+    areas = np.bincount(panel, np.abs(flat_areas(panels.uv[panels.corners])), minlength=len(pattern.panels))
     names = [panel.name for panel in pattern.panels]
     turned = turned_over(names, areas, pattern.seams)
     over = dict(zip(names, turned.tolist(), strict=True))
@@ -113,21 +115,21 @@ def _wound_alike(cut: _Cut, pattern: Pattern) -> Int[np.ndarray, "f 3"]:
         if seam.right_wrong != (over[seam.left.panel] != over[seam.right.panel]):
             name = seam_name(number, seam)
             log.warning("%s: %s closes a band with one side only: faces disagree along it", pattern.name, name)
-    return np.where(turned[panel, None], cut.corners[:, [0, 2, 1]], cut.corners)
+    return np.where(turned[panel, None], panels.corners[:, [0, 2, 1]], panels.corners)
 
 
-def _mesh_panel(panel: Panel, border: Border, spacing: float, known: Fillings) -> Filling:
-    """Points of a panel, the border's first, and triangles wound as its loop, which is counter-clockwise outside."""
+def _mesh_panel(panel: Panel, border: Border, spacing: float, cache: Fillings) -> Filling:
+    """Points of a panel, border first, and triangles with the winding of its loop: counter-clockwise from outside."""
     _require_room(panel, border, spacing)
     _require_outline(panel, border, spacing)
     try:
-        return fill_outline(border.points, spacing, known)
+        return fill_outline(border.points, spacing, cache)
     except MeshError as error:
         raise MeshError(f"panel {panel.name}: {error}") from error
 
 
 def _require_room(panel: Panel, border: Border, spacing: float) -> None:
-    """Raise ``MeshError`` for a panel whose box, all of which is laid out in points first, takes too many."""
+    """Raise ``MeshError`` for a panel whose bounding box takes too many lattice points."""
     size = lattice_size(border.points, spacing)
     if size > MOST_POINTS:
         raise MeshError(
@@ -149,7 +151,7 @@ def _require_outline(panel: Panel, border: Border, spacing: float) -> None:
 
 
 def _where(outline: shapely.Polygon, border: Border) -> str:
-    """Which edges of an invalid outline meet, and where."""
+    """`` at (x, y) cm, edges i and j``: the crossing of an invalid outline; empty if Shapely gives no position."""
     reason = shapely.is_valid_reason(outline)
     if "[" not in reason:
         return ""
@@ -159,13 +161,15 @@ def _where(outline: shapely.Polygon, border: Border) -> str:
     return f" at ({x:.2f}, {y:.2f}) cm, edges {' and '.join(near)}"
 
 
-def _require_faces(faces: Int[np.ndarray, "f 3"], vertex: Int[np.ndarray, " c"], cut: _Cut, pattern: Pattern) -> None:
+def _require_faces(
+    faces: Int[np.ndarray, "f 3"], vertex: Int[np.ndarray, " c"], panels: _MeshedPanels, pattern: Pattern
+) -> None:
     """Raise ``MeshError`` where sewing has left a vertex without a face: at the tip of a cone sharper than its mesh."""
     bare = np.flatnonzero(np.bincount(faces.ravel(), minlength=vertex.max() + 1)[vertex] == 0)
     if len(bare):
-        x, y = cut.flat[bare[0]]
+        x, y = panels.uv[bare[0]]
         raise MeshError(
-            f"panel {pattern.panels[cut.panel_of_point[bare[0]]].name}: the corner at ({x:.2f}, {y:.2f}) cm is sewn "
+            f"panel {pattern.panels[panels.panel_of_point[bare[0]]].name}: the corner at ({x:.2f}, {y:.2f}) cm is sewn "
             "to itself and too narrow for a triangle on either side: widen it, or cut its tip off"
         )
 
@@ -173,7 +177,7 @@ def _require_faces(faces: Int[np.ndarray, "f 3"], vertex: Int[np.ndarray, " c"],
 def _labels(
     pattern: Pattern, edges: Mapping[EdgeRef, Int[np.ndarray, " n"]], vertex: Int[np.ndarray, " c"]
 ) -> dict[str, Int[np.ndarray, " n"]]:
-    """Edge label to vertices: all of a labelled seam, and of a labelled free edge those between its ends.
+    """Vertices by edge label: all vertices of a labelled seam, the inner vertices of a labelled free edge.
 
     Raises ``MeshError`` for a seam whose sides have different labels.
     """

@@ -1,6 +1,7 @@
-"""A box mesh with fewer triangles, and how a shape of it becomes a shape of the fine one.
+"""Coarse box meshes, and the interpolation from a coarse mesh to the fine one.
 
-Every second point of each border is kept, on both sides of a seam the same; the inside of each panel is filled anew.
+A coarse mesh keeps every second point of each border, the same points on both sides of a seam; the inside of each panel
+is triangulated anew. ``rows`` are row numbers of ``BoxMesh.uv``.
 """
 
 from dataclasses import dataclass
@@ -16,29 +17,29 @@ from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh.triangulate import Fillings, fill_outline
 from gcd_dataset.records import BoxMesh
 
-__all__ = ["Coarse", "coarse_start", "coarsen"]
+__all__ = ["CoarseMesh", "coarse_start", "coarsen"]
 
-STRAIGHT = np.cos(np.radians(25.0))  # a border point that turns the outline further than this is kept
-FEW = 1000  # vertices that are draped as fast without
+STRAIGHT = np.cos(np.radians(25.0))  # a border point where the outline turns by more than 25 degrees stays
+FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 
 
 @dataclass(frozen=True)
-class Coarse:
-    """A coarse mesh of the same panels and seams."""
+class CoarseMesh:
+    """A coarse mesh of the same panels and seams, with interpolation weights for the fine vertices."""
 
     mesh: BoxMesh
     corners: Int[np.ndarray, "v 3"]
-    """Vertices of the coarse mesh between which each fine vertex lies."""
+    """The coarse vertices that each fine vertex is interpolated from."""
     weights: Float[np.ndarray, "v 3"]
-    """Their shares in it; they add up to 1."""
+    """Their barycentric weights, which add up to 1."""
 
     def refine(self, values: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "v 3"]:
-        """Positions or velocities of the coarse vertices, at the fine ones."""
+        """Positions or velocities at the fine vertices, interpolated from the coarse ones."""
         return np.einsum("vk,vkd->vd", self.weights, values[self.corners])
 
 
-def coarse_start(mesh: BoxMesh) -> Coarse | None:
-    """What a drape of the mesh starts with; None for one that is small, or too narrow somewhere."""
+def coarse_start(mesh: BoxMesh) -> CoarseMesh | None:
+    """The coarse mesh that a drape starts with; ``None`` if the mesh is small or a panel too narrow."""
     if len(mesh.vertices) < FEW:
         return None
     try:
@@ -47,13 +48,13 @@ def coarse_start(mesh: BoxMesh) -> Coarse | None:
         return None
 
 
-def coarsen(mesh: BoxMesh) -> Coarse:
-    """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow for that."""
+def coarsen(mesh: BoxMesh) -> CoarseMesh:
+    """The same garment at twice the spacing. Raises ``MeshError`` where a panel is too narrow."""
     border = _Border.of(mesh)
     thinned = _thin(mesh, border)
-    known: Fillings = {}
+    cache: Fillings = {}
     panels = [
-        _panel(mesh, number, loop[thinned.kept[mesh.uv_vertex[loop]]], known) for number, loop in border.loops.items()
+        _panel(mesh, number, loop[thinned.kept[mesh.uv_vertex[loop]]], cache) for number, loop in border.loops.items()
     ]
     return _join(mesh, thinned, panels)
 
@@ -63,11 +64,13 @@ def coarsen(mesh: BoxMesh) -> Coarse:
 
 @dataclass(frozen=True)
 class _Border:
-    """The segments that bound the panels, from row to row of ``uv``, the panel to the same side of each."""
+    """The border segments of all panels, each with its panel on the same side."""
 
     names: tuple[str, ...]
+    """Of the panels."""
     start: Int[np.ndarray, " b"]
     end: Int[np.ndarray, " b"]
+    """Rows of ``uv``."""
     panel: Int[np.ndarray, " b"]
 
     @staticmethod
@@ -84,7 +87,7 @@ class _Border:
 
     @cached_property
     def loops(self) -> dict[int, Int[np.ndarray, " n"]]:
-        """The rows round each panel, in order, by the panel's number. Raises ``MeshError`` for a panel with a hole."""
+        """Panel number to the rows of its border, in order. Raises ``MeshError`` for a panel with a hole."""
         after = dict(zip(self.start.tolist(), self.end.tolist(), strict=True))
         loops = {}
         for panel in np.unique(self.panel):
@@ -100,14 +103,14 @@ class _Border:
 
 @dataclass(frozen=True)
 class _Thinned:
-    """Which vertices of the borders are kept, and where the others lie between them."""
+    """The border vertices that stay, and the positions of the dropped ones between them."""
 
     kept: Bool[np.ndarray, " v"]
     between: Int[np.ndarray, "k 2"]
-    """Kept vertices on either side of each vertex of ``dropped``."""
+    """The kept vertices before and after each dropped vertex."""
     dropped: Int[np.ndarray, " k"]
     share: Float[np.ndarray, " k"]
-    """How far it is from the first to the second, 0 to 1."""
+    """Position of the dropped vertex between those two, 0 to 1."""
 
 
 def _thin(mesh: BoxMesh, border: _Border) -> _Thinned:
@@ -118,10 +121,10 @@ def _thin(mesh: BoxMesh, border: _Border) -> _Thinned:
     for chain, steps in _chains(neighbours, ends):
         closed = chain[0] == chain[-1]
         pieces = min(max((len(chain)) // 2, 3 if closed else 2), len(chain) - 1)
-        places = np.round(np.linspace(0, len(chain) - 1, pieces + 1)).astype(int)
-        kept[np.asarray(chain)[places]] = True
+        stops = np.round(np.linspace(0, len(chain) - 1, pieces + 1)).astype(int)
+        kept[np.asarray(chain)[stops]] = True
         along = np.concatenate([[0.0], np.cumsum(steps)])
-        for low, high in pairwise(places):
+        for low, high in pairwise(stops):
             for at in range(low + 1, high):
                 between.append((chain[low], chain[high]))
                 dropped.append(chain[at])
@@ -130,7 +133,7 @@ def _thin(mesh: BoxMesh, border: _Border) -> _Thinned:
 
 
 def _neighbours(mesh: BoxMesh, border: _Border) -> dict[int, dict[int, float]]:
-    """The border's vertices, each with those beside it and how far they are in the flat [cm]."""
+    """Border vertex to its neighbours along the borders, with their flat distances [cm]."""
     first, second = mesh.uv_vertex[border.start].tolist(), mesh.uv_vertex[border.end].tolist()
     lengths = np.linalg.norm(mesh.uv[border.end] - mesh.uv[border.start], axis=1).tolist()
     found: dict[int, dict[int, float]] = {}
@@ -142,7 +145,7 @@ def _neighbours(mesh: BoxMesh, border: _Border) -> dict[int, dict[int, float]]:
 
 
 def _corners(mesh: BoxMesh, border: _Border) -> set[int]:
-    """Vertices at which the outline of a panel turns."""
+    """The vertices where an outline turns by more than ``STRAIGHT``."""
     turned = []
     for loop in border.loops.values():
         step = mesh.uv[np.roll(loop, -1)] - mesh.uv[loop]
@@ -152,7 +155,10 @@ def _corners(mesh: BoxMesh, border: _Border) -> set[int]:
 
 
 def _chains(neighbours: dict[int, dict[int, float]], ends: set[int]) -> list[tuple[list[int], list[float]]]:
-    """Vertices from end to end along the borders, and the lengths between them; closed borders without an end too."""
+    """The borders as chains of vertices between ``ends``, with the lengths of their segments [cm].
+
+    A closed border without an end is one chain whose last vertex is its first.
+    """
     chains, seen = [], set[int]()
 
     def follow(start: int, onward: int) -> None:
@@ -180,25 +186,26 @@ def _chains(neighbours: dict[int, dict[int, float]], ends: set[int]) -> list[tup
 
 @dataclass(frozen=True)
 class _Panel:
-    """A panel meshed coarsely: the kept rows of its border first, then seeds."""
+    """A coarse panel: the kept points of its border first, then seeds."""
 
     number: int
     rows: Int[np.ndarray, " n"]
-    """Of the fine ``uv``."""
+    """The kept rows of its border in the fine mesh."""
     points: Float[np.ndarray, "m 2"]
+    """[cm]"""
     faces: Int[np.ndarray, "f 3"]
 
 
-def _panel(mesh: BoxMesh, number: int, rows: Int[np.ndarray, " n"], known: Fillings) -> _Panel:
+def _panel(mesh: BoxMesh, number: int, rows: Int[np.ndarray, " n"], cache: Fillings) -> _Panel:
     border = mesh.uv[rows]
     if len(rows) < 3 or not shapely.Polygon(border).is_valid:
         raise MeshError(f"panel {mesh.panel_names[number]} is too narrow for half its points")
     spacing = float(np.percentile(np.linalg.norm(np.roll(border, -1, axis=0) - border, axis=1), 75))
-    return _Panel(number, rows, *fill_outline(border, spacing, known))
+    return _Panel(number, rows, *fill_outline(border, spacing, cache))
 
 
-def _join(mesh: BoxMesh, thinned: _Thinned, panels: list[_Panel]) -> Coarse:
-    """All panels sewn as the fine ones are: kept vertices first, in their order, then the seeds."""
+def _join(mesh: BoxMesh, thinned: _Thinned, panels: list[_Panel]) -> CoarseMesh:
+    """The coarse panels joined along the seams of the fine mesh: kept vertices first, in their order, then seeds."""
     number = np.cumsum(thinned.kept) - 1
     count = int(thinned.kept.sum())
     vertices, vertex_of, first = [mesh.vertices[thinned.kept]], [], 0
@@ -213,27 +220,27 @@ def _join(mesh: BoxMesh, thinned: _Thinned, panels: list[_Panel]) -> Coarse:
         first += len(ids)
         points.append(panel.points)
         vertex_of.append(ids)
-        fine = _own_rows(mesh, panel)
-        vertices.append(_place(mesh, fine, panel.points[len(panel.rows) :]))
+        fine = _panel_rows(mesh, panel)
+        vertices.append(_in_space(mesh, fine, panel.points[len(panel.rows) :]))
         triangle, shares = _locate(panel.points, panel.faces, mesh.uv[fine])
         corners[mesh.uv_vertex[fine]], weights[mesh.uv_vertex[fine]] = ids[panel.faces[triangle]], shares
-    _hold_border(thinned, number, corners, weights)
+    _set_border_weights(thinned, number, corners, weights)
     vertex = np.concatenate(vertex_of)
     rows = np.concatenate(faces)
-    whole = (vertex[rows] != np.roll(vertex[rows], 1, axis=1)).all(axis=1)
+    proper = (vertex[rows] != np.roll(vertex[rows], 1, axis=1)).all(axis=1)
     coarse = BoxMesh(
         vertices=np.concatenate(vertices),
-        faces=vertex[rows][whole],
+        faces=vertex[rows][proper],
         uv=np.concatenate(points),
-        corners=rows[whole],
+        corners=rows[proper],
         uv_vertex=vertex,
-        panel_id=np.repeat([panel.number for panel in panels], [len(panel.faces) for panel in panels])[whole],
+        panel_id=np.repeat([panel.number for panel in panels], [len(panel.faces) for panel in panels])[proper],
         panel_names=mesh.panel_names,
         panel_labels=mesh.panel_labels,
         seams=_renumbered(mesh.seams, thinned.kept, number),
         labels={name: number[ids[thinned.kept[ids]]] for name, ids in mesh.labels.items()},
     )
-    return Coarse(coarse, corners, weights)
+    return CoarseMesh(coarse, corners, weights)
 
 
 def _renumbered(
@@ -243,67 +250,70 @@ def _renumbered(
     return np.stack([number[left[:, 0]], left[:, 1]], axis=1)
 
 
-def _own_rows(mesh: BoxMesh, panel: _Panel) -> Int[np.ndarray, " n"]:
-    """The rows of ``uv`` of a panel."""
-    own = np.zeros(len(mesh.uv), bool)
-    own[mesh.corners[mesh.panel_id == panel.number]] = True
-    return np.flatnonzero(own)
+def _panel_rows(mesh: BoxMesh, panel: _Panel) -> Int[np.ndarray, " n"]:
+    in_panel = np.zeros(len(mesh.uv), bool)
+    in_panel[mesh.corners[mesh.panel_id == panel.number]] = True
+    return np.flatnonzero(in_panel)
 
 
-def _place(mesh: BoxMesh, rows: Int[np.ndarray, " n"], points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
-    """Where points of a panel stand before sewing, by the plane of its points that lie on no seam."""
+def _in_space(mesh: BoxMesh, rows: Int[np.ndarray, " n"], points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
+    """Flat points of a panel in space before sewing [cm], by the affine map of its vertices that lie on no seam."""
     free = rows[mesh.uv_vertex[rows] >= mesh.n_seam_vertices]
     free = free if len(free) > 2 else rows
-    flat, placed = mesh.uv[free], mesh.vertices[mesh.uv_vertex[free]]
-    middle, stood = flat.mean(axis=0), placed.mean(axis=0)
-    plane = np.linalg.pinv((flat - middle).T @ (flat - middle)) @ (flat - middle).T @ (placed - stood)
-    return stood + (points - middle) @ plane
+    uv, vertices = mesh.uv[free], mesh.vertices[mesh.uv_vertex[free]]
+    flat_centre, centre = uv.mean(axis=0), vertices.mean(axis=0)
+    # Not one temporary: NumPy hands A.T @ A of one array to another BLAS routine, which rounds differently.
+    gram = (uv - flat_centre).T @ (uv - flat_centre)
+    linear = np.linalg.pinv(gram) @ (uv - flat_centre).T @ (vertices - centre)
+    return centre + (points - flat_centre) @ linear
 
 
 def _locate(
-    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], wanted: Float[np.ndarray, "n 2"]
+    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], queries: Float[np.ndarray, "n 2"]
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """The triangle round the nearest corner that each wanted point lies in, or is least outside of, and the shares of
-    its corners, none below zero."""
-    round_corner = _faces_round(faces, len(points))
-    _, nearest = cKDTree(points, balanced_tree=False, compact_nodes=False).query(wanted)
+    """The triangle that holds each query point, and the point's barycentric weights in it, none below zero.
+
+    Only the triangles round the nearest corner are tried; a point outside all of them gets the one it is least outside.
+    """
+    around = _faces_around(faces, len(points))
+    _, nearest = cKDTree(points, balanced_tree=False, compact_nodes=False).query(queries)
     a, b, c = points[faces].transpose(1, 0, 2)
     ab, ac = b - a, c - a
     ab, ac = ab / _cross(ab, ac)[:, None], ac / _cross(ab, ac)[:, None]
-    best, least = np.zeros(len(wanted), int), np.full(len(wanted), -np.inf)
-    shares = np.zeros((len(wanted), 3))
-    left = np.arange(len(wanted))
-    for column in round_corner.T:
-        face = column[nearest[left]]
-        to = wanted[left] - a[face]
+    best, best_least = np.zeros(len(queries), int), np.full(len(queries), -np.inf)
+    weights = np.zeros((len(queries), 3))
+    open_ = np.arange(len(queries))
+    for column in around.T:
+        face = column[nearest[open_]]
+        to = queries[open_] - a[face]
         second, third = _cross(to, ac[face]), _cross(ab[face], to)
         found = np.stack([1 - second - third, second, third], axis=1)
-        smallest = found.min(axis=1)
-        better = smallest > least[left]
-        at = left[better]
-        least[at], best[at], shares[at] = smallest[better], face[better], found[better]
-        left = left[smallest < 0]
-    shares = shares.clip(0.0)
-    return best, shares / shares.sum(axis=1, keepdims=True)
+        least = found.min(axis=1)
+        better = least > best_least[open_]
+        at = open_[better]
+        best_least[at], best[at], weights[at] = least[better], face[better], found[better]
+        open_ = open_[least < 0]
+    weights = weights.clip(0.0)
+    return best, weights / weights.sum(axis=1, keepdims=True)
 
 
-def _faces_round(faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "n most"]:
-    """The faces round each point, the last one again and again where there are fewer."""
+def _faces_around(faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "n most"]:
+    """The faces round each point; rows of points with fewer faces repeat the last one."""
     owner = faces.ravel()
     order = np.argsort(owner, kind="stable")
     count = np.bincount(owner, minlength=n)
     first = np.cumsum(count) - count
-    place = np.minimum(np.arange(count.max()), np.maximum(count - 1, 0)[:, None])
-    return order[np.minimum(first[:, None] + place, len(order) - 1)] // 3
+    rank = np.minimum(np.arange(count.max()), np.maximum(count - 1, 0)[:, None])
+    return order[np.minimum(first[:, None] + rank, len(order) - 1)] // 3
 
 
-def _hold_border(
+def _set_border_weights(
     thinned: _Thinned,
     number: Int[np.ndarray, " v"],
     corners: Int[np.ndarray, "v 3"],
     weights: Float[np.ndarray, "v 3"],
 ) -> None:
-    """Have border vertices lie where they are kept, or on the line between those beside them."""
+    """Set, in place, the weights of border vertices: a kept vertex itself, a dropped one between its neighbours."""
     kept = np.flatnonzero(thinned.kept)
     corners[kept], weights[kept] = number[kept][:, None], (1.0, 0.0, 0.0)
     low, high = number[thinned.between].T

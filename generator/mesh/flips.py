@@ -1,4 +1,4 @@
-"""Border segments that a Delaunay triangulation has missed, put back by turning edges."""
+"""Constrained Delaunay triangulation: recover missing border segments by edge flips."""
 
 from collections import deque
 
@@ -9,38 +9,38 @@ from gcd_dataset.errors import MeshError
 
 __all__ = ["has_segments", "restore_segments"]
 
-ROUNDING = 1e-9  # rad: four points of one circle are legal either way
+ROUNDING = 1e-9  # rad: of four points on one circle, either diagonal is legal
 
 
 def restore_segments(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "f 3"]:
-    """The constrained Delaunay triangles: every segment (i, i+1) of the loop 0 … n-1 is among their edges.
+    """The constrained Delaunay triangles: every segment (i, i+1) of the loop 0 … n-1 is one of their edges.
 
-    Edges that cross a missing segment are turned one after the other (Sloan, A fast algorithm for generating
-    constrained Delaunay triangulations, 1993), then those that Delaunay's criterion asks to turn. Segments are rarely
-    missing: the sides of a slit that is narrower than their points are apart.
+    Flips the edges that cross a missing segment (Sloan, A fast algorithm for generating constrained Delaunay
+    triangulations, 1993), then the edges that violate Delaunay's criterion. Segments are rarely missing: only along
+    slits narrower than the spacing of their points.
     Raises ``MeshError`` where the loop touches itself.
     """
-    missing = np.flatnonzero(~_present(faces, n))
+    missing = np.flatnonzero(~_present_segments(faces, n))
     if not len(missing):
         return faces
     faces = faces.copy()
     for start in missing:
         _restore(points, faces, int(start), int(start + 1) % n)
-    while _turn_illegal(points, faces, n):
+    while _flip_illegal(points, faces, n):
         pass
-    lost = np.flatnonzero(~_present(faces, n))  # a corner stands on a segment, or two segments cross
+    lost = np.flatnonzero(~_present_segments(faces, n))  # a corner lies on a segment, or two segments cross
     if len(lost):
-        raise _touches(points[lost[0]])
+        raise _touch_error(points[lost[0]])
     return faces
 
 
 def has_segments(faces: Int[np.ndarray, "f 3"], n: int) -> bool:
-    """Whether every segment (i, i+1) of the loop 0 … n-1 is an edge of some triangle."""
-    return bool(_present(faces, n).all())
+    """Whether every segment (i, i+1) of the loop 0 … n-1 is an edge of a triangle."""
+    return bool(_present_segments(faces, n).all())
 
 
-def _present(faces: Int[np.ndarray, "f 3"], n: int) -> Bool[np.ndarray, " n"]:
-    """Which segments of the loop are edges, in either direction."""
+def _present_segments(faces: Int[np.ndarray, "f 3"], n: int) -> Bool[np.ndarray, " n"]:
+    """Flags of the loop's segments that are edges of triangles, in either direction."""
     after = np.roll(faces, -1, axis=1)
     present = np.zeros(n, bool)
     present[faces[(faces < n) & (after == (faces + 1) % n)]] = True
@@ -49,43 +49,45 @@ def _present(faces: Int[np.ndarray, "f 3"], n: int) -> Bool[np.ndarray, " n"]:
 
 
 def _restore(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a: int, b: int) -> None:
-    """Turn edges in place until (a, b) is one of them."""
-    crossing = deque(_crossing(points, faces, a, b))
+    """Flip edges in place until (a, b) is an edge."""
+    crossing = deque(_crossing_edges(points, faces, a, b))
     for _ in range(len(crossing) ** 2 + len(crossing) + 1):  # Sloan's queue empties well before
         if not crossing:
             return
         u, v = crossing.popleft()
-        (f, g), (p, q) = _sides(faces, u, v)
-        if _turn(points[p], points[q], points[u]) * _turn(points[p], points[q], points[v]) >= 0:
-            crossing.append((u, v))  # turned, it would leave its quadrilateral
+        (f, g), (p, q) = _adjacent_faces(faces, u, v)
+        if _orientation(points[p], points[q], points[u]) * _orientation(points[p], points[q], points[v]) >= 0:
+            crossing.append((u, v))  # the quadrilateral is not convex: no flip yet
             continue
         faces[f], faces[g] = (p, u, q), (q, v, p)
-        if {p, q} != {a, b} and _cross(points, (p, q), (a, b)):
+        if {p, q} != {a, b} and _segments_cross(points, (p, q), (a, b)):
             crossing.append((p, q))
-    raise _touches(points[a])
+    raise _touch_error(points[a])
 
 
-def _touches(point: Float[np.ndarray, "2"]) -> MeshError:
+def _touch_error(point: Float[np.ndarray, "2"]) -> MeshError:
     x, y = point
     return MeshError(f"the outline touches itself near ({x:.2f}, {y:.2f}) cm: move its edges apart")
 
 
-def _crossing(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a: int, b: int) -> list[tuple[int, int]]:
-    """Edges that cross the segment (a, b), each once."""
+def _crossing_edges(
+    points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], a: int, b: int
+) -> list[tuple[int, int]]:
+    """The edges that cross the segment (a, b), each once."""
     u, v = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     once = u < v
     u, v = u[once], v[once]
-    side_u, side_v = (_turn(points[a], points[b], points[end].T) for end in (u, v))
-    side_a, side_b = (_turn(points[u].T, points[v].T, points[end]) for end in (a, b))
+    side_u, side_v = (_orientation(points[a], points[b], points[end].T) for end in (u, v))
+    side_a, side_b = (_orientation(points[u].T, points[v].T, points[end]) for end in (a, b))
     apart = (u != a) & (u != b) & (v != a) & (v != b)
     crossing = apart & (side_u * side_v < 0) & (side_a * side_b < 0)
     return list(zip(u[crossing].tolist(), v[crossing].tolist(), strict=True))
 
 
-def _turn_illegal(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> bool:
-    """Turn in place edges with a corner of one face in the circle of the other, at most one of each face.
+def _flip_illegal(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> bool:
+    """Flip, in place, edges with a corner of one face in the circumcircle of the other, at most one edge of each face.
 
-    Returns whether there were any; edges of the loop stay.
+    Leaves the loop's segments. Returns whether any edge was illegal.
     """
     f, i, g, j = _inner_edges(faces)
     u, v, p, q = faces[f, i], faces[f, (i + 1) % 3], faces[f, i - 1], faces[g, j - 1]
@@ -103,7 +105,7 @@ def _turn_illegal(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"
 
 
 def _inner_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, " e"], ...]:
-    """Face and corner at which each inner edge starts, on its one side and on its other."""
+    """Face and corner where each inner edge starts: ``(face, corner)`` of one side, then of the other."""
     ends = np.sort(np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()]), axis=0)
     order = np.lexsort(ends)
     twins = np.flatnonzero((np.diff(ends[:, order], axis=1) == 0).all(axis=0))
@@ -118,23 +120,25 @@ def _angle(
     return np.arctan2(np.abs(to_a[:, 0] * to_b[:, 1] - to_a[:, 1] * to_b[:, 0]), (to_a * to_b).sum(axis=1))
 
 
-def _sides(faces: Int[np.ndarray, "f 3"], u: int, v: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """The faces left and right of the edge (u, v), and their third corners."""
+def _adjacent_faces(faces: Int[np.ndarray, "f 3"], u: int, v: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """The faces left and right of the edge (u, v), and the third corner of each."""
     after = np.roll(faces, -1, axis=1)
     f, i = (int(x[0]) for x in np.nonzero((faces == u) & (after == v)))
     g, j = (int(x[0]) for x in np.nonzero((faces == v) & (after == u)))
     return (f, g), (int(faces[f, i - 1]), int(faces[g, j - 1]))
 
 
-def _cross(points: Float[np.ndarray, "m 2"], first: tuple[int, int], second: tuple[int, int]) -> bool:
+def _segments_cross(points: Float[np.ndarray, "m 2"], first: tuple[int, int], second: tuple[int, int]) -> bool:
     (u, v), (a, b) = first, second
     if len({u, v, a, b}) < 4:
         return False
-    apart = _turn(points[a], points[b], points[u]) * _turn(points[a], points[b], points[v]) < 0
-    return bool(apart and _turn(points[u], points[v], points[a]) * _turn(points[u], points[v], points[b]) < 0)
+    apart = _orientation(points[a], points[b], points[u]) * _orientation(points[a], points[b], points[v]) < 0
+    return bool(
+        apart and _orientation(points[u], points[v], points[a]) * _orientation(points[u], points[v], points[b]) < 0
+    )
 
 
-def _turn(
+def _orientation(
     a: Float[np.ndarray, "2 *n"], b: Float[np.ndarray, "2 *n"], c: Float[np.ndarray, "2 *n"]
 ) -> Float[np.ndarray, " *n"]:
     """Twice the signed area of (a, b, c): positive for a left turn."""

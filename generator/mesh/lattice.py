@@ -1,7 +1,7 @@
-"""The inside of a panel as a hexagonal lattice, which needs no search for its triangles.
+"""The inside of a panel as a triangular lattice: its triangles follow from the indices, without a search.
 
-Row ``j`` of the lattice is half a pitch further along for odd ``j``. Between rows ``j`` and ``j + 1`` the triangle
-``(j, i, 0)`` points up from the base (j, i), (j, i + 1), and ``(j, i, 1)`` points down to (j, i).
+Odd rows ``j`` of the lattice are shifted by half a pitch. Between rows ``j`` and ``j + 1`` the triangle ``(j, i, 0)``
+points up from the base (j, i), (j, i + 1), and ``(j, i, 1)`` points down to (j, i).
 """
 
 from dataclasses import dataclass, replace
@@ -14,21 +14,21 @@ from jaxtyping import Bool, Float, Int
 __all__ = ["Lattice", "build_lattice", "lattice_size"]
 
 PITCH = 0.97  # of the border's spacing: the median edge of GarmentCode's meshes
-CLEAR_OF_POINT = 0.60  # pitches a seed keeps away from the border's points
-CLEAR_OF_MIDDLE = 0.60  # and from the middles between them
-FAR = 1.27  # pitches from the border at which all six triangles are certain: see _certain
+CLEAR_OF_POINT = 0.60  # pitches: least distance of a seed from the border's points
+CLEAR_OF_MIDDLE = 0.60  # pitches: least distance of a seed from the midpoints of the border's segments
+FAR = 1.27  # pitches from the border beyond which all six triangles are Delaunay: see _certain
 CIRCLE = (1 + 1e-6) / 3  # square pitches: the square of the circumradius
 ROW = np.sqrt(0.75)  # pitches from row to row
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """Seeds inside a border, and the triangles between them that no other point disturbs."""
+    """Seeds inside a border, and those of their triangles that are Delaunay whatever the border."""
 
     number: Int[np.ndarray, "row column"]
-    """The seed at each place of the lattice; -1 for none."""
+    """The seed at each lattice point; -1 for none."""
     filled: Bool[np.ndarray, "row column 2"]
-    """The triangles that are Delaunay whatever lies around."""
+    """Flags of the triangles that are certain to be Delaunay."""
     origin: Float[np.ndarray, "2"]
     pitch: float
 
@@ -50,11 +50,11 @@ class Lattice:
 
     @cached_property
     def rim(self) -> Int[np.ndarray, " r"]:
-        """The seeds that belong to other triangles too."""
+        """The seeds on the rim of the filled triangles: corners of fewer than six."""
         return np.flatnonzero(np.bincount(self.faces.ravel(), minlength=self.number.max(initial=-1) + 1) < 6)
 
     def covers(self, points: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
-        """Which points lie in a filled triangle."""
+        """Flags of the points that lie in a filled triangle."""
         row, column = _coordinates(points, self.origin, self.pitch)
         j = np.floor(row).astype(int)
         slant = 0.5 * (row - j)
@@ -65,7 +65,7 @@ class Lattice:
         return within & self.filled[j % rows, right % columns, (left != right).astype(int)]
 
     def without(self, points: Float[np.ndarray, "m 2"]) -> Self:
-        """The lattice less the triangles with one of these points in their circumcircle."""
+        """The lattice without the triangles that have one of these points in their circumcircle."""
         row, column = _coordinates(points, self.origin, self.pitch)
         j = np.floor(row).astype(int)[:, None, None] + np.arange(-1, 2)[:, None]
         shift = 0.5 * (j % 2)
@@ -73,8 +73,8 @@ class Lattice:
         filled = self.filled.copy()
         for down, (along, up) in enumerate(((1 / 2, 1 / 3), (0, 2 / 3))):
             square = (i + along + shift - column[:, None, None]) ** 2 + (ROW * (j + up - row[:, None, None])) ** 2
-            held = square < CIRCLE
-            filled[np.broadcast_to(j, i.shape)[held], i[held], down] = False
+            inside = square < CIRCLE
+            filled[np.broadcast_to(j, i.shape)[inside], i[inside], down] = False
         return replace(self, filled=filled)
 
 
@@ -90,7 +90,7 @@ def build_lattice(border: Float[np.ndarray, "n 2"], spacing: float) -> Lattice:
 
 
 def lattice_size(border: Float[np.ndarray, "n 2"], spacing: float) -> int:
-    """How many points the box of a border is laid out in, before those outside the border are left out."""
+    """Number of lattice points over the bounding box of a border."""
     _, (rows, columns) = _grid(border, PITCH * spacing)
     return rows * columns
 
@@ -106,7 +106,7 @@ def _grid(border: Float[np.ndarray, "n 2"], pitch: float) -> tuple[Float[np.ndar
 def _coordinates(
     points: Float[np.ndarray, "n 2"], origin: Float[np.ndarray, "2"], pitch: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Row and (unshifted) column of points, as fractions."""
+    """Row and (unshifted) column of points, as real numbers."""
     column, row = ((points - origin) / pitch / (1.0, ROW)).T
     return row, column
 
@@ -114,7 +114,7 @@ def _coordinates(
 def _inside(
     border: Float[np.ndarray, "n 2"], origin: Float[np.ndarray, "2"], pitch: float, shape: tuple[int, int]
 ) -> Bool[np.ndarray, "row column"]:
-    """Which lattice points lie inside the loop: each row counts the segments it has crossed."""
+    """Flags of the lattice points inside the loop, by the parity of crossed segments along each row."""
     row, column = _coordinates(border, origin, pitch)
     row_next, column_next = np.roll(row, -1), np.roll(column, -1)
     first = np.ceil(np.minimum(row, row_next)).astype(int)
@@ -131,11 +131,11 @@ def _inside(
 def _clearances(
     border: Float[np.ndarray, "n 2"], origin: Float[np.ndarray, "2"], pitch: float, shape: tuple[int, int]
 ) -> tuple[Bool[np.ndarray, "row column"], Bool[np.ndarray, "row column"]]:
-    """Which lattice points keep their distance from the border, and which are far from it."""
-    middles = 0.5 * (border + np.roll(border, -1, axis=0))
-    row, column = _coordinates(np.concatenate([border, middles]), origin, pitch)
+    """Flags of the lattice points that are clear of the border, and of those further than ``FAR`` from it."""
+    midpoints = 0.5 * (border + np.roll(border, -1, axis=0))
+    row, column = _coordinates(np.concatenate([border, midpoints]), origin, pitch)
     radius = np.repeat([CLEAR_OF_POINT, CLEAR_OF_MIDDLE], len(border))
-    # The nearest row and column and their neighbours: nothing beyond them is nearer than 1.299 pitches.
+    # The nearest row and column and their neighbours suffice: all others are at least 1.299 pitches away.
     j = np.rint(row).astype(int)[:, None, None] + np.arange(-1, 2)[:, None]
     shift = 0.5 * (j % 2)
     i = np.rint(column[:, None, None] - shift).astype(int) + np.arange(-1, 2)
@@ -152,10 +152,10 @@ def _clearances(
 def _certain(
     kept: Bool[np.ndarray, "row column"], far: Bool[np.ndarray, "row column"]
 ) -> Bool[np.ndarray, "row column 2"]:
-    """Which triangles of the lattice no border can disturb.
+    """Flags of the lattice triangles that stay Delaunay whatever the border.
 
     A border point in the circumcircle of a triangle is within 1.155 pitches of all its corners, and a border segment
-    that passes through it has an end or its middle within 1.26. So one far corner is enough.
+    that passes through the triangle has an end or its midpoint within 1.26 pitches. So one far corner is enough.
     """
     here, right, above, before = _neighbours(kept)
     filled = np.stack([here & right & above, here & above & before], axis=2)
@@ -164,9 +164,9 @@ def _certain(
 
 
 def _neighbours(flag: Bool[np.ndarray, "row column"]) -> tuple[Bool[np.ndarray, "_ _"], ...]:
-    """A flag of the lattice's points, at each point, the next in its row, and the two above: right, then left."""
+    """A flag of the lattice points at each point, at the next in its row, and at the two above: right, then left."""
     upper = flag[1:]
-    before = np.roll(upper, 1, axis=1)  # what wraps round is outside every border
+    before = np.roll(upper, 1, axis=1)  # the column that wraps round is outside every border
     odd = np.arange(len(upper))[:, None] % 2 == 1
     above, before = (np.where(odd, a, b)[:, :-1] for a, b in ((np.roll(upper, -1, axis=1), upper), (upper, before)))
     return flag[:-1, :-1], flag[:-1, 1:], above, before

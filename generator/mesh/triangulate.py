@@ -1,9 +1,8 @@
-"""Triangles that fill an outline without adding a point to it.
+"""Triangulate an outline without adding a point to it.
 
-Inside lies a hexagonal lattice; only the strip between lattice and border is searched for its Delaunay triangulation
-(Qhull). Where a triangle of the strip is too long or too sharp, its circumcentre becomes a seed, as in the refinement
-of Chew (1993) and Ruppert (1995), except that no border segment is ever split: the other side of the seam has its own
-points already.
+The inside is a triangular lattice; Qhull triangulates only the strip between lattice and border. Where a triangle of
+the strip is too long or too sharp, its circumcentre becomes a seed, as in Delaunay refinement (Chew, 1993; Ruppert,
+1995), except that no border segment is ever split: the other side of the seam has its points already.
 """
 
 from dataclasses import dataclass, replace
@@ -21,13 +20,13 @@ from gcd_dataset.generator.mesh.lattice import Lattice, build_lattice
 
 __all__ = ["Filling", "Fillings", "fill_outline", "triangulate"]
 
-LONGEST = 1.43  # spacings: the bound on an edge of GarmentCode's boxmeshgen.py
-SHARPEST = np.radians(25.0)  # the angle refinement aims at; it is sure to end up to 20.7° (Ruppert)
+LONGEST = 1.43  # spacings: the longest edge, as in GarmentCode's boxmeshgen.py
+SHARPEST = np.radians(25.0)  # refinement's target angle; termination is proved up to 20.7° (Ruppert)
 ROUNDS = 10  # a seam gathered to a third of the spacing takes four
-EMPTY = 0.99  # of a circumradius without another point
-APART = 0.8  # circumradii that the new seeds of one round keep from each other
-SAME_AREA = 1e-9  # relative: triangles of which none is missing or covers another
-NUDGE = 1e-6  # spacings by which points stand aside while Qhull looks at them
+EMPTY = 0.99  # circumradii round a new seed without another point
+APART = 0.8  # circumradii between new seeds of one round
+SAME_AREA = 1e-9  # relative: tolerance of the test that triangles neither overlap nor leave a hole
+JITTER = 1e-6  # spacings: shift of each point before Qhull
 
 
 Filling: TypeAlias = tuple[Float[np.ndarray, "m 2"], Int[np.ndarray, "f 3"]]
@@ -37,19 +36,19 @@ Fillings: TypeAlias = dict[tuple[bytes, float], Filling]
 """Seeds and triangles of outlines, by the bytes of their points and the spacing."""
 
 
-def fill_outline(border: Float[np.ndarray, "n 2"], spacing: float, known: Fillings) -> Filling:
-    """Points of a closed loop, then seeds inside it [cm], and triangles that run round as the loop does.
+def fill_outline(border: Float[np.ndarray, "n 2"], spacing: float, cache: Fillings) -> Filling:
+    """Points of a closed loop, then seeds inside it [cm], and triangles with the winding of the loop.
 
-    A clockwise loop is filled as its mirror image, so that a back has the mesh of the front it mirrors; ``known``: the
-    outlines that have been filled, since a left panel often is the right one's mirror image to the last bit. Raises
+    A clockwise loop is filled as its mirror image, so that a back has the mesh of the front it mirrors. ``cache`` holds
+    the outlines filled so far: a left panel often is the mirror image of the right one to the last bit. Raises
     ``MeshError`` as ``triangulate`` does.
     """
     mirror = np.array([1.0 if shapely.LinearRing(border).is_ccw else -1.0, 1.0])
-    outline = border * mirror + 0.0  # no -0.0: its bytes are others
+    outline = border * mirror + 0.0  # no -0.0: the bytes are the cache's key
     key = (outline.tobytes(), spacing)
-    if key not in known:
-        known[key] = triangulate(outline, spacing)
-    seeds, faces = known[key]
+    if key not in cache:
+        cache[key] = triangulate(outline, spacing)
+    seeds, faces = cache[key]
     return np.concatenate([border, seeds * mirror]), faces
 
 
@@ -57,13 +56,13 @@ def triangulate(border: Float[np.ndarray, "n 2"], spacing: float) -> Filling:
     """Seeds [cm] inside a closed counter-clockwise loop of points, and the triangles over border and seeds.
 
     The points of the loop are at most ``spacing`` [cm] apart and keep the numbers 0 … n-1; the seeds follow. Triangles
-    are counter-clockwise, and every segment of the loop is an edge of exactly one. Raises ``MeshError`` where the loop
-    touches itself.
+    are counter-clockwise, and every segment of the loop is an edge of exactly one triangle. Raises ``MeshError`` where
+    the loop touches itself.
     """
     strip = _Strip(border, spacing, build_lattice(border, spacing), np.zeros((0, 2)))
     faces = fresh = strip.faces()
     for _ in range(ROUNDS):
-        seeds = strip.missing_seeds(fresh)  # where no seed has changed anything there is no more room than before
+        seeds = strip.refinement_seeds(fresh)  # unchanged triangles had no room for a seed in the last round either
         if not len(seeds):
             break
         strip, before = strip.with_seeds(seeds), strip
@@ -73,13 +72,13 @@ def triangulate(border: Float[np.ndarray, "n 2"], spacing: float) -> Filling:
 
 @dataclass(frozen=True)
 class _Strip:
-    """Between a border and the triangles of the lattice inside it."""
+    """The strip between a border and the filled triangles of the lattice inside it."""
 
     border: Float[np.ndarray, "n 2"]
     spacing: float
     lattice: Lattice
     added: Float[np.ndarray, "a 2"]
-    """Seeds that are not of the lattice."""
+    """Seeds that refinement has added [cm]."""
 
     @cached_property
     def points(self) -> Float[np.ndarray, "m 2"]:
@@ -87,96 +86,98 @@ class _Strip:
         return np.concatenate([self.border, self.lattice.points, self.added])
 
     @cached_property
-    def nudged(self) -> Float[np.ndarray, "m 2"]:
-        """The points as Qhull sees them: all that asks which side of what a point is on asks these."""
-        return _nudged(self.points, NUDGE * self.spacing)
+    def jittered(self) -> Float[np.ndarray, "m 2"]:
+        """The points as Qhull sees them; all orientation tests use these."""
+        return _jittered(self.points, JITTER * self.spacing)
 
     @cached_property
     def outline(self) -> shapely.Polygon:
-        outline = shapely.Polygon(self.nudged[: len(self.border)])
+        outline = shapely.Polygon(self.jittered[: len(self.border)])
         shapely.prepare(outline)
         return outline
 
     @cached_property
-    def members(self) -> Int[np.ndarray, " k"]:
-        """The points that triangles of the strip can have for corners."""
+    def corners(self) -> Int[np.ndarray, " k"]:
+        """The points that can be corners of the strip's triangles."""
         n, m = len(self.border), len(self.points)
         return np.concatenate([np.arange(n), n + self.lattice.rim, np.arange(m - len(self.added), m)])
 
     def with_seeds(self, seeds: Float[np.ndarray, "k 2"]) -> "_Strip":
-        """The strip with more points in it, and wider where they disturb the lattice."""
+        """The strip with more seeds, widened by the lattice triangles that they invalidate."""
         return replace(self, lattice=self.lattice.without(seeds), added=np.concatenate([self.added, seeds]))
 
     def refined(
         self, before: "_Strip", faces: Int[np.ndarray, "f 3"]
     ) -> tuple[Int[np.ndarray, "g 3"], Int[np.ndarray, "h 3"]]:
-        """The triangles of the strip, and those of them that have come with its last seeds.
+        """The triangles of the strip, and those of them that its last seeds have created.
 
-        ``before`` and ``faces``: the strip without those seeds, and its triangles. Only triangles with a seed in their
-        circumcircle go, and only triangles with a seed for a corner come (Bowyer, 1981; Watson, 1981): among the
-        corners of those that go they are the same as among all points. Over a slit that is not so, and all is done
-        again.
+        ``before`` and ``faces``: the strip without those seeds, and its triangles. Incremental insertion (Bowyer, 1981;
+        Watson, 1981): a seed removes the triangles with the seed in their circumcircle and creates triangles among
+        their corners, all with the seed as a corner. Over a slit this fails; the strip is then triangulated anew.
         """
         first_seed = len(self.points) - (len(self.added) - len(before.added))
         opened = replace(before.lattice, filled=before.lattice.filled & ~self.lattice.filled).faces
         old = np.concatenate([faces, len(self.border) + opened])
-        centres, radii, _, _ = _circumcircles(self.nudged[old])
-        goes = (cdist(self.nudged[first_seed:], centres) < radii).any(axis=0)
-        corners = np.append(np.unique(old[goes]), np.arange(first_seed, len(self.points)))
-        fresh = _counter_clockwise(self.nudged, corners[Delaunay(self.nudged[corners]).simplices])
+        centres, radii, _, _ = _circumcircles(self.jittered[old])
+        removed = (cdist(self.jittered[first_seed:], centres) < radii).any(axis=0)
+        corners = np.append(np.unique(old[removed]), np.arange(first_seed, len(self.points)))
+        fresh = _counter_clockwise(self.jittered, corners[Delaunay(self.jittered[corners]).simplices])
         fresh = fresh[fresh.max(axis=1) >= first_seed]
-        whole = np.concatenate([old[~goes], fresh])
-        same_area = np.isclose(_area(self.nudged[fresh]), _area(self.nudged[old[goes]]), rtol=SAME_AREA, atol=0.0)
-        if same_area and has_segments(whole, len(self.border)):
-            return whole, fresh
-        again = self.faces()
-        return again, again
+        updated = np.concatenate([old[~removed], fresh])
+        area, removed_area = _area(self.jittered[fresh]), _area(self.jittered[old[removed]])
+        if np.isclose(area, removed_area, rtol=SAME_AREA, atol=0.0) and has_segments(updated, len(self.border)):
+            return updated, fresh
+        anew = self.faces()
+        return anew, anew
 
     def faces(self) -> Int[np.ndarray, "f 3"]:
         """The constrained Delaunay triangles of the strip, counter-clockwise."""
-        faces = _counter_clockwise(self.nudged, self.members[Delaunay(self.nudged[self.members]).simplices])
-        faces = faces[~self.lattice.covers(self.nudged[faces].mean(axis=1))]
-        faces = restore_segments(self.nudged, faces, len(self.border))
+        faces = _counter_clockwise(self.jittered, self.corners[Delaunay(self.jittered[self.corners]).simplices])
+        faces = faces[~self.lattice.covers(self.jittered[faces].mean(axis=1))]
+        faces = restore_segments(self.jittered, faces, len(self.border))
         return faces[self._inside(faces)]
 
     def _inside(self, faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-        """Which triangles lie within the outline, of which every segment is an edge."""
+        """Flags of the triangles inside the outline; every segment of the outline is an edge of a triangle."""
         n = len(self.border)
         inside = faces.max(axis=1) >= n
-        bare = np.flatnonzero(~inside)  # all corners on the border
-        step = (np.roll(faces[bare], -1, axis=1) - faces[bare]) % n
+        on_border = np.flatnonzero(~inside)  # all three corners
+        step = (np.roll(faces[on_border], -1, axis=1) - faces[on_border]) % n
         along, against = (step == 1).any(axis=1), (step == n - 1).any(axis=1)
-        inside[bare] = along
-        unsure = bare[~along & ~against]
-        inside[unsure] = shapely.contains_xy(self.outline, *self.nudged[faces[unsure]].mean(axis=1).T)
+        inside[on_border] = along
+        unsure = on_border[~along & ~against]
+        inside[unsure] = shapely.contains_xy(self.outline, *self.jittered[faces[unsure]].mean(axis=1).T)
         return inside
 
-    def missing_seeds(self, faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "k 2"]:
-        """Circumcentres of triangles that are too long or too sharp, where there is room for them."""
-        centres, radii, shortest, longest = _circumcircles(self.nudged[faces])
+    def refinement_seeds(self, faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "k 2"]:
+        """Circumcentres of triangles that are too long or too sharp, where there is room for a seed [cm]."""
+        centres, radii, shortest, longest = _circumcircles(self.jittered[faces])
         poor = (longest > LONGEST * self.spacing) | (2 * np.sin(SHARPEST) * radii > shortest)
         if not poor.any():
             return centres[:0]
         centres, radii = centres[poor], radii[poor]
-        room = shapely.contains_xy(self.outline, *centres.T) & self._room(centres, radii)
-        return centres[room][_spread(centres[room], radii[room])]
+        room = shapely.contains_xy(self.outline, *centres.T) & self._has_room(centres, radii)
+        return centres[room][_spaced_out(centres[room], radii[room])]
 
-    def _room(self, centres: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        """Which circles hold no point, as over a slit they may, and see no border segment under over a right angle."""
+    def _has_room(self, centres: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        """Flags of the circles that are empty (over a slit some are not) and whose centre encroaches on no segment.
+
+        A point encroaches on a border segment that it sees under more than a right angle (Ruppert, 1995).
+        """
         ahead = np.roll(self.border, -1, axis=0)
         half = 0.5 * np.linalg.norm(ahead - self.border, axis=1)
         clear = (cdist(centres, 0.5 * (self.border + ahead)) >= half).all(axis=1)
-        nearest, _ = cKDTree(self.points[self.members], balanced_tree=False).query(centres)
+        nearest, _ = cKDTree(self.points[self.corners], balanced_tree=False).query(centres)
         return clear & (nearest > EMPTY * radii)
 
 
-def _nudged(points: Float[np.ndarray, "m 2"], by: float) -> Float[np.ndarray, "m 2"]:
-    """The points, each aside by a different trifle, so that no three are in line and no four on a circle.
+def _jittered(points: Float[np.ndarray, "m 2"], by: float) -> Float[np.ndarray, "m 2"]:
+    """The points, each shifted by a different tiny vector, so that no three are collinear and no four cocircular.
 
-    Ties between rows of equal triangles cost Qhull three times the rest of its work (measured), and the triangles that
-    it may put on the line between points of a straight edge belong to neither side.
+    Ties between rows of equal triangles triple Qhull's time (measured), and a degenerate triangle between points of a
+    straight edge lies on neither side of it.
     """
-    square = np.arange(len(points))[:, None] ** 2.0  # a linear sequence would keep equally spaced points in line
+    square = np.arange(len(points))[:, None] ** 2.0  # a linear sequence would keep equally spaced points collinear
     return points + by * (square * (np.sqrt(2), np.sqrt(3)) % 1.0 - 0.5)
 
 
@@ -188,7 +189,7 @@ def _counter_clockwise(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, 
 
 
 def _area(corners: Float[np.ndarray, "f 3 2"]) -> float:
-    """The area of all triangles [cm²]."""
+    """The total area of the triangles [cm²]."""
     (bx, by), (cx, cy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
     return 0.5 * float((bx * cy - by * cx).sum())
 
@@ -206,8 +207,8 @@ def _circumcircles(
     return corners[:, 0] + np.stack([x, y], axis=1), np.hypot(x, y), sides.min(axis=0), sides.max(axis=0)
 
 
-def _spread(points: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Int[np.ndarray, " n"]:
-    """Indices of points that keep ``APART`` of their radius from each other, those of large circles first."""
+def _spaced_out(points: Float[np.ndarray, "k 2"], radii: Float[np.ndarray, " k"]) -> Int[np.ndarray, " n"]:
+    """Indices of points at least ``APART`` of their radius from each other, chosen greedily by decreasing radius."""
     order = np.lexsort((points[:, 1], points[:, 0], -radii))
     if not len(order):
         return order

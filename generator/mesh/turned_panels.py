@@ -1,7 +1,7 @@
-"""Which panels are sewn in wrong side out.
+"""Turned panels: panels that are sewn in wrong side out.
 
-Seams join right sides to right sides, and the faces on both sides of them are wound alike. A seam of right side to
-wrong side, as of a lapel, turns the cloth over: past it the outside of the garment is the wrong side of the panel.
+Most seams join right side to right side, and the faces on both sides have the same winding. A seam of right side to
+wrong side, such as a lapel's, turns the cloth over: beyond it the outside of the garment is the panel's wrong side.
 """
 
 from collections import deque
@@ -15,11 +15,11 @@ from gcd_dataset.records import BoxMesh, Panel, Pattern, Seam
 
 __all__ = ["flat_areas", "turned_over", "turned_panels"]
 
-SAMPLES = 17  # points of an edge, by which a loop's turn is told
+SAMPLES = 17  # points of an edge, for the sign of a loop's area
 
 
 def turned_panels(pattern: Pattern, mesh: BoxMesh) -> tuple[str, ...]:
-    """The panels of a box mesh whose wrong side is out: their faces run against the loops of the pattern's panels."""
+    """Names of the panels with their wrong side out: their faces have the opposite winding of the pattern's loops."""
     flat = np.bincount(mesh.panel_id, flat_areas(mesh.uv[mesh.corners]), minlength=len(mesh.panel_names))
     loops = {panel.name: _loop_area(panel) for panel in pattern.panels}
     return tuple(name for name, area in zip(mesh.panel_names, flat, strict=True) if area * loops[name] < 0)
@@ -32,10 +32,10 @@ def flat_areas(corners: Float[np.ndarray, "f 3 2"]) -> Float[np.ndarray, " f"]:
 
 
 def turned_over(names: Sequence[str], areas: Float[np.ndarray, " p"], seams: Sequence[Seam]) -> Bool[np.ndarray, " p"]:
-    """Which panels, of these flat areas, have to be turned over for all seams to join faces that are wound alike.
+    """Flags of the panels to turn over, so that all seams join faces of the same winding.
 
-    Of panels that hang together, those with the larger area stay right side out. Seams that would have a band both ways
-    out, as of a Möbius strip, are left with the turn in the last of them.
+    Of each set of connected panels the part with the larger area (``areas``, flat) stays right side out. A one-sided
+    band (a Möbius strip) cannot satisfy all of its seams: the last of them is left with opposite windings.
     """
     number = {name: row for row, name in enumerate(names)}
     beside: list[list[tuple[int, bool]]] = [[] for _ in names]
@@ -50,19 +50,19 @@ def turned_over(names: Sequence[str], areas: Float[np.ndarray, " p"], seams: Seq
     for first in range(len(names)):
         if seen[first]:
             continue
-        garment = _follow(first, beside, turned, seen)
-        if areas[garment][turned[garment]].sum() > areas[garment][~turned[garment]].sum():
-            turned[garment] = ~turned[garment]
+        connected = _orient_connected(first, beside, turned, seen)
+        if areas[connected][turned[connected]].sum() > areas[connected][~turned[connected]].sum():
+            turned[connected] = ~turned[connected]
     return turned
 
 
-def _follow(
+def _orient_connected(
     first: int,
     beside: Sequence[Sequence[tuple[int, bool]]],
     turned: Bool[np.ndarray, " p"],
     seen: Bool[np.ndarray, " p"],
 ) -> list[int]:
-    """The panels that hang together with the first, each marked in ``turned`` as against that."""
+    """The panels connected to ``first``; sets ``turned`` of each relative to it, and ``seen``."""
     found, waiting = [], deque([first])
     seen[first] = True
     while waiting:
@@ -77,7 +77,7 @@ def _follow(
 
 
 def _loop_area(panel: Panel) -> float:
-    """Signed area that a panel's loop encloses, positive for a counter-clockwise one [cm²]."""
+    """Signed area of a panel's loop [cm²], positive if counter-clockwise."""
     edges = [sample_curve(*panel.edge_ends(i), edge.curve, SAMPLES)[:-1] for i, edge in enumerate(panel.edges)]
     x, y = np.concatenate(edges).T
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))

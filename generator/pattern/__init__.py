@@ -1,6 +1,6 @@
-"""The language that garments are drawn in: outlines, pieces, components, and the pattern they are assembled to.
+"""The drawing language for garments: strokes make outlines, outlines pieces, pieces components, components a pattern.
 
-A bag, with a slit of 10 cm in the front's hem and open at the top:
+A bag, open at the top, with a notch 10 cm deep in the hem of its front:
 
 >>> side = Outline.start(0, 0).line(40, 0, name="hem").line(40, 40, name="left").line(0, 40, name="top")
 >>> square = side.close(name="right")
@@ -11,28 +11,29 @@ A bag, with a slit of 10 cm in the front's hem and open at the top:
 >>> pattern = assemble(bag, "bag")
 >>> [edge.name for edge in pattern.panel("front").edges]
 ['hem', 'notch.0', 'notch.1', 'hem', 'left', 'top', 'right']
->>> len(pattern.seams)  # the back's hem is divided to match
+>>> len(pattern.seams)  # the hem of the back is divided to match that of the front
 4
 """
 
-from gcd_dataset.generator.pattern.assemble import SewnJoin, assemble, measure_joins, panel_of, sew
+from gcd_dataset.generator.pattern.assemble import MeasuredJoin, assemble, assemble_and_measure, measure_joins, panel_of
 from gcd_dataset.generator.pattern.component import Component
+from gcd_dataset.generator.pattern.cubic_fit import s_shaped_cubic, smooth_cubic
 from gcd_dataset.generator.pattern.dart import cut_corner, cut_end, cut_into, dart, notch
-from gcd_dataset.generator.pattern.edge import Stroke, chain_from, rotate
-from gcd_dataset.generator.pattern.fit import smooth_cubic, swayed_cubic
 from gcd_dataset.generator.pattern.outline import Outline
-from gcd_dataset.generator.pattern.panel import Piece
+from gcd_dataset.generator.pattern.piece import Piece
 from gcd_dataset.generator.pattern.seam import Interface, backwards
+from gcd_dataset.generator.pattern.stroke import Stroke, chain_from, rotate
 from gcd_dataset.generator.pattern.tangent import tangent_quadratic
 
 __all__ = [
     "Component",
     "Interface",
+    "MeasuredJoin",
     "Outline",
     "Piece",
-    "SewnJoin",
     "Stroke",
     "assemble",
+    "assemble_and_measure",
     "backwards",
     "chain_from",
     "cut_corner",
@@ -43,8 +44,7 @@ __all__ = [
     "notch",
     "panel_of",
     "rotate",
-    "sew",
+    "s_shaped_cubic",
     "smooth_cubic",
-    "swayed_cubic",
     "tangent_quadratic",
 ]

@@ -1,4 +1,4 @@
-"""From a component to a pattern: edges divided for their seams, loops turned outwards, corners numbered."""
+"""Assemble a component to a pattern: divide edges for their seams, orient loops, number corners."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,97 +7,102 @@ import numpy as np
 
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.pattern.component import Component
-from gcd_dataset.generator.pattern.edge import Stroke
-from gcd_dataset.generator.pattern.panel import Piece
+from gcd_dataset.generator.pattern.piece import Piece
 from gcd_dataset.generator.pattern.seam import Interface, Join, shared_breaks
+from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import panel_order
 
-__all__ = ["SewnJoin", "assemble", "measure_joins", "panel_of", "sew"]
+__all__ = ["MeasuredJoin", "assemble", "assemble_and_measure", "measure_joins", "panel_of"]
 
 
 @dataclass(frozen=True, slots=True)
-class _Stretch:
-    """A stroke of a piece as an interface walks it."""
+class _WalkedStroke:
+    """A stroke of a piece in the walk of an interface."""
 
     panel: str
     stroke: int
+    """Its number in the piece's outline."""
     backward: bool
+    """Walked against the direction in which it was drawn."""
     length: float
-    """Projected: its length without the gathers [cm]."""
+    """Projected length: without the gathers [cm]."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What is left of a stroke after dividing it: the ``part``-th piece in drawing order."""
+    """One part of a divided stroke."""
 
     panel: str
     stroke: int
     part: int
+    """Its number in drawing order."""
     backward: bool
 
 
 @dataclass(frozen=True, slots=True)
-class SewnJoin:
-    """A seam between two interfaces, and how long its sides are without their gathers."""
+class MeasuredJoin:
+    """A join with the projected lengths of its two sides."""
 
     join: Join
-    left: float
-    """[cm]"""
-    right: float
-    """[cm]"""
+    left_length: float
+    """Without the gathers [cm]."""
+    right_length: float
+    """Without the gathers [cm]."""
 
 
 def assemble(component: Component, name: str) -> Pattern:
-    """The finished pattern. Raises ``PatternError`` for a seam of an edge that is not there or is sewn already."""
-    return sew(component, name)[0]
+    """The finished pattern. Raises ``PatternError`` for a seam of a missing edge, or of one that is sewn already."""
+    return assemble_and_measure(component, name)[0]
 
 
-def sew(component: Component, name: str) -> tuple[Pattern, tuple[SewnJoin, ...]]:
-    """The finished pattern, and the lengths of all that is sewn together in it. Raises as ``assemble`` does."""
+def assemble_and_measure(component: Component, name: str) -> tuple[Pattern, tuple[MeasuredJoin, ...]]:
+    """The finished pattern, and its joins with their lengths. Raises as ``assemble`` does."""
     walks = [(_walk(component, join.left), _walk(component, join.right)) for join in component.joins]
     _require_sewn_once(component, walks)
     divisions = _divisions(walks)
     outward = {piece.name: piece.faces_out for piece in component.pieces}
     strokes = {piece.name: _divided(piece, divisions) for piece in component.pieces}
     panels = {piece.name: _panel(piece, strokes[piece.name], outward[piece.name]) for piece in component.pieces}
-    places = {panel: _edge_places(parts, outward[panel]) for panel, parts in strokes.items()}
+    numbers = {panel: _edge_numbers(parts, outward[panel]) for panel, parts in strokes.items()}
     seams = [
-        _seam(left, right, places, outward)
+        _seam(left, right, numbers, outward)
         for walk_left, walk_right in walks
         for left, right in zip(_parts(walk_left, divisions), _parts(walk_right, divisions), strict=True)
     ]
     order = panel_order(tuple(panels.values()))
-    return Pattern(name, tuple(panels[panel] for panel in order), tuple(seams)), _lengths(component, walks)
+    return Pattern(name, tuple(panels[panel] for panel in order), tuple(seams)), _measured(component, walks)
 
 
-def measure_joins(component: Component) -> tuple[SewnJoin, ...]:
-    """The lengths of all that is to be sewn. Raises ``PatternError`` for a seam of an edge that is not there."""
-    return _lengths(
+def measure_joins(component: Component) -> tuple[MeasuredJoin, ...]:
+    """The joins of a component with their lengths. Raises ``PatternError`` for a seam of a missing edge."""
+    return _measured(
         component, [(_walk(component, join.left), _walk(component, join.right)) for join in component.joins]
     )
 
 
-def _lengths(component: Component, walks: Sequence[tuple[list[_Stretch], list[_Stretch]]]) -> tuple[SewnJoin, ...]:
+def _measured(
+    component: Component, walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]]
+) -> tuple[MeasuredJoin, ...]:
     return tuple(
-        SewnJoin(join, *(sum(stretch.length for stretch in side) for side in walk))
+        MeasuredJoin(join, *(sum(walked.length for walked in side) for side in walk))
         for join, walk in zip(component.joins, walks, strict=True)
     )
 
 
 def panel_of(piece: Piece) -> Panel:
-    """The panel that the piece alone is: with no edge divided for a seam."""
+    """The piece as a panel by itself, no edge divided for a seam."""
     return _panel(piece, [(stroke,) for stroke in piece.outline.strokes], piece.faces_out)
 
 
-def _walk(component: Component, interface: Interface) -> list[_Stretch]:
+def _walk(component: Component, interface: Interface) -> list[_WalkedStroke]:
     """The strokes of an interface in the order of its walk."""
-    walk: list[_Stretch] = []
+    walk: list[_WalkedStroke] = []
     for section in interface:
         outline = component.piece(section.panel).outline
-        outline.run(section.edge)  # so that a wrong name is an error
+        outline.run(section.edge)  # raises for a wrong name
         found = [
-            _Stretch(section.panel, index, section.backward, stroke.length / section.ruffle)
+            _WalkedStroke(section.panel, index, section.backward, stroke.length / section.ruffle)
             for index, stroke in enumerate(outline.strokes)
             if stroke.name == section.edge
         ]
@@ -105,23 +110,23 @@ def _walk(component: Component, interface: Interface) -> list[_Stretch]:
     return walk
 
 
-def _require_sewn_once(component: Component, walks: Sequence[tuple[list[_Stretch], list[_Stretch]]]) -> None:
+def _require_sewn_once(component: Component, walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]]) -> None:
     seen: set[tuple[str, int]] = set()
-    for stretch in (stretch for sides in walks for side in sides for stretch in side):
-        if (stretch.panel, stretch.stroke) in seen:
-            edge = component.piece(stretch.panel).outline.strokes[stretch.stroke].name
-            raise PatternError(f"edge {edge} of panel {stretch.panel} is sewn twice: name each edge in one seam only")
-        seen.add((stretch.panel, stretch.stroke))
+    for walked in (walked for sides in walks for side in sides for walked in side):
+        if (walked.panel, walked.stroke) in seen:
+            edge = component.piece(walked.panel).outline.strokes[walked.stroke].name
+            raise PatternError(f"edge {edge} of panel {walked.panel} is sewn twice: name each edge in one seam only")
+        seen.add((walked.panel, walked.stroke))
 
 
-def _divisions(walks: Sequence[tuple[list[_Stretch], list[_Stretch]]]) -> dict[tuple[str, int], list[float]]:
-    """Shares of their length, in drawing order, at which strokes are divided."""
+def _divisions(walks: Sequence[tuple[list[_WalkedStroke], list[_WalkedStroke]]]) -> dict[tuple[str, int], list[float]]:
+    """The breaks of each (panel, stroke): shares of the stroke's length, in drawing order."""
     divisions: dict[tuple[str, int], list[float]] = {}
     for left, right in walks:
         shares_left, shares_right = shared_breaks([s.length for s in left], [s.length for s in right])
-        for stretch, shares in (*zip(left, shares_left, strict=True), *zip(right, shares_right, strict=True)):
-            drawn = [1 - share for share in reversed(shares)] if stretch.backward else shares
-            divisions[stretch.panel, stretch.stroke] = drawn
+        for walked, shares in (*zip(left, shares_left, strict=True), *zip(right, shares_right, strict=True)):
+            in_drawing_order = [1 - share for share in reversed(shares)] if walked.backward else shares
+            divisions[walked.panel, walked.stroke] = in_drawing_order
     return divisions
 
 
@@ -131,43 +136,43 @@ def _divided(piece: Piece, divisions: Mapping[tuple[str, int], list[float]]) -> 
     return [stroke.split(s) if s else (stroke,) for stroke, s in zip(piece.outline.strokes, shares, strict=True)]
 
 
-def _parts(walk: Sequence[_Stretch], divisions: Mapping[tuple[str, int], list[float]]) -> list[_Part]:
-    """The parts that an interface's strokes were divided into, in the order of its walk."""
+def _parts(walk: Sequence[_WalkedStroke], divisions: Mapping[tuple[str, int], list[float]]) -> list[_Part]:
+    """The parts of an interface's divided strokes, in the order of its walk."""
     parts = []
-    for stretch in walk:
-        count = len(divisions[stretch.panel, stretch.stroke]) + 1
-        order = reversed(range(count)) if stretch.backward else range(count)
-        parts += [_Part(stretch.panel, stretch.stroke, part, stretch.backward) for part in order]
+    for walked in walk:
+        count = len(divisions[walked.panel, walked.stroke]) + 1
+        order = reversed(range(count)) if walked.backward else range(count)
+        parts += [_Part(walked.panel, walked.stroke, part, walked.backward) for part in order]
     return parts
 
 
-def _edge_places(parts: Sequence[tuple[Stroke, ...]], outward: bool) -> dict[tuple[int, int], int]:
-    """Place in the panel's loop of each part of each stroke."""
-    keys = [(stroke, part) for stroke, pieces in enumerate(parts) for part in range(len(pieces))]
-    return {key: place if outward else len(keys) - 1 - place for place, key in enumerate(keys)}
+def _edge_numbers(parts: Sequence[tuple[Stroke, ...]], outward: bool) -> dict[tuple[int, int], int]:
+    """(stroke, part) to the number of its edge in the panel's loop."""
+    keys = [(stroke, part) for stroke, own_parts in enumerate(parts) for part in range(len(own_parts))]
+    return {key: number if outward else len(keys) - 1 - number for number, key in enumerate(keys)}
 
 
 def _seam(
     left: _Part,
     right: _Part,
-    places: Mapping[str, Mapping[tuple[int, int], int]],
+    numbers: Mapping[str, Mapping[tuple[int, int], int]],
     outward: Mapping[str, bool],
 ) -> Seam:
-    """The seam of two parts; which of their ends meet follows from the walks and the turns of the loops."""
-    refs = [EdgeRef(part.panel, places[part.panel][part.stroke, part.part]) for part in (left, right)]
+    """The seam of two parts; the walks and the directions of the loops decide which ends meet."""
+    refs = [EdgeRef(part.panel, numbers[part.panel][part.stroke, part.part]) for part in (left, right)]
     with_loop = [outward[part.panel] != part.backward for part in (left, right)]
     return Seam(refs[0], refs[1], right_wrong=with_loop[0] == with_loop[1])
 
 
 def _panel(piece: Piece, parts: Sequence[tuple[Stroke, ...]], outward: bool) -> Panel:
     """The finished panel: its loop counter-clockwise from outside, its first corner the origin of its plane."""
-    loop = [stroke for pieces in parts for stroke in pieces]
+    loop = [part for stroke_parts in parts for part in stroke_parts]
     if not outward:
         loop = [stroke.reversed() for stroke in reversed(loop)]
     corners = np.array([stroke.start for stroke in loop])
     edges = tuple(
         Edge(i, (i + 1) % len(loop), stroke.curve, stroke.label, stroke.name) for i, stroke in enumerate(loop)
     )
-    rotation = np.array(piece.rotation) + 0.0  # a mirror image has angles of -0.0, which nobody wants in a file
-    hung = Placement(np.array(piece.in_space(loop[0].start)), rotation)
-    return Panel(piece.name, corners - corners[0], edges, hung, piece.label)
+    rotation = np.array(piece.rotation) + 0.0  # mirror images have angles of -0.0, which files should not show
+    placement = Placement(np.array(piece.in_space(loop[0].start)), rotation)
+    return Panel(piece.name, corners - corners[0], edges, placement, piece.label)

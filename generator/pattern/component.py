@@ -1,4 +1,4 @@
-"""Components: pieces sewn to each other, with the interfaces at which they can be sewn to others."""
+"""Components: pieces sewn to each other, with named interfaces to other components."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.pattern.panel import Piece, Vector
+from gcd_dataset.generator.pattern.piece import Piece, Vector
 from gcd_dataset.generator.pattern.seam import Interface, Join
 from gcd_dataset.records import EdgeRole, PanelRole
 
@@ -25,33 +25,33 @@ class Component:
 
     @classmethod
     def of(cls, *parts: "Piece | Component") -> Self:
-        """Pieces and components put together, keeping their seams; interfaces are not passed on.
+        """Pieces and components put together with their seams, but without the interfaces.
 
-        Raises ``PatternError`` where two pieces have one name.
+        Raises ``PatternError`` for two pieces of the same name.
         """
-        whole = [part if isinstance(part, Component) else Component((part,)) for part in parts]
-        pieces = tuple(piece for part in whole for piece in part.pieces)
+        components = [part if isinstance(part, Component) else Component((part,)) for part in parts]
+        pieces = tuple(piece for part in components for piece in part.pieces)
         names = [piece.name for piece in pieces]
         if twice := {name for name in names if names.count(name) > 1}:
             raise PatternError(f"panels {', '.join(sorted(twice))} stand twice in one component")
-        return cls(pieces, tuple(join for part in whole for join in part.joins))
+        return cls(pieces, tuple(join for part in components for join in part.joins))
 
     def sewn(self, left: Interface, right: Interface, *, gathered: bool = False) -> Self:
-        """With one more seam, between interfaces walked the same way; ``gathered``: see ``Join``."""
+        """With one more join, of interfaces walked in the same direction; ``gathered``: see ``Join``."""
         return replace(self, joins=(*self.joins, Join(left, right, gathered)))
 
     def offering(self, **interfaces: Interface) -> Self:
-        """With named interfaces for others to be sewn to."""
+        """With named interfaces to other components."""
         return replace(self, interfaces={**self.interfaces, **interfaces})
 
     def interface(self, name: str) -> Interface:
-        """The interface of that name. Raises ``PatternError`` with the names there are."""
+        """The interface of that name. Raises ``PatternError`` with the known names."""
         if name not in self.interfaces:
             raise PatternError(f"no interface named {name}: there are {', '.join(self.interfaces)}")
         return self.interfaces[name]
 
     def piece(self, name: str) -> Piece:
-        """The piece of that name. Raises ``PatternError`` with the names there are."""
+        """The piece of that name. Raises ``PatternError`` with the known names."""
         for piece in self.pieces:
             if piece.name == name:
                 return piece
@@ -66,16 +66,16 @@ class Component:
         return replace(self, pieces=tuple(piece.turned(angle) for piece in self.pieces))
 
     def labelled(self, label: PanelRole) -> Self:
-        """With the part of the body written on every piece that has none."""
+        """With this label on every piece without one."""
         return replace(self, pieces=tuple(p if p.label else replace(p, label=label) for p in self.pieces))
 
     def with_edge_label(self, interface: Interface, label: EdgeRole) -> Self:
-        """With a label on the edges of an interface; it stays on every piece they are divided into."""
+        """With a label on the edges of an interface; every part of a divided edge keeps it."""
         edges = {(section.panel, section.edge) for section in interface}
         return replace(self, pieces=tuple(_labelled(piece, edges, label) for piece in self.pieces))
 
     def mirrored(self, old: str, new: str) -> Self:
-        """The mirror image about x = 0, with ``old`` exchanged for ``new`` in the names.
+        """The mirror image about x = 0, with ``old`` replaced by ``new`` in the names of panels.
 
         >>> from gcd_dataset.generator.pattern.outline import Outline
         >>> sleeve = Piece("right_sleeve", Outline.start(0, 0).line(10, 0).line(10, 20).close()).at(-30, 120, 0)
@@ -95,35 +95,39 @@ class Component:
         return sum(self.piece(s.panel).outline.length(s.edge) for s in self.interface(interface))
 
     def points(self, interface: str | None = None) -> Float[np.ndarray, "n 3"]:
-        """Points along all contours, or along one interface, in space [cm]."""
+        """Points along all outlines, or along one interface, in space [cm]."""
         if interface is None:
             return np.concatenate([piece.points() for piece in self.pieces])
         return np.concatenate([self.piece(s.panel).points(s.edge) for s in self.interface(interface)])
 
-    def placed_by(self, own: str, other: "Component", theirs: str, *, gap: float, top: bool = False) -> Self:
-        """Moved so that its interface ``own`` lies before the interface ``theirs`` of another, ``gap`` cm off.
+    def placed_by(
+        self, interface: str, other: "Component", other_interface: str, *, gap: float, top: bool = False
+    ) -> Self:
+        """Moved so that its interface lies at the interface of another component, with a gap between them [cm].
 
-        The middles of the two bounding boxes meet (with ``top``, at the height of their upper sides); the gap points
-        from the middle of the whole component to its interface, so the component stands off on its own side.
-        Raises ``PatternError`` where those two middles coincide, which leaves no side.
+        Aligns the centres of the interfaces' bounding boxes, or with ``top`` the centres of their upper sides. The gap
+        runs from the centre of the component to its interface, so that the component stays on its side of the other.
+        Raises ``PatternError`` where those two centres coincide: the side is then undefined.
         """
-        edge = self.points(own)
-        mine, target = _middle(edge, top), _middle(other.points(theirs), top)
-        away = _middle(edge, False) - _middle(self.points(), False)
+        edge = self.points(interface)
+        start, target = _centre(edge, top), _centre(other.points(other_interface), top)
+        away = _centre(edge, False) - _centre(self.points(), False)
         distance = float(np.linalg.norm(away))
         if distance == 0.0:
-            raise PatternError(f"interface {own} lies in the middle of its component: there is no side to stand off on")
-        shift = target - (mine + gap / distance * away)
+            raise PatternError(
+                f"interface {interface} lies in the middle of its component: there is no side to stand off on"
+            )
+        shift = target - (start + gap / distance * away)
         return self.moved((float(shift[0]), float(shift[1]), float(shift[2])))
 
 
-def _middle(points: Float[np.ndarray, "n 3"], top: bool) -> Float[np.ndarray, "3"]:
-    """Middle of the bounding box, or of its upper side."""
+def _centre(points: Float[np.ndarray, "n 3"], top: bool) -> Float[np.ndarray, "3"]:
+    """Centre of the bounding box, or of its upper side."""
     low, high = points.min(axis=0), points.max(axis=0)
-    middle = 0.5 * (low + high)
+    centre = 0.5 * (low + high)
     if top:
-        middle[1] = high[1]
-    return middle
+        centre[1] = high[1]
+    return centre
 
 
 def _renamed(interface: Interface, old: str, new: str) -> Interface:

@@ -1,4 +1,4 @@
-"""What is cut into an outline: darts, notches and corners.
+"""Cuts in an outline: darts, notches and cut-off corners.
 
 >>> from gcd_dataset.generator.pattern.outline import Outline
 >>> skirt = Outline.start(0, 0).line(0, -40).line(60, -40, name="hem").line(60, 0).close(name="waist")
@@ -11,19 +11,19 @@ from math import atan2, hypot, pi, sqrt
 
 from gcd_dataset.curves import Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.pattern.edge import Stroke, chain_from
 from gcd_dataset.generator.pattern.outline import Outline
+from gcd_dataset.generator.pattern.stroke import Stroke, chain_from
 
 __all__ = ["cut_corner", "cut_end", "cut_into", "dart", "notch"]
 
-MOUTH_TOLERANCE = 1e-9  # cm²
-MOUTH_STEPS = 20
+MOUTH_TOLERANCE = 1e-9  # cm², of Newton's method
+MOUTH_STEPS = 20  # of Newton's method, at most
 
 
 def dart(width: float, leg: float, *, name: str = "dart") -> tuple[Stroke, Stroke]:
-    """A dart open by ``width``, with two legs of length ``leg`` [cm].
+    """The two legs of a dart, each ``leg`` long, over an opening of ``width`` [cm].
 
-    Raises ``PatternError`` for legs that do not meet.
+    Raises ``PatternError`` for legs too short to meet.
     """
     if leg <= 0.5 * width:
         raise PatternError(f"dart {name}: legs of {leg:.2f} cm do not meet over an opening of {width:.2f} cm")
@@ -31,32 +31,31 @@ def dart(width: float, leg: float, *, name: str = "dart") -> tuple[Stroke, Strok
 
 
 def notch(width: float, depth: float, *, name: str = "notch") -> tuple[Stroke, Stroke]:
-    """An isosceles notch, ``width`` wide at the edge and ``depth`` deep [cm], of sides ``name.0`` and ``name.1``."""
+    """The sides ``name.0`` and ``name.1`` of an isosceles notch, ``width`` wide at the edge and ``depth`` deep [cm]."""
     tip = (0.5 * width, depth)
     return Stroke((0.0, 0.0), tip, name=f"{name}.0"), Stroke(tip, (width, 0.0), name=f"{name}.1")
 
 
 def cut_into(outline: Outline, edge: str, shape: tuple[Stroke, ...], *, at: float) -> Outline:
-    """The outline with a shape cut into an edge, its mouth centred ``at`` cm along it, its depth pointing inside.
+    """The outline with a shape cut into an edge: its mouth centred ``at`` cm along the edge, its depth to the inside.
 
-    The shape runs from the origin along the x axis and dips to positive y. The rest of the edge keeps its name; where
-    a cut has divided it already, ``at`` is counted along what is left.
-    Raises ``PatternError`` where the mouth does not fit between the ends of the edge.
+    The shape is drawn from the origin along the x axis, with its depth in positive y. The remaining parts of the edge
+    keep its name; ``at`` counts along the parts that earlier cuts have left.
+    Raises ``PatternError`` for a mouth that does not fit between the ends of the edge.
     """
-    stroke, at = _piece_at(outline.run(edge), at)
+    stroke, at = _part_at(outline.run(edge), at)
     mouth = hypot(shape[-1].end[0], shape[-1].end[1])
     first, last = _mouth(stroke, at, mouth)
     before, under, after = stroke.split_at([first, last])
-    if outline.area < 0:  # the inside lies to the right of the travel
-        shape = tuple(_upside_down(piece) for piece in shape)
-    turned = _aligned(shape, under)
-    return outline.with_strokes((stroke,), (before, *turned, after))
+    if outline.area < 0:  # drawn clockwise: the inside lies to the right
+        shape = tuple(_upside_down(side) for side in shape)
+    return outline.with_strokes((stroke,), (before, *_aligned(shape, under), after))
 
 
 def cut_end(outline: Outline, edge: str, shape: tuple[Stroke, ...], *, last: bool) -> Outline:
-    """The outline with a shape cut into the beginning of an edge, or (``last``) into its end; as ``cut_into``.
+    """The outline with a shape cut into the start of an edge, or (``last``) into its end; otherwise as ``cut_into``.
 
-    Raises ``PatternError`` where the mouth is wider than the edge.
+    Raises ``PatternError`` for a mouth wider than the edge.
     """
     run = outline.run(edge)
     stroke = run[-1] if last else run[0]
@@ -66,18 +65,18 @@ def cut_end(outline: Outline, edge: str, shape: tuple[Stroke, ...], *, last: boo
     else:
         under, rest = stroke.split_at([_chord_parameter(stroke, mouth)])
     if outline.area < 0:
-        shape = tuple(_upside_down(piece) for piece in shape)
-    turned = _aligned(shape, under)
-    return outline.with_strokes((stroke,), (rest, *turned) if last else (*turned, rest))
+        shape = tuple(_upside_down(side) for side in shape)
+    cut = _aligned(shape, under)
+    return outline.with_strokes((stroke,), (rest, *cut) if last else (*cut, rest))
 
 
 def cut_corner(outline: Outline, low: str, high: str, shape: tuple[Stroke, ...]) -> Outline:
-    """The outline with the corner between two straight edges exchanged for a shape, which keeps size and direction.
+    """The outline with the corner between two straight edges replaced by a shape, which is moved but not turned.
 
-    ``low`` ends at the corner and ``high`` begins there (the last and the first piece, of edges that were divided).
-    The shape's ends come to lie on the two, which are shortened: with ``a`` and ``b`` the parameters of its ends,
-    ``low(a) + chord = high(b)``, two linear equations.
-    Raises ``PatternError`` where the shape does not fit between the edges.
+    ``low`` ends at the corner and ``high`` begins there; of divided edges, their last and first part. Both are
+    shortened to the ends of the shape, at parameters ``a`` and ``b``: ``low(a) + chord = high(b)``, two linear
+    equations.
+    Raises ``PatternError`` for a shape that does not fit between the edges.
     """
     below, above = outline.run(low)[-1], outline.run(high)[0]
     chord = (shape[-1].end[0] - shape[0].start[0], shape[-1].end[1] - shape[0].start[1])
@@ -88,17 +87,17 @@ def cut_corner(outline: Outline, low: str, high: str, shape: tuple[Stroke, ...])
     return outline.with_strokes((below, above), (kept_below, *placed, kept_above))
 
 
-def _piece_at(pieces: tuple[Stroke, ...], at: float) -> tuple[Stroke, float]:
-    """The piece of an edge that holds the point ``at`` cm along it, and how far along that piece the point is."""
-    for piece in pieces[:-1]:
-        if at <= piece.length:
-            return piece, at
-        at -= piece.length
-    return pieces[-1], at
+def _part_at(parts: tuple[Stroke, ...], at: float) -> tuple[Stroke, float]:
+    """The part of a divided edge that contains the point ``at`` cm along the edge, and the rest of ``at`` within it."""
+    for part in parts[:-1]:
+        if at <= part.length:
+            return part, at
+        at -= part.length
+    return parts[-1], at
 
 
 def _corner_parameters(low: Stroke, high: Stroke, chord: Point) -> tuple[float, float]:
-    """Parameters on the two edges between which the chord fits."""
+    """Parameters ``a`` and ``b`` on the two edges with ``low(a) + chord = high(b)``."""
     (ux, uy), (vx, vy) = low.chord, high.chord
     rx, ry = high.start[0] - low.start[0] - chord[0], high.start[1] - low.start[1] - chord[1]
     determinant = vx * uy - ux * vy
@@ -113,7 +112,7 @@ def _corner_parameters(low: Stroke, high: Stroke, chord: Point) -> tuple[float, 
 
 
 def _chord_parameter(stroke: Stroke, chord: float) -> float:
-    """The curve parameter of the point ``chord`` cm straight from the start; Newton's method on the square."""
+    """The curve parameter of the point at ``chord`` cm straight distance from the start, by Newton's method."""
     t = chord / stroke.length
     for _ in range(MOUTH_STEPS):
         (x, y), (dx, dy) = stroke.at(t), stroke.velocity(t)
@@ -126,7 +125,7 @@ def _chord_parameter(stroke: Stroke, chord: float) -> float:
 
 
 def _mouth(stroke: Stroke, at: float, width: float) -> tuple[float, float]:
-    """Curve parameters ``width`` cm apart, both at the same straight distance from the point ``at`` cm along."""
+    """Curve parameters of two points ``width`` cm apart, equally far from the point ``at`` cm along the stroke."""
     length = stroke.length
     if not 0.5 * width < at < length - 0.5 * width:
         raise PatternError(
@@ -146,7 +145,7 @@ def _mouth(stroke: Stroke, at: float, width: float) -> tuple[float, float]:
 
 
 def _mouth_step(stroke: Stroke, centre: Point, low: float, high: float, width: float) -> tuple[float, Point]:
-    """Residual [cm²] and Newton step of: both ends equally far from the centre, and ``width`` apart."""
+    """Residual [cm²] and Newton step of two equations: ends equally far from the centre, and ``width`` apart."""
     (px, py), (qx, qy) = stroke.at(low), stroke.at(high)
     (dpx, dpy), (dqx, dqy) = stroke.velocity(low), stroke.velocity(high)
     ax, ay, bx, by = px - centre[0], py - centre[1], qx - centre[0], qy - centre[1]
@@ -160,9 +159,9 @@ def _mouth_step(stroke: Stroke, centre: Point, low: float, high: float, width: f
 
 
 def _aligned(shape: tuple[Stroke, ...], under: Stroke) -> tuple[Stroke, ...]:
-    """The shape turned and moved onto the stretch of edge that it replaces."""
+    """The shape turned and moved onto the part of an edge that it replaces."""
     angle = atan2(under.chord[1], under.chord[0])
-    return chain_from(under.start, *(piece.rotated(angle) for piece in shape))
+    return chain_from(under.start, *(side.rotated(angle) for side in shape))
 
 
 def _upside_down(stroke: Stroke) -> Stroke:

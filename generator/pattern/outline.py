@@ -1,4 +1,4 @@
-"""Outlines: the contour of a piece, drawn edge by edge with named edges.
+"""Outlines: the contour of a piece, drawn edge by edge; edges have names.
 
 >>> square = Outline.start(0, 0).line(10, 0, name="hem").line(10, 10).line(0, 10, name="top").close()
 >>> square.edge("hem").length
@@ -15,41 +15,41 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import LINE, Curve, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.pattern.edge import Stroke
+from gcd_dataset.generator.pattern.stroke import Stroke
 from gcd_dataset.records import EdgeRole
 
 __all__ = ["Outline"]
 
-CLOSED = 1e-6  # cm, between the last point and the first
+CLOSED = 1e-6  # cm between the last point and the first, at most
 
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """Strokes, each beginning where the one before ended; drawing returns a new outline."""
+    """A chain of strokes, each from the end of the one before. Drawing methods return a new outline."""
 
     origin: Point
     strokes: tuple[Stroke, ...] = ()
 
     @classmethod
     def start(cls, x: float, y: float) -> Self:
-        """A pen set down [cm]."""
+        """An empty outline with the pen at a point [cm]."""
         return cls((float(x), float(y)))
 
     @property
     def pen(self) -> Point:
-        """Where the drawing has got to [cm]."""
+        """The end of the drawing so far [cm]."""
         return self.strokes[-1].end if self.strokes else self.origin
 
     def line(self, x: float, y: float, *, name: str = "", label: EdgeRole | str = "") -> Self:
-        """Drawn on, straight to a point [cm]."""
+        """With a straight line to a point [cm]."""
         return self.curve(x, y, LINE, name=name, label=label)
 
     def curve(self, x: float, y: float, curve: Curve, *, name: str = "", label: EdgeRole | str = "") -> Self:
-        """Drawn on, to a point [cm] along a curve in the edge frame."""
+        """With a curve, given in the edge frame, to a point [cm]."""
         return self.then(Stroke(self.pen, (float(x), float(y)), curve, name, label))
 
     def then(self, *strokes: Stroke) -> Self:
-        """Drawn on along strokes. Raises ``PatternError`` where one does not begin at the end of the one before."""
+        """With more strokes. Raises ``PatternError`` for one that does not begin at the end of the one before."""
         pen = self.pen
         for stroke in strokes:
             if not _meet(pen, stroke.start):
@@ -60,7 +60,7 @@ class Outline:
         return type(self)(self.origin, (*self.strokes, *strokes))
 
     def close(self, *, name: str = "", label: EdgeRole | str = "") -> Self:
-        """Closed, with a straight edge back to the origin unless the pen is there already."""
+        """Closed by a straight edge to the origin, unless the pen is there already."""
         if _meet(self.pen, self.origin):
             return self
         return self.line(*self.origin, name=name, label=label)
@@ -71,7 +71,7 @@ class Outline:
         return bool(self.strokes) and _meet(self.pen, self.origin)
 
     def run(self, name: str) -> tuple[Stroke, ...]:
-        """All pieces of the edge of that name, in drawing order. Raises ``PatternError`` with the names there are."""
+        """All parts of the edge of that name, in drawing order. Raises ``PatternError`` with the known names."""
         found = tuple(stroke for stroke in self.strokes if stroke.name == name)
         if not found:
             names = dict.fromkeys(stroke.name for stroke in self.strokes if stroke.name)
@@ -79,18 +79,21 @@ class Outline:
         return found
 
     def edge(self, name: str) -> Stroke:
-        """The edge of that name. Raises ``PatternError`` where it is missing, or was divided."""
+        """The edge of that name. Raises ``PatternError`` if it is missing or divided."""
         found = self.run(name)
         if len(found) > 1:
             raise PatternError(f"edge {name} was divided into {len(found)} pieces: ask for the run")
         return found[0]
 
     def length(self, name: str) -> float:
-        """Length of the edge of that name, over all its pieces [cm]."""
+        """Length of the edge of that name, all parts together [cm]."""
         return sum(stroke.length for stroke in self.run(name))
 
     def with_strokes(self, old: tuple[Stroke, ...], new: tuple[Stroke, ...]) -> Self:
-        """With neighbouring strokes exchanged for a chain between the same two points (the pen's start may move)."""
+        """With neighbouring strokes replaced by a chain between the same two points.
+
+        Replacing the first stroke may move the origin, and with it the closing point.
+        """
         first = self.strokes.index(old[0])
         if self.strokes[first : first + len(old)] != old:
             raise PatternError(f"edges {', '.join(stroke.name for stroke in old)} do not follow one another")
@@ -102,12 +105,12 @@ class Outline:
         return type(self)((-self.origin[0], self.origin[1]), tuple(stroke.mirrored() for stroke in self.strokes))
 
     def points(self) -> Float[np.ndarray, "n 2"]:
-        """Points along the contour, close enough to tell its extent [cm]."""
+        """Points along the outline, dense enough for a bounding box [cm]."""
         return np.concatenate([stroke.points() for stroke in self.strokes])
 
     @property
     def area(self) -> float:
-        """Area of a closed contour [cm²]; positive for one drawn counter-clockwise."""
+        """Area of a closed outline [cm²], positive if drawn counter-clockwise."""
         return sum(stroke.swept_area for stroke in self.strokes)
 
 

@@ -1,8 +1,8 @@
-"""Seams between interfaces: which stretch of which edge is sewn to which.
+"""Interfaces, joins of two interfaces, and the breaks that divide their edges to match.
 
-An interface is a walk along named edges, perhaps of several panels. Two interfaces are sewn in the order of their
-walks: where one has a corner and the other has not, the other's edge is divided, so that every seam of the finished
-pattern joins one edge with one edge.
+An interface is a walk along named edges, perhaps of several panels. A join sews two interfaces in the order of their
+walks: where only one has a corner, the edge of the other is divided, so that every seam of the finished pattern joins
+one edge to one edge.
 """
 
 from collections.abc import Sequence
@@ -12,21 +12,21 @@ from typing import TypeAlias
 
 __all__ = ["Interface", "Join", "Section", "backwards", "shared_breaks"]
 
-EDGE_BY_EDGE = 0.05  # share of a seam by which corners may differ and still be sewn to each other, GarmentCode
-SAME_BREAK = 0.01  # share of a seam below which two breaks are one, GarmentCode
-UNDER_HALF = 0.49  # of the shortest edge: no break may count as one with both ends of an edge
+EDGE_BY_EDGE = 0.05  # share of a seam: corners that differ by less are sewn to each other, GarmentCode
+SAME_BREAK = 0.01  # share of a seam: breaks that differ by less are one, GarmentCode
+UNDER_HALF = 0.49  # of the shortest edge: upper bound of the same, so that no break matches both ends of an edge
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One named edge of an interface, with all the pieces that darts left of it."""
+    """One named edge of an interface, with all parts into which cuts have divided it."""
 
     panel: str
     edge: str
     backward: bool = False
     """Walked against the direction in which it was drawn."""
     ruffle: float = 1.0
-    """Its length over the length it counts for in the seam: more than 1 is gathered."""
+    """Gathers: length of the edge over its projected length in the seam."""
 
 
 Interface: TypeAlias = tuple[Section, ...]
@@ -34,24 +34,24 @@ Interface: TypeAlias = tuple[Section, ...]
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """Two interfaces to be sewn together, walked the same way along the seam."""
+    """Two interfaces to sew together, walked in the same direction along the seam."""
 
     left: Interface
     right: Interface
     gathered: bool = False
-    """Whether the longer side is gathered to the other; else they are meant to be equally long."""
+    """Whether the longer side is gathered to the shorter; otherwise both should have the same length."""
 
 
 def backwards(interface: Interface) -> Interface:
-    """The same interface, walked from its other end."""
+    """The interface walked from its other end."""
     return tuple(replace(section, backward=not section.backward) for section in reversed(interface))
 
 
 def shared_breaks(left: Sequence[float], right: Sequence[float]) -> tuple[list[list[float]], list[list[float]]]:
-    """Where to divide the edges of two interfaces so that both have the same number, from their projected lengths.
+    """The breaks that divide the edges of two interfaces into equally many parts, from their projected lengths.
 
-    Returns, for each edge of each side, the shares of its own length at which it is divided. Breaks of the two sides
-    that lie closer than a hundredth of the seam (or nearly half its shortest edge) count as one.
+    Returns, for each edge of each side, the shares of its length at which to divide it. Breaks of the two sides closer
+    than a hundredth of the seam (or nearly half its shortest edge) count as one.
 
     >>> shared_breaks([10.0, 10.0], [5.0, 15.0])
     ([[0.5], []], [[], [0.3333333333333333]])
@@ -68,20 +68,20 @@ def shared_breaks(left: Sequence[float], right: Sequence[float]) -> tuple[list[l
 
 
 def _breaks(lengths: Sequence[float]) -> list[float]:
-    """Shares of the whole at which one edge ends and the next begins; the two ends are left out."""
+    """Shares of the total length where one edge ends and the next begins."""
     total = sum(lengths)
-    return [reached / total for reached in accumulate(lengths[:-1])]
+    return [length / total for length in accumulate(lengths[:-1])]
 
 
 def _shortest_share(lengths: Sequence[float]) -> float:
     return min(lengths) / sum(lengths)
 
 
-def _missing(own: Sequence[float], other: Sequence[float], tolerance: float) -> list[float]:
-    return [share for share in other if all(abs(share - mine) > tolerance for mine in own)]
+def _missing(breaks: Sequence[float], others: Sequence[float], tolerance: float) -> list[float]:
+    return [share for share in others if all(abs(share - known) > tolerance for known in breaks)]
 
 
 def _divisions(breaks: Sequence[float], added: Sequence[float]) -> list[list[float]]:
-    """The added breaks sorted into the edges they fall on, as shares of each edge."""
+    """The added breaks by the edge that they divide, as shares of its length."""
     bounds = [0.0, *breaks, 1.0]
     return [[(share - low) / (high - low) for share in added if low < share < high] for low, high in pairwise(bounds)]

@@ -1,6 +1,6 @@
-"""Quadratic curves that leave or reach their ends in a given direction: hips, crotches, flared legs.
+"""Quadratic curves with given end tangents: hips, crotches, flared legs.
 
-A side seam from the hem at (0, 0) to the hip at (2, 20), which it is to reach straight up:
+A side seam from the hem at (0, 0) to the hip at (2, 20), vertical at the hip:
 
 >>> side = tangent_quadratic((0.0, 0.0), (2.0, 20.0), end_tangent=(0.0, 1.0), at=0.75)
 >>> along, across = side.control  # in the edge frame
@@ -18,9 +18,6 @@ from gcd_dataset.errors import PatternError
 
 __all__ = ["tangent_quadratic"]
 
-# Length of the control arm, in chords, by the angle between tangent and chord [degrees]. GarmentCode asks for the
-# tangent alone and lets a minimiser slide the control point along it, from a point on the chord: these are the places
-# where it comes to rest, from three starts. It hardly slides while the tangent turns little, and jumps at some angles.
 ARMS: Mapping[float, tuple[tuple[float, ...], tuple[float, ...]]] = {
     0.5: (
         (0, 6, 8, 10, 12, 16, 20, 31.5, 32, 32.5, 33.5, 37.5, 47.5, 55.5, 63.5, 71, 79, 86.5, 93.5, 100),
@@ -38,16 +35,22 @@ ARMS: Mapping[float, tuple[tuple[float, ...], tuple[float, ...]]] = {
          1.815),
     ),
 }  # fmt: skip
+"""Start of the control point on the chord [chords] to (angles between tangent and chord [degrees], arms [chords]).
+
+GarmentCode gives the tangent alone: from a start on the chord, its minimiser slides the control point along the
+tangent. The table holds the control arm where the minimiser stops, for the three starts that garments use. The point
+hardly slides for small angles, and jumps at some others.
+"""
 
 
 def tangent_quadratic(
     start: Point, end: Point, *, start_tangent: Point | None = None, end_tangent: Point | None = None, at: float = 0.5
 ) -> Quadratic:
-    """The curve between two points [cm] that leaves the first, or reaches the second, in a given direction.
+    """The curve between two points [cm] with a given tangent at its start, at its end, or at both.
 
-    With both directions the control point lies where the two tangents cross. With one it lies on that tangent, about
-    as far from its end as the point at the share ``at`` of the chord is: for a tangent at the start ``at`` is 0.5, for
-    one at the end 0.75 or 0.3, the places that garments ask for (see ``ARMS``).
+    With two tangents the control point is their intersection. With one tangent the control point lies on it, about as
+    far from that end as the point at the share ``at`` of the chord: 0.5 for a tangent at the start, 0.75 or 0.3 for one
+    at the end (the shares in ``ARMS``).
     Raises ``PatternError`` for tangents that do not cross between the ends.
     """
     leaves, reaches = (_from_chord(start, end, tangent) for tangent in (start_tangent, end_tangent))
@@ -72,14 +75,14 @@ def _from_chord(start: Point, end: Point, tangent: Point | None) -> float | None
     return atan2(x * tangent[1] - y * tangent[0], x * tangent[0] + y * tangent[1])
 
 
-def _arm(start: float, turn: float) -> float:
-    """Length of the control arm [chords], for one that lies on the chord at ``start`` while the tangent does."""
+def _arm(start: float, angle: float) -> float:
+    """Length of the control arm [chords] for a tangent at an angle to the chord [rad]; ``start``: key of ``ARMS``."""
     angles, arms = ARMS[round(start, 2)]
-    return float(np.interp(abs(degrees(turn)), angles, arms))
+    return float(np.interp(abs(degrees(angle)), angles, arms))
 
 
 def _crossing(leaves: float, reaches: float) -> Point:
-    """Where the tangents at both ends cross, in the edge frame: ahead of the one and behind the other."""
+    """Intersection of the two tangents in the edge frame: ahead of the start and behind the end."""
     bend = sin(leaves - reaches)
     if bend == 0.0 or -sin(reaches) / bend <= 0.0 or sin(leaves) / bend <= 0.0:
         raise PatternError(

@@ -98,11 +98,11 @@ def test_a_node_killed_in_the_middle_changes_no_byte(
 ) -> None:
     nodes = [node(), node()]
 
-    def told(progress: Progress) -> None:
+    def report(progress: Progress) -> None:
         if progress.made == 1:
             cluster.remove_node(nodes[0], allow_graceful=False)
 
-    done = generate(tmp_path / "ray", count, seed=5, config=config, engine="ray", told=told)
+    done = generate(tmp_path / "ray", count, seed=5, config=config, engine="ray", on_progress=report)
     assert done.made == count
     generate(tmp_path / "here", count, seed=5, config=config, workers=0)
     assert files(tmp_path / "ray") == files(tmp_path / "here")

@@ -44,7 +44,7 @@ def test_a_download_equals_the_published_folder(
 ) -> None:
     reports: list[tuple[int, int]] = []
     place = Url(f"{hub.endpoint}/files/garments") if from_url else REPO
-    data = bring(hub, tmp_path, place, progress=lambda come, total: reports.append((come, total)))
+    data = bring(hub, tmp_path, place, on_progress=lambda come, total: reports.append((come, total)))
     there, published = read_folder(data), read_folder(folder)
     assert there.keys() == published.keys() | {"download.json"}
     assert all(there[name] == published[name] for name in published if not name.endswith(".npz"))
@@ -309,7 +309,7 @@ def test_splits_downloaded_in_parallel_are_both_recorded(hub: Hub, tmp_path: Pat
     with open_writer(theirs, split="test") as writer:
         writer.write(fake_sample(0, 50))
     hub.publish("org/garments", theirs)
-    bring(hub, tmp_path, progress=lambda come, total: bring(hub, tmp_path, split="test") and None)
+    bring(hub, tmp_path, on_progress=lambda come, total: bring(hub, tmp_path, split="test") and None)
     assert [len(GarmentDataset(tmp_path / "data", split)) for split in ("train", "test")] == [4, 1]
     note = read_download_record(tmp_path / "data")
     assert note is not None

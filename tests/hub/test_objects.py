@@ -78,13 +78,13 @@ class Stopped(Exception):  # noqa: N818 - what a user does
 
 
 def stopping(at: int) -> Any:
-    """A progress callback that stops a run after a number of samples."""
+    """A progress callback that raises ``Stopped`` after ``at`` samples."""
 
-    def told(progress: Progress) -> None:
+    def report(progress: Progress) -> None:
         if progress.made == at:
             raise Stopped
 
-    return told
+    return report
 
 
 # ------------------------------------------------------------------------------------------------------------- reading
@@ -258,7 +258,7 @@ def test_objects_are_the_files_of_a_folder(s3: Store, here: Path, tmp_path: Path
 def test_a_run_continues_from_store_and_spool(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/stopped"
     with pytest.raises(Stopped):
-        make(url, spool=tmp_path, told=stopping(5))
+        make(url, spool=tmp_path, on_progress=stopping(5))
     assert set(s3.objects(url)) == {
         "train-00000.tar",
         ".unfinished/manifest.json",
@@ -275,7 +275,7 @@ def test_a_run_continues_from_store_and_spool(s3: Store, here: Path, tmp_path: P
 def test_a_run_continues_from_the_store_alone(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/elsewhere"
     with pytest.raises(Stopped):
-        make(url, spool=tmp_path / "one", told=stopping(5))
+        make(url, spool=tmp_path / "one", on_progress=stopping(5))
     assert make(url, spool=tmp_path / "other") == COUNT - SHARD
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
@@ -283,7 +283,7 @@ def test_a_run_continues_from_the_store_alone(s3: Store, here: Path, tmp_path: P
 def test_removed_objects_are_written_again(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/gone"
     with pytest.raises(Stopped):
-        make(url, spool=tmp_path, told=stopping(5))
+        make(url, spool=tmp_path, on_progress=stopping(5))
     s3.remove(f"{url}/train-00000.tar")
     assert make(url, spool=tmp_path / "other") == COUNT
     s3.put(url, {"train-00001.tar": b"other"})
@@ -304,10 +304,10 @@ import gcd_dataset.verbs.storing
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.verbs import generate
 gcd_dataset.verbs.storing.SHARD_SIZE = {shard}
-def told(progress):
+def report(progress):
     if progress.made == 5:
         os.kill(os.getpid(), signal.SIGKILL)
-generate({url!r}, {count}, config=MakeConfig(stage="pattern"), workers=0, spool={spool!r}, told=told)
+generate({url!r}, {count}, config=MakeConfig(stage="pattern"), workers=0, spool={spool!r}, on_progress=report)
 """
 
 
@@ -333,7 +333,7 @@ def test_one_writer_at_a_time(s3: Store, here: Path, tmp_path: Path) -> None:
                 with pytest.raises(OutputError, match=told):
                     make(url, spool=tmp_path / spool)
 
-    make(url, spool=tmp_path / "one", told=second)
+    make(url, spool=tmp_path / "one", on_progress=second)
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
@@ -353,7 +353,7 @@ def test_another_recipe_is_refused(s3: Store, here: Path, tmp_path: Path) -> Non
         make(url, spool=tmp_path, seed=1)
     begun = "s3://bucket/begun"
     with pytest.raises(Stopped):
-        make(begun, spool=tmp_path, told=stopping(1))
+        make(begun, spool=tmp_path, on_progress=stopping(1))
     with pytest.raises(ConfigError, match=r"made with seed=0, asked for seed=1"):
         make(begun, spool=tmp_path / "other", seed=1)
 
@@ -411,7 +411,7 @@ def test_an_unreleased_lease_lets_this_machine_continue(s3: Store, here: Path, t
             s3.faults.append(Fault("."))
 
     with pytest.raises(RemoteError, match="no answer"):
-        make(url, spool=tmp_path, told=cut)
+        make(url, spool=tmp_path, on_progress=cut)
     s3.faults.clear()
     assert make(url, spool=tmp_path) <= COUNT - 4
     assert hashes(s3.objects(url)) == hashes(files_of(here))
@@ -442,7 +442,7 @@ def test_options_that_need_a_folder_are_reported(
     assert "data sets of recipes are made in a folder" in capsys.readouterr().err
     assert main(["generate", "s3://bucket/parts", "--count=8", "--stage=pattern", "--shard=0/2"]) == 2
     assert "parts are made in a folder" in capsys.readouterr().err
-    with pytest.raises(OutputError, match="the URL as text"):
+    with pytest.raises(OutputError, match="URLs takes them as str"):
         make(Path("s3://bucket/set"))
     assert not list(tmp_path.iterdir())
 
@@ -481,7 +481,7 @@ def test_the_memory_file_system_is_a_store(here: Path, tmp_path: Path) -> None:
 
     url, store = "memory://bucket/set", fsspec.filesystem("memory")
     with pytest.raises(Stopped):
-        make(url, spool=tmp_path, told=stopping(5))
+        make(url, spool=tmp_path, on_progress=stopping(5))
     assert make(url, spool=tmp_path) == 1
     there = {name.rpartition("/")[2]: store.cat_file(name) for name in store.find("/bucket/set")}
     assert hashes(there) == hashes(files_of(here))

@@ -125,6 +125,7 @@ def test_the_card_names_every_split(staged: Staged) -> None:
         assert sorted(path.name for path in staged.folder.glob(entry["path"])) == [
             shard.name for shard in staged.manifest.splits[entry["split"]].shards
         ]
+    assert yaml.safe_load(huggingface_hub.DatasetCard(text).data.to_yaml()) == facts
     assert "80 garments" in text
     assert 'GarmentDataset("org/new-set"' in text
 

@@ -348,7 +348,7 @@ def check_garment(item: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
 
 def test_the_reference_systems_files_are_written_again(examples: Path, tmp_path: Path) -> None:
     """What we write of a garment that the reference system wrote says the same as its files."""
-    from gcd_dataset.verbs.release_folders import _drawn
+    from gcd_dataset.verbs.release_folders import _drawing
 
     root = examples / "published" / "GarmentCodeData_v2_unpacked"
     published = PublishedGarmentCodeData(root, "all", cache_dir=tmp_path)
@@ -356,7 +356,7 @@ def test_the_reference_systems_files_are_written_again(examples: Path, tmp_path:
         batch, body, name = place.split("/")
         sample = published.sample(position)
         wearer = None if body == BODIES[0] else sample.provenance.body_name
-        ours = garment_files(sample, name, sample.design, _drawn(sample), body_sample=wearer)
+        ours = garment_files(sample, name, sample.design, _drawing(sample), body_sample=wearer)
         theirs = {path.name: path.read_bytes() for path in (root / batch / body / "data" / name).iterdir()}
         assert ours.keys() == theirs.keys()
         for kind in ("segmentation", "vertex_labels", "design"):

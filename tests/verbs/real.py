@@ -1,4 +1,4 @@
-"""Data sets of real garments, small and made in seconds."""
+"""Small data sets of generated garments, made in seconds."""
 
 import os
 import signal
@@ -25,10 +25,10 @@ CUFFED = MakeConfig(
         }
     ),
 )
-"""Trousers on two bodies with narrow cuffs, which some legs do not go through."""
+"""Trousers with narrow cuffs on two bodies; some designs are rejected, since the leg does not fit the cuff."""
 
 COUNT = 23
-"""Samples: eleven designs on two bodies, and one on one."""
+"""Samples: eleven designs on two bodies each, and a twelfth on one."""
 
 
 @cache
@@ -39,31 +39,31 @@ def _samples(seed: int, config: MakeConfig, count: int) -> tuple[Sample, ...]:
 def made_once(
     seed: int, indices: Iterable[int], config: MakeConfig, *, finished: Callable[[Sample], Any], workers: int = 0
 ) -> Iterator[Any]:
-    """As ``produce``, with samples that a process makes only once."""
+    """Replaces ``produce``: the samples are cached, so that a test process makes each once."""
     for index in indices:
         yield finished(_samples(seed, config, COUNT)[index])
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Path to content of every file, hidden ones too."""
+    """Path to content of every file, hidden ones included."""
     paths = sorted(path for path in folder.rglob("*") if path.is_file())
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
 def killed(work: Callable[..., Any], *, after: int) -> None:
-    """Do ``work`` in a process that is killed when it has told of ``after`` steps; its error is this process's."""
+    """Run ``work(on_progress=…)`` in a forked process that kills itself after ``after`` progress reports."""
     child = os.fork()
     if child == 0:
         steps = 0
 
-        def told(progress: Progress) -> None:
+        def report(progress: Progress) -> None:
             nonlocal steps
             if steps == after:
                 os.kill(os.getpid(), signal.SIGKILL)
             steps += 1
 
         try:
-            work(told=told)
+            work(on_progress=report)
         finally:
             os._exit(1)
     assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL

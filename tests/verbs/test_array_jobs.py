@@ -1,4 +1,4 @@
-"""A data set made in parts is, byte for byte, the one made in one go."""
+"""A data set made in parts equals the data set of a single run, byte for byte."""
 
 import errno
 import json
@@ -36,7 +36,7 @@ from gcd_dataset.verbs import (
     storing,
 )
 from gcd_dataset.verbs.seal import claim
-from gcd_dataset.verbs.storing import GarmentWriter, division_of
+from gcd_dataset.verbs.storing import GarmentWriter, split_rule
 from tests.verbs.real import COUNT, CUFFED, contents, killed, made_once
 
 SHARD_SIZE = 4
@@ -50,7 +50,7 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def whole(tmp_path: Path) -> dict[str, bytes]:
-    """The files of a data set made in one go."""
+    """The files of a data set made in a single run."""
     generate(tmp_path / "whole", COUNT, config=CUFFED)
     return contents(tmp_path / "whole")
 
@@ -133,12 +133,12 @@ def test_a_finished_part_makes_nothing_and_says_so(tmp_path: Path, capsys: pytes
     assert contents(out) == before
 
 
-def test_a_finished_part_says_what_it_is(tmp_path: Path) -> None:
+def test_a_finished_part_records_its_plan(tmp_path: Path) -> None:
     parts_in(tmp_path, 3)
-    told = json.loads((part_folder(tmp_path, 1, 3) / "part.json").read_text())
-    assert [told[name] for name in ("part", "of", "first", "stop", "count", "seed")] == [1, 3, 8, 16, COUNT, 0]
-    assert told["versions"].keys() >= {"gcd_dataset", "numpy"}
-    assert [shard["count"] for shard in told["splits"]["train"]] == [4, 4]
+    record = json.loads((part_folder(tmp_path, 1, 3) / "part.json").read_text())
+    assert [record[name] for name in ("part", "of", "first", "stop", "count", "seed")] == [1, 3, 8, 16, COUNT, 0]
+    assert record["versions"].keys() >= {"gcd_dataset", "numpy"}
+    assert [shard["count"] for shard in record["splits"]["train"]] == [4, 4]
 
 
 @pytest.mark.parametrize("of", [1, 3])
@@ -205,7 +205,7 @@ def test_a_recipe_whose_merge_was_killed_gets_its_hash_by_the_next(
     for number in (0, 1):
         generate_recipe(tmp_path / "parts", recipe, part=JobPart(number, 2))
 
-    def work(told: Callable[..., None]) -> None:
+    def work(on_progress: Callable[..., None]) -> None:
         monkeypatch.setattr(merging, "seal", lambda *_: os.kill(os.getpid(), signal.SIGKILL))
         merge(tmp_path / "parts")
 
@@ -222,7 +222,7 @@ def test_a_merge_killed_at_any_shard_is_finished_by_the_next(
     after: int, tmp_path: Path, whole: dict[str, bytes]
 ) -> None:
     out = parts_in(tmp_path / "parts", 5)
-    if after < 7:  # told before the first shard, and after each of six
+    if after < 7:  # progress is reported before the first shard, and after each of six
         killed(partial(merge, out), after=after)
         with pytest.raises(ShardError, match="was stopped: run gcd merge"):
             GarmentDataset(out)
@@ -235,7 +235,7 @@ def test_a_merge_killed_at_any_shard_is_finished_by_the_next(
 @pytest.mark.parametrize(
     "where",
     [
-        "gcd_dataset.verbs.merging._describe",
+        "gcd_dataset.verbs.merging._write_manifest",
         "gcd_dataset.verbs.merging._remove",
         "gcd_dataset.shards.growing.shard_record",
         "gcd_dataset.shards.growing.sync_folder",
@@ -247,7 +247,7 @@ def test_a_merge_killed_between_its_steps_is_finished_by_the_next(
 ) -> None:
     out = parts_in(tmp_path / "parts", 5)
 
-    def work(told: Callable[..., None]) -> None:
+    def work(on_progress: Callable[..., None]) -> None:
         def killed_there(*_: object) -> None:
             os.kill(os.getpid(), signal.SIGKILL)
 
@@ -294,7 +294,7 @@ def test_two_merges_at_once_keep_out_of_each_others_way(tmp_path: Path, whole: d
 def test_a_part_that_is_being_made_is_not_merged(tmp_path: Path, whole: dict[str, bytes]) -> None:
     out = parts_in(tmp_path / "parts", 2)
     with (
-        GarmentWriter(part_folder(out, 1, 2), 0, CUFFED, division_of(CUFFED)),
+        GarmentWriter(part_folder(out, 1, 2), 0, CUFFED, split_rule(CUFFED)),
         pytest.raises(OutputError, match="00001-of-00002: another process is making this part"),
     ):
         merge(out)
@@ -330,7 +330,7 @@ def test_a_byte_that_changed_in_a_shared_shard_is_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"seed": 1}, "seed=0, asked for seed=1"),
         ({"count": COUNT + 1}, "count=23, asked for count=24"),
@@ -338,10 +338,10 @@ def test_a_byte_that_changed_in_a_shared_shard_is_found(tmp_path: Path) -> None:
         ({"config": replace(CUFFED, bodies="neutral")}, "bodies='both', asked for bodies='neutral'"),
     ],
 )
-def test_parts_that_do_not_belong_together_are_refused(changed: dict[str, Any], told: str, tmp_path: Path) -> None:
+def test_parts_that_do_not_belong_together_are_refused(changed: dict[str, Any], message: str, tmp_path: Path) -> None:
     part_of(tmp_path, 0, 2)
     before = contents(tmp_path)
-    with pytest.raises(ConfigError, match=rf"parts\.json: parts begun with {told}: use the same, .*begin anew"):
+    with pytest.raises(ConfigError, match=rf"parts\.json: parts begun with {message}: use the same, .*begin anew"):
         part_of(tmp_path, 1, 2, **changed)
     assert contents(tmp_path) == before
 
@@ -366,7 +366,7 @@ def test_a_part_copied_from_elsewhere_is_refused(name: str, value: object, tmp_p
         ConfigError, match=r"part\.json: made with .*, the other parts with .*: delete .* and run gcd gen"
     ):
         merge(tmp_path)
-    part_of(tmp_path, 0, 2)  # which is not locked out by the merge that failed
+    part_of(tmp_path, 0, 2)  # the failed merge left no lock
 
 
 def test_a_folder_that_holds_a_copy_of_another_part_is_refused(tmp_path: Path) -> None:
@@ -391,31 +391,31 @@ def test_a_part_of_another_number_is_refused(tmp_path: Path) -> None:
 def test_missing_parts_are_named_with_the_command_that_makes_them(tmp_path: Path) -> None:
     out = tmp_path / "a folder"
     part_of(out, 2, 9)
-    told = (
+    message = (
         rf"part 0/9, 1/9, 3/9, 4/9, 5/9 and 3 more are missing: run gcd generate '{re.escape(str(out))}' --count 23 "
         r"--seed 0 --bodies both --stage pattern --config FILE\.toml --shard 0/9"
     )
-    with pytest.raises(ShardError, match=told):
+    with pytest.raises(ShardError, match=message):
         merge(out)
 
 
-def test_parts_that_wait_are_told_wherever_the_data_set_is_asked_for(
+def test_parts_that_wait_are_identified_wherever_the_data_set_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = parts_in(tmp_path / "parts", 2)
-    told = re.escape(f"{out}: made in parts: 2 of 2 parts are finished: run gcd merge {out}")
-    with pytest.raises(ShardError, match=told):
+    message = re.escape(f"{out}: made in parts: 2 of 2 parts are finished: run gcd merge {out}")
+    with pytest.raises(ShardError, match=message):
         GarmentDataset(out)
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         stage(out, "org/garments", tmp_path / "staged", partial=True)
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         generate(out, COUNT, config=CUFFED)
     for verb in ("info", "verify", "index"):
         assert main([verb, str(out)]) == 1
-        assert re.search(told, capsys.readouterr().err.strip())
+        assert re.search(message, capsys.readouterr().err.strip())
 
 
-def test_a_part_of_what_is_whole_is_there_or_refused(tmp_path: Path, whole: dict[str, bytes]) -> None:
+def test_a_part_of_a_complete_data_set_is_stored_or_refused(tmp_path: Path, whole: dict[str, bytes]) -> None:
     out = tmp_path / "whole"
     assert part_of(out, 1, 2).made == 0
     with pytest.raises(ConfigError, match="not made in parts, without 1 of the 12 samples of part 1/2: go on with it"):
@@ -425,7 +425,7 @@ def test_a_part_of_what_is_whole_is_there_or_refused(tmp_path: Path, whole: dict
     assert contents(out) == whole
 
 
-def test_a_folder_without_parts_is_told(tmp_path: Path, whole: dict[str, bytes]) -> None:
+def test_a_folder_without_parts_is_reported(tmp_path: Path, whole: dict[str, bytes]) -> None:
     with pytest.raises(ShardError, match="no parts to be merged: it holds a data set that is whole"):
         merge(tmp_path / "whole")
     with pytest.raises(ShardError, match="no parts to be merged: give a folder in which gcd generate --shard"):
@@ -435,7 +435,7 @@ def test_a_folder_without_parts_is_told(tmp_path: Path, whole: dict[str, bytes])
 def test_shards_beside_the_parts_are_not_replaced(tmp_path: Path, whole: dict[str, bytes]) -> None:
     out = parts_in(tmp_path / "parts", 2)
     (out / "train-00000.tar").write_bytes(b"something else")
-    with pytest.raises(ConfigError, match=r"holds train-00000\.tar, which is of none of its parts"):
+    with pytest.raises(ConfigError, match=r"holds train-00000\.tar, which is in none of its parts"):
         merge(out)
     (out / "train-00000.tar").unlink()
     merge(out)
@@ -446,7 +446,7 @@ def test_shards_beside_the_parts_are_not_replaced(tmp_path: Path, whole: dict[st
 @pytest.mark.parametrize(
     "content", [b"", b"{", b"[]", b'{"of": -1}', b"\xff", b'{"part": 1, "of": 2, "splits": {"train": 3}}']
 )
-def test_a_broken_note_is_told(name: str, content: bytes, tmp_path: Path) -> None:
+def test_a_broken_plan_or_record_is_reported(name: str, content: bytes, tmp_path: Path) -> None:
     parts_in(tmp_path, 2)
     (tmp_path / name).write_bytes(content)
     with pytest.raises(GcdError, match=rf"{re.escape(name)}: .*(run this part again|make the parts again)"):
@@ -454,7 +454,7 @@ def test_a_broken_note_is_told(name: str, content: bytes, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("shard", "task", "told"),
+    ("shard", "task", "message"),
     [
         ("5/4", None, "--shard 5/4: part 5/4: there is no such part: the first is 0/4, the last 3/4"),
         ("0/0", None, "--shard 0/0: .*give 1 to 100000"),
@@ -470,7 +470,7 @@ def test_a_broken_note_is_told(name: str, content: bytes, tmp_path: Path) -> Non
 def test_a_part_that_is_none_is_wrong_usage(
     shard: str,
     task: str | None,
-    told: str,
+    message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -480,7 +480,7 @@ def test_a_part_that_is_none_is_wrong_usage(
         monkeypatch.setenv("SLURM_ARRAY_TASK_ID", task)
     assert main(["generate", str(tmp_path / "out"), "--count", "4", "--stage", "pattern", f"--shard={shard}"]) == 2
     [line] = capsys.readouterr().err.strip().splitlines()
-    assert re.search(told, line)
+    assert re.search(message, line)
     assert not (tmp_path / "out").exists()
 
 
@@ -491,7 +491,7 @@ def test_an_array_job_takes_its_part_from_slurm(tmp_path: Path, monkeypatch: pyt
     assert (part_folder(tmp_path, 3, 4) / "part.json").exists()
 
 
-def test_bodies_are_made_in_one_go(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bodies_are_made_in_one_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["generate", str(tmp_path), "--count", "4", "--stage", "body", "--shard", "0/2"]) == 2
     assert "--shard is for garments" in capsys.readouterr().err
 
@@ -505,7 +505,7 @@ def test_bodies_and_published_garments_are_not_put_beside_parts(tmp_path: Path) 
     assert [path.name for path in tmp_path.glob("*.tar")] == []
 
 
-def test_an_engine_that_there_is_not_is_told(tmp_path: Path) -> None:
+def test_an_unknown_engine_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="engine='Ray'"):
         generate(tmp_path / "out", 2, config=CUFFED, engine="Ray")  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()
@@ -521,7 +521,7 @@ def test_a_damaged_part_is_made_again_though_a_stopped_merge_has_moved_others(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        merge(out, told=stop)
+        merge(out, on_progress=stop)
     assert (out / "train-00000.tar").exists()
     shard = part_folder(out, 1, 3) / "train-00003.tar"
     os.truncate(shard, 5000)

@@ -1,4 +1,4 @@
-"""Drapes that failed and are kept lie in a split of their own, under their own numbers."""
+"""Kept failed drapes go to the split ``failed``, under their own numbers."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator
@@ -40,7 +40,7 @@ KEPT = MakeConfig(
 
 @pytest.fixture(scope="module")
 def strict() -> Iterator[None]:
-    """A narrow limit for edges of the body through the cloth, so that some drapes fail however good the draper is."""
+    """A narrow limit on body edges through the cloth, so that some drapes always fail."""
     judge = outcome._judge
 
     def judged(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> Outcome:
@@ -54,7 +54,7 @@ def strict() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def samples(strict: None) -> tuple[Sample, ...]:
-    """Skirts on two bodies, of which some hang still and some failed."""
+    """Skirts on two bodies; some settled and some failed."""
     return tuple(produce(5, range(COUNT), KEPT))
 
 
@@ -83,7 +83,7 @@ def out(tmp_path: Path) -> Path:
     return tmp_path / "kept"
 
 
-def test_train_holds_what_settled_and_failed_the_rest(out: Path, failed: list[int]) -> None:
+def test_settled_drapes_go_to_train_and_others_to_failed(out: Path, failed: list[int]) -> None:
     train, others = GarmentDataset(out), GarmentDataset(out, "failed")
     assert [item["meta"]["index"] for item in others] == failed
     assert [item["meta"]["index"] for item in train] == [k for k in range(COUNT) if k not in failed]
@@ -127,7 +127,7 @@ def test_info_and_verify_know_both_splits(out: Path, failed: list[int], capsys: 
     assert f"train: {COUNT - len(failed)} samples" in said
 
 
-def test_counts_are_told_by_split(
+def test_counts_are_printed_by_split(
     tmp_path: Path, failed: list[int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = tmp_path / "kept.toml"
@@ -139,8 +139,8 @@ def test_counts_are_told_by_split(
 
 
 @pytest.mark.parametrize("after", [1, 4, COUNT - 1])
-def test_a_store_holds_what_a_folder_holds(out: Path, tmp_path: Path, after: int) -> None:
-    """Of shards of 3 samples on 2 bodies each, a design and its rejects lie in two shards."""
+def test_a_store_holds_the_same_as_a_folder(out: Path, tmp_path: Path, after: int) -> None:
+    """With 3 samples in a shard and 2 bodies, a design and its rejects span two shards."""
     url, spool = f"memory://bucket/{tmp_path.name}", tmp_path / "spool"
 
     def stop(progress: Progress) -> None:
@@ -148,7 +148,7 @@ def test_a_store_holds_what_a_folder_holds(out: Path, tmp_path: Path, after: int
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        generate(url, COUNT - 1, seed=5, config=KEPT, spool=spool, told=stop)
+        generate(url, COUNT - 1, seed=5, config=KEPT, spool=spool, on_progress=stop)
     generate(url, COUNT - 1, seed=5, config=KEPT, spool=spool)
     generate(url, COUNT, seed=5, config=KEPT, spool=spool)  # the last shards grow
     store = fsspec.filesystem("memory")
@@ -172,7 +172,7 @@ def test_a_run_that_was_stopped_leaves_both_splits_unfinished(tmp_path: Path) ->
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        generate(tmp_path, COUNT, seed=5, config=KEPT, told=stop)
+        generate(tmp_path, COUNT, seed=5, config=KEPT, on_progress=stop)
     for split in ("train", "failed"):
         assert f"6 of {COUNT} samples" in (unfinished(tmp_path, split) or "")
     generate(tmp_path, COUNT, seed=5, config=KEPT)
@@ -196,12 +196,12 @@ def test_an_older_set_with_failed_drapes_in_train_is_read(
             writer.write(sample)
     assert len(GarmentDataset(tmp_path)) == COUNT
     assert len(GarmentDataset(tmp_path, settled_only=True)) == COUNT - len(failed)
-    with pytest.raises(ConfigError, match=r"its train holds failed drapes, which now go into split failed: .*another"):
+    with pytest.raises(ConfigError, match=r"split train holds failed drapes, .* into split failed: .*another"):
         generate(tmp_path, COUNT + 1, seed=5, config=KEPT)
 
 
-def test_what_is_published_divides_train_and_keeps_failed(out: Path, failed: list[int], tmp_path: Path) -> None:
-    """Though designs of failed drapes may be in train: that split is none to be tested on."""
+def test_publishing_divides_train_and_keeps_failed(out: Path, failed: list[int], tmp_path: Path) -> None:
+    """Designs of failed drapes may also be in train: the split ``failed`` is no test set."""
     staged = stage(out, "org/garments", tmp_path / "staged")
     assert staged.manifest.counts["failed"] == len(failed)
     assert staged.garments == COUNT
@@ -210,7 +210,7 @@ def test_what_is_published_divides_train_and_keeps_failed(out: Path, failed: lis
     assert "but the neutral one, is in two splits; `failed` holds failed drapes" in card
 
 
-def test_a_failed_drape_that_is_not_kept_has_its_figures_told(
+def test_a_rejected_drape_is_reported_with_its_figures(
     tmp_path: Path, strict: None, monkeypatch: pytest.MonkeyPatch, failed: list[int]
 ) -> None:
     monkeypatch.setattr(making, "produce", produce)
@@ -218,8 +218,8 @@ def test_a_failed_drape_that_is_not_kept_has_its_figures_told(
     monkeypatch.setattr(storing, "SHARD_SIZE", 256)
     config = replace(KEPT, on_fail="retry", max_attempts=2)
     generate(tmp_path, 2 * design + 1, seed=5, config=config, workers=0)
-    told = [json.loads(line) for line in (tmp_path / "rejects.jsonl").read_text().splitlines()]
-    [line] = [line for line in told if line["design"] == design]
+    message = [json.loads(line) for line in (tmp_path / "rejects.jsonl").read_text().splitlines()]
+    [line] = [line for line in message if line["design"] == design]
     assert (line["index"], line["attempt"], line["rule"]) == (failed[0], 0, "drape")
     assert line["figures"].keys() >= {"frames", "body_crossings", "self_crossings", "stretch_p99"}
     assert line["figures"]["body_through"] > 80 or line["reason"] != "through_body"

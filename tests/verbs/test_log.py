@@ -1,4 +1,4 @@
-"""The log of a run: JSON lines, each whole, that never stop it."""
+"""The log of a run: complete JSON lines; log errors never stop the run."""
 
 import json
 import logging
@@ -15,7 +15,7 @@ from gcd_dataset.errors import GcdError, OutputError
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of
 from gcd_dataset.shards.layout import recipe_hash
 from gcd_dataset.verbs import generate, generate_people, log
-from gcd_dataset.verbs.progress import Progress, unheard
+from gcd_dataset.verbs.progress import Progress, ignore_progress
 from tests.verbs.real import contents
 
 FLAT = MakeConfig(stage="pattern")
@@ -26,7 +26,7 @@ def lines(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().splitlines()]
 
 
-def test_a_log_tells_how_a_run_begins_goes_on_and_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_has_begin_progress_and_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log, "EVERY", 2)
     path = tmp_path / "logs" / "run.jsonl"
     generate(tmp_path / "data", 5, seed=3, config=FLAT, workers=1, log=path)
@@ -60,15 +60,15 @@ def test_a_body_set_has_a_log_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "event", "told"),
+    ("error", "event", "logged"),
     [
         (GcdError("a worker was killed"), "failed", "a worker was killed"),
         (RuntimeError("a bug\nof ours"), "failed", "a bug of ours"),
         (KeyboardInterrupt(), "stopped", None),
     ],
 )
-def test_the_last_line_says_what_ended_a_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, event: str, told: str | None
+def test_the_last_line_holds_the_reason_why_a_run_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, event: str, logged: str | None
 ) -> None:
     def broken(*_: Any, **__: Any) -> Iterator[Any]:
         yield from ()
@@ -78,10 +78,10 @@ def test_the_last_line_says_what_ended_a_run(
     with pytest.raises(type(error)):
         generate(tmp_path / "data", 1, config=FLAT, log=tmp_path / "run.jsonl")
     last = lines(tmp_path / "run.jsonl")[-1]
-    assert (last["event"], last.get("error")) == (event, told)
+    assert (last["event"], last.get("error")) == (event, logged)
 
 
-def test_what_is_wrong_with_the_folder_is_logged(tmp_path: Path) -> None:
+def test_faults_of_the_folder_are_logged(tmp_path: Path) -> None:
     generate(tmp_path / "data", 1, config=FLAT)
     with pytest.raises(GcdError):
         generate(tmp_path / "data", 1, seed=1, config=FLAT, log=tmp_path / "run.jsonl")
@@ -92,19 +92,19 @@ def test_a_log_that_cannot_be_opened_is_refused(tmp_path: Path, capsys: pytest.C
     (tmp_path / "folder").mkdir()
     (tmp_path / "notes.txt").write_text("milk\nbread")
     os.mkfifo(tmp_path / "pipe")
-    for name, told in (
+    for name, message in (
         ("folder", "choose another name"),
-        ("notes.txt", "none of a log"),
+        ("notes.txt", "no line of a log"),
         ("pipe", "cannot be written"),
     ):
         arguments = ["generate", str(tmp_path / "data"), "--count=1", "--stage=pattern", "--quiet"]
         assert main([*arguments, "--log", str(tmp_path / name)]) == 1
-        assert told in capsys.readouterr().err
+        assert message in capsys.readouterr().err
     assert (tmp_path / "notes.txt").read_text() == "milk\nbread"
     assert not (tmp_path / "data").exists()
 
 
-def test_half_a_line_is_dropped(tmp_path: Path) -> None:
+def test_a_partial_last_line_is_dropped(tmp_path: Path) -> None:
     path = tmp_path / "run.jsonl"
     path.write_text('{"event": "begin", "time": "1"}\n{"event": "progr')
     generate(tmp_path / "data", 1, config=FLAT, log=path)
@@ -121,32 +121,35 @@ def test_a_full_disk_ends_the_log_and_not_the_run(tmp_path: Path, caplog: pytest
 def test_a_line_for_which_there_is_half_the_room_is_not_begun(tmp_path: Path) -> None:
     path = tmp_path / "run.jsonl"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with log.logged(path, unheard, options={}, recipe={}) as told:
+    with log.run_log(path, ignore_progress, options={}, recipe={}) as on_progress:
         size = path.stat().st_size
         resource.setrlimit(resource.RLIMIT_FSIZE, (size + 40, before[1]))
         try:
-            told(Progress(200, 0, made=100))
+            on_progress(Progress(200, 0, made=100))
             assert path.stat().st_size == size
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        told(Progress(200, 0, made=200))
+        on_progress(Progress(200, 0, made=200))
     assert [line["event"] for line in lines(path)] == ["begin", "progress", "end"]
 
 
 def test_two_runs_may_share_a_log(tmp_path: Path) -> None:
     path = tmp_path / "run.jsonl"
     with (
-        log.logged(path, unheard, options={"part": 0}, recipe={}),
-        log.logged(path, unheard, options={"part": 1}, recipe={}),
+        log.run_log(path, ignore_progress, options={"part": 0}, recipe={}),
+        log.run_log(path, ignore_progress, options={"part": 1}, recipe={}),
     ):
         pass
     assert [line["event"] for line in lines(path)] == ["begin", "begin", "end", "end"]
 
 
-def test_a_torn_line_of_another_program_is_kept(tmp_path: Path) -> None:
+def test_a_partial_line_of_another_program_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "notes"
     path.write_text("bread")
-    with pytest.raises(OutputError, match="choose another file"), log.logged(path, unheard, options={}, recipe={}):
+    with (
+        pytest.raises(OutputError, match="choose another file"),
+        log.run_log(path, ignore_progress, options={}, recipe={}),
+    ):
         pass
     assert path.read_text() == "bread"
 
@@ -156,6 +159,6 @@ def test_a_file_that_is_no_log_is_not_added_to(tmp_path: Path) -> None:
     before = contents(tmp_path / "there")
     for name in before:
         if before[name]:
-            with pytest.raises(OutputError, match="its last line is none of a log: choose another file"):
+            with pytest.raises(OutputError, match="its last line is no line of a log: choose another file"):
                 generate(tmp_path / "out", 1, config=FLAT, log=tmp_path / "there" / name)
     assert contents(tmp_path / "there") == before

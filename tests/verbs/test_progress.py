@@ -1,4 +1,4 @@
-"""How far a verb has come, and how fast it is going."""
+"""Progress, rate and waits of a verb."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from gcd_dataset.waits import Wait, Waits
 
 
 def paced(steps: Sequence[tuple[float, Waits]], count: int = 10_000) -> Progress:
-    """The progress after one sample for each step: seconds that it took, and what was waited."""
+    """The progress after one sample for each step, given as (seconds, waits)."""
     clock = SimpleNamespace(now=100.0)
     pace, progress = Pace(lambda: clock.now), Progress(count, 0)
     for seconds, waits in steps:

@@ -1,4 +1,4 @@
-"""Attempts that were turned down are data: the same lines however the data set came about."""
+"""``rejects.jsonl``: the same lines for any number of workers, parts and interruptions."""
 
 import json
 from functools import partial
@@ -22,7 +22,7 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def whole(tmp_path: Path) -> dict[str, bytes]:
-    """The files of a data set made in one go."""
+    """The files of a data set made in a single run."""
     generate(tmp_path / "whole", COUNT, config=CUFFED)
     return contents(tmp_path / "whole")
 
@@ -35,8 +35,8 @@ def test_each_attempt_has_a_line_with_its_figures(whole: dict[str, bytes]) -> No
     found = lines(whole["rejects.jsonl"])
     assert len(found) > 2
     assert list(found[0]) == ["seed", "design", "attempt", "index", "rule", "reason", "figures"]
-    told = [(line["design"], line["attempt"]) for line in found]
-    assert told == sorted(set(told))
+    message = [(line["design"], line["attempt"]) for line in found]
+    assert message == sorted(set(message))
     for line in found:
         assert line["index"] // 2 == line["design"]
         assert line["rule"] == "tight_cuff"
@@ -57,20 +57,22 @@ def test_progress_counts_an_attempt_once_for_all_wearers(tmp_path: Path) -> None
     assert done.rejects == {"tight_cuff": len(lines((tmp_path / "rejects.jsonl").read_bytes()))}
 
 
-def test_workers_leave_no_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes]) -> None:
+def test_workers_do_not_change_the_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes]
+) -> None:
     monkeypatch.setattr(making, "produce", produce)
     generate(tmp_path / "two", 12, config=CUFFED, workers=2)
     assert whole["rejects.jsonl"].startswith((tmp_path / "two" / "rejects.jsonl").read_bytes())
     assert (tmp_path / "two" / "rejects.jsonl").stat().st_size > 0
 
 
-def test_interruptions_leave_no_trace(tmp_path: Path, whole: dict[str, bytes]) -> None:
+def test_interruptions_do_not_change_the_lines(tmp_path: Path, whole: dict[str, bytes]) -> None:
     out = tmp_path / "killed"
     make = partial(generate, out, COUNT, config=CUFFED)
     for after in (1, 9):
         killed(make, after=after)
     with (out / ".rejects.jsonl.part").open("ab") as journal:
-        journal.write(b'{"seed":0,"design":5,"att')  # as a kill may leave it
+        journal.write(b'{"seed":0,"design":5,"att')  # a partial line after a kill
     make()
     assert contents(out) == whole
 
@@ -99,8 +101,8 @@ def test_parts_have_the_lines_of_one_run(tmp_path: Path, whole: dict[str, bytes]
 
 
 @pytest.mark.parametrize("damage", [b"", b'{"seed":0}\n', b"\xff\n[]\n"])
-def test_what_no_line_tells_is_read_of_the_samples(damage: bytes, tmp_path: Path, whole: dict[str, bytes]) -> None:
-    """Rule and reason, which they hold; the figures are gone."""
+def test_lost_lines_are_restored_from_the_samples(damage: bytes, tmp_path: Path, whole: dict[str, bytes]) -> None:
+    """Samples hold rule and reason; the figures are lost."""
     out = tmp_path / "whole"
     (out / "rejects.jsonl").unlink()
     if damage:

@@ -104,6 +104,27 @@ def into_face(along: wp.vec3, start: wp.vec3, opposite: wp.vec3, normal: wp.vec3
 
 
 @wp.func
+def contour_direction(e: int, face: wp.vec3i, cloth: Cloth, x: wp.array(dtype=wp.vec3)) -> wp.vec3:
+    """Direction in which an edge moves against a face that it crosses to shorten the intersection contour.
+
+    At most 1 long, and shorter where the gradient is small.
+    """
+    i = cloth.edges[e][0]
+    j = cloth.edges[e][1]
+    a = x[face[0]]
+    normal = wp.normalize(wp.cross(x[face[1]] - a, x[face[2]] - a))
+    along = wp.normalize(x[j] - x[i])
+    contour = into_face(along, x[i], x[cloth.edge_opposite[e][0]], normal)
+    if cloth.edge_opposite[e][1] >= 0:
+        contour += into_face(along, x[i], x[cloth.edge_opposite[e][1]], normal)
+    steep = wp.dot(along, normal)
+    if wp.abs(steep) < GLANCING:
+        steep = wp.sign(steep) * GLANCING
+    direction = contour - (wp.dot(along, contour) / steep) * normal
+    return direction / wp.sqrt(wp.length_sq(direction) + 0.25)
+
+
+@wp.func
 def pull_to_part(i: int, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)):
     """Accelerate a vertex toward the axis of the body part that it covers."""
     part = cloth.own_part[i]
@@ -125,21 +146,9 @@ def untangle_crossing(
     face = cloth.faces[crossing[1]]
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
-    a = x[face[0]]
-    b = x[face[1]]
-    c = x[face[2]]
-    if not segment_crosses(x[i], x[j], a, b, c):
+    if not segment_crosses(x[i], x[j], x[face[0]], x[face[1]], x[face[2]]):
         return
-    normal = wp.normalize(wp.cross(b - a, c - a))
-    along = wp.normalize(x[j] - x[i])
-    contour = into_face(along, x[i], x[cloth.edge_opposite[e][0]], normal)
-    if cloth.edge_opposite[e][1] >= 0:
-        contour += into_face(along, x[i], x[cloth.edge_opposite[e][1]], normal)
-    steep = wp.dot(along, normal)
-    if wp.abs(steep) < GLANCING:
-        steep = wp.sign(steep) * GLANCING
-    direction = contour - (wp.dot(along, contour) / steep) * normal
-    direction = direction / wp.sqrt(wp.length_sq(direction) + 0.25)
+    direction = contour_direction(e, face, cloth, x)
     inverse_mass = 0.5 * (1.0 / cloth.inertia[i] + 1.0 / cloth.inertia[j])
     if cloth.own_part[i] != cloth.own_part[face[0]]:
         pull_to_part(i, world, cloth, x, push)

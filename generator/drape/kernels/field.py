@@ -35,6 +35,17 @@ class Voxels:
     """Body part of the nearest skin."""
 
 
+@wp.struct
+class Hull:
+    """A convex hull as half-spaces, and the box of voxels round it in the field of its body."""
+
+    planes: wp.array(dtype=wp.vec4)  # outward normal [1], offset [cm]: negative inside
+    first: wp.vec3i  # voxel
+    size: wp.vec3i  # voxels
+    low: wp.vec3  # centre of the field's first voxel [cm]
+    distance: wp.array3d(dtype=float)
+
+
 @wp.func
 def in_body(mesh: wp.uint64, p: wp.vec3):
     """Whether a point is inside: a ray upward hits the back of the skin first."""
@@ -110,3 +121,19 @@ def fill_fields(bodies: wp.array(dtype=Voxels), cell: float, band: float):
     skin = wp.mesh_eval_position(body.mesh, near.face, near.u, near.v)
     body.distance[at[0], at[1], at[2]] = sign * wp.length(p - skin)
     body.part[at[0], at[1], at[2]] = body.face_parts[near.face]
+
+
+@wp.kernel
+def add_hulls(hulls: wp.array(dtype=Hull), cell: float):
+    """Lower ``distance`` to the distance from the hulls: exact before its faces, too small beside edges."""
+    h, number = wp.tid()
+    hull = hulls[h]
+    if number >= hull.size[0] * hull.size[1] * hull.size[2]:
+        return
+    at = hull.first + unravel_index(number, hull.size[1], hull.size[2])
+    p = hull.low + cell * wp.vec3(float(at[0]), float(at[1]), float(at[2]))
+    distance = float(-1.0e6)
+    for k in range(hull.planes.shape[0]):
+        plane = hull.planes[k]
+        distance = wp.max(distance, plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] + plane[3])
+    hull.distance[at[0], at[1], at[2]] = wp.min(hull.distance[at[0], at[1], at[2]], distance)

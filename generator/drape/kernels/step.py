@@ -13,7 +13,7 @@ HOLDING_SPEED = 60.0  # cm/s, speed limit of a held edge that returns to its hal
 
 
 @wp.func
-def accelerate(i: int, w: int, world: World, time: float, cloth: Cloth, v: wp.vec3, elastic: wp.vec3) -> wp.vec3:
+def accelerate(i: int, world: World, time: float, cloth: Cloth, v: wp.vec3, elastic: wp.vec3) -> wp.vec3:
     """Velocity after a substep under elastic forces, weight and drag [cm/s].
 
     Where forces decelerate a vertex the drag is larger: swinging and ringing end in a cycle or two, and free fall is
@@ -78,7 +78,7 @@ def step(
     world = worlds[w]
     before = x[i]
     elastic = elastic_force(i, sewn_share(world, time[w]), rows, ahead_in)
-    velocity = accelerate(i, w, world, time[w], cloth, v[i], elastic)
+    velocity = accelerate(i, world, time[w], cloth, v[i], elastic)
     moved = wp.vec3(0.0)
     if search.listed[i] != 0:
         moved = take_push(push, i)

@@ -16,6 +16,7 @@ class World:
 
     first: int  # its first vertex
     size: int  # number of its vertices
+    stiffness: float  # g/s², median over its vertices
     dt: float  # s, length of a substep
     damping: float  # 1/s, drag after sewing
     sewing_damping: float  # 1/s, drag during sewing

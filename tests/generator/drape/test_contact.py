@@ -266,3 +266,19 @@ def test_the_first_count_of_crossings_is_the_first_minimum() -> None:
     found = solver.self_crossings()[0]
     solver.frame()
     assert 0 < solver.state.crossing.least.numpy()[0] <= 2 * found
+
+
+def test_a_hand_is_its_convex_hull() -> None:
+    """So that a point between two fingers is inside."""
+    body = build_body(neutral_shape())
+    field = body_field(body, "cpu")
+    hand = body.vertices[(body.parts == BodyPart.HANDS.value) & (body.vertices[:, 0] > 0.0)]
+    distance = field.distance.numpy()
+    hull = trimesh.convex.convex_hull(hand)
+    voxels = np.argwhere(np.ones(distance.shape, bool))
+    points = np.array(field.origin) + voxels * field.cell
+    near = np.linalg.norm(points - hull.centroid, axis=1) < 4.0
+    offset = (hull.face_normals * hull.triangles[:, 0]).sum(axis=1)
+    outside = (points[near] @ hull.face_normals.T - offset).max(axis=1)
+    assert (outside < -0.5).sum() > 20
+    assert (distance[tuple(voxels[near].T)] <= outside + 1e-3).all()

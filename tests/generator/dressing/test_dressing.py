@@ -1,4 +1,4 @@
-"""Patterns of any origin made ready for a drape: what is inferred agrees with what GarmentCode's own files say."""
+"""Dressing: placements and labels inferred for bare patterns agree with those in GarmentCode's own files."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +10,11 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.body import named_body
 from gcd_dataset.generator.drape import DrapeConfig, DrapeJob, drape_batch
 from gcd_dataset.generator.dressing import dress, has_legs
-from gcd_dataset.generator.dressing.hanging import lay_on_body
+from gcd_dataset.generator.dressing.hanging import hang_from_lay_plan
 from gcd_dataset.generator.dressing.openings import openings_of
 from gcd_dataset.generator.dressing.wearer import wearer_of
 from gcd_dataset.generator.fitting import drape_patterns
+from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import Body, Edge, EdgeRef, Measurements, Outcome, Panel, Pattern, Placement, Seam
 from gcd_dataset.spec import pattern_from_spec, read_pattern, spec_from_pattern
@@ -37,7 +38,7 @@ def pattern_of(examples: Path, name: str) -> Pattern:
 
 
 def bare(panel: Panel, *, placed: bool = True) -> Panel:
-    """A panel as older files have it: no labels, and maybe no place."""
+    """A panel as in older files: without labels, and without a placement if not ``placed``."""
     edges = tuple(replace(edge, label="") for edge in panel.edges)
     return replace(panel, label="", edges=edges, placement=panel.placement if placed else UNPLACED)
 
@@ -56,15 +57,13 @@ def labels(pattern: Pattern, *kinds: str) -> set[tuple[str, int, str]]:
 
 
 def side(panel: Panel) -> tuple[bool, int]:
-    """Whether a panel hangs before the middle, and to which side."""
+    """Whether a panel hangs in front, and its side: 1 left, -1 right, 0 in the middle."""
     x, _, z = panel.placement.apply(panel.vertices).mean(axis=0)
     return bool(z > 0), 0 if abs(x) < 5 else int(np.sign(x))
 
 
 @pytest.mark.parametrize("name", DESIGNS)
-def test_labels_that_were_taken_away_are_found_again(
-    examples: Path, wearer: tuple[Body, Measurements], name: str
-) -> None:
+def test_removed_labels_are_found_again(examples: Path, wearer: tuple[Body, Measurements], name: str) -> None:
     pattern = pattern_of(examples, name)
     dressed = dress(bared(pattern), *wearer).pattern
     assert [panel.label for panel in dressed.panels] == [panel.label for panel in pattern.panels]
@@ -74,10 +73,10 @@ def test_labels_that_were_taken_away_are_found_again(
 
 
 @pytest.mark.parametrize("name", DESIGNS)
-def test_panels_from_a_lay_plan_go_where_they_were_or_are_refused(
+def test_panels_from_a_lay_plan_return_to_their_placement_or_are_refused(
     examples: Path, wearer: tuple[Body, Measurements], name: str
 ) -> None:
-    """Four skirt panels round the body, and hoods, cannot be told from their seams alone."""
+    """Seams alone do not determine the placement of four skirt panels round the body, nor of a hood."""
     pattern = pattern_of(examples, name)
     unplaced = bared(pattern, placed=False)
     if name in ("dress", "shirt_sleeves_hood"):
@@ -89,7 +88,7 @@ def test_panels_from_a_lay_plan_go_where_they_were_or_are_refused(
     for given, found in zip(map(side, pattern.panels), map(side, dressed.pattern.panels), strict=True):
         assert found[0] == given[0]
         assert found[1] * given[1] >= 0
-    if name != "asymm_circle_skirt_lapel_dress":  # its lapels lie on the chest, and their rim is taken for the neckline
+    if name != "asymm_circle_skirt_lapel_dress":  # its lapels lie on the chest, and their rim looks like a neckline
         assert labels(dressed.pattern, *HELD) == labels(pattern, *HELD)
 
 
@@ -100,7 +99,7 @@ def test_a_complete_pattern_stays_as_it_is(examples: Path, wearer: tuple[Body, M
     assert dress(pattern, *wearer).assumed == ()
 
 
-def test_an_older_shirt_drapes_without_place_and_label(examples: Path, wearer: tuple[Body, Measurements]) -> None:
+def test_a_shirt_without_placements_and_labels_drapes(examples: Path, wearer: tuple[Body, Measurements]) -> None:
     shirt = read_pattern(examples / "patterns" / "shirt_mean_specification.json")
     spec = spec_from_pattern(bared(shirt, placed=False))
     for panel in spec["pattern"]["panels"].values():
@@ -135,19 +134,19 @@ def test_a_garment_over_the_head_comes_down_to_the_waist(wearer: tuple[Body, Mea
     assert "over the head" in dressed.assumed[0]
 
 
-def test_what_no_seam_joins_is_named(wearer: tuple[Body, Measurements]) -> None:
+def test_a_panel_without_seams_is_refused_by_name(wearer: tuple[Body, Measurements]) -> None:
     pair = (replace(rectangle("one", 50.0, 40.0, z=0.0), name="one"), rectangle("two", 50.0, 40.0, z=0.0))
     with pytest.raises(PatternError, match=r"no seam joins (one|two) to the rest"):
         dress(Pattern("pair", pair, ()), *wearer)
 
 
-def test_a_lone_panel_is_draped_with_nothing_to_hold_it(wearer: tuple[Body, Measurements]) -> None:
+def test_a_lone_panel_gets_no_held_edge(wearer: tuple[Body, Measurements]) -> None:
     cloth = Pattern("cloth", (rectangle("cloth", 50.0, 40.0, z=30.0, y=100.0),), ())
     dressed = dress(cloth, *wearer)
     assert any("hold" in sentence for sentence in dressed.assumed)
 
 
-def test_trousers_are_known_by_their_openings(examples: Path) -> None:
+def test_trousers_are_recognised_by_their_openings(examples: Path) -> None:
     for name in DESIGNS:
         spec = spec_from_pattern(pattern_of(examples, name))
         text = {f"piece_{i}": panel for i, panel in enumerate(spec["pattern"]["panels"])}
@@ -161,7 +160,7 @@ def test_trousers_are_known_by_their_openings(examples: Path) -> None:
 
 
 def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> None:
-    """Their legs show only when their panels have a place."""
+    """``has_legs`` recognises them only after their panels have been placed."""
     lying = bared(pattern_of(examples, "pants_cuff"), placed=False)
     names = {panel.name: f"piece_{number}" for number, panel in enumerate(lying.panels)}
     panels = tuple(replace(panel, name=names[panel.name]) for panel in lying.panels)
@@ -180,6 +179,14 @@ def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> No
     assert fitting.body is wearers[True][0]
 
 
+def test_a_skirt_whose_panels_lie_centred_about_a_seam_is_hung(wearer: tuple[Body, Measurements]) -> None:
+    """Its outer panels are taken for sleeves whose direction is the zero vector."""
+    section = {"suns": 0.5, "length": 0.5, "skirt-many-panels": {"n_panels": 13}}
+    design = design_from_dict({"meta": {"upper": None, "bottom": "SkirtManyPanels"}, "flare-skirt": section})
+    skirt = bared(outfit(wearer[1], design), placed=False)
+    assert np.isfinite([panel.placement.translation for panel in dress(skirt, *wearer).pattern.panels]).all()
+
+
 def _at_depth(panel: Panel, z: float) -> Panel:
     x, y, _ = panel.placement.translation
     return replace(panel, placement=Placement(np.array([x, y, z]), panel.placement.rotation))
@@ -196,7 +203,7 @@ def test_a_net_of_hundreds_of_openings_hangs_in_the_middle(wearer: tuple[Body, M
         for right, left in ((1, 7), (3, 5))
     )
     net = Pattern("net", panels, seams)
-    hung, _ = lay_on_body(net, wearer_of(*wearer))
+    hung, _ = hang_from_lay_plan(net, wearer_of(*wearer))
     assert len(openings_of(hung)) > 190
     places = np.concatenate([panel.placement.apply(panel.vertices) for panel in hung.panels])
     assert np.isfinite(places).all()

@@ -1,4 +1,4 @@
-"""Openings: the boundary of the sewn surface, known for shapes that are known."""
+"""Openings: the boundary of the sewn surface, for shapes with a known boundary."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from gcd_dataset.records import Edge, EdgeRef, Panel, Pattern, Placement, Seam
 
 
 def rectangle(name: str, wide: float, tall: float, *, z: float, y: float = 0.0, back: bool = False) -> Panel:
-    """A panel before or behind the middle; its edges are bottom, right, top, left as seen from the front."""
+    """A panel in the plane ``z``; its edges are bottom, right, top, left as seen from the front."""
     corners = np.array([[-wide / 2, 0], [wide / 2, 0], [wide / 2, tall], [-wide / 2, tall]], float)
     loop = [(0, 1), (1, 2), (2, 3), (3, 0)]
     edges = tuple(Edge(b, a) for a, b in reversed(loop)) if back else tuple(Edge(a, b) for a, b in loop)
@@ -41,7 +41,7 @@ def test_a_closed_bag_has_one_opening_and_a_lone_panel_its_outline() -> None:
     assert len(outline.edges) == 4
 
 
-def test_right_to_wrong_turns_the_way_round_a_seam() -> None:
+def test_a_seam_of_right_to_wrong_side_reverses_the_walk() -> None:
     """A ribbon sewn to itself with a half twist has one edge, a plain ring two."""
     ribbon = rectangle("ribbon", 40.0, 5.0, z=0.0)
     ends = (EdgeRef("ribbon", 1), EdgeRef("ribbon", 3))

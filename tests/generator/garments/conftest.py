@@ -29,7 +29,7 @@ STOUT = replace(
 
 
 def scaled(size: Measurements, factor: float) -> Measurements:
-    """The same proportions on another scale."""
+    """The same proportions at another scale."""
     lengths = {f.name: factor * getattr(size, f.name) for f in fields(size) if f.name not in ANGLES}
     return replace(size, **lengths)
 
@@ -39,11 +39,14 @@ WEARERS = {"woman": WOMAN, "man": MAN, "stout": STOUT, "doll": scaled(WOMAN, 0.3
 SHIRT = {"upper": "Shirt"}
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}
 DRESS = {"upper": "Shirt", "bottom": "SkirtCircle"}
-GODETS = {"insert_depth": 10, "insert_w": 10}  # cm: as large as a doll's skirt takes
+LONG_SLEEVES = {"sleeveless": False, "length": 0.9, "cuff": {"type": "CuffBand", "cuff_len": 0.1}}
+GODETS = {"insert_depth": 10, "insert_w": 10}  # cm: the largest that fit into a doll's skirt
 OUTFITS: dict[str, Mapping[str, Any]] = {
     "shirt": {"meta": SHIRT},
     "sleeveless": {"meta": SHIRT, "sleeve": {"sleeveless": True}, "collar": {"f_collar": "VNeckHalf"}},
-    "gathered sleeves": {"meta": SHIRT, "sleeve": {"connect_ruffle": 1.6, "sleeve_angle": 40}},
+    "sleeves": {"meta": SHIRT, "sleeve": {"sleeveless": False}},
+    "gathered sleeves": {"meta": SHIRT, "sleeve": {"sleeveless": False, "connect_ruffle": 1.6, "sleeve_angle": 40}},
+    "hoodie": {"meta": SHIRT, "sleeve": LONG_SLEEVES, "collar": {"component": {"style": "Hood2Panels"}}},
     "flared shirt": {"meta": SHIRT, "shirt": {"flare": 1.4, "length": 2.0}},
     "skirt": {"meta": SKIRT},
     "skirt, fitted band": {"meta": SKIRT | {"wb": "FittedWB"}, "waistband": {"width": 0.4}},
@@ -57,7 +60,7 @@ OUTFITS: dict[str, Mapping[str, Any]] = {
     **{upper.value: {"meta": {"upper": upper.value}} for upper in Upper},
     **{bottom.value: {"meta": {"upper": None, "bottom": bottom.value}, "godet-skirt": GODETS} for bottom in Bottom},
 }
-"""Garments of the battery: every one of the wardrobe with its defaults, and some with other parameters."""
+"""Designs of the battery: every garment of the wardrobe with its defaults, and some with other parameters."""
 
 
 @pytest.fixture(params=WEARERS)
@@ -70,6 +73,12 @@ def wearer(request: pytest.FixtureRequest) -> Measurements:
 def woman() -> Measurements:
     """An adult of usual size."""
     return WOMAN
+
+
+@pytest.fixture
+def giant() -> Measurements:
+    """A man three times as tall."""
+    return WEARERS["giant"]
 
 
 @pytest.fixture(params=OUTFITS)

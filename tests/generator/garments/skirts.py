@@ -1,4 +1,4 @@
-"""What the tests of skirts measure them with."""
+"""Measuring helpers for the tests of skirts."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -18,7 +18,7 @@ BOTH = ("skirt_front", "skirt_back")
 def skirt(
     size: Measurements, kind: Bottom, sections: Mapping[str, Any], *, mends: frozenset[Mend] = ALL_MENDS
 ) -> Pattern:
-    """A skirt worn alone."""
+    """The pattern of a skirt alone."""
     return outfit(size, design_from_dict({"meta": {"upper": None, "bottom": kind.value}, **sections}), mends=mends)
 
 
@@ -28,7 +28,7 @@ def length(panel: Panel, edge: str) -> float:
 
 
 def lengths(pattern: Pattern, edge: str, panels: tuple[str, ...] = BOTH) -> float:
-    """The same over several panels [cm]."""
+    """Length of all edges of that name over several panels [cm]."""
     return sum(length(pattern.panel(name), edge) for name in panels)
 
 

@@ -17,7 +17,7 @@ from gcd_dataset.generator.garments import design_from_dict, outfit
 from gcd_dataset.generator.garments.collar import Collar
 from gcd_dataset.generator.garments.design_file import read_design
 from gcd_dataset.generator.garments.hood import RAISED, hood_outline
-from gcd_dataset.generator.pattern import swayed_cubic
+from gcd_dataset.generator.pattern import s_shaped_cubic
 from gcd_dataset.records import EdgeRef, Measurements, Panel, Pattern, Seam
 from gcd_dataset.spec import read_pattern
 
@@ -27,9 +27,7 @@ SIDES = pytest.mark.parametrize("side", ["right", "left"])
 BODIES = pytest.mark.parametrize("body", ["default_body", "random_body"])
 NECKLINE: Mapping[str, Any] = {"f_collar": "CircleNeckHalf"}
 DRAWN = 0.01  # cm
-FITTED = (
-    0.3  # cm between our fit of a hood's neckline and the reference's, whose minimiser stops short in a flat valley
-)
+FITTED = 0.3  # cm between this package's fit of a hood's neckline and the reference's, whose minimiser stops early
 
 
 def top(
@@ -41,7 +39,7 @@ def top(
 
 
 def round_length(half_width: float, depth: float) -> float:
-    """Of half a round neckline: radius times angle [cm]."""
+    """Length of half a round neckline: radius times angle [cm]."""
     return (half_width**2 + depth**2) / (2 * depth) * 2 * atan2(depth, half_width)
 
 
@@ -51,7 +49,7 @@ def length(pattern: Pattern, ref: EdgeRef) -> float:
 
 
 def seams(pattern: Pattern, one: str, other: str) -> list[Seam]:
-    """Between two panels."""
+    """The seams between two panels."""
     return [seam for seam in pattern.seams if {seam.left.panel, seam.right.panel} == {one, other}]
 
 
@@ -96,7 +94,7 @@ def test_the_whole_neckline_is_sewn_to_the_collar(woman: Measurements, style: st
 @STYLES
 @STANDING
 def test_the_ends_that_meet_in_a_seam_keep_their_order(woman: Measurements, style: str, standing: bool) -> None:
-    # Shoulder meets shoulder and centre meets centre: every corner of the garment is one point once it is sewn.
+    # Shoulder meets shoulder and centre meets centre: sewing makes every corner of the garment one point.
     pattern = top(woman, style, lapel_standing=standing)
     corner: dict[tuple[str, int], tuple[str, int]] = {}
 
@@ -133,19 +131,19 @@ def test_a_turtleneck_is_a_band_closed_all_round(wearer: Measurements, depth: in
 def test_a_lapel_stays_open_in_front_and_shows_its_wrong_side(woman: Measurements, standing: bool) -> None:
     pattern = top(woman, "SimpleLapel", collar={"f_collar": "SquareNeckHalf"}, lapel_standing=standing)
     assert not seams(pattern, "right_collar_front", "left_collar_front")
-    assert seams(pattern, "right_ftorso", "left_ftorso")  # the shirt under it does not
+    assert seams(pattern, "right_ftorso", "left_ftorso")  # the shirt under the lapel is closed
     (at_nape,) = seams(pattern, "right_collar_back", "left_collar_back")
     assert not at_nape.right_wrong
     front = seams(pattern, "right_collar_front", "right_ftorso")
     assert [seam.right_wrong for seam in front] == [True, True]
-    # A round back is turned over like the front; a standing one is not, so the turn lies between the two.
+    # A lying back collar is turned over like the lapel; a standing one is not, so the seam between them turns over.
     (behind,) = seams(pattern, "right_collar_back", "right_btorso")
     (between,) = seams(pattern, "right_collar_front", "right_collar_back")
     assert (behind.right_wrong, between.right_wrong) == ((False, True) if standing else (True, False))
 
 
 @pytest.mark.parametrize("bc_depth", [0.0, 0.3, 0.8])
-def test_a_round_collar_continues_the_circle_of_the_neckline(woman: Measurements, bc_depth: float) -> None:
+def test_a_lying_collar_continues_the_circle_of_the_neckline(woman: Measurements, bc_depth: float) -> None:
     pattern = top(woman, "SimpleLapel", collar={"bc_depth": bc_depth}, lapel_standing=False, depth=6)
     torso, collar = pattern.panel("right_btorso"), pattern.panel("right_collar_back")
     (neck,) = [torso.edges[i].curve for i in named(torso, "neck")]
@@ -155,7 +153,7 @@ def test_a_round_collar_continues_the_circle_of_the_neckline(woman: Measurements
     assert outer.radius == pytest.approx(neck.radius + 6.0)
 
 
-def test_a_round_collar_lies_flat_with_its_outside_up(woman: Measurements) -> None:
+def test_a_lying_collar_lies_flat_with_its_outside_up(woman: Measurements) -> None:
     for side in ("right", "left"):
         collar = top(woman, "SimpleLapel", lapel_standing=False).panel(f"{side}_collar_back")
         assert abs(collar.placement.matrix[1, 2]) == pytest.approx(1.0)
@@ -182,7 +180,7 @@ def test_hoods_from_the_smallest_to_the_largest(
 
 @pytest.mark.parametrize("half_width", [4.0, 8.0, 16.0])
 def test_a_hood_does_not_cross_itself_above_four_half_widths(half_width: float) -> None:
-    """Its front neckline swings past the opening's edge only where it is deeper than that."""
+    """In lower hoods a deep front neckline bulges past the edge of the opening."""
     for share in (0.3, 1.0, 2.0, 4.0):
         depth = share * half_width
         length = round_length(half_width, depth)
@@ -246,9 +244,9 @@ def contour(panel: Panel) -> Float[np.ndarray, "n 2"]:
 @pytest.mark.parametrize(
     ("width", "depth"), [(4.0, 3.0), (9.0, 6.0), (11.0, 33.0), (4.0, 40.0), (19.0, 1.0), (3.0, 70.0)]
 )
-def test_a_swayed_curve_is_its_own_image_under_a_half_turn(width: float, depth: float) -> None:
+def test_an_s_shaped_curve_is_its_own_image_under_a_half_turn(width: float, depth: float) -> None:
     length = round_length(width, depth)
-    curve = swayed_cubic((0.0, 0.0), (width, -depth), tangent=(1.0, 0.0), length=length)
+    curve = s_shaped_cubic((0.0, 0.0), (width, -depth), tangent=(1.0, 0.0), length=length)
     points = curve_points(curve.start, curve.end, curve.curve, np.linspace(0, 1, 51))
     assert points + points[::-1] == pytest.approx(np.broadcast_to(curve.end, points.shape))
     assert curve.length == pytest.approx(length, abs=1e-3)

@@ -29,7 +29,7 @@ PANELS = {
 
 
 def straight_sleeve(*, end: float, height: float = 20.0) -> Component:
-    """A sleeve of two trapezes along the x axis, its wrist at x = 0."""
+    """A sleeve of two trapezoids along the x axis, its wrist at x = 0."""
     outline = (
         Outline.start(0, 0)
         .line(0, -end, name="end")
@@ -54,7 +54,7 @@ def cuffed(kind: Cuff | None, **values: float) -> SleeveDesign:
 
 
 @pytest.mark.parametrize("kind", Cuff)
-def test_the_top_is_as_long_as_the_limb_is_round(kind: Cuff) -> None:
+def test_the_top_is_as_long_as_the_girth_of_the_limb(kind: Cuff) -> None:
     drawn = cuff("leg", 40.0, 12.0, kind, DESIGN)
     gathered = DESIGN.skirt_ruffle if kind is Cuff.SKIRT else 1.0
     assert drawn.length("top") == pytest.approx(40.0 * gathered)
@@ -62,7 +62,7 @@ def test_the_top_is_as_long_as_the_limb_is_round(kind: Cuff) -> None:
 
 
 @pytest.mark.parametrize("kind", Cuff)
-def test_the_parts_of_a_cuff_are_together_as_long_as_it(kind: Cuff) -> None:
+def test_the_parts_of_a_cuff_add_up_to_its_length(kind: Cuff) -> None:
     fronts = [piece for piece in cuff("leg", 40.0, 12.0, kind, DESIGN).pieces if piece.name.endswith("_f")]
     assert sum(np.ptp(piece.outline.points()[:, 1]) for piece in fronts) == pytest.approx(12.0)
 
@@ -118,7 +118,7 @@ def test_gathers_narrow_the_cuff_down_to_the_wrist(woman: Measurements) -> None:
 
 
 @pytest.mark.parametrize("kind", Cuff)
-def test_a_cuff_stands_off_the_wrist_with_its_upper_corner_at_the_sleeve_s(kind: Cuff, woman: Measurements) -> None:
+def test_a_cuff_is_placed_beyond_the_wrist_level_with_the_top_of_the_sleeve(kind: Cuff, woman: Measurements) -> None:
     sewn = with_sleeve_cuff(woman, cuffed(kind, skirt_ruffle=1.0), straight_sleeve(end=24.0))
     top = sewn.piece("sl_right_cuff_skirt_f" if kind is Cuff.SKIRT else "sl_right_cuff_f").points("top")
     assert top[:, 0] == pytest.approx([-2.0, -2.0])

@@ -31,7 +31,7 @@ def test_the_default_file_is_the_references_own_leaf_by_leaf(examples: Path, tmp
     write_design(OutfitDesign(), tmp_path / "ours.yaml")
     ours, theirs = leaves_in(tmp_path / "ours.yaml"), leaves_in(examples / "default.yaml")
     assert list(ours) == list(theirs)
-    cut = "pencil-skirt.style_side_cut"  # the reference's sampler adds the null that its range leaves out
+    cut = "pencil-skirt.style_side_cut"  # its range lacks null, which the reference's sampler adds
     assert ours[cut] == {**theirs[cut], "range": [*theirs[cut]["range"], None]}
     for path in theirs.keys() - {cut}:
         assert ours[path] == theirs[path], path
@@ -63,7 +63,7 @@ def test_awkward_numbers_come_back(tmp_path: Path) -> None:
         assert read_design(tmp_path / "design.yaml").skirt.length == length
 
 
-def test_what_is_not_named_keeps_its_default_and_a_bare_value_will_do(tmp_path: Path) -> None:
+def test_omitted_parameters_keep_their_defaults_and_bare_values_are_read(tmp_path: Path) -> None:
     file = tmp_path / "design.yaml"
     file.write_text("design:\n  meta:\n    upper: {v: Shirt}\n  shirt:\n    length: 2\n")
     design = read_design(file)
@@ -86,9 +86,9 @@ BAD = {
     "design:\n  godet-skirt:\n    num_inserts: {v: 5}": r"num_inserts is 5, not one of 4, 6, 8, 10, 12",
     "design:\n  shirt: 5": r"shirt is 5, not a table of parameters",
     "design:\n  shirt: {v: 5}": r"no design parameter is called shirt\.v",
-    "design:\n  shirt: {length: [\n": r"line \d+, column \d+: .*: mend the YAML",
-    "design:\n\tshirt: 5": r"line 2, column 1: .*: mend the YAML",
-    "design: {date: 2001-02-30}": r"day is out of range.*: mend the YAML",
+    "design:\n  shirt: {length: [\n": r"line \d+, column \d+: .*: correct the YAML",
+    "design:\n\tshirt: 5": r"line 2, column 1: .*: correct the YAML",
+    "design: {date: 2001-02-30}": r"day is out of range.*: correct the YAML",
     "design: \x01": r"control characters|special characters",
     "a: 1": r"has no tree named design: give GarmentCode's design_params\.yaml",
     "": r"has no tree named design",
@@ -97,7 +97,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("text", BAD, ids=lambda text: text[:40])
-def test_a_bad_file_is_told_in_one_line_with_its_name(text: str, tmp_path: Path) -> None:
+def test_a_bad_file_gives_one_line_with_its_name(text: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.yaml"
     file.write_text(text)
     with pytest.raises(ConfigError, match=BAD[text]) as caught:
@@ -106,7 +106,7 @@ def test_a_bad_file_is_told_in_one_line_with_its_name(text: str, tmp_path: Path)
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_is_not_there_or_no_text_is_told(tmp_path: Path) -> None:
+def test_a_missing_or_binary_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"missing\.yaml: cannot be read \(No such file or directory\): give"):
         read_design(tmp_path / "missing.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"design: \xff\xfe")
@@ -116,7 +116,7 @@ def test_a_file_that_is_not_there_or_no_text_is_told(tmp_path: Path) -> None:
         write_design(OutfitDesign(), tmp_path / "nowhere" / "design.yaml")
 
 
-def test_a_file_that_holds_itself_is_refused(tmp_path: Path) -> None:
+def test_a_recursive_yaml_alias_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "loop.yaml"
     file.write_text("design: &all\n  shirt: *all\n")
     with pytest.raises(ConfigError, match=r"no design parameter is called shirt\.shirt"):

@@ -64,11 +64,11 @@ def test_missing_measures_are_named() -> None:
         outfit(Measurements(waist=80.0), design_from_dict({}))
 
 
-def test_a_back_as_wide_as_the_girth_is_no_body(woman: Measurements) -> None:
+def test_a_back_as_wide_as_its_girth_is_refused(woman: Measurements) -> None:
     with pytest.raises(BodyError, match=r"waist_back_width is 90\.0 cm of a waist of 80\.3 cm"):
         outfit(replace(woman, waist_back_width=90.0), design_from_dict({}))
 
 
-def test_nothing_to_wear(woman: Measurements) -> None:
+def test_an_outfit_without_upper_and_bottom_is_refused(woman: Measurements) -> None:
     with pytest.raises(PatternError, match="an outfit without upper and bottom"):
         outfit(woman, design_from_dict({"meta": {"upper": None, "wb": "StraightWB"}}))

@@ -1,4 +1,4 @@
-"""Skirts let out by godets, and skirts in levels."""
+"""Skirts with godets, and skirts in levels."""
 
 from math import hypot, isclose, sqrt
 
@@ -25,7 +25,7 @@ GODETS = [
 
 @pytest.mark.parametrize("godets", GODETS)
 @pytest.mark.parametrize("base", ["Skirt2", "PencilSkirt"])
-def test_godets_are_as_long_at_the_sides_as_the_cuts_they_are_let_into(
+def test_the_sides_of_a_godet_are_as_long_as_those_of_its_cut(
     wearer: Measurements, base: str, godets: dict[str, int]
 ) -> None:
     design = {"godet-skirt": godets | {"base": base}, "skirt": {"length": 0.6, "bottom_cut": 0.5}}
@@ -47,7 +47,7 @@ def test_godets_are_as_long_at_the_sides_as_the_cuts_they_are_let_into(
     assert not {"left_slit", "right_slit", "slit.0"} & names
 
 
-def test_godets_share_the_hem_and_stand_from_right_to_left(woman: Measurements) -> None:
+def test_godets_divide_the_hem_and_are_numbered_from_the_right(woman: Measurements) -> None:
     pattern = skirt(woman, Bottom.GODET, {"godet-skirt": GODETS[0], "pencil-skirt": {"length": 0.6}})
     hem = woman.hips - woman.hip_back_width
     front, back = (pattern.panel(name) for name in BOTH)
@@ -57,8 +57,8 @@ def test_godets_share_the_hem_and_stand_from_right_to_left(woman: Measurements) 
     assert 2 * sqrt(length(front, "cut_0_left") ** 2 - cut**2 / 4) > 0
     for panel in (front, back):
         tips = [min(ends(panel, f"cut_{i}_right"), key=lambda point: -point[1])[0] for i in range(2)]
-        middles = [pattern.panel(f"ins_{panel.name}_{i}") for i in range(2)]
-        places = [float(p.placement.apply(p.vertices)[:, 0].mean()) for p in middles]
+        godets = [pattern.panel(f"ins_{panel.name}_{i}") for i in range(2)]
+        places = [float(p.placement.apply(p.vertices)[:, 0].mean()) for p in godets]
         assert tips == sorted(tips)
         assert places == sorted(places)
 
@@ -96,8 +96,8 @@ def test_a_level_is_as_wide_as_the_hem_above_times_its_gathers(woman: Measuremen
     plan = {"base": base, "level": level, "num_levels": 2, "level_ruffle": 1.25, "length": 0.7}
     pattern = skirt(woman, Bottom.LEVELS, CLOSED | {"levels-skirt": plan})
     tags = ("", "_0", "_1")
-    hems = [lengths(pattern, "bottom", tuple(name + tag for name in BOTH)) for tag in tags]
-    tops = [lengths(pattern, "top", tuple(name + tag for name in BOTH)) for tag in tags]
+    hems = [lengths(pattern, "bottom", tuple(name + suffix for name in BOTH)) for suffix in tags]
+    tops = [lengths(pattern, "top", tuple(name + suffix for name in BOTH)) for suffix in tags]
     assert tops[1:] == pytest.approx([1.25 * hem for hem in hems[:-1]])
     joined = {frozenset((s.left.panel, s.right.panel)) for s in pattern.seams if s.left.panel != s.right.panel}
     assert {frozenset((name, name + "_0")) for name in BOTH} <= joined

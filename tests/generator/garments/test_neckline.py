@@ -1,4 +1,4 @@
-"""Necklines: their shapes against geometry done another way, their width and depth, and what collars make of them."""
+"""Necklines: shapes against independent geometry, width and depth, and the necklines under collars."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -35,7 +35,7 @@ FRONT = pytest.mark.parametrize("front", [True, False])
 
 
 def shape(kind: Neckline, half_width: float, depth: float, *, front: bool = True, **changes: float) -> list[Stroke]:
-    """A half neckline of a kind, in front or behind; ``changes`` are named without f_ or b_."""
+    """A half neckline of a kind, in front or behind; names of ``changes`` lack the prefix f_ or b_."""
     side = "f" if front else "b"
     names = {"angle": f"{side}c_angle", "flip": f"{side}_flip_curve", "x": f"{side}_bezier_x", "y": f"{side}_bezier_y"}
     design = NecklineDesign(**{f"{side}_collar": kind, **{names[name]: value for name, value in changes.items()}})  # type: ignore[arg-type]
@@ -124,7 +124,7 @@ def test_a_curvy_neckline_swings_to_both_sides_of_its_chord(half_width: float, d
 @SIZES
 @FLIPPED
 @FRONT
-def test_a_bezier_neckline_makes_for_its_control_point(
+def test_a_bezier_neckline_starts_towards_its_control_point(
     half_width: float, depth: float, flip: bool, front: bool
 ) -> None:
     x, y = 0.3, 0.55
@@ -184,7 +184,7 @@ def test_a_neckline_wider_than_the_shirt(woman: Measurements) -> None:
         half_neckline(woman, NecklineDesign(width=1.0, bc_depth=0.0), front=False, shoulder=12.0, room=40.0)
 
 
-def test_collars_choose_the_neckline_they_are_sewn_to() -> None:
+def test_a_collar_changes_the_neckline_under_it() -> None:
     drawn = NecklineDesign(f_collar=Neckline.BEZIER, b_collar=Neckline.V, f_bezier_x=0.9, f_bezier_y=0.8)
     worn = {style: worn_neckline(replace(drawn, component=CollarDesign(style=style))) for style in (None, *Collar)}
     assert worn[None] == drawn

@@ -1,4 +1,4 @@
-"""Overlays narrow what may be drawn, and nothing else."""
+"""Overlays narrow the design space, and change nothing else."""
 
 import json
 import pickle
@@ -47,7 +47,7 @@ def drawn(overlay: Overlay, count: int = 400) -> list[OutfitDesign]:
     return [draw(overlay.space, rng) for _ in range(count)]
 
 
-def test_what_is_drawn_keeps_to_the_overlay(workwear: Overlay) -> None:
+def test_draws_stay_within_the_overlay(workwear: Overlay) -> None:
     designs = drawn(workwear)
     assert {design.meta.bottom for design in designs} == {Bottom.PANTS}  # none is the default, never kept
     assert {design.collar.component.style for design in designs} == {Collar.HOOD}
@@ -60,7 +60,7 @@ def test_what_is_drawn_keeps_to_the_overlay(workwear: Overlay) -> None:
     assert np.mean([design.meta.wb is None for design in designs]) == pytest.approx(0.25, abs=0.07)
 
 
-def test_what_an_overlay_does_not_name_is_drawn_as_ever(workwear: Overlay) -> None:
+def test_other_parameters_are_drawn_as_without_the_overlay(workwear: Overlay) -> None:
     changed = {path for path, _ in workwear.changes}
     assert changed == {
         "meta.wb", "meta.bottom", "collar.component.style", "sleeve.sleeve_angle", "left.enable_asym", "pants.length",
@@ -78,7 +78,7 @@ def test_a_part_is_drawn_alone_within_limits(workwear: Overlay) -> None:
     lengths = [draw(workwear.space.of(PantsDesign), rng, within={"length": (-np.inf, 0.75)}).length for _ in range(50)]
     assert all(0.7 <= length <= 0.75 for length in lengths)
     assert draw(workwear.space.of(MetaDesign), rng).bottom is Bottom.PANTS
-    # Limits that miss what the overlay leaves give the nearest value of that.
+    # Limits outside the overlay's range give the nearest value of that range.
     assert draw(workwear.space.of(PantsDesign), rng, within={"length": (-np.inf, 0.3)}).length == 0.7
 
 
@@ -114,13 +114,13 @@ def test_the_order_of_a_file_does_not_matter() -> None:
     assert json.dumps(Overlay.from_dict(one).to_dict()) == json.dumps(Overlay.from_dict(other).to_dict())
 
 
-def test_none_can_be_asked_for() -> None:
+def test_an_overlay_can_fix_none() -> None:
     overlay = Overlay.from_dict({"meta": {"wb": {"options": ["none", "FittedWB"], "keep": 0.5}, "upper": "none"}})
     assert {design.meta.wb for design in drawn(overlay, 50)} == {None, Waistband.FITTED}
     assert {design.meta.upper for design in drawn(overlay, 50)} == {None}
 
 
-def test_a_default_left_out_is_kept_no_more_and_one_asked_for_is_the_nearest() -> None:
+def test_an_excluded_default_loses_its_probability_or_becomes_the_nearest_value() -> None:
     free = drawn(Overlay.from_dict({"shirt": {"length": {"range": [2.0, 3.0]}}}), 100)
     assert len({design.shirt.length for design in free}) == 100
     kept = drawn(Overlay.from_dict({"shirt": {"length": {"range": [2.0, 3.0], "keep": 0.5}}}))
@@ -161,7 +161,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("text", BAD, ids=lambda text: text.replace("\n", " "))
-def test_a_bad_overlay_is_told_in_one_line_with_its_name(text: str, tmp_path: Path) -> None:
+def test_a_bad_overlay_gives_one_line_with_its_name(text: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_text(text)
     with pytest.raises(ConfigError, match=BAD[text]) as caught:
@@ -170,12 +170,12 @@ def test_a_bad_overlay_is_told_in_one_line_with_its_name(text: str, tmp_path: Pa
     assert "\n" not in str(caught.value)
 
 
-def test_an_overlay_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_missing_overlay_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"missing\.toml: no such file: give the path of a TOML file"):
         read_overlay(tmp_path / "missing.toml")
 
 
-def test_an_overlay_leaves_something_to_wear() -> None:
+def test_an_overlay_without_any_garment_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"meta\.upper and meta\.bottom are both none"):
         Overlay.from_dict({"meta": {"upper": "none", "bottom": "none"}})
     Overlay.from_dict({"meta": {"upper": "none"}})

@@ -19,7 +19,7 @@ from gcd_dataset.records import Measurements, Panel
 from gcd_dataset.spec import read_pattern
 from gcd_dataset.validate import check_pattern
 
-OUTLINE = 0.2  # cm, between our panels and the reference's
+OUTLINE = 0.2  # cm between this package's panels and the reference's
 
 DESIGNS = {
     "plain": PantsDesign(),
@@ -99,7 +99,7 @@ def test_centre_seams_hang_straight_and_meet_level_at_the_crotch(woman: Measurem
         assert piece.outline.edge("outside").velocity(1.0)[0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_darts_take_up_what_the_side_does_not(woman: Measurements) -> None:
+def test_darts_take_in_the_rest_of_the_excess(woman: Measurements) -> None:
     front, back = halves(woman, PantsDesign())
     for piece, darts in ((front, ("dart",)), (back, ("inner_dart", "outer_dart"))):
         mouths = 0.0
@@ -151,7 +151,7 @@ def test_a_cuff_comes_off_the_leg_and_leaves_a_fifth(cuff_len: float, woman: Mea
     leg = drawn.piece("pant_f_r").outline.length("outside")
     assert leg == pytest.approx(max(0.7 - cuff_len, 0.2) * woman.leg_length)
     assert leg + drawn.piece("pant_r_cuff_f").outline.length("left") == pytest.approx(0.7 * woman.leg_length)
-    assert PANTS.long(woman, design, 1.0) == pytest.approx(woman.hips_line + 0.7 * woman.leg_length)
+    assert PANTS.length_of(woman, design, 1.0) == pytest.approx(woman.hips_line + 0.7 * woman.leg_length)
 
 
 def test_a_cuff_is_the_hem_without_its_gathers(woman: Measurements) -> None:

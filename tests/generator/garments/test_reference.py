@@ -1,4 +1,4 @@
-"""Patterns against those that the reference system drew for the same design and the same body."""
+"""Patterns against GarmentCode's own for the same design and body."""
 
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,13 @@ from gcd_dataset.generator.pattern import assemble
 from gcd_dataset.records import Measurements, Panel, Pattern
 from gcd_dataset.spec import read_pattern
 
-EXACT = 0.01  # cm: figures of the reference's own solvers
-PLACED = 1.0  # cm: it hangs a panel off by the fraction of its first corner (a truncated pivot)
+EXACT = 0.01  # cm: accuracy of the reference's solvers
+PLACED = 1.0  # cm: the reference shifts a panel by the fractional part of its first corner (a truncated pivot)
 
 BODIES = pytest.mark.parametrize("body", ["default_body", "random_body"])
 ROUND = {"collar": {"f_collar": "CircleNeckHalf", "b_collar": "CircleNeckHalf"}}
 
-RISES = {  # where the top of the bottom sits; 1 under a fitted shirt
+RISES = {  # position of the bottom's top; 1 under a fitted shirt
     "circle_skirt": ("flare-skirt",),
     "godet_skirt": ("pencil-skirt",),
     "levels_skirt": ("levels-skirt",),
@@ -40,7 +40,7 @@ def plain(tree: Any) -> Any:
 
 
 def known(tree: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
-    """The values of those parameters that our designs have."""
+    """The values of the parameters that this package's designs have."""
     return {key: known(old, values[key]) if isinstance(old, dict) else values[key] for key, old in tree.items()}
 
 
@@ -52,7 +52,7 @@ def read(folder: Path) -> tuple[Measurements, dict[str, Any], Pattern]:
 
 
 def load(folder: Path, changes: dict[str, dict[str, Any]]) -> tuple[Measurements, OutfitDesign, Pattern]:
-    """The same with our design; some of its values changed, where the reference draws something else than it says."""
+    """As ``read``, with this package's design; ``changes``: values its drawing does not follow."""
     size, values, reference = read(folder)
     for section, changed in changes.items():
         values[section] |= changed
@@ -70,7 +70,7 @@ def distance(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "m 2"]) -> float:
 
 
 def displacement(a: Panel, b: Panel) -> float:
-    """How far apart two panels hang [cm]: their contours seen from the front, and their depths."""
+    """Distance between two placed panels [cm]: of their contours seen from the front, and of their depths."""
     (xy, z), (xy_b, z_b) = ((points[:, :2], points[:, 2]) for points in (contour(p, placed=True) for p in (a, b)))
     return max(distance(xy, xy_b), abs(float(z.mean() - z_b.mean())))
 

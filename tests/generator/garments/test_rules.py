@@ -1,4 +1,4 @@
-"""Patterns that cannot be worn are turned down with the figures."""
+"""Patterns that cannot be worn are rejected with figures."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,8 +10,8 @@ import pytest
 from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.curves import LINE
 from gcd_dataset.generator.garments import DrawnOutfit, Reject, check_outfit, design_from_dict, outfit, try_on
-from gcd_dataset.generator.garments.pants import cuff_and_leg
-from gcd_dataset.generator.garments.wholeness import corner_angles
+from gcd_dataset.generator.garments.pants import cuff_and_leg_girth
+from gcd_dataset.generator.garments.sewable import corner_angles
 from gcd_dataset.records import Edge, Measurements, Panel, Placement
 
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}
@@ -23,7 +23,7 @@ def reasons(size: Measurements, values: Mapping[str, Any]) -> list[str]:
 
 
 @pytest.mark.parametrize("wb", [None, "StraightWB"])
-def test_nothing_but_a_belt_is_no_outfit(woman: Measurements, wb: str | None) -> None:
+def test_a_waistband_alone_is_rejected(woman: Measurements, wb: str | None) -> None:
     found = try_on(woman, design_from_dict({"meta": {"wb": wb}}))
     assert isinstance(found, Reject)
     assert str(found).startswith("empty: an outfit without upper and bottom")
@@ -33,7 +33,7 @@ def test_a_plain_shirt_can_be_worn(woman: Measurements) -> None:
     assert reasons(woman, {"meta": SHIRT}) == []
 
 
-def test_a_dress_down_to_the_floor(woman: Measurements) -> None:
+def test_a_dress_past_the_floor_is_rejected(woman: Measurements) -> None:
     meta = {"upper": "Shirt", "bottom": "SkirtCircle"}
     assert reasons(woman, {"meta": meta, "shirt": {"length": 2.0}, "flare-skirt": {"length": 0.9}}) == ["reaches_floor"]
     assert reasons(woman, {"meta": meta, "shirt": {"length": 1.0}, "flare-skirt": {"length": 0.9}}) == []
@@ -73,7 +73,7 @@ def test_a_deep_round_neckline_runs_into_the_armhole(woman: Measurements) -> Non
     assert "self_crossing" in reasons(woman, deep)
 
 
-def test_an_edge_too_short_to_sew(woman: Measurements) -> None:
+def test_an_edge_too_short_to_sew_is_rejected(woman: Measurements) -> None:
     # A skirt of 5.9 cm with a cut 0.3 cm wide and as deep: legs of √(0.15² + 0.3²) cm.
     cut = {"add": True, "depth": 0.05, "width": 0.05}
     design = design_from_dict({"meta": SKIRT, "flare-skirt": {"length": -0.2, "cut": cut}})
@@ -81,7 +81,7 @@ def test_an_edge_too_short_to_sew(woman: Measurements) -> None:
     assert str(reject).startswith("short_edge: panel skirt_back, edge 3: warning: edge under 0.5 cm: it is 0.3")
 
 
-def test_sides_that_differ_without_gathers(woman: Measurements) -> None:
+def test_sides_that_differ_without_gathers_are_rejected(woman: Measurements) -> None:
     """One strapless half, one half with a deep neckline: their fronts meet in seams of different length."""
     design = {
         "meta": {"upper": "FittedShirt"},
@@ -91,14 +91,15 @@ def test_sides_that_differ_without_gathers(woman: Measurements) -> None:
     found = DrawnOutfit.of(woman, design_from_dict(design))
     assert not any(reject.rule == "mismatched_seam" for reject in check_outfit(found))
     (centre,) = [sewn for sewn in found.joins if sewn.join.left[0].edge == "centre" and "ftorso" in str(sewn.join.left)]
-    joins = tuple(replace(sewn, left=0.8 * sewn.left) if sewn is centre else sewn for sewn in found.joins)
-    (told,) = [str(r) for r in check_outfit(replace(found, joins=joins)) if r.rule == "mismatched_seam"]
-    assert f"{0.8 * centre.left:.1f} cm of right_ftorso centre on {centre.right:.1f} cm of left_ftorso centre" in told
+    joins = tuple(replace(sewn, left_length=0.8 * sewn.left_length) if sewn is centre else sewn for sewn in found.joins)
+    (reason,) = [str(r) for r in check_outfit(replace(found, joins=joins)) if r.rule == "mismatched_seam"]
+    left, right = 0.8 * centre.left_length, centre.right_length
+    assert f"{left:.1f} cm of right_ftorso centre on {right:.1f} cm of left_ftorso centre" in reason
 
 
 def test_the_corners_of_known_shapes() -> None:
     triangle = polygon([(0, 0), (4, 0), (0, 3)])
-    # Drawn the other way round, and with a corner that points inwards.
+    # Clockwise, and with a reflex corner.
     crown = polygon([(0, 0), (0, 2), (1, 1), (2, 2), (2, 0)])
     angles = corner_angles([edge_hulls(triangle), edge_hulls(crown)])
     assert angles == pytest.approx([90.0, 36.87, 53.13, 90, 45, 270, 45, 90], abs=0.01)
@@ -110,7 +111,7 @@ def polygon(corners: list[tuple[float, float]]) -> Panel:
 
 
 @pytest.mark.parametrize(("length", "tight"), [(0.1, True), (1.0, False)])
-def test_arms_go_through_cuffs(woman: Measurements, length: float, tight: bool) -> None:
+def test_a_cuff_too_tight_for_the_arm_is_rejected(woman: Measurements, length: float, tight: bool) -> None:
     """A narrow band fits the wrist, and does not fit the upper arm."""
     cuff = {"type": "CuffBand", "cuff_len": 0.05, "top_ruffle": 2.0}
     design = {"meta": SHIRT, "sleeve": {"sleeveless": False, "length": length, "end_width": 0.6, "cuff": cuff}}
@@ -118,7 +119,7 @@ def test_arms_go_through_cuffs(woman: Measurements, length: float, tight: bool) 
 
 
 @pytest.mark.parametrize(("top_ruffle", "tight"), [(1.0, False), (2.0, True)])
-def test_legs_go_through_cuffs(woman: Measurements, top_ruffle: float, tight: bool) -> None:
+def test_a_cuff_too_tight_for_the_leg_is_rejected(woman: Measurements, top_ruffle: float, tight: bool) -> None:
     """A band from the knee down, as wide as the leg of the trousers or half as wide."""
     cuff = {"type": "CuffBand", "cuff_len": 0.5, "top_ruffle": top_ruffle}
     design = {"meta": {"upper": None, "bottom": "Pants"}, "pants": {"length": 0.9, "cuff": cuff}}
@@ -126,4 +127,4 @@ def test_legs_go_through_cuffs(woman: Measurements, top_ruffle: float, tight: bo
     pattern = outfit(woman, design_from_dict(design))
     drawn = [panel for panel in pattern.panels if panel.name in ("pant_r_cuff_f", "pant_r_cuff_b")]
     tops = [panel.edge_lengths()[i] for panel in drawn for i, e in enumerate(panel.edges) if e.name == "top"]
-    assert cuff_and_leg(woman, design_from_dict(design).pants, 1.0)[0] == pytest.approx(sum(tops))
+    assert cuff_and_leg_girth(woman, design_from_dict(design).pants, 1.0)[0] == pytest.approx(sum(tops))

@@ -1,4 +1,4 @@
-"""Chance designs what can be worn, by GarmentCode's rule."""
+"""Random designs can be worn, and follow GarmentCode's rule."""
 
 from collections import Counter
 from functools import cache
@@ -28,16 +28,16 @@ def designs() -> tuple[OutfitDesign, ...]:
     return tuple(sample_design(rng(1, n, Stage.DESIGN), [wearers()[n % 8]]) for n in range(COUNT))
 
 
-def test_a_design_is_its_numbers_alone() -> None:
+def test_the_same_seed_gives_the_same_design() -> None:
     assert sample_design(rng(1, 7, Stage.DESIGN), [wearers()[7]]) == designs()[7]
 
 
-def test_hardly_any_design_is_turned_down() -> None:
+def test_hardly_any_design_is_rejected() -> None:
     found = [try_on(wearers()[number % 8], design) for number, design in enumerate(designs())]
     assert sum(isinstance(pattern, Reject) for pattern in found) <= 0.06 * COUNT
 
 
-def test_kinds_come_alike() -> None:
+def test_kinds_are_equally_likely() -> None:
     kinds = Counter(sample_kind(rng(0, number, Stage.KIND)) for number in range(900))
     assert [kinds[kind] / 900 for kind in Kind] == pytest.approx([1 / 3] * 3, abs=0.05)
 
@@ -53,7 +53,7 @@ def test_a_kind_has_its_parts(kind: Kind) -> None:
         }[kind]
 
 
-def test_every_part_is_drawn_sooner_or_later() -> None:
+def test_every_part_is_drawn() -> None:
     metas = [design.meta for design in designs()]
     assert len({meta.upper for meta in metas} | {meta.bottom for meta in metas} | {meta.wb for meta in metas}) == 13
 
@@ -63,7 +63,7 @@ def test_halves_differ_in_a_fifth_of_uppers() -> None:
     assert np.mean([design.left.enable_asym for design in uppers]) == pytest.approx(0.2, abs=0.1)
 
 
-def test_what_the_garment_does_not_use_keeps_its_default() -> None:
+def test_unused_sections_keep_their_defaults() -> None:
     plain = to_dict(OutfitDesign())
     for design in designs():
         values, used = to_dict(design), design.sections_used()
@@ -78,7 +78,7 @@ def test_no_hem_reaches_the_floor() -> None:
 
 
 def test_a_shirt_with_a_band_or_a_bottom_ends_near_the_waist() -> None:
-    # What holds a band up is the waist: sewn to a longer shirt it would drag the hem up with it.
+    # The waist holds the band up: sewn to a longer shirt it would drag the hem up.
     for design in designs():
         if design.meta.upper is Upper.SHIRT and (design.meta.wb or design.meta.bottom):
             assert 0.8 <= design.shirt.length <= 1.3
@@ -91,7 +91,7 @@ def test_free_parameters_follow_their_rule() -> None:
     assert np.mean([sleeve.smoothing_coeff == 0.25 for sleeve in sleeves]) == pytest.approx(0.8, abs=0.1)
 
 
-def test_an_overlay_is_kept() -> None:
+def test_designs_stay_within_an_overlay() -> None:
     hoodies = Overlay.from_dict(
         {
             "meta": {"upper": {"options": ["Shirt"]}, "bottom": "none"},

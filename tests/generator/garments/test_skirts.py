@@ -1,4 +1,4 @@
-"""Skirts: girths, lengths and seams that a tailor can check with a tape, and the reference's own panels."""
+"""Skirts: girths, lengths and seams that a tape measure can check, and the reference's panels."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,7 +26,7 @@ from gcd_dataset.records import Measurements
 from gcd_dataset.spec import read_pattern
 from tests.generator.garments.skirts import ends, errors, length, lengths, skirt
 
-OUTLINE, PLACED = 0.01, 1.0  # cm; the reference hangs a panel off by the fraction of its first corner
+OUTLINE, PLACED = 0.01, 1.0  # cm; the reference shifts a panel by the fractional part of its first corner
 
 UNMENDED = {"levels_skirt": frozenset({Mend.LEVEL_GIRTH}), "strapless_dress": frozenset({Mend.SLIT_LENGTH})}
 SKIRTS = ("circle_skirt", "pencil_skirt", "godet_skirt", "levels_skirt")
@@ -168,7 +168,7 @@ def test_a_pencil_skirt_above_the_hips_is_refused(woman: Measurements) -> None:
         pencil_skirt(woman, PencilSkirtDesign(), Cutting(1.0, 10.0, ALL_MENDS))
 
 
-def test_measures_that_only_a_pencil_skirt_needs(woman: Measurements) -> None:
+def test_a_pencil_skirt_names_missing_measures(woman: Measurements) -> None:
     with pytest.raises(BodyError, match="measures bum_points are missing"):
         skirt(replace(woman, bum_points=float("nan")), Bottom.PENCIL, {})
 
@@ -208,7 +208,7 @@ def test_a_hem_cut_is_counted_along_the_ring_of_the_hem(
     pattern = skirt(woman, Bottom.CIRCLE, {"flare-skirt": {"length": 0.4, "suns": 0.5, "cut": cut}})
     opened = pattern.panel(panel)
     (tip, *_), _ = ends(opened, "hem_cut.0")
-    assert tip * side > 0  # in the front from the wearer's right, which is -x; behind from her left
+    assert tip * side > 0  # in front from the wearer's right, which is -x; behind from the left
     whole = woman.hips_line + 0.4 * woman.leg_length
     assert length(opened, "hem_cut.0") == pytest.approx(hypot(0.05, 0.2) * whole)
     (other,) = (p for p in pattern.panels if p.name != panel)
@@ -237,16 +237,16 @@ def test_panels_share_the_waist_and_widen_as_a_circle_skirt_does(woman: Measurem
     assert lengths(pattern, "bottom", names) == pytest.approx(woman.waist + 2 * pi * 0.7 * height)
 
 
-def test_panels_stand_in_a_ring_that_begins_at_the_right_and_each_is_sewn_to_the_next(woman: Measurements) -> None:
+def test_panels_form_a_ring_that_begins_at_the_right(woman: Measurements) -> None:
     pattern = skirt(woman, Bottom.PANELS, {"flare-skirt": {"skirt-many-panels": {"n_panels": 6}}})
-    middles = [pattern.panel(f"skirt_panel_{i}") for i in range(6)]
-    places = np.array([panel.placement.apply(panel.vertices).mean(axis=0) for panel in middles])
+    panels = [pattern.panel(f"skirt_panel_{i}") for i in range(6)]
+    places = np.array([panel.placement.apply(panel.vertices).mean(axis=0) for panel in panels])
     around = np.unwrap(np.arctan2(places[:, 2], places[:, 0]))
     assert places[0, 0] < 0 and abs(places[0, 2]) < -places[0, 0]
     assert np.diff(around) == pytest.approx(np.full(5, -pi / 3))  # over the front, which is +z, to the left
     joined = {frozenset((seam.left.panel, seam.right.panel)) for seam in pattern.seams}
     assert joined == {frozenset((f"skirt_panel_{i}", f"skirt_panel_{(i + 1) % 6}")) for i in range(6)}
-    for panel, place in zip(middles, places, strict=True):
+    for panel, place in zip(panels, places, strict=True):
         assert float(panel.placement.matrix[:, 2] @ place) > 0
 
 
@@ -262,11 +262,11 @@ def test_a_bent_hem_bulges_by_its_share_of_the_chord(woman: Measurements, bulge:
     assert sagitta == pytest.approx(abs(bulge) * chord)
     counter_clockwise = panel.vertices[:, 0].argmin() == 0 and end[0] > start[0]
     assert counter_clockwise
-    assert arc.right is (bulge > 0)  # to the right of a travel along the hem from her right to her left: down
+    assert arc.right is (bulge > 0)  # drawn from the wearer's right to left, right of the travel is down
 
 
 @pytest.mark.parametrize("kind", [Bottom.PANELS, Bottom.ASYMMETRIC_CIRCLE, Bottom.GODET])
-def test_what_cannot_be_cut_is_refused_with_the_parameter_to_change(woman: Measurements, kind: Bottom) -> None:
+def test_an_impossible_cut_is_refused_with_the_parameter_to_change(woman: Measurements, kind: Bottom) -> None:
     wide = {"n_panels": 4, "panel_curve": -0.35}
     cut = {"add": True, "place": 0.5, "depth": 0.9}
     sections = {
@@ -299,7 +299,7 @@ WEARABLE: dict[Bottom, Mapping[str, Any]] = {
 
 
 def changed(design: Any, values: Mapping[str, Any]) -> Any:
-    """The design with some values exchanged, at any depth."""
+    """The design with some values replaced, at any depth."""
     new = {k: changed(getattr(design, k), v) if isinstance(v, Mapping) else v for k, v in values.items()}
     return replace(design, **new)
 
@@ -317,7 +317,7 @@ def test_random_skirts_on_random_bodies_can_be_sewn(kind: Bottom, mends: frozens
 
 
 @pytest.mark.parametrize("kind", WEARABLE)
-def test_a_skirt_is_as_long_as_it_says(woman: Measurements, kind: Bottom) -> None:
+def test_a_skirt_has_the_length_of_its_record(woman: Measurements, kind: Bottom) -> None:
     design = replace(OutfitDesign(), meta=MetaDesign(None, None, kind))
     told = kind.garment.length(woman, design, bottom_rise(design))
     heights = [panel.placement.apply(panel.vertices)[:, 1] for panel in outfit(woman, design).panels]

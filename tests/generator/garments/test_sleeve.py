@@ -97,7 +97,7 @@ def test_a_cuff_is_taken_off_the_sleeve(woman: Measurements) -> None:
     assert length(cuffed, "sl_left_cuff_f", "right") == pytest.approx(0.1 * woman.arm_length)
 
 
-def test_a_standing_shoulder_goes_on_in_the_line_of_the_shoulder(woman: Measurements) -> None:
+def test_a_standing_shoulder_continues_the_line_of_the_shoulder(woman: Measurements) -> None:
     stands: dict[str, Any] = {"standing_shoulder": True, "standing_shoulder_len": 6.0}
     panel = sleeved(woman, sleeve_angle=40, **stands).panel("right_sleeve_f")
     first, second = sorted(edge_lengths(panel, "upper"))
@@ -112,7 +112,7 @@ def test_a_shoulder_stands_only_where_the_sleeve_hangs(woman: Measurements) -> N
     assert len(edge_lengths(sleeved(woman, **stands).panel("right_sleeve_f"), "upper")) == 1
 
 
-def test_a_left_sleeve_of_its_own(woman: Measurements) -> None:
+def test_a_left_sleeve_can_differ(woman: Measurements) -> None:
     left = {"enable_asym": True, "sleeve": {"sleeveless": False, "length": 0.4, "cuff": {"type": "CuffSkirt"}}}
     pattern = outfit(woman, design_from_dict({"meta": {"upper": "Shirt"}, "left": left}))
     names = {panel.name for panel in pattern.panels if "torso" not in panel.name}

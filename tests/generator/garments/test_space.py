@@ -1,4 +1,4 @@
-"""Designs say what their parameters may be, and are drawn from that."""
+"""Design spaces: declared ranges, and random draws from them."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -59,7 +59,7 @@ def test_the_default_is_kept_as_often_as_asked() -> None:
     assert np.mean([d.stitched for d in drawn]) == pytest.approx(0.8, abs=0.03)
 
 
-def test_the_others_are_equally_likely() -> None:
+def test_other_values_are_equally_likely() -> None:
     rows = [d.rows for d in many() if d.rows != 2]
     assert [rows.count(n) / len(rows) for n in (1, 3, 4)] == pytest.approx([1 / 3] * 3, abs=0.04)
     shapes = [d.shape for d in many()]
@@ -77,7 +77,7 @@ def test_narrowed_ranges_hold() -> None:
     assert all(3.0 <= d.depth <= 4.0 and d.rows == 1 for d in drawn)
 
 
-def test_a_narrowed_range_off_the_parameter_gives_its_nearest_value() -> None:
+def test_limits_outside_the_range_give_its_nearest_value() -> None:
     rng = np.random.default_rng(0)
     assert draw(HemDesign, rng, within={"depth": (-np.inf, -3.0)}).depth == 1.0
     assert draw(HemDesign, rng, within={"depth": (7.0, 9.0)}).depth == 5.0
@@ -90,7 +90,7 @@ def test_a_value_out_of_range_is_refused() -> None:
         from_dict(HemDesign, {"rows": 1.5})
 
 
-def test_a_file_speaks_of_paths() -> None:
+def test_errors_name_the_path_of_a_parameter() -> None:
     with pytest.raises(ConfigError, match=r"no design parameter is called shirt\.lenght: did you mean shirt\.length"):
         design_from_dict({"shirt": {"lenght": 1.0}})
     with pytest.raises(ConfigError, match=r"flare-skirt\.cut\.depth is 3, not a number from 0\.05 to 0\.95"):
@@ -109,17 +109,17 @@ def test_a_file_holds_plain_values_under_the_reference_names() -> None:
     assert to_dict(HemDesign()) == {"depth": 2.0, "rows": 2, "stitched": True, "shape": None}
 
 
-def test_a_name_far_from_any_other_is_told_what_there_is() -> None:
+def test_an_unknown_name_unlike_any_other_lists_the_known_ones() -> None:
     with pytest.raises(ConfigError, match=r"no design parameter is called hem\.colour: there are depth, rows"):
         from_dict(ApronDesign, {"hem": {"colour": "red"}})
 
 
-def test_numbers_of_a_file_become_what_the_parameter_is() -> None:
+def test_numbers_of_a_file_get_the_type_of_the_parameter() -> None:
     hem = from_dict(HemDesign, {"depth": 3, "rows": 3.0, "shape": "round"})
     assert (type(hem.depth), type(hem.rows), hem.shape) == (float, int, Shape.ROUND)
 
 
-def test_leaves_say_all_that_a_design_file_does() -> None:
+def test_leaves_hold_everything_in_a_design_file() -> None:
     told = [(leaf.path, leaf.space.kind, leaf.space.range, leaf.space.keep) for leaf in leaves(ApronDesign)]
     hem = [
         ("depth", "float", [1.0, 5.0], 0.7),
@@ -132,7 +132,7 @@ def test_leaves_say_all_that_a_design_file_does() -> None:
     assert len(list(leaves(OutfitDesign))) == 122
 
 
-def test_a_changed_space_is_drawn_from_whole_and_by_its_parts() -> None:
+def test_draws_follow_a_changed_space_and_its_parts() -> None:
     deep = {"upper-hem.depth": Real(4.5, 1.0, 4.0, 5.0)}
     apron = draw(DesignSpace.declared(ApronDesign).changed(deep), np.random.default_rng(1))
     assert apron.upper_hem.depth == 4.5

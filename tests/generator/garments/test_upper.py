@@ -1,4 +1,4 @@
-"""The upper body: lengths that a tailor can check with a tape, and the reference's own fronts, backs and sleeves."""
+"""The upper body: lengths that a tape measure can check, and the reference's fronts, backs and sleeves."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -25,9 +25,9 @@ TOPS = (
     "asymm_circle_skirt_lapel_dress", "asymmetric_top", "dress", "fitted_shirt", "jumpsuit", "shirt_sleeves_hood",
     "strapless_dress",
 )  # fmt: skip
-EXACT = 0.01  # cm: what closed forms agree to with the reference's solvers
-SLEEVE = 0.6  # cm: its own fit of an opening stops short of the minimum, up to a third of a centimetre from it
-PLACED = 1.0  # cm: it hangs a panel off by the fraction of its first corner (a truncated pivot)
+EXACT = 0.01  # cm between closed forms and the reference's solvers
+SLEEVE = 0.6  # cm: the reference's fit of an opening stops up to a third of a centimetre from the minimum
+PLACED = 1.0  # cm: the reference shifts a panel by the fractional part of its first corner (a truncated pivot)
 
 FITTED = {"upper": "FittedShirt"}
 SHIRT = {"upper": "Shirt"}
@@ -99,7 +99,7 @@ def test_labels_are_those_of_the_reference(examples: Path, top: str) -> None:
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
     ours, reference = outfit(size, design), read_pattern(folder / f"{top}_specification.json")
     for name in TORSOS:
-        # The reference loses the label of an edge that it divides for its seam; ours keep it.
+        # The reference loses the label of an edge that a seam divides; this package keeps it.
         assert labels(ours, name) >= labels(reference, name)
 
 
@@ -123,13 +123,13 @@ def test_a_neckline_is_as_wide_as_asked(woman: Measurements) -> None:
     assert abs(start[0] - end[0]) == pytest.approx(0.5 * woman.neck_w)
 
 
-def test_a_neckline_wider_than_the_shirt(woman: Measurements) -> None:
+def test_a_neckline_wider_than_the_shirt_is_refused(woman: Measurements) -> None:
     broad = replace(woman, neck_w=60.0)
     with pytest.raises(PatternError, match=r"narrow collar\.width"):
         outfit(broad, design_from_dict({"meta": SHIRT, "collar": {"width": 0.0}}))
 
 
-def test_shoulders_wider_than_the_shirt(woman: Measurements) -> None:
+def test_shoulders_wider_than_the_shirt_are_refused(woman: Measurements) -> None:
     broad = replace(woman, shoulder_w=70.0)
     with pytest.raises(PatternError, match=r"has no room for armholes 34\.0 cm from the centre: raise shirt\.width"):
         outfit(broad, design_from_dict({"meta": SHIRT}))
@@ -159,7 +159,7 @@ def test_a_fitted_shirt_closes_around_the_waist(wearer: Measurements) -> None:
     pattern = outfit(wearer, design_from_dict({"meta": FITTED}))
     fronts, backs = TORSOS[:2], TORSOS[2:]
     assert lengths(pattern, fronts, "bottom") == pytest.approx(wearer.waist - wearer.waist_back_width)
-    # The waist behind is drawn hollow, a little longer than straight across.
+    # The back's waist is curved, and so a little longer than a straight line.
     assert lengths(pattern, backs, "bottom") == pytest.approx(wearer.waist_back_width, rel=0.02)
 
 
@@ -197,7 +197,7 @@ def test_a_waist_as_wide_as_the_bust_needs_no_dart(woman: Measurements) -> None:
     assert lengths(pattern, TORSOS[:2], "bottom") == pytest.approx(stout.waist - stout.waist_back_width)
 
 
-def test_no_room_for_a_side_dart(woman: Measurements) -> None:
+def test_measures_without_room_for_a_side_dart_are_refused(woman: Measurements) -> None:
     flat = replace(woman, waist_over_bust_line=woman.waist_line)
     with pytest.raises(PatternError, match=r"right_ftorso: waist_over_bust_line of 35\.8 cm leaves no side dart"):
         outfit(flat, design_from_dict({"meta": FITTED}))

@@ -1,15 +1,10 @@
-"""Garments are facts of their own files: the wardrobe lists them, and everything else reads them there."""
+"""Garment records: each garment is one file, listed in the wardrobe, and all other code reads its record."""
 
-import json
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import gcd_dataset
 from gcd_dataset.curves import curve_length
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.generator.garments import (
@@ -29,32 +24,9 @@ from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.garments.wardrobe import GARMENTS, Bottom, Upper
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.verbs.statistics import garment_type
-from tests.generator.garments import own_skirt
 from tests.generator.garments.conftest import OUTFITS
 
 OWN = [upper for upper in Upper if not upper.garment.weight]
-TRIAL = """
-import json, numpy as np
-from gcd_dataset.generator.body import build_body, measure, neutral_shape
-from gcd_dataset.generator.garments import design_from_dict, design_to_dict, sample_design, try_on
-from gcd_dataset.generator.garments.overlay import Overlay
-from gcd_dataset.generator.mesh import build_box_mesh
-
-body = build_body(neutral_shape())
-size = measure(body)
-two = Overlay.from_dict({"meta": {"upper": "none", "bottom": {"options": ["SkirtCircle", "OwnSkirt"]}}})
-drawn = [sample_design(np.random.default_rng(seed), [size], overlay=two).meta.bottom for seed in range(8)]
-asked = Overlay.from_dict({"meta": {"upper": "none", "bottom": "OwnSkirt"}, "own-skirt": {"spread": 0.5}})
-pattern = try_on(size, design_from_dict({"meta": {"bottom": "OwnSkirt"}}))
-print(json.dumps({
-    "drawn": sum(bottom is not None and bottom.value == "OwnSkirt" for bottom in drawn),
-    "spread": design_to_dict(sample_design(np.random.default_rng(0), [size], overlay=asked))["own-skirt"]["spread"],
-    "panels": [panel.name for panel in pattern.panels],
-    "parts": [panel.label for panel in pattern.panels],
-    "vertices": len(build_box_mesh(pattern, spacing=4.0).vertices),
-    "measures": size.to_file_values(),
-}))
-"""
 
 
 def length(pattern: Pattern, panel: str, *edges: str) -> float:
@@ -63,57 +35,21 @@ def length(pattern: Pattern, panel: str, *edges: str) -> float:
     return sum(curve_length(*drawn.edge_ends(i), e.curve) for i, e in enumerate(drawn.edges) if e.name in edges)
 
 
-def test_every_garment_has_a_name_and_every_section_a_kind_of_its_own() -> None:
+def test_garments_have_distinct_names_and_sections_distinct_classes() -> None:
     assert len({garment.name for garment in GARMENTS}) == len(GARMENTS) == len(Upper) + len(Bottom)
     kinds = {(garment.section, garment.design) for garment in GARMENTS}
     assert len({section for section, _ in kinds}) == len(kinds)
-    assert all(isinstance(garment.own(OutfitDesign()), garment.design) for garment in GARMENTS)
+    assert all(isinstance(garment.section_design(OutfitDesign()), garment.design) for garment in GARMENTS)
 
 
-MEASURE = """    torso: float = measure(lambda tape: tape.above("nape_of_neck", "crotch_point"))
-    \"\"\"Nape to crotch, vertically.\"\"\"
-"""
-
-
-def test_a_skirt_is_added_by_a_file_and_a_line_and_a_measure_by_a_field(tmp_path: Path) -> None:
-    """Drawn by chance, narrowed by overlays, and meshed, in a copy of the package with nothing else changed."""
-    package = tmp_path / "gcd_dataset"
-    shutil.copytree(
-        Path(gcd_dataset.__file__).parent, package, ignore=shutil.ignore_patterns("hub", "loaders", "shards")
-    )
-    garments = package / "generator" / "garments"
-    shutil.copy(Path(own_skirt.__file__), garments)
-    wardrobe = (garments / "wardrobe.py").read_text()
-    line, member = "from typing import Any\n", "    LEVELS = LEVELS_SKIRT\n"
-    assert wardrobe.count(line) == wardrobe.count(member) == 1
-    wardrobe = wardrobe.replace(line, f"{line}from gcd_dataset.generator.garments.own_skirt import OWN_SKIRT\n")
-    (garments / "wardrobe.py").write_text(wardrobe.replace(member, f"{member}    OWN = OWN_SKIRT\n"))
-    measurements = (package / "measurements.py").read_text()
-    assert measurements.count("\n    @classmethod\n") == 1
-    (package / "measurements.py").write_text(
-        measurements.replace("\n    @classmethod\n", f"{MEASURE}\n    @classmethod\n")
-    )
-    run = subprocess.run([sys.executable, "-c", TRIAL], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    found = json.loads(run.stdout)
-    assert found["drawn"] > 0
-    assert found["spread"] == 0.5
-    assert set(found["panels"]) == {"own_skirt_front", "own_skirt_back"}
-    assert found["parts"] == ["leg", "leg"]
-    assert found["vertices"] > 100
-    taken = found["measures"]
-    down_the_back = taken["waist_line"] + taken["hips_line"] + taken["crotch_hip_diff"]
-    assert taken["torso"] == pytest.approx(down_the_back, rel=0.05)
-
-
-# ----------------------------------------------------------------------------------- garments that GarmentCode has not
+# ------------------------------------------------------------------------------------------ garments beyond GarmentCode
 
 
 def test_there_are_a_cape_and_a_poncho() -> None:
     assert [upper.value for upper in OWN] == ["Cape", "Poncho"]
 
 
-def test_chance_does_not_draw_them_and_designs_without_them_do_not_name_them() -> None:
+def test_capes_and_ponchos_are_not_sampled_and_other_designs_do_not_name_them() -> None:
     drawn = [sample_design(np.random.default_rng(seed)) for seed in range(12)]
     assert not {design.meta.upper for design in drawn} & {*OWN}
     assert not {"cape", "poncho"} & {key for design in drawn for key in design_to_dict(design)}
@@ -121,7 +57,7 @@ def test_chance_does_not_draw_them_and_designs_without_them_do_not_name_them() -
 
 
 @pytest.mark.parametrize("upper", OWN)
-def test_chance_draws_them_where_an_overlay_names_them(woman: Measurements, upper: Upper) -> None:
+def test_capes_and_ponchos_are_sampled_if_an_overlay_names_them(woman: Measurements, upper: Upper) -> None:
     asked = Overlay.from_dict(
         {"meta": {"upper": upper.value}, upper.garment.section: {"length": {"range": [1.0, 1.5]}}}
     )
@@ -134,7 +70,7 @@ def test_chance_draws_them_where_an_overlay_names_them(woman: Measurements, uppe
         assert not isinstance(try_on(woman, design), Reject)
 
 
-def test_beside_shirts_they_come_alone() -> None:
+def test_capes_and_ponchos_are_sampled_without_band_and_bottom() -> None:
     mixed = Overlay.from_dict({"meta": {"upper": {"options": ["Shirt", "Cape"]}}})
     kinds = {kind: [sample_design(np.random.default_rng(n), kind=kind, overlay=mixed).meta for n in range(20)]
              for kind in (Kind.UPPER, Kind.FULL)}  # fmt: skip
@@ -143,7 +79,7 @@ def test_beside_shirts_they_come_alone() -> None:
     assert all(meta.wb is None for meta in kinds[Kind.UPPER] if meta.upper is Upper.CAPE)
 
 
-def test_an_overlay_that_sews_something_to_them_is_refused() -> None:
+def test_an_overlay_that_sews_a_bottom_to_a_cape_is_refused() -> None:
     with pytest.raises(
         ConfigError, match=r"nothing is sewn to meta\.upper = Cape, .* let meta\.wb and meta\.bottom be"
     ):
@@ -152,19 +88,19 @@ def test_an_overlay_that_sews_something_to_them_is_refused() -> None:
         Overlay.from_dict({"meta": {"upper": {"options": ["Cape", "Poncho"]}, "wb": "FittedWB"}})
 
 
-def test_a_design_that_sews_something_to_them_is_turned_down(woman: Measurements) -> None:
+def test_a_design_that_sews_a_bottom_to_a_cape_is_rejected(woman: Measurements) -> None:
     found = try_on(woman, design_from_dict({"meta": {"upper": "Cape", "bottom": "Pants"}}))
     assert str(found) == "cannot_be_drawn: nothing is sewn to the hem of a Cape: leave out meta.wb and meta.bottom"
 
 
 @pytest.mark.parametrize("upper", OWN)
-def test_their_designs_come_back_from_design_files(tmp_path: Path, upper: Upper) -> None:
+def test_designs_of_capes_and_ponchos_come_back_from_design_files(tmp_path: Path, upper: Upper) -> None:
     design = design_from_dict({"meta": {"upper": upper.value}, upper.garment.section: {"length": 1.3}})
     write_design(design, tmp_path / "design.yaml")
     assert read_design(tmp_path / "design.yaml") == design
 
 
-def test_statistics_take_them_for_uppers() -> None:
+def test_statistics_count_a_cape_as_an_upper() -> None:
     long = design_from_dict({"meta": {"upper": "Cape"}, "cape": {"length": 2.0}})
     assert garment_type(design_to_dict(long))["main"] == "upper_garment"
 
@@ -191,7 +127,7 @@ def test_a_cape_opens_below_its_clasp(woman: Measurements) -> None:
 
 
 @pytest.mark.parametrize("upper", OWN)
-def test_their_neck_goes_round_the_back_of_the_neck(woman: Measurements, upper: Upper) -> None:
+def test_the_neckline_of_capes_and_ponchos_goes_round_the_back_of_the_neck(woman: Measurements, upper: Upper) -> None:
     pattern = outfit(woman, design_from_dict({"meta": {"upper": upper.value}}))
     necks = {panel.name: length(pattern, panel.name, "neck") for panel in pattern.panels}
     behind = necks.pop(f"{upper.garment.section}_back")
@@ -199,7 +135,7 @@ def test_their_neck_goes_round_the_back_of_the_neck(woman: Measurements, upper: 
 
 
 @pytest.mark.parametrize("name", OUTFITS)
-def test_no_mend_but_those_of_its_garments_changes_an_outfit(woman: Measurements, name: str) -> None:
+def test_only_the_mends_of_its_garments_change_an_outfit(woman: Measurements, name: str) -> None:
     design = design_from_dict(OUTFITS[name])
     others = ALL_MENDS - design.mends()
     assert outfit(woman, design, mends=ALL_MENDS - others) == outfit(woman, design)

@@ -1,4 +1,4 @@
-"""Panels with known answers, and what is to be known of triangles."""
+"""Panels with known meshes, and measures of triangles."""
 
 from collections.abc import Mapping
 
@@ -61,7 +61,7 @@ def loop(corners: list[tuple[float, float]], spacing: float) -> Float[np.ndarray
 
 
 def star(seed: int) -> list[tuple[float, float]]:
-    """A random star-shaped outline of 5 to 16 corners, 6 to 20 cm from its middle."""
+    """A random star-shaped outline of 5 to 16 corners, 6 to 20 cm from its centre."""
     random = np.random.default_rng(seed)
     count = int(random.integers(5, 17))
     angles = (np.arange(count) + random.uniform(0.1, 0.9, count)) * 2 * np.pi / count
@@ -89,17 +89,17 @@ def angles(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"]) -> F
 
 
 def directed_edges(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "e 2"]:
-    """Every side of every face, in the direction in which the face runs."""
+    """Every side of every face, in the direction of its winding."""
     return np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
 
 
 def undirected_edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, " e"]]:
-    """Edges, and how many faces have each."""
+    """Edges, and the number of faces at each."""
     low, high = np.sort(directed_edges(faces), axis=1).T
     keys, counts = np.unique(low * (high.max() + 1) + high, return_counts=True)
     return np.stack(np.divmod(keys, high.max() + 1), axis=1), counts
 
 
 def euler_characteristic(mesh: BoxMesh) -> int:
-    """Vertices less edges plus faces: 2 for a ball, 1 for a disc, 0 for a tube."""
+    """Vertices minus edges plus faces: 2 for a ball, 1 for a disc, 0 for a tube."""
     return len(mesh.vertices) - len(undirected_edges(mesh.faces)[0]) + len(mesh.faces)

@@ -1,4 +1,4 @@
-"""Patterns as meshes: nothing lost, nothing twice, everything in its place."""
+"""Box meshes: topology, geometry and labels of patterns with known meshes."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def patchwork() -> Pattern:
 
 
 def test_a_disc_has_its_area() -> None:
-    """Two half circles: πr² less what the chords of the border cut off."""
+    """Two half circles: πr² minus the segments between border chords and circle."""
     half = Arc(15.0, large=False, right=True)
     disc = panel("disc", [(15.0, 0.0), (-15.0, 0.0)], curves={0: half, 1: half})
     mesh = build_box_mesh(sewn(disc), spacing=0.5)
@@ -69,14 +69,14 @@ def test_a_flat_panel_starts_unstretched_where_it_is_placed() -> None:
 
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_faces_run_as_the_loop_does(clockwise: bool) -> None:
-    """The right side is where the loop runs counter-clockwise: towards +z for one, towards -z for the other."""
+    """The right side faces the viewer of a counter-clockwise loop: +z for one panel, -z for the other."""
     corners = rectangle(10.0, 10.0)[:: -1 if clockwise else 1]
     mesh = build_box_mesh(sewn(panel("a", corners)))
     assert (np.sign(areas(mesh.uv, mesh.corners)) == (-1 if clockwise else 1)).all()
 
 
 def test_a_mirrored_panel_has_the_mirrored_mesh() -> None:
-    """The same loop with x turned round, as a left front has from a right one: even the numbering is the same."""
+    """The same loop with negated x, as of a left and a right front: even the numbering is the same."""
     right = build_box_mesh(darted())
     left = build_box_mesh(sewn(panel("a", [(-x, y) for x, y in DART]), seams=(seam(("a", 1), ("a", 2)),)))
     assert left.uv == pytest.approx(right.uv * [-1, 1])
@@ -93,7 +93,7 @@ def test_a_coarser_spacing_makes_a_smaller_mesh() -> None:
 
 
 def test_a_tube_is_open_at_both_ends() -> None:
-    """Euler characteristic 0, and two rims: 22 points of the panels less 2 that are shared, each."""
+    """Euler characteristic 0, and two rims, each of 22 points minus 2 shared ones."""
     mesh = build_box_mesh(tube())
     assert euler_characteristic(mesh) == 0
     _, faces_of_edge = undirected_edges(mesh.faces)
@@ -102,7 +102,7 @@ def test_a_tube_is_open_at_both_ends() -> None:
 
 
 def test_a_seam_takes_away_as_many_vertices_as_it_joins() -> None:
-    """Points of the panels, less 21 on each of the tube's two seams."""
+    """The points of the panels minus 21 on each of the tube's two seams."""
     pattern = tube()
     mesh = build_box_mesh(pattern)
     alone = sum(len(build_box_mesh(sewn(each)).vertices) for each in pattern.panels)
@@ -112,21 +112,21 @@ def test_a_seam_takes_away_as_many_vertices_as_it_joins() -> None:
 
 
 def test_a_seam_vertex_starts_in_the_middle() -> None:
-    """The tube's sides lie at z = 3 and -3; all that is sewn starts at 0, the rest where its panel hangs."""
+    """The tube's sides are at z = 3 and -3: seam vertices start at 0, the others in the plane of their panel."""
     mesh = build_box_mesh(tube())
     assert mesh.vertices[: mesh.n_seam_vertices, 2] == pytest.approx(0.0, abs=1e-9)
     assert np.abs(mesh.vertices[mesh.n_seam_vertices :, 2]) == pytest.approx(3.0)
 
 
 def test_neighbours_across_a_seam_run_against_each_other() -> None:
-    """So the right side of the cloth is outside everywhere: no directed edge is there twice."""
+    """No directed edge occurs twice: the right side of the cloth is outside everywhere."""
     for pattern in (tube(), darted(), patchwork()):
         edges = directed_edges(build_box_mesh(pattern).faces)
         assert len(np.unique(edges, axis=0)) == len(edges)
 
 
 def test_a_dart_closes() -> None:
-    """No vertex is left of its mouth but one, and the rim has lost both legs."""
+    """Its mouth becomes one vertex, and its legs leave the rim."""
     mesh = build_box_mesh(darted())
     legs = 10  # √(2² + 9²) = 9.2 cm
     assert mesh.n_seam_vertices == legs + 1
@@ -153,7 +153,7 @@ def test_a_cone_is_a_disc() -> None:
 
 
 def test_a_cone_has_a_face_at_its_tip() -> None:
-    """The triangle across a sharp corner has its ends sewn together, and nothing would hold the tip."""
+    """Sewing collapses a triangle across a sharp corner, which would leave the tip without a face."""
     with pytest.raises(MeshError, match=r"panel cone: the corner at \(0.00, 0.00\) cm is sewn to itself"):
         build_box_mesh(cone(35.0))
 
@@ -200,7 +200,7 @@ def test_a_gathered_seam_joins_all_points_of_both_sides() -> None:
 
 
 def test_the_rest_shape_is_that_of_the_panels() -> None:
-    """Each face has its corners' coordinates in its own panel, and every row of ``uv`` belongs to one panel."""
+    """The corners of each face are ``uv`` rows of its panel, and every row belongs to one panel."""
     mesh = build_box_mesh(patchwork())
     assert np.array_equal(mesh.uv_vertex[mesh.corners], mesh.faces)
     assert np.bincount(mesh.panel_id, areas(mesh.uv, mesh.corners)) == pytest.approx([100.0] * 4)
@@ -238,7 +238,7 @@ def test_a_labelled_seam_has_all_its_vertices_and_a_free_edge_those_inside(left:
 
 
 def test_edges_of_one_label_are_one_set() -> None:
-    """The collar is the seam and the free edge: the point that they share is there once."""
+    """The collar is the seam and the free edge; their common point occurs once."""
     mesh = build_box_mesh(labelled("collar", "", "collar"))
     assert len(mesh.labels["collar"]) == 6 + 4
     assert (np.diff(mesh.labels["collar"]) > 0).all()
@@ -249,7 +249,7 @@ def test_the_sides_of_a_seam_agree_on_its_label() -> None:
         build_box_mesh(labelled("left_collar", "waist", ""))
 
 
-def test_what_panels_cover_is_kept() -> None:
+def test_panel_labels_are_kept() -> None:
     pattern = tube()
     front, back = pattern.panels
     mesh = build_box_mesh(replace(pattern, panels=(replace(front, label="body"), back)))
@@ -281,17 +281,17 @@ def test_a_panel_that_cannot_be_meshed(wrong: Panel, message: str) -> None:
 
 
 @pytest.mark.parametrize(("side", "spacing"), [(1e9, 1.0), (1e5, 0.5), (2000.0, 1.0), (20.0, 1e-4), (20.0, 1e-12)])
-def test_a_panel_gets_no_more_points_than_there_is_room_for(side: float, spacing: float) -> None:
+def test_a_panel_with_too_many_points_is_an_error(side: float, spacing: float) -> None:
     with pytest.raises(MeshError, match=r"panel sail would get .* points.*: use a coarser spacing"):
         build_box_mesh(sewn(panel("sail", rectangle(side, side))), spacing=spacing)
 
 
 @pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan, np.inf])
-def test_a_spacing_is_a_length(spacing: float) -> None:
+def test_a_spacing_that_is_no_length_is_an_error(spacing: float) -> None:
     with pytest.raises(MeshError, match="give a positive one"):
         build_box_mesh(tube(), spacing=spacing)
 
 
-def test_a_pattern_has_panels() -> None:
+def test_a_pattern_without_panels_is_an_error() -> None:
     with pytest.raises(MeshError, match="pattern test has no panels"):
         build_box_mesh(sewn())

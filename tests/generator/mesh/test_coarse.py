@@ -1,4 +1,4 @@
-"""A coarse mesh is the same garment, and what is done to it can be done to the fine one."""
+"""A coarse mesh is the same garment, and interpolates to the fine one."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 from gcd_dataset.errors import MeshError
 from gcd_dataset.generator.mesh import build_box_mesh
-from gcd_dataset.generator.mesh.coarse import Coarse, coarsen
+from gcd_dataset.generator.mesh.coarse import CoarseMesh, coarsen
 from gcd_dataset.records import BoxMesh, Pattern
 from tests.generator.mesh.shapes import areas, euler_characteristic, panel, rectangle, sewn, sides, tube
 from tests.generator.mesh.test_box_mesh import DART, darted, patchwork
@@ -41,7 +41,7 @@ def test_edges_are_twice_as_long_and_none_over_long(pattern: Pattern) -> None:
 
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_kept_points_stay_and_others_lie_between(pattern: Pattern) -> None:
-    """What is linear in a panel's plane at the coarse points is so at all fine ones."""
+    """A linear function in the plane of a panel is interpolated exactly."""
     fine = build_box_mesh(pattern, spacing=1.0)
     coarse = coarsen(fine)
     assert coarse.weights.min() >= 0
@@ -54,13 +54,13 @@ def test_kept_points_stay_and_others_lie_between(pattern: Pattern) -> None:
         free = np.bincount(own, minlength=len(fine.vertices))[own] == 1
         free &= ~_beside_a_dart(coarse, own)
         found = coarse.refine(field)[own[free]]
-        inside = np.isfinite(found).all(axis=1)  # a seam's points may have their weights from the other panel
+        inside = np.isfinite(found).all(axis=1)  # seam points may get their weights from the other panel
         assert inside.sum() > 0.5 * len(own)
         assert found[inside] == pytest.approx(_linear(fine.uv[rows[free]][inside]), abs=1e-6)
 
 
-def _beside_a_dart(coarse: Coarse, own: np.ndarray) -> np.ndarray:
-    """Which vertices lie between some that stand in two places of the plane, as the legs of a dart do."""
+def _beside_a_dart(coarse: CoarseMesh, own: np.ndarray) -> np.ndarray:
+    """Flags of the vertices interpolated from vertices with two ``uv`` positions, such as those of a dart's legs."""
     rows = np.bincount(coarse.mesh.uv_vertex, minlength=len(coarse.mesh.vertices))
     return (rows[coarse.corners[own]] > 1).any(axis=1)
 

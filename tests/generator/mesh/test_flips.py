@@ -1,4 +1,4 @@
-"""Missing segments put back."""
+"""Constrained Delaunay: missing segments are recovered by edge flips."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def has_segments(faces: np.ndarray, n: int) -> bool:
 
 
 def dense_slit(random: np.random.Generator) -> tuple[np.ndarray, int]:
-    """A crowd of points, and a polygon through some of them whose sides others come close to."""
+    """Random points, and a polygon through some of them with sides close to others."""
     border = SLIT + random.uniform(-0.02, 0.02, SLIT.shape)
     inside = random.uniform(0.05, 1.9, (40, 2)) * [3.0, 1.0]
     return np.concatenate([border, inside, inside + [0.0, 2.15]]), len(border)
@@ -44,7 +44,7 @@ def test_every_segment_is_an_edge_afterwards(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_all_edges_but_the_segments_are_delaunay(seed: int) -> None:
-    """Across every other edge, the two opposite angles sum to half a turn at most."""
+    """The two angles opposite every other edge add up to at most half a turn."""
     points, n = dense_slit(np.random.default_rng(seed))
     faces = restore_segments(points, triangles(points), n)
     opposite = {(int(f[k]), int(f[k - 2])): int(f[k - 1]) for f in faces for k in range(3)}
@@ -58,7 +58,7 @@ def angle(points: np.ndarray, a: int, apex: int, b: int) -> float:
     return float(np.arccos(to_a @ to_b / np.linalg.norm(to_a) / np.linalg.norm(to_b)))
 
 
-def test_a_triangulation_that_misses_nothing_stays() -> None:
+def test_a_triangulation_with_all_segments_stays() -> None:
     points = np.array([(0, 0), (2, 0), (2, 1.1), (0, 1)], float)
     faces = triangles(points)
     assert restore_segments(points, faces, 4) is faces

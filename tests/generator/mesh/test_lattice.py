@@ -1,4 +1,4 @@
-"""The hexagonal inside of a panel."""
+"""The triangular lattice inside a panel."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_seeds_lie_inside_and_off_the_border(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_filled_triangles_hold_no_other_point_in_their_circles(seed: int) -> None:
-    """What makes them Delaunay; nor does the border pass through them."""
+    """So they are Delaunay; nor does the border pass through them."""
     border = loop(star(seed), SPACING)
     lattice = build_lattice(border, SPACING)
     centres = lattice.points[lattice.faces].mean(axis=1)
@@ -40,8 +40,8 @@ def test_filled_triangles_hold_no_other_point_in_their_circles(seed: int) -> Non
     assert not filled.intersects(shapely.LinearRing(border))
 
 
-def test_covers_what_is_filled() -> None:
-    """Inside each filled triangle, beside each of its outer edges, and anywhere far away."""
+def test_covers_is_true_in_filled_triangles_alone() -> None:
+    """Tested inside each filled triangle, beside each of its outer edges, and far away."""
     lattice = build_lattice(loop(star(3), SPACING), SPACING)
     filled = shapely.union_all(shapely.polygons(lattice.points[lattice.faces])).buffer(1e-9)
     asked = np.random.default_rng(0).uniform(-30.0, 30.0, (4000, 2))
@@ -49,7 +49,7 @@ def test_covers_what_is_filled() -> None:
     assert lattice.covers(lattice.points[lattice.faces].mean(axis=1)).all()
 
 
-def test_a_point_takes_away_the_triangles_round_whose_corners_it_lies() -> None:
+def test_a_point_removes_the_triangles_with_the_point_in_their_circumcircle() -> None:
     lattice = build_lattice(loop(rectangle(14.0, 9.0), SPACING), SPACING)
     points = np.random.default_rng(1).uniform((1.0, 1.0), (13.0, 8.0), (7, 2))
     left = lattice.without(points)
@@ -59,8 +59,8 @@ def test_a_point_takes_away_the_triangles_round_whose_corners_it_lies() -> None:
     assert np.array_equal(left.faces, lattice.faces[free])
 
 
-def test_the_rim_has_all_seeds_of_other_triangles() -> None:
-    """A seed off the rim is surrounded: its filled triangles have six outer edges, a closed ring."""
+def test_the_rim_has_all_seeds_that_filled_triangles_do_not_surround() -> None:
+    """The filled triangles round a seed off the rim have six outer edges, a closed ring."""
     lattice = build_lattice(circle(9.0, SPACING), SPACING)
     edges, faces_of_edge = undirected_edges(lattice.faces)
     outer = np.unique(edges[faces_of_edge == 1])

@@ -1,4 +1,4 @@
-"""Real patterns, and what the reference mesher makes of them."""
+"""Meshes of GarmentCode's patterns, against those of its own mesher."""
 
 import json
 from pathlib import Path
@@ -31,7 +31,7 @@ MESHES = {
 @pytest.mark.parametrize("body", ["default_body", "random_body"])
 @pytest.mark.parametrize("name", DESIGNS)
 def test_every_design_has_a_sound_mesh(examples: Path, name: str, body: str, spacing: float) -> None:
-    """Manifold, no sliver that the outline does not ask for, no long edge, no vertex without a face."""
+    """Manifold; no sliver unless the outline forces it, no long edge, no vertex without a face."""
     pattern = read_pattern(examples / "patterns" / name / body / f"{name}_specification.json")
     mesh = build_box_mesh(pattern, spacing=spacing)
     _, faces_of_edge = undirected_edges(mesh.faces)
@@ -45,7 +45,7 @@ def test_every_design_has_a_sound_mesh(examples: Path, name: str, body: str, spa
 
 
 def outline_points(mesh: BoxMesh) -> np.ndarray:
-    """Which rows of ``uv`` lie on the outline of their panel."""
+    """Flags of the rows of ``uv`` on the outline of their panel."""
     edges, faces_of_edge = undirected_edges(mesh.corners)
     on_border = np.zeros(len(mesh.uv), bool)
     on_border[edges[faces_of_edge == 1]] = True
@@ -54,7 +54,7 @@ def outline_points(mesh: BoxMesh) -> np.ndarray:
 
 @pytest.fixture(scope="module", params=MESHES)
 def both(request: pytest.FixtureRequest, examples: Path) -> tuple[BoxMesh, Any]:
-    """Our mesh and the reference's, of one pattern."""
+    """This package's mesh and the reference's of the same pattern."""
     pattern = read_pattern(examples / "patterns" / MESHES[request.param])
     return build_box_mesh(pattern), np.load(examples / "meshes" / f"{request.param}.npz")
 
@@ -72,7 +72,7 @@ def test_there_are_as_many_vertices_and_no_more_faces(both: tuple[BoxMesh, Any])
 
 
 def test_panels_have_the_same_area_and_side_out(both: tuple[BoxMesh, Any]) -> None:
-    """Signed areas would not do: a panel may be drawn from behind. Where the faces look in space is what counts."""
+    """By normals in space: a panel may be drawn from behind, so signed flat areas can differ."""
     ours, reference = both
     ours_flat = np.bincount(ours.panel_id, np.abs(areas(ours.uv, ours.corners)))
     flat = np.bincount(reference["face_panel"], np.abs(areas(reference["panel_xy"], reference["face_uv"])))
@@ -90,7 +90,7 @@ def facing(vertices: np.ndarray, faces: np.ndarray, panel: np.ndarray) -> np.nda
 
 
 def test_seams_run_through_the_same_points(both: tuple[BoxMesh, Any]) -> None:
-    """All but those where several seams meet: the reference takes a running mean there, we the mean."""
+    """Except where several seams meet: the reference takes a running mean there, this package the mean."""
     ours, reference = both
     count = int(reference["n_stitch_vertices"])
     assert ours.n_seam_vertices == count
@@ -101,7 +101,7 @@ def test_seams_run_through_the_same_points(both: tuple[BoxMesh, Any]) -> None:
 
 
 def test_seams_have_the_reference_lengths(both: tuple[BoxMesh, Any]) -> None:
-    """As many points in each seam; the reference names fewer seams at a vertex where several meet."""
+    """In points; the reference lists fewer seams at a vertex where several meet."""
     ours, reference = both
     names = [name for row in reference["stitch_segmentation"] for name in str(row).split(",") if "stitch_" in name]
     theirs = np.unique(names, return_counts=True)[1]

@@ -1,4 +1,4 @@
-"""Faces are wound alike across every seam, whatever is sewn in wrong side out."""
+"""Faces have the same winding across every seam, also with panels sewn in wrong side out."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -33,17 +33,17 @@ BATTERY: dict[str, Mapping[str, Any]] = {
 }
 
 
-def run_alike(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "n 2"]:
-    """Edges that two faces run along in the same direction."""
+def same_direction_edges(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "n 2"]:
+    """Edges with the same direction in two faces."""
     edges, times = np.unique(directed_edges(faces), axis=0, return_counts=True)
     return edges[times > 1]
 
 
 @pytest.mark.parametrize("name", BATTERY)
-def test_no_edge_is_run_along_twice_the_same_way(name: str) -> None:
+def test_no_directed_edge_occurs_twice(name: str) -> None:
     mesh = build_box_mesh(outfit(WOMAN, design_from_dict(BATTERY[name])), spacing=5.0)
-    assert not len(run_alike(mesh.faces))
-    assert not len(run_alike(coarsen(mesh).mesh.faces))
+    assert not len(same_direction_edges(mesh.faces))
+    assert not len(same_direction_edges(coarsen(mesh).mesh.faces))
 
 
 @pytest.mark.parametrize(("standing", "expected"), [(True, LAPELS), (False, LAPELS | ROUND)])
@@ -56,18 +56,18 @@ def test_lapels_are_sewn_in_wrong_side_out(standing: bool, expected: set[str]) -
 
 
 @pytest.mark.parametrize("name", ["shirt", "Pants", "Shirt, Hood2Panels, standing False"])
-def test_of_other_garments_no_panel_is(name: str) -> None:
+def test_other_garments_have_no_turned_panel(name: str) -> None:
     pattern = outfit(WOMAN, design_from_dict(BATTERY[name]))
     assert turned_panels(pattern, build_box_mesh(pattern, spacing=5.0)) == ()
 
 
 def test_a_seam_of_right_to_wrong_turns_the_smaller_panel_over() -> None:
-    """Its points' normals continue those of the larger one, which runs as its loop does."""
+    """Its normals then continue those of the larger panel, which keeps the winding of its loop."""
     a, b = panel("a", rectangle(10.0, 10.0)), panel("b", rectangle(5.0, 10.0), at=(15.0, 0.0, 0.0), turned=np.pi)
     pattern = sewn(b, a, seams=(seam(("a", 1), ("b", 1), right_wrong=True),))
     mesh = build_box_mesh(pattern, spacing=1.0)
     assert turned_panels(pattern, mesh) == ("b",)
-    assert not len(run_alike(mesh.faces))
+    assert not len(same_direction_edges(mesh.faces))
     points = sample_surface(mesh.vertices, mesh.faces, 200, np.random.default_rng(0))
     assert points[:, 5] == pytest.approx(1.0)
     assert np.bincount(mesh.panel_id, signed(mesh)) == pytest.approx([-50.0, 100.0])
@@ -78,8 +78,8 @@ def test_right_sides_that_meet_turn_nothing_over() -> None:
     assert turned_panels(pattern, build_box_mesh(pattern, spacing=2.0)) == ()
 
 
-def test_a_moebius_strip_is_turned_in_one_seam(caplog: pytest.LogCaptureFixture) -> None:
-    """Three panels in a ring with one seam of right to wrong have one side: faces disagree along one seam alone."""
+def test_the_faces_of_a_moebius_strip_disagree_in_one_seam(caplog: pytest.LogCaptureFixture) -> None:
+    """Three panels in a ring with one seam of right to wrong side form a one-sided band."""
     ring = [panel(name, rectangle(20.0, 5.0), at=(20.0 * k, 0.0, 0.0)) for k, name in enumerate("abc")]
     seams = (
         seam(("a", 1), ("b", 3)),
@@ -88,7 +88,7 @@ def test_a_moebius_strip_is_turned_in_one_seam(caplog: pytest.LogCaptureFixture)
     )
     mesh = build_box_mesh(sewn(*ring, seams=seams), spacing=1.0)
     on_seam = [set(mesh.seams[mesh.seams[:, 1] == number, 0].tolist()) for number in range(3)]
-    edges = run_alike(mesh.faces)
+    edges = same_direction_edges(mesh.faces)
     assert len(edges) == 5
     assert "closes a band with one side only" in caplog.text
     assert sum(set(edges.ravel().tolist()) <= vertices for vertices in on_seam) == 1

@@ -1,10 +1,10 @@
-"""Points joined along seams."""
+"""Points merged along seams."""
 
 import numpy as np
 import pytest
 
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.stitch import SewnPoints, merge_points, middles, stitch_points
+from gcd_dataset.generator.mesh.stitch import SewnPoints, mean_positions, merge_points, stitch_points
 from gcd_dataset.records import Seam
 from tests.generator.mesh.shapes import seam
 
@@ -45,9 +45,9 @@ def test_a_chain_of_seams_is_one_vertex() -> None:
     assert vertex.max() + 1 == 12 - 6
 
 
-def test_a_vertex_stands_in_the_middle_of_its_points() -> None:
+def test_a_vertex_is_the_mean_of_its_points() -> None:
     positions = np.array([(0, 0, 0), (4, 2, 0), (2, 1, 9), (7, 7, 7)], float)
-    assert middles(positions, points(0, 0, 0, 1)) == pytest.approx(np.array([(2, 1, 3), (7, 7, 7)]))
+    assert mean_positions(positions, points(0, 0, 0, 1)) == pytest.approx(np.array([(2, 1, 3), (7, 7, 7)]))
 
 
 def test_a_pattern_without_seams_stays_as_it_is() -> None:

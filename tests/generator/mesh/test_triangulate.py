@@ -1,4 +1,4 @@
-"""Triangles that fill an outline."""
+"""Triangulations of outlines."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from tests.generator.mesh.shapes import (
 )
 
 NARROW_SLIT = [(0.0, 0.0), (20.0, 0.0), (20.0, 8.0), (4.0, 8.05), (20.0, 8.1), (20.0, 16.0), (0.0, 16.0)]
-"""A slit that is narrower than the points along it are apart, from the right edge nearly to the left."""
+"""A slit from the right edge nearly to the left, narrower than the spacing of its points."""
 
 OUTLINES: dict[str, list[tuple[float, float]]] = {
     "square": rectangle(12.0, 12.0),
@@ -53,8 +53,8 @@ def assert_filled_once(border: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("name", OUTLINES)
-def test_no_edge_asks_to_be_turned(name: str) -> None:
-    """Constrained Delaunay: the two angles that look at an inner edge make 180° at most."""
+def test_no_edge_needs_a_flip(name: str) -> None:
+    """Constrained Delaunay: the two angles opposite an inner edge add up to at most 180°."""
     assert_delaunay(loop(OUTLINES[name], 1.0))
 
 
@@ -72,8 +72,8 @@ def assert_delaunay(border: np.ndarray) -> None:
 
 @pytest.mark.parametrize("width", [0.01, 0.2])
 @pytest.mark.parametrize("gathered", [1.5, 3.0])
-def test_a_slit_with_a_gathered_side(width: float, gathered: float) -> None:
-    """What grows from the dense side of a slit does not reach over to the other."""
+def test_a_slit_with_a_gathered_side_is_filled_once(width: float, gathered: float) -> None:
+    """Grading from the dense side of a slit does not cross to the other side."""
     corners = [(0.0, 0.0), (20.0, 0.0), (20.0, 7.0), (12.6, 8.6), (20.0, 7.0 + width), (20.0, 16.0), (0.0, 16.0)]
     plain, dense = loop(corners, 1.0), loop(corners, 1.0 / gathered)
     ends, dense_ends = ([int(np.argmin(np.linalg.norm(x - c, axis=1))) for c in corners] for x in (plain, dense))
@@ -85,7 +85,7 @@ def test_a_slit_with_a_gathered_side(width: float, gathered: float) -> None:
 @pytest.mark.parametrize("name", OUTLINES)
 @pytest.mark.parametrize("spacing", [0.7, 1.6])
 def test_triangles_are_well_shaped(name: str, spacing: float) -> None:
-    """An angle under 20° stands over a short side between points of the outline: no seed could help it."""
+    """An angle under 20° is opposite a short side of the outline, where no seed can help."""
     border = loop(OUTLINES[name], spacing)
     seeds, faces = triangulate(border, spacing)
     points = np.concatenate([border, seeds])
@@ -96,7 +96,7 @@ def test_triangles_are_well_shaped(name: str, spacing: float) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_circle_of_a_triangle_holds_a_point(seed: int) -> None:
-    """Delaunay's criterion, which the border must not be asked for where the outline is convex."""
+    """Delaunay's criterion; a convex outline needs no constraint."""
     hull = shapely.MultiPoint(star(seed)).convex_hull
     border = loop([(float(x), float(y)) for x, y in shapely.get_coordinates(hull)[:0:-1]], 1.0)
     seeds, faces = triangulate(border, 1.0)
@@ -138,8 +138,8 @@ def test_a_gathered_edge_is_graded(gathered: float) -> None:
 def test_a_slit_is_not_meshed_over() -> None:
     border = loop(NARROW_SLIT, 1.0)
     seeds, faces = triangulate(border, 1.0)
-    middles = np.concatenate([border, seeds])[faces].mean(axis=1)
-    assert shapely.contains_xy(shapely.Polygon(border), *middles.T).all()
+    centroids = np.concatenate([border, seeds])[faces].mean(axis=1)
+    assert shapely.contains_xy(shapely.Polygon(border), *centroids.T).all()
 
 
 def test_the_mesh_grows_with_the_outline() -> None:

@@ -34,7 +34,7 @@ def corner(panel: Panel, vertex: int) -> list[float]:
 
 
 def seam_ends(pattern: Pattern) -> list[tuple[list[float], list[float]]]:
-    """For every seam, the straight distances between the ends that meet."""
+    """The two corners that meet at the start of every seam."""
     found = []
     for seam in pattern.seams:
         left, right = pattern.panel(seam.left.panel), pattern.panel(seam.right.panel)
@@ -65,7 +65,7 @@ def test_a_panel_sewn_inside_out_is_right_to_wrong() -> None:
     assert [seam.right_wrong for seam in pattern.seams] == [True]
 
 
-def test_a_divided_edge_keeps_its_label_on_every_piece() -> None:
+def test_a_divided_edge_keeps_its_label_on_every_part() -> None:
     skirt, belt = tube("skirt"), rectangle("belt", width=40.0, height=5.0).at(-20, 95, 20)
     whole = Component.of(skirt, belt).sewn(belt.along("hem"), skirt.interface("top"))
     pattern = assemble(whole.with_edge_label(belt.along("hem"), EdgeRole.LOWER_INTERFACE), "skirt")
@@ -73,20 +73,20 @@ def test_a_divided_edge_keeps_its_label_on_every_piece() -> None:
     assert labelled == ["hem", "hem"]
 
 
-def test_the_first_corner_is_the_origin_and_stays_where_it_hung() -> None:
+def test_the_first_corner_becomes_the_origin_and_stays_in_place() -> None:
     for panel in assemble(tube("tube"), "tube").panels:
         assert panel.vertices[0].tolist() == [0.0, 0.0]
         assert corner(panel, 0)[:2] == [-10.0, 60.0]
 
 
-def test_an_edge_is_sewn_once() -> None:
+def test_an_edge_in_two_seams_is_an_error() -> None:
     front, back = rectangle("f").at(0, 0, 12), rectangle("b").at(0, 0, -12)
     twice = Component.of(front, back).sewn(front.along("left"), back.along("left"))
     with pytest.raises(PatternError, match="edge left of panel f is sewn twice"):
         assemble(twice.sewn(front.along("left"), back.along("right")), "twice")
 
 
-def test_names_are_unique() -> None:
+def test_two_pieces_of_one_name_are_an_error() -> None:
     with pytest.raises(PatternError, match="panels tube_b, tube_f stand twice"):
         Component.of(tube("tube"), tube("tube"))
 
@@ -105,14 +105,14 @@ def test_placed_by_an_interface_with_a_gap_on_its_own_side() -> None:
     assert placed.points("top")[:, 1] == pytest.approx(95.0)
 
 
-def test_an_interface_all_round_leaves_no_side_to_stand_off_on() -> None:
+def test_an_interface_in_the_middle_of_its_component_cannot_be_placed() -> None:
     whole = rectangle("square").at(-10, 0, 10)
     everywhere = Component.of(whole).offering(all=whole.along("hem", "left", "top", "right"))
     with pytest.raises(PatternError, match="interface all lies in the middle of its component"):
         everywhere.placed_by("all", tube("tube"), "hem", gap=5.0)
 
 
-def test_a_seam_needs_panels_and_edges_that_are_there() -> None:
+def test_a_seam_of_a_missing_panel_or_edge_is_an_error() -> None:
     front, back = rectangle("f").at(0, 0, 12), rectangle("b").at(0, 0, -12)
     with pytest.raises(PatternError, match="no panel named b: there are f"):
         assemble(Component.of(front).sewn(front.along("left"), back.along("left")), "half")
@@ -120,7 +120,7 @@ def test_a_seam_needs_panels_and_edges_that_are_there() -> None:
         assemble(Component.of(front, back).sewn(front.along("lefft"), back.along("left")), "misspelt")
 
 
-def test_gathers_move_the_seam_to_where_the_lengths_say() -> None:
+def test_gathers_shift_the_break_to_the_projected_lengths() -> None:
     # The front's 20 cm count 10, the back's 20 cm count 30: a quarter of the band's 40 cm goes to the front.
     skirt, belt = tube("skirt"), rectangle("belt", width=40.0, height=5.0).at(-20, 95, 20)
     front, back = skirt.piece("skirt_f"), skirt.piece("skirt_b")
@@ -130,7 +130,7 @@ def test_gathers_move_the_seam_to_where_the_lengths_say() -> None:
     assert xs == [-20.0, -20.0, -10.0, 20.0, 20.0]
 
 
-def test_turning_lifts_what_lies_on_the_turn() -> None:
+def test_a_component_turns_about_the_world_origin() -> None:
     turned = rectangle("arm").at(10, 0, 5).turned(0.5 * np.pi)
     assert turned.points("hem") == pytest.approx(np.array([[0.0, 10.0, 5.0], [0.0, 30.0, 5.0]]), abs=1e-9)
 

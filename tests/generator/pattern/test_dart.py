@@ -28,7 +28,7 @@ def test_the_legs_of_a_dart_have_the_asked_length() -> None:
     assert right.end == (6.0, 0.0)
 
 
-def test_legs_too_short_to_meet() -> None:
+def test_legs_too_short_to_meet_are_an_error() -> None:
     with pytest.raises(PatternError, match=r"legs of 2.00 cm do not meet over an opening of 6.00 cm"):
         dart(6.0, 2.0)
 
@@ -46,7 +46,7 @@ def test_a_mouth_on_a_curve_is_centred_and_as_wide_as_asked(curve: Curve) -> Non
     )
 
 
-def test_a_mouth_over_the_end_of_its_edge() -> None:
+def test_a_mouth_over_the_end_of_its_edge_is_an_error() -> None:
     with pytest.raises(PatternError, match=r"edge hem of 60.00 cm: an opening of 8.00 cm centred at 58.00 cm"):
         cut_into(rectangle(), "hem", notch(8.0, 10.0), at=58.0)
 
@@ -64,7 +64,7 @@ def test_a_corner_cut_keeps_the_shape_and_shortens_both_edges() -> None:
     assert cut.closed
 
 
-def test_a_corner_cut_larger_than_its_edges() -> None:
+def test_a_corner_cut_larger_than_its_edges_is_an_error() -> None:
     with pytest.raises(PatternError, match="a cut from side to top does not fit the corner"):
         cut_corner(rectangle(), "side", "top", (Stroke((0.0, 0.0), (-10.0, 45.0)),))
 
@@ -77,7 +77,7 @@ def test_a_second_notch_is_counted_along_what_the_first_has_left() -> None:
     assert [piece.length for piece in behind.run("hem")] == pytest.approx([38.0, 9.0, 7.0])
 
 
-def test_a_corner_is_cut_into_the_pieces_that_meet_there() -> None:
+def test_a_corner_cut_of_divided_edges_shortens_the_parts_at_the_corner() -> None:
     corner = (Stroke((0.0, 0.0), (-10.0, 8.0), name="round"),)
     cut = cut_corner(cut_into(rectangle(), "side", notch(4.0, 10.0), at=20.0), "side", "top", corner)
     assert [piece.length for piece in cut.run("side")] == pytest.approx([18.0, 10.0])
@@ -103,6 +103,6 @@ def test_a_cut_at_the_end_of_an_arc_is_as_wide_as_asked() -> None:
     assert hypot(*rest.start) == pytest.approx(10.0)
 
 
-def test_a_cut_wider_than_its_edge() -> None:
+def test_a_cut_wider_than_its_edge_is_an_error() -> None:
     with pytest.raises(PatternError, match=r"an opening of 90\.00 cm does not fit"):
         cut_end(rectangle(), "hem", notch(90.0, 3.0), last=True)

@@ -15,12 +15,12 @@ def test_edges_by_name() -> None:
     assert rectangle().closed
 
 
-def test_an_unknown_name_is_told_with_those_there_are() -> None:
+def test_an_unknown_name_gives_the_known_ones() -> None:
     with pytest.raises(PatternError, match="no edge named sleeve: there are hem, side, centre"):
         rectangle().edge("sleeve")
 
 
-def test_drawing_on_leaves_the_first_drawing_alone() -> None:
+def test_drawing_returns_a_new_outline() -> None:
     begun = Outline.start(0, 0).line(10, 0)
     begun.line(10, 10)
     assert begun.pen == (10.0, 0.0)
@@ -31,7 +31,7 @@ def test_strokes_must_join() -> None:
         Outline.start(0, 0).line(10, 0).then(Stroke((11.0, 0.0), (12.0, 0.0)))
 
 
-def test_area_tells_the_sense_of_the_loop() -> None:
+def test_the_sign_of_the_area_is_the_direction_of_the_loop() -> None:
     assert rectangle().area == pytest.approx(600.0)
     assert rectangle().mirrored().area == pytest.approx(-600.0)
 

@@ -10,7 +10,7 @@ LENGTHS = st.lists(st.floats(0.1, 100.0), min_size=1, max_size=5)
 
 
 def positions(lengths: list[float], divisions: list[list[float]]) -> list[float]:
-    """All breaks of a divided interface, as shares of the whole."""
+    """All breaks of a divided interface, as shares of its length."""
     total, reached, found = sum(lengths), 0.0, []
     for length, shares in zip(lengths, divisions, strict=True):
         found += [(reached + share * length) / total for share in shares]
@@ -41,7 +41,7 @@ def test_a_break_in_the_middle_of_a_short_edge_is_sewn_to_one_of_its_ends() -> N
 
 
 @given(LENGTHS, LENGTHS)
-def test_both_sides_end_with_as_many_edges_in_the_same_places(left: list[float], right: list[float]) -> None:
+def test_both_sides_end_with_equally_many_edges_and_the_same_breaks(left: list[float], right: list[float]) -> None:
     ours, theirs = (positions(*side) for side in zip((left, right), shared_breaks(left, right), strict=True))
     assert len(ours) == len(theirs)
     assert ours == pytest.approx(theirs, abs=0.051)

@@ -33,7 +33,7 @@ def test_an_end_tangent_is_met(at: float, angle: float) -> None:
     assert direction(Stroke(START, END, curve), 1.0) == pytest.approx(wanted, abs=1e-9)
 
 
-def test_a_slight_turn_leaves_the_control_point_beside_its_place_on_the_chord() -> None:
+def test_a_slight_angle_keeps_the_control_point_near_its_start_on_the_chord() -> None:
     for at in (0.75, 0.3):
         control = tangent_quadratic(START, END, end_tangent=UP, at=at).control
         assert control[0] == pytest.approx(at, abs=0.005)
@@ -58,7 +58,7 @@ def test_a_mirrored_tangent_gives_the_mirror_image() -> None:
 
 
 def test_figures_of_the_reference() -> None:
-    """Control points of its jumpsuit: the hip of the back, and the crotch, whose tangents are both given."""
+    """Control points of GarmentCode's jumpsuit: the back's hip (one tangent) and the crotch (two)."""
     hip = tangent_quadratic((-5.0, 68.231), (-2.771, 94.063), start_tangent=UP)
     assert hip.control == pytest.approx((0.498, 0.043), abs=0.003)
     crotch = tangent_quadratic((22.412, 79.855), (29.795, 59.417), start_tangent=(0.0, -1.0), end_tangent=(1.0, 0.0))

@@ -17,7 +17,7 @@ CURVES: list[Curve] = [
 
 
 @pytest.mark.parametrize("curve", CURVES)
-def test_pieces_add_up_to_the_whole(curve: Curve) -> None:
+def test_parts_add_up_to_the_whole(curve: Curve) -> None:
     stroke = Stroke((1.0, 2.0), (25.0, 20.0), curve, "side", "held")
     pieces = stroke.split([0.2, 0.75])
     assert [piece.length / stroke.length for piece in pieces] == pytest.approx([0.2, 0.55, 0.25], abs=1e-7)
@@ -27,7 +27,7 @@ def test_pieces_add_up_to_the_whole(curve: Curve) -> None:
 
 
 @pytest.mark.parametrize("curve", CURVES)
-def test_pieces_lie_on_the_whole(curve: Curve) -> None:
+def test_parts_lie_on_the_whole(curve: Curve) -> None:
     stroke = Stroke((1.0, 2.0), (25.0, 20.0), curve)
     first, second = stroke.split_at([0.4])
     assert first.at(0.5) == pytest.approx(stroke.at(0.2))

@@ -1,11 +1,11 @@
-"""Edges as points."""
+"""Borders: edges as points."""
 
 import numpy as np
 import pytest
 
 from gcd_dataset.curves import Arc, Cubic, Curve
 from gcd_dataset.errors import MeshError
-from gcd_dataset.generator.mesh.sample import edge_counts, sample_border
+from gcd_dataset.generator.mesh.border import edge_counts, sample_border
 from gcd_dataset.records import Edge, EdgeRef, Panel, Placement
 from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
 
@@ -23,7 +23,7 @@ def test_an_edge_that_rounding_made_longer_keeps_its_points() -> None:
 
 @pytest.mark.parametrize("curve", [Arc(20.0, large=False, right=True), Cubic((0.1, 0.6), (0.3, -0.4))])
 def test_points_are_equally_spaced_along_a_curve(curve: Curve) -> None:
-    """To a thousandth: what arc length by quadrature, and chords in its place, are out by."""
+    """To two thousandths: the error of arc length by quadrature and of chords as steps."""
     bent = panel("a", rectangle(30.0, 30.0), curves={0: curve})
     border = sample_border(bent, edge_counts(sewn(bent), 0.25))
     steps = np.linalg.norm(np.diff(border.points[border.edge(0)], axis=0), axis=1)
@@ -39,7 +39,7 @@ def test_the_points_of_an_arc_lie_on_its_circle() -> None:
     assert np.linalg.norm(arc, axis=1) == pytest.approx(10.0)
 
 
-def test_corners_stand_once_and_edges_share_them() -> None:
+def test_neighbouring_edges_share_their_corner() -> None:
     square = panel("a", rectangle(10.0, 10.0))
     border = sample_border(square, edge_counts(sewn(square), 1.0))
     assert len(border.points) == 40
@@ -56,14 +56,14 @@ def test_a_gathered_seam_has_the_points_of_its_longer_side() -> None:
     assert counts[EdgeRef("a", 2)] == 11
 
 
-def test_an_edge_is_sewn_once() -> None:
+def test_an_edge_in_two_seams_is_an_error() -> None:
     a, b = panel("a", rectangle(10.0, 5.0)), panel("b", rectangle(10.0, 5.0))
     pattern = sewn(a, b, seams=(seam(("a", 0), ("b", 0)), seam(("b", 0), ("a", 2))))
     with pytest.raises(MeshError, match="panel b, edge 0 is in seams 0 and 1: split the edge"):
         edge_counts(pattern, 1.0)
 
 
-def test_a_seam_needs_both_its_edges() -> None:
+def test_a_seam_of_a_missing_edge_is_an_error() -> None:
     with pytest.raises(MeshError, match="seam 0: there is no edge 4 of panel a"):
         edge_counts(sewn(panel("a", rectangle(10.0, 5.0)), seams=(seam(("a", 0), ("a", 4)),)), 1.0)
 
@@ -71,7 +71,7 @@ def test_a_seam_needs_both_its_edges() -> None:
 @pytest.mark.parametrize(
     ("end", "length"), [((0.0, 0.0), "0.0"), ((np.nan, 0.0), "nan"), ((np.inf, 0.0), "inf")], ids=["0", "nan", "inf"]
 )
-def test_an_edge_has_a_length(end: tuple[float, float], length: str) -> None:
+def test_an_edge_without_a_finite_length_is_an_error(end: tuple[float, float], length: str) -> None:
     with pytest.raises(MeshError, match=f"panel a, edge 0 has a length of {length} cm"):
         edge_counts(sewn(panel("a", [(0.0, 0.0), end, (5.0, 5.0)])), 1.0)
 

@@ -16,7 +16,6 @@ UP = np.array([0.0, 1.0, 0.0])
 OUTLIERS = 0.5  # percentile of the vertices at either end of each axis that may be mislabelled
 OUTLIER_DISTANCE = 5.0  # cm beyond that percentile from which a vertex is left out
 MIN_POINTS = 8  # a part with as many points or fewer counts as missing
-STEPS = 512  # segments of a curve round a part
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +53,6 @@ class Limb:
         along = self.skin @ self.axis
         within = (along >= low) & (along <= high)
         return _tube(self.skin[within], self.axis) if within.sum() > MIN_POINTS else self
-
-    def curve(self, offset: float) -> Float[np.ndarray, "n 2"]:
-        """The ellipse grown by ``offset`` [cm]: a closed polyline of (across, forward) from the front centre."""
-        angle = np.linspace(0.0, 2 * np.pi, STEPS + 1)
-        return np.stack([(self.wide + offset) * np.sin(angle), (self.deep + offset) * np.cos(angle)], axis=1)
 
 
 def limbs_of(body: Body) -> dict[BodyPart, Limb]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from gcd_dataset.by_thread import by_thread
+from gcd_dataset.prefetch import prefetch
 
 
 def test_no_more_are_made_than_asked_for() -> None:
@@ -21,7 +21,7 @@ def test_no_more_are_made_than_asked_for() -> None:
             ahead.append(number + 1 - taken)
             yield number
 
-    for number, item in enumerate(by_thread(items(), 3)):
+    for number, item in enumerate(prefetch(items(), 3)):
         assert item == number
         taken = number + 1
     assert taken == 50
@@ -36,7 +36,7 @@ def test_they_are_made_before_they_are_taken() -> None:
         third.set()
         yield 2
 
-    ahead = by_thread(items(), 3)
+    ahead = prefetch(items(), 3)
     assert next(ahead) == 0
     assert third.wait(60)
     assert list(ahead) == [1, 2]
@@ -47,7 +47,7 @@ def test_an_error_comes_after_those_before_it() -> None:
         yield from (0, 1)
         raise ValueError("the third")
 
-    ahead = by_thread(items(), 8)
+    ahead = prefetch(items(), 8)
     assert [next(ahead), next(ahead)] == [0, 1]
     with pytest.raises(ValueError, match="the third"):
         next(ahead)
@@ -62,7 +62,7 @@ def test_the_thread_ends_when_nobody_takes_more(wait: bool) -> None:
         while True:
             yield 0
 
-    ahead = by_thread(items(), 2, wait=wait)
+    ahead = prefetch(items(), 2, wait=wait)
     next(ahead)
     ahead.close()
     if not wait:
@@ -81,7 +81,7 @@ def test_an_end_of_the_thread_is_told() -> None:
 
     def take() -> None:
         try:
-            list(by_thread(items(), 2))
+            list(prefetch(items(), 2))
         except SystemExit as end:
             ended.append(end)
 
@@ -99,7 +99,7 @@ def test_an_error_that_was_caught_keeps_nothing() -> None:
 
     def failing(held: Held) -> None:
         assert held
-        for _ in by_thread(map(int, ["no number"]), 1):
+        for _ in prefetch(map(int, ["no number"]), 1):
             pass
 
     held = Held()
@@ -116,13 +116,13 @@ def test_an_error_that_was_caught_keeps_nothing() -> None:
 
 AT_THE_END = """
 import torch
-from gcd_dataset.by_thread import by_thread
+from gcd_dataset.prefetch import prefetch
 
 def items():
     while True:
         yield torch.ones(1500, 1500) @ torch.ones(1500, 1500)
 
-made = by_thread(items(), 99, wait=True)
+made = prefetch(items(), 99, wait=True)
 next(made)
 """
 
@@ -134,10 +134,10 @@ def test_a_program_may_end_while_items_are_made() -> None:
 
 def test_what_comes_first_is_done_by_the_thread() -> None:
     begun = []
-    assert list(by_thread(iter("ab"), 1, begin=lambda: begun.append(threading.current_thread()))) == ["a", "b"]
+    assert list(prefetch(iter("ab"), 1, begin=lambda: begun.append(threading.current_thread()))) == ["a", "b"]
     assert begun != [threading.current_thread()]
 
 
 def test_an_error_at_the_beginning_is_told() -> None:
     with pytest.raises(ZeroDivisionError):
-        next(by_thread(iter("ab"), 1, begin=lambda: 1 / 0))  # type: ignore[arg-type]
+        next(prefetch(iter("ab"), 1, begin=lambda: 1 / 0))  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Rectangles, trapezes and ring sectors: what waistbands, gathered skirts and circle skirts are cut from."""
+"""Panel shapes of waistbands, gathered skirts and circle skirts: rectangles, trapezoids and ring sectors."""
 
 from math import cos, pi, sin
 
@@ -7,13 +7,13 @@ from gcd_dataset.generator.pattern import Outline, Piece
 
 __all__ = ["band", "sector", "skirt_panel"]
 
-STRAIGHT = 1e-3  # rad: a sector of less is drawn as a rectangle
+STRAIGHT = 1e-3  # rad: a narrower sector is drawn as a rectangle
 
 
 def band(name: str, width: float, height: float) -> Piece:
-    """A rectangle [cm] that hangs down from the origin, the middle of its ``top``.
+    """A rectangle [cm] below the origin, which is the middle of its ``top``.
 
-    The ``right`` side is the wearer's when the piece hangs in front of her.
+    Its ``right`` side is the wearer's right when the piece hangs in front of the wearer.
     """
     half = 0.5 * width
     outline = (
@@ -29,10 +29,10 @@ def band(name: str, width: float, height: float) -> Piece:
 def skirt_panel(
     name: str, width: float, length: float, *, flare: float, ruffle: float = 1.0, bottom_cut: float = 0.0
 ) -> Piece:
-    """A trapeze that hangs down from the origin, the middle of its ``top``; its sides are named as on a ``band``.
+    """A trapezoid below the origin, which is the middle of its ``top``; its edges have the names of a ``band``'s.
 
-    The top is ``ruffle`` times as long as ``width`` [cm], what it is gathered to; each side of the hem stands out by
-    ``flare`` [cm]. Below ``bottom_cut`` [cm over the hem] the sides are named ``right_slit`` and ``left_slit``.
+    The top is ``ruffle`` times ``width``, the width after gathering [cm]; ``flare`` is added to each side of the hem
+    [cm]. Below a height of ``bottom_cut`` over the hem [cm] the sides are named ``right_slit`` and ``left_slit``.
     """
     top = 0.5 * ruffle * width
     hem, slit = top + flare, top + flare * (1 - bottom_cut / length)
@@ -48,10 +48,10 @@ def skirt_panel(
 
 
 def sector(name: str, top: float, angle: float, height: float) -> Piece:
-    """A ring sector whose ``top`` is an arc of that length [cm], opening downwards by ``angle`` [rad].
+    """A ring sector: ``top`` is the length of its upper arc, ``height`` its width [cm], ``angle`` its opening [rad].
 
-    It hangs down from the origin, the middle between the ends of its top; sides are named as on a ``band``. With a
-    negative angle the piece narrows downwards, and its arcs bulge up instead of sagging.
+    The origin is the middle between the ends of its top; its edges have the names of a ``band``'s. With a negative
+    angle the piece narrows downwards and its arcs bulge up instead of sagging.
     """
     turn, sags = abs(angle), angle > 0
     if turn < STRAIGHT:

@@ -1,4 +1,4 @@
-"""Curves fitted to what they must meet: tangents at both ends, and a length."""
+"""Cubic curves fitted to tangents at both ends and to a length."""
 
 from dataclasses import dataclass
 from math import hypot
@@ -9,23 +9,23 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import QUADRATURE_NODES, QUADRATURE_WEIGHTS, Point
 from gcd_dataset.errors import FitError
-from gcd_dataset.generator.pattern.edge import Stroke
+from gcd_dataset.generator.pattern.stroke import Stroke
 
-__all__ = ["smooth_cubic", "swayed_cubic"]
+__all__ = ["s_shaped_cubic", "smooth_cubic"]
 
-SLIDE_WEIGHT = 1e-3  # cm⁻⁴: squared slide of the end against squared curvature, GarmentCode
-FIRM_SLIDE_WEIGHT = 8e-4  # the same where tangents hold exactly: GarmentCode's give way, and its curves slide further
-CURVATURE_NORM = 16  # the mean of this power stands for the peak, and has derivatives
-SWAYED_NORM = 48  # the same for an S, whose peaks are narrower
-FIRST_GUESS = (0.5, 0.35, 0.08)  # arms and slide of a usual armhole's sleeve, in chords
-SWAYED_GUESS = (0.45, 0.0, 0.03)  # arm, departure and slide of a usual hood's neckline
+SLIDE_WEIGHT = 1e-3  # cm⁻⁴: weight of the end's squared slide against squared curvature, GarmentCode
+EXACT_TANGENT_SLIDE_WEIGHT = 8e-4  # the same for exact tangents: GarmentCode's tangents yield, so its ends slide more
+CURVATURE_NORM = 16  # exponent of the power mean that replaces the peak, to be differentiable
+S_SHAPED_NORM = 48  # the same for an S, whose peaks are narrower
+FIRST_GUESS = (0.5, 0.35, 0.08)  # chords: arms and slide for a typical sleeve opening
+S_SHAPED_GUESS = (0.45, 0.0, 0.03)  # chords: arm, deviation and slide for a typical hood's neckline
 SHORTEST_ARM = 0.02  # of the chord
 NEWTON_STEPS = 40
 STEP_TOLERANCE = 1e-4  # of the chord
 LENGTH_TOLERANCE = 1e-6  # of the chord
-STEP_SHARES = 0.5 ** np.arange(11)  # of a Newton step, tried in this order
-SOFTEST = 1e-2  # least curvature of the model along which a step is computed
-PROBE = 1e-3  # of the chord, for differences
+STEP_SHARES = 0.5 ** np.arange(11)  # of a Newton step: the line search, in this order
+LEAST_EIGENVALUE = 1e-2  # of the Hessian, below which its eigenvalues are raised
+PROBE = 1e-3  # of the chord: step of the finite differences
 
 SAMPLES = np.linspace(0.0, 1.0, 49)[:, None]
 LENGTH_NODES = 0.5 * (QUADRATURE_NODES[:, None] + 1)
@@ -38,31 +38,30 @@ Batch: TypeAlias = Float[np.ndarray, "n 2"]
 
 
 def smooth_cubic(start: Point, end: Point, *, start_tangent: Point, end_tangent: Point, length: float) -> Stroke:
-    """The smoothest cubic with these unit tangents and this length [cm], its end free to slide along the chord.
+    """The smoothest cubic with these unit tangents and this length [cm]; its end may slide along the chord.
 
-    Smoothest: least ``curvature² + FIRM_SLIDE_WEIGHT slide²``, the curvature taken at its peak, which is how
-    GarmentCode shapes the opening of a sleeve. Unknown are the lengths of the two control arms and the slide; the
-    length is a constraint. Damped Newton steps on the Lagrangian, with derivatives by differences: about seven.
+    Minimises ``peak curvature² + EXACT_TANGENT_SLIDE_WEIGHT · slide²``, as GarmentCode does for the opening of a
+    sleeve. The unknowns are the lengths of the two control arms and the slide; the length is a constraint. Solved by
+    damped Newton steps on the Lagrangian, with finite differences; about seven steps suffice.
 
-    Raises ``FitError`` with the residual where no such curve is found.
+    Raises ``FitError`` with the residual if the steps do not converge.
     """
-    return _fitted(_Fit(start, end, start_tangent, end_tangent, length), FIRST_GUESS)
+    return _solved(_CubicFit(start, end, start_tangent, end_tangent, length), FIRST_GUESS)
 
 
-def swayed_cubic(start: Point, end: Point, *, tangent: Point, length: float) -> Stroke:
-    """The smoothest cubic S of this length [cm] that leaves and arrives nearly along a unit tangent.
+def s_shaped_cubic(start: Point, end: Point, *, tangent: Point, length: float) -> Stroke:
+    """The smoothest S-shaped cubic of this length [cm] that starts and ends nearly along a unit tangent.
 
-    It is its own image under a half turn, and its end is free to slide along the chord. Smoothest: least
-    ``curvature² + SLIDE_WEIGHT slide²`` as for ``smooth_cubic``, plus the square of each end's departure from the
-    tangent, which is how GarmentCode shapes the neckline of a hood. Unknown are the length of a control arm, its
-    departure and the slide.
+    The curve has point symmetry, and its end may slide along the chord. Minimises ``peak curvature² + SLIDE_WEIGHT ·
+    slide²`` as ``smooth_cubic`` does, plus the squared deviation of each end from the tangent, as GarmentCode does for
+    the neckline of a hood. The unknowns are the length of a control arm, its deviation and the slide.
 
-    Raises ``FitError`` with the residual where no such curve is found.
+    Raises ``FitError`` with the residual if the steps do not converge.
     """
-    return _fitted(_SwayedFit(start, end, tangent, tangent, length), SWAYED_GUESS)
+    return _solved(_SShapedFit(start, end, tangent, tangent, length), S_SHAPED_GUESS)
 
 
-def _fitted(fit: "_Fit", guess: tuple[float, float, float]) -> Stroke:
+def _solved(fit: "_CubicFit", guess: tuple[float, float, float]) -> Stroke:
     """The curve of least cost that has the length: damped Newton steps from a guess."""
     unknowns, multiplier = np.array(guess), 0.0
     for _ in range(NEWTON_STEPS):
@@ -82,8 +81,8 @@ def _fitted(fit: "_Fit", guess: tuple[float, float, float]) -> Stroke:
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
-    """The problem in units of the chord, for batches of unknowns (start arm, end arm, slide)."""
+class _CubicFit:
+    """The optimisation problem in units of the chord, for batches of unknowns (start arm, end arm, slide)."""
 
     start: Point
     end: Point
@@ -91,9 +90,9 @@ class _Fit:
     end_tangent: Point
     length: float
     least: ClassVar[tuple[float, float, float]] = (SHORTEST_ARM, SHORTEST_ARM, -np.inf)
-    """Bounds of the unknowns."""
+    """Lower bounds of the unknowns."""
     norm: ClassVar[int] = CURVATURE_NORM
-    slide_weight: ClassVar[float] = FIRM_SLIDE_WEIGHT
+    slide_weight: ClassVar[float] = EXACT_TANGENT_SLIDE_WEIGHT
 
     @property
     def chord(self) -> float:
@@ -107,7 +106,7 @@ class _Fit:
         return first, (1 + unknowns[:, 2:]) * along - first - last, last
 
     def evaluate(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Cost [chord⁻²] and excess of length [chords]."""
+        """Cost [chord⁻²] and excess length [chords]."""
         legs = [leg[:, None, :] for leg in self.controls(unknowns)]
         speed = np.linalg.norm(_velocity(legs, LENGTH_NODES), axis=2)
         velocity, change = _velocity(legs, SAMPLES), _acceleration(legs, SAMPLES)
@@ -118,12 +117,13 @@ class _Fit:
         return peak**2 + self.slide_weight * self.chord**4 * slide**2, speed @ LENGTH_WEIGHTS - self.length / self.chord
 
     def newton_step(self, unknowns: Float[np.ndarray, "3"], multiplier: float) -> tuple[Float[np.ndarray, "3"], float]:
-        """Step towards a stationary point of the Lagrangian, and its multiplier."""
+        """Newton step towards a stationary point of the Lagrangian, and the multiplier there."""
         cost, excess = self.evaluate(unknowns + PROBE * STENCIL)
         (cost_slope, cost_bend), (excess_slope, excess_bend) = _derivatives(cost), _derivatives(excess)
         values, axes = np.linalg.eigh(cost_bend + multiplier * excess_bend)
         system = np.zeros((4, 4))
-        system[:3, :3] = axes * np.maximum(np.abs(values), SOFTEST) @ axes.T  # downhill even off the valley's floor
+        # Positive definite, so that the step descends where the Hessian is not.
+        system[:3, :3] = axes * np.maximum(np.abs(values), LEAST_EIGENVALUE) @ axes.T
         system[:3, 3] = system[3, :3] = excess_slope
         solved = np.linalg.solve(system, -np.array([*cost_slope, excess[0]]))
         return solved[:3], float(solved[3])
@@ -131,7 +131,7 @@ class _Fit:
     def damped(
         self, unknowns: Float[np.ndarray, "3"], step: Float[np.ndarray, "3"], multiplier: float
     ) -> Float[np.ndarray, "3"]:
-        """The step, halved until cost and excess together fall and both arms stay arms."""
+        """The step, halved until the merit (cost plus weighted excess) falls and the unknowns keep their bounds."""
         trials = unknowns + np.outer([0.0, *STEP_SHARES], step)
         cost, excess = self.evaluate(np.maximum(trials, self.least))
         merit = cost + (2 * abs(multiplier) + 1) * np.abs(excess)
@@ -146,23 +146,23 @@ class _Fit:
 
 
 @dataclass(frozen=True, slots=True)
-class _SwayedFit(_Fit):
-    """The same problem for unknowns (arm, departure, slide), the departure as a tangent."""
+class _SShapedFit(_CubicFit):
+    """The same problem for unknowns (arm, deviation, slide), the deviation as the tangent of its angle."""
 
     least: ClassVar[tuple[float, float, float]] = (SHORTEST_ARM, -np.inf, -np.inf)
-    norm: ClassVar[int] = SWAYED_NORM
+    norm: ClassVar[int] = S_SHAPED_NORM
     slide_weight: ClassVar[float] = SLIDE_WEIGHT
 
     def controls(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Batch, Batch, Batch]:
-        """The legs of the control polygon [chords]; the last is the first over again."""
+        """The legs of the control polygon [chords]; the last equals the first."""
         along = (np.array(self.end) - np.array(self.start)) / self.chord
         x, y = self.start_tangent
         arm = unknowns[:, :1] * (np.array([x, y]) + unknowns[:, 1:2] * np.array([-y, x]))
         return arm, (1 + unknowns[:, 2:]) * along - 2 * arm, arm
 
     def evaluate(self, unknowns: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Cost with both departures [chord⁻²] and excess of length [chords]."""
-        cost, excess = _Fit.evaluate(self, unknowns)
+        """Cost with both deviations [chord⁻²] and excess length [chords]."""
+        cost, excess = _CubicFit.evaluate(self, unknowns)
         return cost + 4 * self.chord**2 * (1 - 1 / np.sqrt(1 + unknowns[:, 1] ** 2)), excess
 
 

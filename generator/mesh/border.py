@@ -1,4 +1,4 @@
-"""Edges of panels as points: how many, and where, so that the two sides of every seam can be sewn point to point."""
+"""Borders: the edges of a panel as points, equally many on both sides of every seam."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -12,8 +12,8 @@ from gcd_dataset.records import EdgeRef, Panel, Pattern
 
 __all__ = ["MOST_POINTS", "Border", "edge_counts", "sample_border"]
 
-MOST_POINTS = 1_500_000  # of a panel: the largest that ``validate`` lets pass, ten metres square, at 1 cm
-ROUNDING = 1e-9  # of a spacing: a 10 cm edge that comes out a hair longer still has 11 points
+MOST_POINTS = 1_500_000  # of a panel: the largest panel that ``validate`` accepts, ten metres square, at 1 cm
+ROUNDING = 1e-9  # of a spacing: a 10 cm edge gets 11 points even if its computed length is slightly longer
 
 
 @dataclass(frozen=True)
@@ -23,18 +23,17 @@ class Border:
     points: Float[np.ndarray, "n 2"]
     """[cm]"""
     first: Int[np.ndarray, " e+1"]
-    """The point each edge begins with, and at the end the number of points."""
+    """The first point of each edge; the last entry is the number of points."""
 
     def edge(self, index: int) -> Int[np.ndarray, " m"]:
-        """The points of an edge from its start to its end, both included."""
+        """The points of an edge from start to end, both included."""
         return np.arange(self.first[index], self.first[index + 1] + 1) % len(self.points)
 
 
 def edge_counts(pattern: Pattern, spacing: float) -> dict[EdgeRef, int]:
-    """Number of points on each edge, ends included: ``ceil(length / spacing) + 1``, for a seam that of its longer side.
+    """Number of points on each edge, ends included: ``ceil(length / spacing) + 1`` of the longer side of its seam.
 
-    Raises ``MeshError`` for an edge without a finite length, an edge in two seams, and a seam of an edge that is not
-    there.
+    Raises ``MeshError`` for an edge without a finite length, an edge in two seams, and a seam of a missing edge.
     """
     counts = {
         EdgeRef(panel.name, index): _count(panel, index, spacing)
@@ -57,10 +56,9 @@ def edge_counts(pattern: Pattern, spacing: float) -> dict[EdgeRef, int]:
 
 
 def sample_border(panel: Panel, counts: dict[EdgeRef, int]) -> Border:
-    """The points of a panel's outline, equally spaced by arc length along each edge; corners stand once.
+    """The points of a panel's outline, equally spaced by arc length along each edge, each corner once.
 
-    Raises ``MeshError`` for a panel without edges, for one with too many points, and where edges do not follow each
-    other round the panel.
+    Raises ``MeshError`` for a panel without edges or with too many points, and for edges that do not close a loop.
     """
     if not panel.edges:
         raise MeshError(f"panel {panel.name} has no edges: draw its outline or take it away")

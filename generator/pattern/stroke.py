@@ -1,7 +1,7 @@
-"""Strokes: edges as they are drawn, each with its own two end points, before they share the corners of a panel.
+"""Strokes: drawn edges with their own two end points; the edges of a finished panel share its corners instead.
 
 >>> side = Stroke((0.0, 0.0), (0.0, 30.0), name="side")
->>> [round(piece.length, 3) for piece in side.split([0.25])]
+>>> [round(part.length, 3) for part in side.split([0.25])]
 [7.5, 22.5]
 """
 
@@ -38,28 +38,28 @@ from gcd_dataset.records import EdgeRole
 
 __all__ = ["Stroke", "chain_from", "rotate"]
 
-OUTLINE_SAMPLES = np.linspace(0.0, 1.0, 17)  # along a curve, where an outline's extent is asked for
+OUTLINE_SAMPLES = np.linspace(0.0, 1.0, 17)  # curve parameters, for the extent of an outline
 SWEPT_AREA = {
     1: ((0, 1, 1 / 2),),
     2: ((0, 1, 1 / 3), (1, 2, 1 / 3), (0, 2, 1 / 6)),
     3: ((0, 1, 3 / 10), (0, 2, 3 / 20), (0, 3, 1 / 20), (1, 2, 3 / 20), (1, 3, 3 / 20), (2, 3, 3 / 10)),
 }
-"""Of a Bézier curve of each degree: weights of the cross products of its control points, half of x dy - y dx."""
+"""Bézier degree to (i, j, weight): ½ ∫ (x dy - y dx) as a sum of cross products of control points i and j."""
 ARC_LENGTH_TOLERANCE = 1e-9  # of the stroke's length
-ARC_LENGTH_STEPS = 20
+ARC_LENGTH_STEPS = 20  # of Newton's method, at most
 
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """An edge in the plane of its piece [cm], walked from ``start`` to ``end``."""
+    """An edge in the plane of its piece [cm], drawn from ``start`` to ``end``."""
 
     start: Point
     end: Point
     curve: Curve = LINE
     name: str = ""
-    """What the drawing calls it; pieces of a divided stroke keep the name."""
+    """Name in the drawing; the parts of a divided stroke keep it."""
     label: EdgeRole | str = ""
-    """What it is to a drape; empty for nothing."""
+    """Role of the edge in a drape; empty for none."""
 
     @property
     def length(self) -> float:
@@ -68,12 +68,12 @@ class Stroke:
 
     @property
     def chord(self) -> Point:
-        """From start to end [cm]."""
+        """The vector from start to end [cm]."""
         return (self.end[0] - self.start[0], self.end[1] - self.start[1])
 
     @property
     def swept_area(self) -> float:
-        """Signed area between the stroke and the origin, by Green's theorem [cm²]; positive where it turns left."""
+        """Signed area swept by the line from the origin to the stroke, by Green's theorem [cm²]."""
         if isinstance(self.curve, Arc):
             turn = self.length / self.curve.radius
             segment = 0.5 * self.curve.radius**2 * (turn - sin(turn))
@@ -83,7 +83,7 @@ class Stroke:
         return sum(weight * _cross(points[i], points[j]) for i, j, weight in weights)
 
     def points(self) -> Float[np.ndarray, "n 2"]:
-        """Points along the stroke, ends included, close enough to tell its extent [cm]."""
+        """Points along the stroke, ends included, dense enough for a bounding box [cm]."""
         if isinstance(self.curve, Line):
             return np.array([self.start, self.end])
         return _extent_points(self.start, self.end, self.curve)
@@ -105,7 +105,10 @@ class Stroke:
         return (float(x), float(y))
 
     def parameter(self, share: float) -> float:
-        """The curve parameter where ``share`` of the arc length is reached; Newton's method on the arc length."""
+        """The curve parameter at a share of the arc length, by Newton's method.
+
+        Raises ``PatternError`` for a curve that stops or turns back.
+        """
         if share in (0.0, 1.0) or isinstance(self.curve, Line | Arc):
             return share
         total, t = self.length, share
@@ -122,17 +125,17 @@ class Stroke:
         return float(0.5 * t * QUADRATURE_WEIGHTS @ speed)
 
     def split(self, shares: Sequence[float]) -> tuple[Self, ...]:
-        """The pieces between the given shares of the arc length, in order of travel; name and label are kept."""
+        """The parts between the given shares of the arc length, in drawing order, with the stroke's name and label."""
         return self.split_at([self.parameter(share) for share in shares])
 
     def split_at(self, parameters: Sequence[float]) -> tuple[Self, ...]:
-        """The pieces between the given curve parameters, in order of travel; name and label are kept."""
-        pieces, rest, done = [], self, 0.0
+        """The parts between the given curve parameters, in drawing order, with the stroke's name and label."""
+        parts, rest, done = [], self, 0.0
         for t in parameters:
-            piece, rest = rest._divided((t - done) / (1 - done))
-            pieces.append(piece)
+            part, rest = rest._divided((t - done) / (1 - done))
+            parts.append(part)
             done = t
-        return (*pieces, rest)
+        return (*parts, rest)
 
     def _divided(self, t: float) -> tuple[Self, Self]:
         middle = self.at(t)
@@ -149,7 +152,7 @@ class Stroke:
         return self.through(head), self.through(tail[::-1])
 
     def control_points(self) -> list[Point]:
-        """Ends and control points [cm]. Raises ``PatternError`` for an arc, which has none."""
+        """Start, control points and end [cm]. Raises ``PatternError`` for an arc, which has no control points."""
         match self.curve:
             case Line():
                 inner: list[Point] = []
@@ -177,11 +180,11 @@ class Stroke:
         return self._drawn(start, end, curve)
 
     def reversed(self) -> Self:
-        """The same stroke walked from its end to its start."""
+        """The same stroke, drawn from its end to its start."""
         return self._drawn(self.end, self.start, reversed_curve(self.curve))
 
     def mirrored(self) -> Self:
-        """The mirror image about the y axis, walked in the same order."""
+        """The mirror image about the y axis, drawn in the same order."""
         start, end = (-self.start[0], self.start[1]), (-self.end[0], self.end[1])
         return self._drawn(start, end, mirrored(self.curve))
 
@@ -196,12 +199,12 @@ class Stroke:
         return self._drawn(start, end, self.curve)
 
     def _drawn(self, start: Point, end: Point, curve: Curve) -> Self:
-        """The same edge somewhere else; what ``replace`` does, in a third of the time."""
+        """As ``replace(self, start=…, end=…, curve=…)``, in a third of the time."""
         return type(self)(start, end, curve, self.name, self.label)
 
 
 def chain_from(start: Point, *strokes: Stroke) -> tuple[Stroke, ...]:
-    """The strokes, in their order, shifted together so that the first begins at ``start``."""
+    """The strokes in their order, moved together so that the first begins at ``start``."""
     by = (start[0] - strokes[0].start[0], start[1] - strokes[0].start[1])
     return tuple(stroke.moved(by) for stroke in strokes)
 
@@ -212,7 +215,7 @@ def rotate(point: Point, angle: float, about: Point = (0.0, 0.0)) -> Point:
     return (about[0] + cos(angle) * x - sin(angle) * y, about[1] + sin(angle) * x + cos(angle) * y)
 
 
-@lru_cache(maxsize=1024)  # a component is placed by the extent of all its pieces, and of its interface
+@lru_cache(maxsize=1024)  # Component.placed_by asks twice: for all strokes of a component, and for its interface
 def _extent_points(start: Point, end: Point, curve: Curve) -> Float[np.ndarray, "n 2"]:
     points = curve_points(start, end, curve, OUTLINE_SAMPLES)
     points.flags.writeable = False

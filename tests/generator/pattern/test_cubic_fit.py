@@ -31,7 +31,7 @@ def test_the_end_slides_along_the_chord_only() -> None:
 
 
 def test_between_the_tangents_of_a_quarter_circle_lies_nearly_a_circle() -> None:
-    # Of all curves that turn by a right angle over a length, the circle's peak curvature is the least.
+    # Of all curves of a given length that turn by a right angle, the circle has the least peak curvature.
     radius = 15.0
     fitted = smooth_cubic(
         (radius, 0.0), (0.0, radius), start_tangent=(0.0, 1.0), end_tangent=(-1.0, 0.0), length=0.5 * pi * radius
@@ -40,6 +40,6 @@ def test_between_the_tangents_of_a_quarter_circle_lies_nearly_a_circle() -> None
     assert np.linalg.norm(points, axis=1) == pytest.approx(np.full(50, radius), abs=0.15)
 
 
-def test_a_length_that_cannot_be_met() -> None:
+def test_an_impossible_length_is_an_error() -> None:
     with pytest.raises(FitError, match=r"a smooth curve of 1\.00 cm over 20\.00 cm: .* cm are missing"):
         smooth_cubic((0.0, 0.0), (0.0, -20.0), start_tangent=(1.0, 0.0), end_tangent=(1.0, 0.0), length=1.0)

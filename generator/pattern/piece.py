@@ -1,7 +1,7 @@
-"""Pieces: panels while they are being made, with named edges and a place around the body.
+"""Pieces: panels under construction, with named edges and a placement round the body.
 
-A piece becomes a ``records.Panel`` when its component is assembled (``assemble.py``): only then are edges divided
-where seams need it, loops turned counter-clockwise as seen from outside, and corners numbered.
+``assemble.py`` turns pieces into ``records.Panel``: it divides edges for their seams, turns loops counter-clockwise as
+seen from outside, and numbers corners.
 """
 
 from dataclasses import dataclass, replace
@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from gcd_dataset.curves import Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.pattern.edge import rotate
 from gcd_dataset.generator.pattern.outline import Outline
 from gcd_dataset.generator.pattern.seam import Interface, Section
+from gcd_dataset.generator.pattern.stroke import rotate
 from gcd_dataset.records import PanelRole, Placement
 
 __all__ = ["Piece", "Vector"]
@@ -28,23 +28,23 @@ LYING_FLAT = 0.999  # cosine of the angle between a normal and the vertical: wit
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A closed outline, where it hangs before sewing, and the part of the body it covers."""
+    """A closed outline with its placement before sewing and the part of the body it covers."""
 
     name: str
     outline: Outline
     translation: Vector = (0.0, 0.0, 0.0)
-    """Where the origin of the drawing hangs [cm]."""
+    """Position of the drawing's origin [cm]."""
     rotation: Vector = (0.0, 0.0, 0.0)
     """Angles about the fixed x, y, z axes, applied in that order [rad]."""
     label: PanelRole | str = ""
-    """The part of the body it covers; empty if undecided."""
+    """The part of the body it covers; empty if not decided yet."""
 
     def __post_init__(self) -> None:
         if not self.outline.closed:
             raise PatternError(f"panel {self.name}: the outline is not closed")
 
     def at(self, x: float, y: float, z: float) -> Self:
-        """Hung with the origin of its drawing at a point [cm]."""
+        """Moved so that the origin of its drawing is at a point [cm]."""
         return replace(self, translation=(x, y, z))
 
     def moved(self, by: Vector) -> Self:
@@ -60,21 +60,21 @@ class Piece:
         return replace(self, translation=(x, y, self.translation[2]), rotation=turned)
 
     def mirrored(self, name: str) -> Self:
-        """The mirror image about the plane x = 0, under another name."""
+        """The mirror image about the plane x = 0, with a new name."""
         (x, y, z), (a, b, c) = self.translation, self.rotation
         return replace(self, name=name, outline=self.outline.mirrored(), translation=(-x, y, z), rotation=(a, -b, -c))
 
     def along(self, *edges: str, ruffle: float = 1.0) -> Interface:
-        """These edges one after the other, each walked as it was drawn; ``ruffle`` gathers them (see ``Section``)."""
+        """The interface of these edges in turn, each in drawing direction; ``ruffle``: see ``Section``."""
         return tuple(Section(self.name, edge, ruffle=ruffle) for edge in edges)
 
     def against(self, *edges: str, ruffle: float = 1.0) -> Interface:
-        """These edges one after the other, each walked against its drawing."""
+        """The interface of these edges in turn, each against its drawing direction; ``ruffle``: see ``Section``."""
         return tuple(Section(self.name, edge, backward=True, ruffle=ruffle) for edge in edges)
 
     @property
     def placement(self) -> Placement:
-        """Where the plane of the piece lies in space."""
+        """Translation and rotation as a record."""
         return Placement(np.array(self.translation), np.array(self.rotation))
 
     def in_space(self, point: Point) -> Vector:
@@ -86,7 +86,7 @@ class Piece:
         return (x, y, z)
 
     def points(self, edge: str | None = None) -> Float[np.ndarray, "n 3"]:
-        """Points along the contour, or along one edge, in space [cm]."""
+        """Points along the outline, or along one edge, in space [cm]."""
         flat = self.outline.points() if edge is None else np.concatenate([s.points() for s in self.outline.run(edge)])
         if self.rotation == UNTURNED:
             return np.column_stack([flat, np.zeros(len(flat))]) + self.translation
@@ -94,12 +94,12 @@ class Piece:
 
     @property
     def faces_out(self) -> bool:
-        """Whether the drawing runs counter-clockwise as seen from outside the wearer.
+        """Whether the drawing is counter-clockwise as seen from outside the wearer.
 
-        Outside is away from the vertical axis through the wearer, and above for a panel that lies flat. Raises
-        ``PatternError`` for one seen edge-on from there.
+        Outside is away from the vertical axis through the wearer, and above for a piece that lies flat. Raises
+        ``PatternError`` for a piece that is seen edge-on from outside.
         """
-        if self.rotation == UNTURNED:  # nearly all: upright, and in front or behind
+        if self.rotation == UNTURNED:  # nearly all pieces: upright, in front or behind
             return self._runs_outwards(self.translation[2])
         corners = self.placement.apply(np.array([stroke.start for stroke in self.outline.strokes]))
         centre, normal = corners.mean(axis=0), self.placement.matrix[:, 2]
@@ -108,7 +108,7 @@ class Piece:
         return self._runs_outwards(outward)
 
     def _runs_outwards(self, outward: float) -> bool:
-        """Whether the drawing is seen from outside: ``outward`` is positive where its plane's normal points there."""
+        """Whether the drawing is counter-clockwise from outside; ``outward`` > 0 if its plane's normal points out."""
         if outward == 0.0:
             raise PatternError(f"panel {self.name} has no outer side: turn it, or move it off the wearer's axis")
         return (outward > 0) == (self.outline.area > 0)

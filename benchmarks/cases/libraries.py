@@ -1,0 +1,102 @@
+"""Libraries beside our own caches and locks: CPU time, bytes, limits, behaviour after a kill, verdict.
+
+Caches: six shards of 64 samples; a sample has ten members, of which three are read, 28 % of the bytes. ``hit`` and
+``miss``: CPU time of a member with one process. ``sent``: bytes fetched over bytes asked for. ``again``: the same for
+a process that reads after two others have filled the cache together. ``wrong``: samples with other bytes than the
+server's, or an error. ``peak``: bytes on disk, in blocks of 4 KiB, over a limit of a quarter of what is read;
+``killed``: the same after eight readers were killed (SIGKILL).
+
+Locks, the median of five rounds: ``alone``: CPU time of taking and releasing a lock. ``wait``: the longest wait while
+two processes take turns of 2 ms. ``freed``: from the kill of the holder to the next hold. ``left``: files left in the
+folder.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from benchmarks.cases.figures import Figure, Measured
+from benchmarks.libraries.caches import CACHES, write_shards
+from benchmarks.libraries.locks import LOCKS, lock_cost
+from benchmarks.libraries.trials import cost, killed, limited, shared
+
+__all__ = ["add_arguments", "run"]
+
+UNITS = {
+    "hit": "µs", "miss": "µs", "sent": "of asked", "wrong": "samples", "again": "of asked", "peak": "of the limit",
+    "killed": "of the limit", "alone": "µs", "wait": "ms", "freed": "ms", "left": "files",
+}  # fmt: skip
+VERDICTS: Mapping[str, str] = {
+    "hub.cache": "kept: a third of diskcache's CPU time, nothing fetched that was not asked for, the limit holds",
+    "diskcache": "no: three times the CPU time, and more on disk than its limit allows",
+    "fsspec blockcache": "no: no limit, and blocks of 5 MiB fetch the whole shard in the end",
+    "fsspec blockcache 64 KiB": "no: no limit, and its list of blocks is written whole at every close",
+    "fsspec filecache": "no: no limit, whole shards, and a process that fetches a shard empties the file another reads",
+    "shards.access": "kept: a waiter is woken by the kernel, and no lock file stays in a published folder",
+    "filelock": "no: waiters poll every 50 ms and starve, and the lock file stays",
+}
+DECIDED: tuple[Mapping[str, str], ...] = (
+    {
+        "piece": "the card's YAML",
+        "by": "huggingface_hub.DatasetCardData",
+        "figures": "the same keys and values",
+        "verdict": "used since: the Hub's own library writes what the Hub reads",
+    },
+    {
+        "piece": "Croissant",
+        "by": "mlcroissant (tests/extras/test_croissant.py)",
+        "figures": "valid before and after; records: an IsADirectoryError before, all files after",
+        "verdict": "used in a test since: it found two properties missing from the context, and a pattern, `*`, that "
+        "matched a folder",
+    },
+    {
+        "piece": "nearest point of a triangle",
+        "by": "trimesh.triangles.closest_point",
+        "figures": "80 000 pairs: 24.5 ms of CPU time where ours took 30.2 ms; equal to 3e-14 cm",
+        "verdict": "used since, and ours removed",
+    },
+    {
+        "piece": "nearest point of a mesh",
+        "by": "trimesh.proximity.closest_point (needs rtree)",
+        "figures": "10 000 points: 940 ms of CPU time where body/surface.py takes 70 ms; distances differ by 3e-5 cm "
+        "on average, by 0.11 cm at most",
+        "verdict": "no: 13 times the CPU time",
+    },
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The case has no options."""
+
+
+def run(options: argparse.Namespace) -> Measured:
+    """Measure locks and caches; add the rows of earlier decisions with their figures."""
+    figures, rows = [], []
+    for piece, name, measured in _measured():
+        slug = name.replace(" ", "_")
+        figures += [Figure(f"{slug}.{metric}", value, UNITS[metric]) for metric, value in measured.items()]
+        summary = ", ".join(f"{metric} {value:.3g} {UNITS[metric]}" for metric, value in measured.items())
+        rows.append({"piece": piece, "by": _versioned(name), "figures": summary, "verdict": VERDICTS[name]})
+    return Measured(figures, [*rows, *DECIDED])
+
+
+def _versioned(name: str) -> str:
+    """A library with its version; code of ours as it is."""
+    package, _, part = name.partition(" ")
+    return name if "." in package else " ".join([package, version(package), part]).rstrip()
+
+
+def _measured() -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Piece, library and figures, in the order of the report."""
+    for name, lock in LOCKS.items():  # first: a disk that still writes the caches away would hold them up
+        yield "lock of a writer", name, lock_cost(lock)._asdict()
+    with tempfile.TemporaryDirectory() as folder:
+        served = write_shards(Path(folder))
+        for name, make in CACHES.items():
+            alone, together = cost(make, served), shared(make, served)
+            peak, left = limited(make, served), killed(make, served)
+            figures = {**alone._asdict(), "wrong": together.wrong + left.wrong, "again": together.again}
+            yield "cache of a server", name, figures | {"peak": peak, "killed": left.left}

@@ -1,0 +1,206 @@
+"""Start positions from which seams close without tangles: wide skirts on a cone, wide bodices between the arms.
+
+Panels hang flat before and behind the wearer. A skirt cut from large discs, or from rings under rings, then reaches
+above its own top and lies before the arms; a bodice wider than the room between the arms is sewn round them. Both would
+be drawn into folds and crossings that no later step undoes. Here the cloth of such parts starts compressed in the right
+place, and the springs, whose rest lengths grow from those of the start to the flat ones while seams close, spread it.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.linalg import spsolve
+
+from gcd_dataset.generator.body.limbs import Limb, limbs_of
+from gcd_dataset.records import Body, BodyPart, BoxMesh, EdgeRole, PanelRole
+from gcd_dataset.spec import is_trouser_leg
+
+__all__ = ["sewing_start"]
+
+RISE = 5.0  # cm above its top to which a skirt may reach before it starts as a cone
+HALF_WIDTH = 60.0  # cm from the middle to which it may
+CLEARANCE = 2.0  # cm from an ellipse round the body to the top of the cone
+HIPS = 30.0  # cm below the top within which the ellipse holds the body
+SINES = (0.15, 0.6)  # least and largest sine of the angle between the cone and its axis
+WAVE, WAVES = 0.4, 17.0  # cm; radians of wave per radian of turn: a small wave decides where folds form
+ARM_GAP = 1.5  # cm between a bodice and the inside of an arm
+ARMPIT = 22.0  # cm below the top of the arm's skin, above which an armhole surrounds the arm
+SLICE = 2.0  # cm of height in which widths are compared
+
+
+def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
+    """The start positions of a garment's vertices on a body [cm]: ``mesh.vertices`` where panels may start flat."""
+    roles = np.array([str(role) for role in mesh.panel_labels])
+    skirts = (roles == PanelRole.LEG) & ~np.array([is_trouser_leg(name) for name in mesh.panel_names])
+    skirt = _Skirt.of(mesh, skirts) if skirts.any() else None
+    on_cone = skirt is not None and skirt.is_wide
+    bodice = (roles == PanelRole.BODY).any()
+    if not on_cone and not bodice:
+        return mesh.vertices
+    limbs = limbs_of(body)
+    placed = np.array(mesh.vertices, float)
+    if skirt is not None and on_cone:
+        skirt.place_on_cone(limbs[BodyPart.TRUNK], placed)
+    if bodice:
+        for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
+            if part in limbs:
+                _fit_between_arms(mesh, roles, limbs[part], side, placed)
+    return placed
+
+
+# --------------------------------------------------------------------------------------------------------------- skirt
+
+
+@dataclass(frozen=True, eq=False)
+class _Skirt:
+    """The faces of a skirt and the vertices of its top."""
+
+    mesh: BoxMesh
+    faces: Int[np.ndarray, "f 3"]
+    uv: Float[np.ndarray, "f 3 2"]
+    """Flat positions of the faces' corners [cm]."""
+    top: Int[np.ndarray, " t"]
+    """Vertices sewn to a bodice or waistband, or held at the waist."""
+    front: Bool[np.ndarray, " v"]
+    """Vertices of panels before the wearer alone."""
+    side: Int[np.ndarray, " s"]
+    """Vertices sewn between a front and a back panel."""
+
+    @staticmethod
+    def of(mesh: BoxMesh, skirts: Bool[np.ndarray, " p"]) -> "_Skirt | None":
+        """The skirt of the given panels; ``None`` without a top."""
+        own = skirts[mesh.panel_id]
+        faces, panel = mesh.faces[own], mesh.panel_id[own]
+        inside, outside = np.zeros((2, len(mesh.vertices)), bool)
+        inside[faces] = True
+        outside[mesh.faces[~own]] = True
+        top = inside & outside
+        if not top.any() and EdgeRole.LOWER_INTERFACE in mesh.labels:
+            top[mesh.labels[EdgeRole.LOWER_INTERFACE]] = True
+            top &= inside
+        if not top.any():
+            return None
+        depth = np.bincount(panel, mesh.vertices[faces].mean(axis=1)[:, 2], minlength=len(skirts))
+        ahead = (depth > 0.0)[panel]
+        front, back = np.zeros((2, len(mesh.vertices)), bool)
+        front[faces[ahead]] = True
+        back[faces[~ahead]] = True
+        return _Skirt(
+            mesh, faces, mesh.uv[mesh.corners[own]], np.flatnonzero(top), front & ~back, np.flatnonzero(front & back)
+        )
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether it reaches above its top or far to the sides."""
+        points = self.mesh.vertices[self._vertices]
+        return bool(points[:, 1].max() > self._level + RISE or np.abs(points[:, 0]).max() > HALF_WIDTH)
+
+    def place_on_cone(self, trunk: Limb, placed: Float[np.ndarray, "v 3"]) -> None:
+        """Move its rows of ``placed`` to a cone round the trunk [cm]; not at all without a seam on either side.
+
+        A vertex lies as far down the cone as it is from the top along the cloth, and as far round as it is between the
+        side seams.
+        """
+        if not ((self._aside > 0.0).any() and (self._aside < 0.0).any()):
+            return
+        rows = self._vertices
+        down, turn = self._distance_from_top()[rows], self._turns()[rows]
+        trunk = trunk.section(self._level - HIPS, self._level + CLEARANCE)
+        sine = self._sine(float(np.percentile(down, 95)))
+        out = CLEARANCE + sine * down + WAVE * np.sin(WAVES * turn) * np.minimum(down / HIPS, 1.0)
+        placed[rows, 0] = trunk.origin[0] + (trunk.wide + out) * np.sin(turn)
+        placed[rows, 1] = self._level - np.sqrt(1.0 - sine**2) * down
+        forward = np.where(self.front[rows], 1.0, -1.0)
+        placed[rows, 2] = trunk.origin[2] + forward * (trunk.deep + out) * np.cos(turn)
+
+    @cached_property
+    def _vertices(self) -> Int[np.ndarray, " n"]:
+        return np.unique(self.faces)
+
+    @cached_property
+    def _level(self) -> float:
+        """Height of the top [cm]."""
+        return float(self.mesh.vertices[self.top, 1].mean())
+
+    @cached_property
+    def _aside(self) -> Float[np.ndarray, " s"]:
+        """1 for vertices of the left side seam, -1 for those of the right."""
+        return np.sign(self.mesh.vertices[self.side, 0])
+
+    @cached_property
+    def _sides(self) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:
+        """The ends of each face's sides and their flat lengths [cm]; the shortest where panels differ."""
+        ends = np.concatenate([self.faces[:, [k, (k + 1) % 3]] for k in range(3)])
+        length = np.concatenate([np.linalg.norm(self.uv[:, (k + 1) % 3] - self.uv[:, k], axis=1) for k in range(3)])
+        low, high = np.sort(ends, axis=1).T
+        order = np.lexsort((length, high, low))
+        key = low[order] * np.int64(len(self.mesh.vertices)) + high[order]
+        first = order[np.diff(key, prepend=-1) != 0]
+        return np.stack([low[first], high[first]], axis=1), length[first]
+
+    def _distance_from_top(self) -> Float[np.ndarray, " v"]:
+        """(v) distance of each vertex from the top along the sides of faces [cm]; 0 for pieces apart from it."""
+        ends, length = self._sides
+        n = len(self.mesh.vertices)
+        graph = csr_array((length, (ends[:, 0], ends[:, 1])), shape=(n, n))
+        distance = dijkstra(graph, directed=False, indices=self.top, min_only=True)
+        return np.where(np.isfinite(distance), distance, 0.0)
+
+    def _turns(self) -> Float[np.ndarray, " v"]:
+        """(v) angle from the middle of front or back, harmonic in the flat cloth between the side seams [rad].
+
+        Cotangent weights, none of them below a small positive one, so that no angle leaves the range of the seams'.
+        """
+        n = len(self.mesh.vertices)
+        start, end, weight = [], [], []
+        for k in range(3):
+            a, b = self.uv[:, (k + 1) % 3] - self.uv[:, k], self.uv[:, (k + 2) % 3] - self.uv[:, k]
+            twice_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+            start += [self.faces[:, (k + 1) % 3], self.faces[:, (k + 2) % 3]]
+            end += [self.faces[:, (k + 2) % 3], self.faces[:, (k + 1) % 3]]
+            weight += 2 * [np.maximum((a * b).sum(axis=1) / np.maximum(twice_area, 1e-9), 0.01)]
+        i, j, w = (np.concatenate(part) for part in (start, end, weight))
+        weights = coo_array((w, (i, j)), shape=(n, n)).tocsr()
+        laplacian = diags_array(np.asarray(weights.sum(axis=1)).ravel()).tocsr() - weights
+        turn = np.zeros(n)
+        turn[self.side] = 0.5 * np.pi * self._aside
+        free = np.setdiff1d(self._vertices, self.side)
+        turn[free] = spsolve(laplacian[free][:, free].tocsc(), -(laplacian[free][:, self.side] @ turn[self.side]))
+        return turn
+
+    def _sine(self, length: float) -> float:
+        """Sine of the cone's angle, by how much wider than its top the skirt is in the mean over its length [cm]."""
+        a, b = self.uv[:, 1] - self.uv[:, 0], self.uv[:, 2] - self.uv[:, 0]
+        area = 0.5 * float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+        ends, flat = self._sides
+        on_top = np.isin(ends, self.top).all(axis=1)
+        growth = 2.0 * (area / length - float(flat[on_top].sum()))
+        return float(np.clip(growth / (2.0 * np.pi * length), *SINES))
+
+
+# -------------------------------------------------------------------------------------------------------------- bodice
+
+
+def _fit_between_arms(
+    mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]
+) -> None:
+    """Compress one side of a bodice without a sleeve there, in ``placed``, to the room inside the arm."""
+    sleeve = mesh.faces[(roles == PanelRole.ARM)[mesh.panel_id]]
+    if (side * mesh.vertices[sleeve, 0] > 0.0).any():
+        return
+    bodice = np.unique(mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
+    bodice = bodice[side * mesh.vertices[bodice, 0] > 0.0]
+    height, reach = mesh.vertices[bodice, 1], side * mesh.vertices[bodice, 0]
+    slices, arm_slices = (np.floor(y / SLICE).astype(int) for y in (height, arm.skin[:, 1]))
+    armpit = float(arm.skin[:, 1].max()) - ARMPIT
+    for number in np.unique(slices[height < armpit]):
+        beside = np.abs(arm_slices - number) <= 1
+        here = (slices == number) & (height < armpit)
+        if beside.any():
+            room = float((side * arm.skin[beside, 0]).min()) - ARM_GAP
+            if 0.0 < room < reach[here].max():
+                placed[bodice[here], 0] *= room / reach[here].max()

@@ -1,0 +1,96 @@
+"""Start positions of sewing: wide skirts lie on a cone outside the legs, wide bodices between the arms."""
+
+import numpy as np
+import pytest
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
+from gcd_dataset.generator.garments import OutfitDesign, outfit
+from gcd_dataset.generator.garments.design import Bottom, MetaDesign, Upper
+from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
+from gcd_dataset.generator.garments.levels_skirt import Level, LevelsBase, LevelsSkirtDesign
+from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign
+from gcd_dataset.generator.garments.shirt import ShirtDesign
+from gcd_dataset.generator.garments.waistband import Waistband
+from gcd_dataset.generator.mesh import build_box_mesh
+from gcd_dataset.records import BodyPart, BoxMesh, PanelRole
+from tests.generator.drape.garments import neutral, wear
+
+LEVELS = OutfitDesign(
+    meta=MetaDesign(upper=None, wb=Waistband.STRAIGHT, bottom=Bottom.LEVELS),
+    levels_skirt=LevelsSkirtDesign(base=LevelsBase.CIRCLE, level=Level.CIRCLE, num_levels=3, level_ruffle=1.5),
+)
+CIRCLE = OutfitDesign(
+    meta=MetaDesign(upper=Upper.SHIRT, bottom=Bottom.CIRCLE), flare_skirt=FlareSkirtDesign(length=0.6, suns=1.5)
+)
+PENCIL = OutfitDesign(meta=MetaDesign(upper=None, bottom=Bottom.PENCIL), pencil_skirt=PencilSkirtDesign(length=0.4))
+WIDE_SHIRT = OutfitDesign(meta=MetaDesign(upper=Upper.SHIRT), shirt=ShirtDesign(width=1.3, length=1.5, flare=1.5))
+
+
+def mesh_of(design: OutfitDesign) -> BoxMesh:
+    return build_box_mesh(outfit(neutral()[1], design), spacing=2.5)
+
+
+def vertices_of(mesh: BoxMesh, role: PanelRole) -> Int[np.ndarray, " n"]:
+    roles = np.array([str(label) for label in mesh.panel_labels])
+    return np.unique(mesh.faces[(roles == role)[mesh.panel_id]])
+
+
+def skin_of(*parts: BodyPart) -> Float[np.ndarray, "n 3"]:
+    body = neutral()[0]
+    return body.vertices[np.isin(body.parts, [part.value for part in parts])]
+
+
+@pytest.mark.parametrize("design", [LEVELS, CIRCLE], ids=["levels", "circle"])
+def test_a_wide_skirt_lies_below_its_top_and_outside_the_body(design: OutfitDesign) -> None:
+    mesh = mesh_of(design)
+    skirt = vertices_of(mesh, PanelRole.LEG)
+    start = sewing_start(mesh, neutral()[0])[skirt]
+    assert mesh.vertices[skirt, 1].max() > start[:, 1].max() + 4.0
+    legs = cKDTree(skin_of(BodyPart.LEFT_LEG, BodyPart.RIGHT_LEG, BodyPart.TRUNK)[:, [0, 2]])
+    axis = np.array([0.0, skin_of(BodyPart.TRUNK)[:, 2].mean()])
+    _, nearest = legs.query(start[:, [0, 2]])
+    outward = start[:, [0, 2]] - axis
+    assert (np.linalg.norm(outward, axis=1) > np.linalg.norm(legs.data[nearest] - axis, axis=1)).all()
+    front = mesh.vertices[skirt, 2] > 5.0
+    assert (start[front, 2] > axis[1] - 1.0).all()
+
+
+def test_a_vertex_lies_as_far_down_the_cone_as_along_the_cloth() -> None:
+    """So edges along the length of a circle skirt keep their flat length; only edges round it are compressed."""
+    mesh = mesh_of(CIRCLE)
+    start = sewing_start(mesh, neutral()[0])
+    roles = np.array([str(label) for label in mesh.panel_labels])
+    faces = np.flatnonzero((roles == PanelRole.LEG)[mesh.panel_id])
+    for k in range(3):
+        ends = mesh.faces[faces][:, [k, (k + 1) % 3]]
+        flat = np.linalg.norm(np.diff(mesh.uv[mesh.corners[faces][:, [k, (k + 1) % 3]]], axis=1)[:, 0], axis=1)
+        length = np.linalg.norm(start[ends[:, 0]] - start[ends[:, 1]], axis=1)
+        assert (length < 1.25 * flat + 0.5).mean() > 0.98
+
+
+def test_a_narrow_skirt_starts_flat() -> None:
+    mesh = mesh_of(PENCIL)
+    assert sewing_start(mesh, neutral()[0]) is mesh.vertices
+
+
+def test_a_wide_bodice_without_sleeves_starts_between_the_arms() -> None:
+    mesh = mesh_of(WIDE_SHIRT)
+    bodice = vertices_of(mesh, PanelRole.BODY)
+    start = sewing_start(mesh, neutral()[0])
+    arm = skin_of(BodyPart.LEFT_ARM)
+    assert mesh.vertices[bodice, 0].max() > arm[:, 0].min() + 10.0
+    height = arm[:, 1].max() - 40.0
+    inside = arm[np.abs(arm[:, 1] - height) < SLICE, 0].min() - ARM_GAP
+    here = bodice[np.abs(start[bodice, 1] - height) < 0.5 * SLICE]
+    assert 0.0 < start[here, 0].max() <= inside + 1.5
+    assert start[bodice, 1:] == pytest.approx(mesh.vertices[bodice, 1:])
+
+
+def test_a_skirt_of_many_levels_comes_to_rest_untangled() -> None:
+    """But for a few edges, on a mesh as coarse as its folds."""
+    worn = wear(LEVELS, spacing=3.5)
+    assert worn.drape.self_crossings <= 5
+    assert worn.drape.body_crossings + worn.drape.body_through == 0
+    assert worn.drape.stretch_p99 < 1.3
