@@ -171,9 +171,9 @@ def test_a_stopped_data_set_is_reported_as_unfinished(
         capsys
     )
     assert main(["verify", str(out)]) == 1
-    assert "split train is unfinished: 3 of 8 samples" in said(capsys)
+    assert "split train is not whole: 3 of 8 samples" in said(capsys)
     assert main(publish) == 2
-    assert "split train is unfinished: 3 of 8 samples" in (message := capsys.readouterr().err)
+    assert "split train is not whole: 3 of 8 samples" in (message := capsys.readouterr().err)
     assert "publish it with --partial" in message
     assert not (out / "published").exists()
     assert main([*publish, "--partial"]) == 0

@@ -86,7 +86,7 @@ def stage(
     require_merged(dataset, ConfigError)
     for split in splits_in(dataset):
         if not partial and (problem := unfinished(dataset, split)) is not None:
-            raise ConfigError(f"{dataset}: split {split} is unfinished: {problem}, or publish it with --partial")
+            raise ConfigError(f"{dataset}: split {split} is not whole: {problem}, or publish it with --partial")
     plans = _plans(dataset, shares)
     _prepare(folder)
     splits: dict[str, SplitRecord] = {}
