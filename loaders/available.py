@@ -2,7 +2,7 @@
 
 >>> sorted(absent_at_stage("mesh"))
 ['back', 'front', 'verts']
->>> select_fields(["points"], ("meta", "points"), absent_at_stage("pattern"))
+>>> select_present_fields(["points"], ("meta", "points"), absent_at_stage("pattern"))
 Traceback (most recent call last):
 ...
 gcd_dataset.errors.ConfigError: no field points: these garments end with stage pattern, and points come with stage mesh: choose among meta
@@ -11,9 +11,9 @@ gcd_dataset.errors.ConfigError: no field points: these garments end with stage p
 from collections.abc import Callable, Iterable, Mapping
 
 from gcd_dataset.errors import ConfigError
-from gcd_dataset.shards.layout import known_fields
+from gcd_dataset.shards.layout import select_fields
 
-__all__ = ["absent_at_stage", "absent_when_empty", "select_fields"]
+__all__ = ["absent_at_stage", "absent_when_empty", "select_present_fields"]
 
 MESH = ("faces", "uv", "panel_id", "corners", "uv_vertex", "box", "labels", "seams")
 OFTEN_EMPTY = ("labels", "seams")  # empty for a garment without labelled edges or without seams
@@ -29,14 +29,16 @@ OPTIONAL: Mapping[str, str] = {
 """Optional fields, and the words for their absence in an error message."""
 
 
-def select_fields(fields: Iterable[str] | None, available: Iterable[str], absent: Mapping[str, str]) -> tuple[str, ...]:
+def select_present_fields(
+    fields: Iterable[str] | None, available: Iterable[str], absent: Mapping[str, str]
+) -> tuple[str, ...]:
     """The requested fields, in the order of ``available``; for ``None`` every field that is not ``absent``.
 
     ``absent``: field to the reason why no garment holds it. Raises ``ConfigError`` with that reason and the fields to
     choose from.
     """
-    requested = known_fields(fields, available)
-    present = [field for field in known_fields(None, available) if field not in absent]
+    requested = select_fields(fields, available)
+    present = [field for field in select_fields(None, available) if field not in absent]
     if fields is None:
         return tuple(present)
     if missing := [field for field in requested if field in absent]:

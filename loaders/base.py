@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import Dataset
 
 from gcd_dataset.errors import ConfigError, ShardError, TransformError
-from gcd_dataset.loaders.available import select_fields
+from gcd_dataset.loaders.available import select_present_fields
 from gcd_dataset.loaders.indexing import (
     UnknownKeyError,
     index_from_key,
@@ -89,7 +89,7 @@ class Garments(Dataset[Item], ABC):
         absent: Mapping[str, str] = NOTHING,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        self.fields = select_fields(fields, available, absent)
+        self.fields = select_present_fields(fields, available, absent)
         """Names of the fields of an item; see ``gcd_dataset.shards.codec`` for shapes, types and units."""
         self.transform = None if transform is None else require_callable("transform", transform)
         self.dtype = require_float_dtype(dtype)

@@ -28,7 +28,7 @@ from gcd_dataset.loaders.indexing import UnknownKeyError, index_list, resolve_in
 from gcd_dataset.records import MEASURES
 from gcd_dataset.release.body_folder import PublishedPeople
 from gcd_dataset.shards.body_set import MEMBER_OF, decode_body_fields, decode_person, read_set_mesh
-from gcd_dataset.shards.layout import BODIES, known_fields
+from gcd_dataset.shards.layout import BODIES, select_fields
 from gcd_dataset.shards.reader import ShardReader, Verify
 
 __all__ = ["Bodies", "BodyDataset", "PublishedBodies"]
@@ -61,7 +61,7 @@ class Bodies(Dataset[Item], ABC):
         *,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
-        self.fields = known_fields(fields, FIELDS)
+        self.fields = select_fields(fields, FIELDS)
         self.transform = None if transform is None else require_callable("transform", transform)
         self.dtype = require_float_dtype(dtype)
 

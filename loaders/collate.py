@@ -14,7 +14,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.loaders.base import GarmentItem, Item
 from gcd_dataset.loaders.batches import POINTS_TO, RAGGED, WHOLE, PackedBatch, PaddedBatch, starts_of
 from gcd_dataset.loaders.one_thread import add, concatenate, fill
-from gcd_dataset.shards.room import room_for
+from gcd_dataset.shards.buffers import read_buffer
 
 __all__ = ["collate_list", "collate_packed", "collate_padded"]
 
@@ -153,7 +153,7 @@ def _empty(shape: Sequence[int], like: Tensor) -> Tensor:
     size = math.prod(shape) * like.itemsize
     if not size or like.device.type != "cpu":
         return torch.empty(shape, dtype=like.dtype, device=like.device)
-    return torch.from_numpy(room_for(size)).view(like.dtype).view(shape)
+    return torch.from_numpy(read_buffer(size)).view(like.dtype).view(shape)
 
 
 def _default_collate(items: Sequence[GarmentItem], *, collate_fn_map: Any = None) -> dict[str, Any]:

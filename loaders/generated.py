@@ -28,7 +28,7 @@ from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.layout import SCHEMA, Bytes, key_of, members_of, recipe_hash
-from gcd_dataset.shards.sample_cache import KeptSamples
+from gcd_dataset.shards.sample_cache import SampleCache
 
 __all__ = ["GeneratedGarments", "Stage"]
 
@@ -98,7 +98,7 @@ class GeneratedGarments(Garments):
         self.cache = None if cache_dir is None else user_path(cache_dir) / self._cache_name
         """The folder of this seed, recipe and version in ``cache_dir``; ``None`` without a cache."""
         self._sample_cache = (
-            None if self.cache is None else KeptSamples(self.cache, self._n, seed=self._seed, recipe=self._recipe)
+            None if self.cache is None else SampleCache(self.cache, self._n, seed=self._seed, recipe=self._recipe)
         )
         self._last = LastDesign()
         self._process = os.getpid()

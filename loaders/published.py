@@ -24,7 +24,7 @@ from gcd_dataset.release.batch_index import PublishedBatches
 from gcd_dataset.release.garment_list import PublishedGarments
 from gcd_dataset.release.read_garment import PublishedGarment
 from gcd_dataset.seeding import Stage, rng
-from gcd_dataset.shards.codec import encode_part, encode_sample
+from gcd_dataset.shards.codec import encode_partial_sample, encode_sample
 from gcd_dataset.shards.layout import MEMBERS, Bytes, key_of
 
 __all__ = ["PublishedGarmentCodeData"]
@@ -154,7 +154,7 @@ class PublishedGarmentCodeData(Garments):
 
     def _members(self, position: int, members: tuple[str, ...]) -> Mapping[str, Bytes]:
         garment = self._garments.garment(position)
-        encoded = encode_part(self._sample_of(garment, position, members))
+        encoded = encode_partial_sample(self._sample_of(garment, position, members))
         # The file's own measures: the record would have fewer names, and angles in radians.
         return encoded | {MEASURES: json.dumps(garment.measures).encode()} if MEASURES in members else encoded
 

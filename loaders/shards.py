@@ -25,10 +25,10 @@ from gcd_dataset.loaders.recipe_source import RECIPE, recipe_folder
 from gcd_dataset.loaders.splits import parse_splits
 from gcd_dataset.shards.codec import NO_PICTURE, read_meta
 from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.foreign_member import decode_member
 from gcd_dataset.shards.layout import FOREIGN, MEMBERS, Bytes, fields_of, key_of, members_of
 from gcd_dataset.shards.npy import write_npy
-from gcd_dataset.shards.plain import decode_member
-from gcd_dataset.shards.reader import ShardReader, Verify, naming_place
+from gcd_dataset.shards.reader import ShardReader, Verify, naming_sample
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import BLOCK, stream_samples
 
@@ -175,7 +175,7 @@ class GarmentDataset(Garments):
 
     def _description(self) -> list[str]:
         splits = dict.fromkeys(part.reader.split for part in self._parts)
-        return [f"{' + '.join(splits)} of {self._parts[0].reader.store.place()}"]
+        return [f"{' + '.join(splits)} of {self._parts[0].reader.store.location()}"]
 
     def _absent_fields(self) -> dict[str, str]:
         """Absent field to the reason, from the sizes in the index."""
@@ -356,7 +356,7 @@ class StreamedGarments(GarmentDataset, IterableDataset):
         """The items of a run."""
         reader = run.part.reader
         store, members, remaining = reader.store, self._streamed_members, run.by_key()
-        shard, count = store.place(run.name), len(run.indices)
+        shard, count = store.location(run.name), len(run.indices)
         begin = 0 if self._foreign else run.begin()
         samples = _foreign_samples if self._foreign else partial(_samples, wanted=members)
         for sample in samples(reader, run.name, begin=begin):
@@ -368,7 +368,7 @@ class StreamedGarments(GarmentDataset, IterableDataset):
                 if self._check_stream:
                     _check(shard, sample, store.remedy)
             count -= 1
-            with naming_place(partial(_label, shard, sample)):
+            with naming_sample(partial(_label, shard, sample)):
                 item = self._item(sample, indices.pop(0))
             yield item
             if not count:
@@ -394,7 +394,7 @@ def _samples(reader: ShardReader, shard: str, wanted: Container[str], begin: int
             for key, members in stream_samples(stream, wanted, begin=start):
                 yield {"__key__": key, **members}
     except ShardError as error:
-        place = reader.store.place(shard)
+        place = reader.store.location(shard)
         if str(error).startswith(place):
             raise
         raise ShardError(f"{place}: a damaged archive ({error}): {reader.store.remedy}") from error
@@ -402,7 +402,7 @@ def _samples(reader: ShardReader, shard: str, wanted: Container[str], begin: int
 
 def _foreign_samples(reader: ShardReader, shard: str, begin: int) -> Iterator[Mapping[str, Any]]:
     """The samples of a foreign shard, read by ``webdataset``. Raises ``ShardError`` for a damaged archive."""
-    place = reader.store.place(shard)
+    place = reader.store.location(shard)
     try:
         # Opened here: with WDS_SECURE=1 webdataset refuses to open files.
         with reader.store.stream(shard) as stream:

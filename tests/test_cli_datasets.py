@@ -167,12 +167,14 @@ def test_a_stopped_data_set_is_reported_as_unfinished(
     monkeypatch.undo()
     said(capsys)
     assert main(["info", str(out)]) == 0
-    assert "  not whole: 3 of 8 samples: its making was stopped, or goes on: run the same command again" in said(capsys)
+    assert "  not whole: 3 of 8 samples: its run was stopped, or is not over: run the same command again" in said(
+        capsys
+    )
     assert main(["verify", str(out)]) == 1
     assert "split train is not whole: 3 of 8 samples" in said(capsys)
     assert main(publish) == 2
     assert "split train is not whole: 3 of 8 samples" in (message := capsys.readouterr().err)
-    assert "publish what is there with --partial" in message
+    assert "publish it with --partial" in message
     assert not (out / "published").exists()
     assert main([*publish, "--partial"]) == 0
     assert main(small(out, 8)) == 0
@@ -193,7 +195,7 @@ def test_a_smaller_count_finishes_an_unfinished_data_set(tmp_path: Path) -> None
 def test_a_shard_that_was_being_written_is_not_whole(data: Path) -> None:
     assert unfinished(data, "train") is None
     (data / "train-00003.tar.part").touch()
-    message = "10 samples in whole shards: its making was stopped, or goes on: run the same command again"
+    message = "10 samples in whole shards: its run was stopped, or is not over: run the same command again"
     assert unfinished(data, "train") == message
     assert unfinished(data, "test") is None
 
@@ -201,7 +203,7 @@ def test_a_shard_that_was_being_written_is_not_whole(data: Path) -> None:
 @pytest.mark.parametrize("note", [b"", b"[" * 100_000, b'{"count": "x"}', b"{}", b"[]", b"\xff"])
 def test_a_damaged_mark_still_reports_an_unfinished_data_set(data: Path, note: bytes) -> None:
     (data / ".unfinished-train.json").write_bytes(note)
-    assert (unfinished(data, "train") or "").startswith("10 samples in whole shards: its making was stopped")
+    assert (unfinished(data, "train") or "").startswith("10 samples in whole shards: its run was stopped")
 
 
 def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Path) -> None:
@@ -221,7 +223,7 @@ def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Pat
         (["download", "one two"], 2, "neither a URL nor a repository"),
         (["download", "me/garments", "--fields", "vertices"], 2, "no field vertices: there are"),
         (["publish", "DATA", "nobody"], 2, "neither a URL nor a repository"),
-        (["publish", "DATA", "me/garments", "--shares", "90,5"], 2, "write per cent"),
+        (["publish", "DATA", "me/garments", "--shares", "90,5"], 2, "give per cent"),
         (["publish", "nowhere", "me/garments"], 1, "nowhere: no such folder"),
         (["verify", "nowhere"], 1, "nowhere: no such folder"),
         (["verify", "me/garments"], 1, "me/garments: no such folder: give a folder of shards; for a repository"),

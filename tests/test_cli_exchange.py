@@ -244,7 +244,7 @@ def test_a_stopped_export_does_not_go_on_with_other_garments(
     before = tree(out)
     assert run("convert", published, shards, "--quiet") == 0
     assert run("export", shards, "--layout", "published", out) == 2
-    assert f"{out}: begun from other garments" in capsys.readouterr().err
+    assert f"{out}: begun with other garments" in capsys.readouterr().err
     assert tree(out) == before
 
 

@@ -58,7 +58,7 @@ WRONG_USAGE = [
     ("download shards", "a folder of this machine"),
     ("download org/name --fields vertz", "no field vertz: there are .*: did you mean verts?"),
     ("publish shards nobody --dry-run --out out", "neither a URL nor a repository"),
-    ("publish shards me/garments --dry-run --out out --shares 1,2", "write per cent"),
+    ("publish shards me/garments --dry-run --out out --shares 1,2", "give per cent"),
     ("convert shards out --bodies defualt", "did you mean default?"),
     ("export shards", "one of them"),
     ("export shards --layout publishd out", "unknown layout: give published"),

@@ -122,3 +122,10 @@ def test_the_hub_is_imported_in_its_package_alone_and_shards_know_nothing_of_it(
             name.startswith(("huggingface_hub", "httpx", "fsspec", "s3fs")) for name in names
         )
         assert part not in ("shards", "release") or not any(name.startswith("gcd_dataset.hub") for name in names)
+
+
+def test_shards_import_neither_releases_nor_the_hub() -> None:
+    for path in sources():
+        if path.relative_to(PACKAGE).parts[0] == "shards":
+            above = [name for name in imports_of(path) if name.startswith(("gcd_dataset.release", "gcd_dataset.hub"))]
+            assert not above, f"{path.name} imports {above}"

@@ -182,7 +182,7 @@ def test_a_shard_of_an_index(victims: Path, shards: Path, name: str) -> None:
 def test_a_shard_of_another_split_is_none_of_this_one(shards: Path, tmp_path: Path) -> None:
     data = shutil.copytree(shards, tmp_path / "data")
     (data / "manifest.json").write_text(manifest_with(shards, "test-00000.tar", "shard"))
-    with pytest.raises(ShardError, match=r'split train tells of a shard "test-00000\.tar": give train-00000\.tar'):
+    with pytest.raises(ShardError, match=r'split train lists a shard "test-00000\.tar": give train-00000\.tar'):
         GarmentDataset(data)
 
 
@@ -293,7 +293,7 @@ def test_a_place_in_a_release(victims: Path, name: str) -> None:
     parts = Path(name).parts
     if all(safe_name(part) == part for part in parts):
         return
-    refused = pytest.raises(ShardError, match=r"a garment's place: .* cannot be a file's name")
+    refused = pytest.raises(ShardError, match=r"a garment's path: .* cannot be a file's name")
     with refused, release_draft(victims / "out", "some") as draft:
         draft.holds(Path("batch", "data", *parts))
 

@@ -126,7 +126,7 @@ def _download(options: argparse.Namespace) -> int:
     from gcd_dataset.hub.site import Remote
     from gcd_dataset.hub.source import Folder, Repo, parse_source
     from gcd_dataset.names import safe_name
-    from gcd_dataset.shards.layout import known_fields
+    from gcd_dataset.shards.layout import select_fields
 
     source = parse_source(options.repo, options.revision)
     if isinstance(source, Folder):
@@ -135,7 +135,7 @@ def _download(options: argparse.Namespace) -> int:
     name = source.name if isinstance(source, Repo) else source.url
     out = options.out or Path(safe_name(name.rpartition("/")[2]))
     fields = None if options.fields is None else [f for entry in options.fields for f in entry.split(",") if f]
-    known_fields(fields)
+    select_fields(fields)
     source, splits = remote_splits(source, remote)
     for split in splits if options.split is None else [options.split]:
         with tqdm(desc=split, unit="B", unit_scale=True, disable=options.quiet, file=sys.stderr) as bar:
@@ -144,14 +144,14 @@ def _download(options: argparse.Namespace) -> int:
                 bar.total = total
                 bar.update(received - bar.n)
 
-            note = download(source, out, remote, split=split, fields=fields, told=update)
+            note = download(source, out, remote, split=split, fields=fields, on_progress=update)
         members = ", ".join(member.split(".")[0] for member in note.splits[split].members)
         print(f"{out}: {split} of {note.source}: {members}")
     return 0
 
 
 def _publish(options: argparse.Namespace) -> int:
-    from gcd_dataset.hub.partition import as_shares
+    from gcd_dataset.hub.partition import parse_shares
     from gcd_dataset.hub.publish import Staged
     from gcd_dataset.verbs import publish
 
@@ -165,7 +165,7 @@ def _publish(options: argparse.Namespace) -> int:
         require_folder(options.dataset),
         options.repo,
         out=options.out,
-        shares=as_shares(options.shares),
+        shares=parse_shares(options.shares),
         license=options.license,
         partial=options.partial,
         private=options.private,

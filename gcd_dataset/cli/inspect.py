@@ -15,7 +15,7 @@ from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.codec import decode_field, read_meta
 from gcd_dataset.shards.contents import layout_in, require_splits
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.index import ShardTable, known_index, scan_shard
+from gcd_dataset.shards.index import ShardTable, read_stored_index, scan_shard
 from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Bytes, fields_of, index_name
 from gcd_dataset.shards.manifest import MANIFEST, SplitRecord
 from gcd_dataset.shards.reader import ShardReader
@@ -39,9 +39,9 @@ def info_lines(store: Store) -> Iterator[str]:
         splits = require_splits(store.folder)
     else:
         splits = tuple(manifest.splits) if manifest is not None else ("train",)
-    source = "" if store.source in (None, store.place()) else f", from {store.source}"
+    source = "" if store.source in (None, store.location()) else f", from {store.source}"
     version = "" if manifest is None else f", begun by gcd_dataset {manifest.generator}, schema {manifest.schema}"
-    yield f"{store.place()}{source}{version}"
+    yield f"{store.location()}{source}{version}"
     if manifest is not None and manifest.recipe is not None:
         recipe = manifest.recipe
         yield f"  recipe {recipe.name}, sha256 {recipe.sha256}, patterns {recipe.patterns or 'not all there yet'}"
@@ -166,7 +166,7 @@ def faults(folder: Path, *, full: bool = False) -> Iterator[str]:
 
 def _shard_faults(reader: ShardReader, folder: Path, *, full: bool) -> Iterator[str]:
     manifest, index = reader.manifest, reader.index
-    stored = known_index(folder, reader.split, reader.layout, partial=True)
+    stored = read_stored_index(folder, reader.split, reader.layout, partial=True)
     if stored is None:
         yield f"{folder / index_name(reader.split)}: no such file: run gcd index"
     elif (stored.shards, stored.length.tolist()) != (index.shards, index.length.tolist()):

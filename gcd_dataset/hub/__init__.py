@@ -1,4 +1,4 @@
-"""Data sets on servers: read sample by sample, downloaded, and published.
+"""Data sets on servers: reading sample by sample, downloading, publishing, and generating into object stores.
 
-Nothing here is imported, and no server asked, before a URL or a repository is named.
+This package is imported, and a server contacted, only when a URL or a repository is given.
 """

@@ -1,11 +1,11 @@
-"""What was read of a server, kept member by member: a shard that fills as it is asked for.
+"""A cache of shard members read from a server.
 
-    shards/KEY.tar     the shard, a sparse file: what has come stands where it stands in the whole
-    shards/KEY.have    bytes of it that have come, then one byte a member of a sample: 1 where it is there
-    used               bytes of all shards together
+    shards/KEY.tar     a sparse copy of the shard: each cached member at its offset
+    shards/KEY.have    number of cached bytes, then one flag byte for each member of each sample: 1 if cached
+    used               cached bytes of all shards
 
-Members, not shards, since half a data set's bytes are in fields that most models never read, and since a member is
-what a hash can vouch for: what is here has been checked. Whoever adds something holds ``.lock``; reading needs none.
+Members are cached, not shards: half the bytes of a data set are in fields that most models never read. Only members
+with a verified CRC-32 are added. Writers hold ``.lock``; readers need no lock.
 """
 
 import contextlib
@@ -29,9 +29,9 @@ from gcd_dataset.shards.store import MemberLocation
 
 __all__ = ["Cache", "CachedMember", "size_in_bytes"]
 
-COUNTER = 8  # bytes at the head of a .have file
-OPEN_SHARDS = 256  # of the 1024 files that most systems give a process
-TOUCHED_EVERY = 60.0  # s: on a network's file system a time costs as much to write down as a member to read
+COUNTER = 8  # bytes of the counter at the start of a .have file
+OPEN_SHARDS = 256  # of the 1024 descriptors that most systems allow a process
+TOUCHED_EVERY = 60.0  # s between updates of mtime: on network file systems one costs as much as reading a member
 UNITS = {"": 1, "B": 1} | {
     f"{prefix}{unit}": base ** (power + 1)
     for unit, base in (("B", 1000), ("IB", 1024))
@@ -42,16 +42,16 @@ log = logging.getLogger(__name__)
 
 
 class CachedMember(NamedTuple):
-    """A member that has come, and has been checked."""
+    """A verified member, to be cached."""
 
     flag: int
-    """Its number among all members of the shard."""
+    """Number of the member among all members of the shard: sample number * members a sample + column."""
     offset: int
     data: memoryview
 
 
 def size_in_bytes(size: int | str | None) -> int | None:
-    """``20_000_000_000`` for ``"20GB"``. Raises ``ConfigError``.
+    """A size with a unit as bytes; ``None`` stays ``None``. Raises ``ConfigError``.
 
     >>> size_in_bytes("1.5 GiB"), size_in_bytes("20GB"), size_in_bytes(512)
     (1610612736, 20000000000, 512)
@@ -60,15 +60,15 @@ def size_in_bytes(size: int | str | None) -> int | None:
         return size
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?I?B?)", str(size).strip().upper())
     if match is None or match[2] not in UNITS:
-        raise ConfigError(f"max_cache_size={size!r}: write bytes, or a size such as '20GB' or '500MiB'")
+        raise ConfigError(f"max_cache_size={size!r}: give bytes, or a size such as '20GB' or '500MiB'")
     return int(float(match[1]) * UNITS[match[2]])
 
 
 class Cache:
-    """Shards in part, no more than ``limit`` bytes of them; any number of processes may use one folder.
+    """Members of shards in ``folder``, at most ``limit`` bytes. Safe for several processes; may be pickled and forked.
 
-    Where there is no room, the shard that was asked for the longest ago makes way; what does not fit at all, or cannot
-    be written, is not kept. May be pickled and forked.
+    Eviction is by shard, the least recently used first. Members larger than ``limit``, or that cannot be written, are
+    not cached; a warning says so.
     """
 
     def __init__(self, folder: Path, limit: int | None = None) -> None:
@@ -78,24 +78,24 @@ class Cache:
 
     @property
     def used(self) -> int:
-        """Bytes that are kept, of all shards."""
-        return sum(_held(path) for path in self._haves())
+        """Cached bytes of all shards."""
+        return sum(_counted_bytes(path) for path in self._haves())
 
     def read(self, key: str, count: int, wanted: Sequence[tuple[int, MemberLocation]]) -> dict[int, memoryview]:
-        """Flag to content of those members that are here. ``count``: members of the shard."""
+        """Flag to content, for the cached ones of ``wanted`` (flag, location). ``count``: members of the shard."""
         shard = self._shard(key, count)
-        here = [(flag, part) for flag, part in wanted if shard is not None and shard.have[COUNTER + flag]]
-        if shard is None or not here:
+        cached = [(flag, part) for flag, part in wanted if shard is not None and shard.have[COUNTER + flag]]
+        if shard is None or not cached:
             return {}
         try:
-            # By flag, since members of several samples may be asked for at once.
-            content, end = read_members(shard.fd, [part._replace(column=flag) for flag, part in here])
+            # Keyed by flag: columns repeat where members of several samples are read.
+            content, end = read_members(shard.fd, [part._replace(column=flag) for flag, part in cached])
         except OSError:
             return {}
-        return content if end is None else {}  # cut off: it has made way for others meanwhile
+        return content if end is None else {}  # truncated: evicted meanwhile
 
     def keep(self, key: str, count: int, pieces: Sequence[CachedMember]) -> None:
-        """Add members to a shard, unless there is no room for them."""
+        """Add members of a shard, evicting others if needed; logs a warning where that fails."""
         try:
             with self._locked():
                 self._keep(key, count, pieces)
@@ -106,7 +106,7 @@ class Cache:
             self._warn(f"{self.folder}: cannot be written ({error.strerror}): {remedy}")
 
     def drop(self, key: str, count: int, flag: int, size: int) -> None:
-        """Forget a member of ``size`` bytes, which was found to be damaged."""
+        """Remove a damaged member of ``size`` bytes."""
         with contextlib.suppress(OutputError, OSError), self._locked():
             shard = self._shard(key, count)
             if shard is not None and shard.have[COUNTER + flag]:
@@ -114,42 +114,42 @@ class Cache:
                 self._count(key, -size)
 
     def _keep(self, key: str, count: int, pieces: Sequence[CachedMember]) -> None:
-        have = self._made(key, count).have
-        fresh = [piece for piece in pieces if not have[COUNTER + piece.flag]]
-        size = sum(len(piece.data) for piece in fresh)
-        if not fresh or not self._make_room(size, key):
+        have = self._create(key, count).have
+        new = [piece for piece in pieces if not have[COUNTER + piece.flag]]
+        size = sum(len(piece.data) for piece in new)
+        if not new or not self._make_room(size, key):
             return
-        self._made(key, count)  # it may have been the one to make way
-        _write(self._have(key).with_suffix(".tar"), fresh)
-        # Counted before it is vouched for: what a kill leaves behind is counted too much, never too little.
+        self._create(key, count)  # again: it may have been evicted
+        _write(self._have(key).with_suffix(".tar"), new)
+        # Count before setting flags: after a kill the size is overcounted, never undercounted.
         self._count(key, size)
-        for piece in fresh:
+        for piece in new:
             _set(self._have(key), COUNTER + piece.flag, b"\1")
 
     def _make_room(self, size: int, key: str) -> bool:
-        """Let shards go until there is room. False where there can be none."""
+        """Evict shards until ``size`` bytes fit; false where they exceed the limit."""
         if self.limit is None:
             return True
         if size > self.limit:
-            self._warn(f"{self.folder}: {size} bytes at once do not fit into {self.limit}: raise max_cache_size")
+            self._warn(f"{self.folder}: {size} bytes at once exceed the limit of {self.limit}: raise max_cache_size")
             return False
-        if self._counted() + size <= self.limit:
+        if self._total() + size <= self.limit:
             return True
         used = self.used
-        # Its own shard goes last: what is read now is read on.
+        # Evict the shard being read last.
         for have in sorted(self._haves(), key=lambda path: (path.stem == key, path.stat().st_mtime_ns)):
             if used + size <= self.limit:
                 break
-            used -= _held(have)
+            used -= _counted_bytes(have)
             self._evict(have)
-        for orphan in (self.folder / "shards").glob("*.tar"):  # of a process that was killed in the middle of this
+        for orphan in (self.folder / "shards").glob("*.tar"):  # left by a process killed during eviction
             if not orphan.with_suffix(".have").exists():
                 orphan.unlink(missing_ok=True)
         self._write_down(used)
         return True
 
     def _evict(self, have: Path) -> None:
-        """Let a shard go. Cut off first: readers hold it open, and its bytes would stay with them."""
+        """Remove a shard, truncated first: readers that hold it open would keep its disk space in use."""
         self._open.pop(have.stem, None)
         have.unlink(missing_ok=True)
         data = have.with_suffix(".tar")
@@ -158,23 +158,23 @@ class Cache:
                 os.truncate(data, 0)
             data.unlink()
 
-    def _made(self, key: str, count: int) -> "_Shard":
-        """The shard's files, made if they were not there. Raises ``OSError`` or ``OutputError``."""
+    def _create(self, key: str, count: int) -> "_Shard":
+        """The shard's files, created if missing. Raises ``OSError`` or ``OutputError``."""
         have = self._have(key)
-        if have.exists() and have.stat().st_size != COUNTER + count:  # of other members under the same name
+        if have.exists() and have.stat().st_size != COUNTER + count:  # same key, another number of members
             self._evict(have)
         if not have.exists():
             make_folder(have.parent)
-            # Another file, not the same one emptied: whoever holds that still believes it full.
+            # A new file, not the old one truncated: readers of the old file still trust its flags.
             have.with_suffix(".tar").unlink(missing_ok=True)
             have.with_suffix(".tar").open("xb").close()
-            _write_anew(have, bytes(COUNTER + count))  # zeros, no hole: a map over a hole of a full disk is a crash
+            _replace(have, bytes(COUNTER + count))  # written, not a hole: mapping a hole on a full disk crashes
         return self._shard(key, count) or _Shard(have, count)
 
     def _shard(self, key: str, count: int) -> "_Shard | None":
-        """The shard's files, opened once; ``None`` where there are none."""
+        """The shard's open files; ``None`` where it is not cached."""
         shard = self._open.get(key)
-        if shard is not None and not shard.is_gone and len(shard.have) == COUNTER + count:
+        if shard is not None and not shard.is_evicted and len(shard.have) == COUNTER + count:
             shard.touch()
             return shard
         self._open.pop(key, None)
@@ -194,25 +194,25 @@ class Cache:
     def _haves(self) -> list[Path]:
         return sorted((self.folder / "shards").glob("*.have"))
 
-    def _counted(self) -> int:
-        """Bytes in use, as last written down."""
+    def _total(self) -> int:
+        """Cached bytes of all shards, from the file ``used`` where possible."""
         try:
             return int((self.folder / "used").read_text())
         except (OSError, ValueError):
             return self.used
 
     def _count(self, key: str, size: int) -> None:
-        """Count ``size`` bytes more of a shard."""
-        total, have = self._counted(), self._have(key)
-        # Whatever a kill comes between, the whole is no less than its parts.
+        """Add ``size`` bytes, which may be negative, to the counters of a shard and of the cache."""
+        total, have = self._total(), self._have(key)
+        # Write order: after a kill the total is never less than the sum of the shards.
         if size > 0:
             self._write_down(total + size)
-        _set(have, 0, max(0, _held(have) + size).to_bytes(COUNTER, "little"))
+        _set(have, 0, max(0, _counted_bytes(have) + size).to_bytes(COUNTER, "little"))
         if size < 0:
             self._write_down(max(0, total + size))
 
     def _write_down(self, total: int) -> None:
-        _write_anew(self.folder / "used", str(total).encode())
+        _replace(self.folder / "used", str(total).encode())
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
@@ -220,9 +220,9 @@ class Cache:
         with locked(self.folder / ".lock", "writing the cache", wait=True):
             yield
 
-    def _warn(self, what: str) -> None:
+    def _warn(self, problem: str) -> None:
         if not self._warned:
-            log.warning("%s; going on without keeping what is read", what)
+            log.warning("%s; continuing without caching", problem)
         self._warned = True
 
     def __getstate__(self) -> dict[str, Any]:
@@ -230,33 +230,33 @@ class Cache:
 
 
 class _Shard:
-    """The files of one shard, open; closed when the last thread lets go of it."""
+    """The open files of one shard, closed with the last reference."""
 
     def __init__(self, have: Path, count: int) -> None:
-        self._path, self._due = have, 0.0
+        self._path, self._next_touch = have, 0.0
         with have.open("rb") as file:
             self.have = np.memmap(file, np.uint8, "r", shape=(COUNTER + count,))
             self.fd = os.open(have.with_suffix(".tar"), os.O_RDONLY | os.O_NOFOLLOW)
-            # No __del__: at the end of the program the module that closes may be gone before the last shard.
+            # Not __del__: at interpreter exit the os module may be gone before the last shard.
             weakref.finalize(self, os.close, self.fd)
             if not os.path.samestat(os.fstat(file.fileno()), have.stat()):
-                raise FileNotFoundError(f"{have}: has made way for another, to which the data may belong")
+                raise FileNotFoundError(f"{have}: replaced while it was opened; the .tar may belong to the new one")
 
     @property
-    def is_gone(self) -> bool:
-        """Whether it has made way for others."""
+    def is_evicted(self) -> bool:
+        """Whether the files have been unlinked."""
         return os.fstat(self.fd).st_nlink == 0
 
     def touch(self) -> None:
-        """Write down that it is in use, now and then: whoever makes room goes by that."""
-        if (now := time.monotonic()) >= self._due:
-            self._due = now + TOUCHED_EVERY
-            with contextlib.suppress(OSError):  # a cache that may only be read
+        """Update the mtime, at most every ``TOUCHED_EVERY`` seconds: eviction is by mtime."""
+        if (now := time.monotonic()) >= self._next_touch:
+            self._next_touch = now + TOUCHED_EVERY
+            with contextlib.suppress(OSError):  # a read-only cache
                 os.utime(self._path)
 
 
-def _held(have: Path) -> int:
-    """Bytes of a shard that are kept."""
+def _counted_bytes(have: Path) -> int:
+    """Cached bytes of a shard, from its ``.have`` file."""
     try:
         with have.open("rb") as file:
             return int.from_bytes(file.read(COUNTER), "little")
@@ -264,8 +264,8 @@ def _held(have: Path) -> int:
         return 0
 
 
-def _write_anew(path: Path, content: bytes) -> None:
-    """Replace a file under the lock, by a draft that is never a link to another file."""
+def _replace(path: Path, content: bytes) -> None:
+    """Replace a file atomically, under the lock. A new draft each time: an existing one could be a link."""
     draft = path.with_suffix(".tmp")
     draft.unlink(missing_ok=True)
     with draft.open("xb") as file:
@@ -273,10 +273,10 @@ def _write_anew(path: Path, content: bytes) -> None:
     draft.replace(path)
 
 
-def _set(path: Path, place: int, content: bytes) -> None:
+def _set(path: Path, offset: int, content: bytes) -> None:
     fd = os.open(path, os.O_WRONLY | os.O_NOFOLLOW)
     try:
-        os.pwrite(fd, content, place)
+        os.pwrite(fd, content, offset)
     finally:
         os.close(fd)
 
@@ -284,9 +284,9 @@ def _set(path: Path, place: int, content: bytes) -> None:
 def _write(path: Path, pieces: Sequence[CachedMember]) -> None:
     fd = os.open(path, os.O_WRONLY | os.O_NOFOLLOW)
     try:
-        for _, place, data in pieces:
+        for _, offset, data in pieces:
             while data:
-                written = os.pwrite(fd, data, place)
-                data, place = data[written:], place + written
+                written = os.pwrite(fd, data, offset)
+                data, offset = data[written:], offset + written
     finally:
         os.close(fd)

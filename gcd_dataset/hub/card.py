@@ -1,4 +1,4 @@
-"""What the Hub shows of a data set: its card, and its description for machines (Croissant)."""
+"""The dataset card (``README.md``) and the Croissant description of a published data set."""
 
 import json
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ __all__ = ["Release", "card", "croissant"]
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 TAGS = ["webdataset", "garments", "sewing-patterns", "cloth-simulation", "synthetic", "3d"]
 
-FIELD_TEXTS: Mapping[str, str] = {
+FIELD_DESCRIPTIONS: Mapping[str, str] = {
     "meta": "seed, index, versions, recipe; names that the arrays refer to; outcome and figures of the drape; hashes",
     "spec": "the sewing pattern as a GarmentCode specification [cm]; JSON",
     "design": "the design's parameters; JSON",
@@ -37,7 +37,7 @@ FIELD_TEXTS: Mapping[str, str] = {
     "back": "picture from behind",
 }
 
-TEXT = """
+CARD_TEXT = """
 # {title}
 
 {total} garments with their sewing patterns, made by [gcd_dataset](https://pypi.org/project/gcd-dataset/) {generator}:
@@ -55,7 +55,7 @@ wearer's left is +x, soles at y = 0.
 ```python
 from gcd_dataset.loaders import GarmentDataset
 
-ds = GarmentDataset("{repo}", "train", fields=["points", "panels", "edges", "stitches"])  # asks for these bytes alone
+ds = GarmentDataset("{repo}", "train", fields=["points", "panels", "edges", "stitches"])  # fetches these fields only
 ds[12]
 ```
 
@@ -75,29 +75,29 @@ The shards are plain tars that `webdataset` reads, and `datasets.load_dataset("{
 
 {made}
 
-`ds.recipe(i)` tells what it takes to make a garment again. The hash of every shard is in `{manifest}`, that of every
-file of every garment in `index-….npz`.
+`ds.recipe(i)` holds all that is needed to generate a garment again. The hash of every shard is in `{manifest}`, the
+CRC-32 of every file of every garment in `index-….npz`.
 """
 
 
 @dataclass(frozen=True)
 class Release:
-    """A data set as it is published."""
+    """The facts about a published data set that its card and description state."""
 
     repo: str
     manifest: Manifest
     settled: Mapping[str, int]
-    """Drapes at rest, of each split."""
+    """Split to its number of settled drapes."""
     members: tuple[str, ...]
-    """Files of each garment."""
+    """Members of each garment."""
     license: str
     divided: bool
-    """Whether the splits were made from one, or by a recipe, so that neither designs nor bodies are shared."""
+    """Whether neither designs nor bodies are shared: the splits were divided from one, or drawn by a recipe."""
     endpoint: str
 
     @property
     def total(self) -> int:
-        """Garments."""
+        """Number of garments."""
         return sum(shard.count for split in self.manifest.splits.values() for shard in split.shards)
 
     @property
@@ -106,39 +106,38 @@ class Release:
 
 
 def card(release: Release) -> str:
-    """``README.md``: facts for the Hub in YAML, then words for people."""
+    """``README.md``: YAML metadata for the Hub, then text."""
     from huggingface_hub import DatasetCardData
 
     paths = [{"split": name, "path": f"{name}-*.tar"} for name in release.manifest.splits]
-    facts = DatasetCardData(
+    metadata = DatasetCardData(
         license=release.license,
         pretty_name=release.title,
         task_categories=["image-to-3d", "other"],
         tags=TAGS,
-        size_categories=[next((text for most, text in SIZES if release.total < most), "n>1M")],
+        size_categories=[next((text for limit, text in SIZES if release.total < limit), "n>1M")],
         configs=[{"config_name": "default", "default": True, "data_files": paths}],
     )
-    words = TEXT.format(
+    text = CARD_TEXT.format(
         title=release.title,
         repo=release.repo,
         total=release.total,
         generator=release.manifest.generator,
         manifest=MANIFEST,
         splits="\n".join(_split_rows(release)),
-        promise=_promise(release),
+        promise=_separation(release),
         fields="\n".join(
-            f"| {field} | `{member}` | {_words(field)} |" for field, member in fields_of(release.members).items()
+            f"| {field} | `{member}` | {_describe(field)} |" for field, member in fields_of(release.members).items()
         ),
-        made="\n".join(_made(release.manifest)),
+        made="\n".join(_recipe_lines(release.manifest)),
     )
-    return f"---\n{facts.to_yaml()}\n---\n{words}"
+    return f"---\n{metadata.to_yaml()}\n---\n{text}"
 
 
-def _words(field: str) -> str:
-    """What a field holds."""
+def _describe(field: str) -> str:
     if field.startswith("view_"):
         return "camera, light and materials of that view" if field.endswith("_json") else "picture from any side"
-    return FIELD_TEXTS[field]
+    return FIELD_DESCRIPTIONS[field]
 
 
 def _split_rows(release: Release) -> list[str]:
@@ -149,35 +148,36 @@ def _split_rows(release: Release) -> list[str]:
     return rows
 
 
-def _promise(release: Release) -> str:
+def _separation(release: Release) -> str:
+    """A sentence about the designs and bodies that splits have in common."""
     splits = release.manifest.splits
     if len(splits) < 2:
         return "There is one split."
-    promise = "No design, and no body but the neutral one," if release.divided else "No design"
-    failed = f"; `{FAILED}` holds drapes that failed, of the designs of any other" if FAILED in splits else ""
-    return f"{promise} is in two splits{failed}."
+    separated = "No design, and no body but the neutral one," if release.divided else "No design"
+    failed = f"; `{FAILED}` holds failed drapes of designs of any split" if FAILED in splits else ""
+    return f"{separated} is in two splits{failed}."
 
 
-def _made(manifest: Manifest) -> list[str]:
-    """One line a way of making; splits that were made the same way share it."""
-    ways: dict[str, list[str]] = {}
+def _recipe_lines(manifest: Manifest) -> list[str]:
+    """One line for each seed and recipe, with the splits generated by it."""
+    recipes: dict[str, list[str]] = {}
     for name, split in manifest.splits.items():
         options = {option: value for option, value in split.recipe.items() if option != "part"}
-        ways.setdefault(f"seed {split.seed}, recipe `{json.dumps(options, sort_keys=True)}`", []).append(name)
-    return [*_named(manifest), *(f"- {', '.join(names)}: {way}" for way, names in ways.items())]
+        recipes.setdefault(f"seed {split.seed}, recipe `{json.dumps(options, sort_keys=True)}`", []).append(name)
+    return [*_published_recipe(manifest), *(f"- {', '.join(names)}: {recipe}" for recipe, names in recipes.items())]
 
 
-def _named(manifest: Manifest) -> list[str]:
-    """A line for a data set that has a name."""
+def _published_recipe(manifest: Manifest) -> list[str]:
+    """A line for the published recipe, if the data set follows one."""
     recipe = manifest.recipe
     if recipe is None:
         return []
-    told = f"- recipe `{recipe.name}` of sha256 `{recipe.sha256}`, patterns `{recipe.patterns}`"
-    return [f"{told}: `gcd verify FOLDER --recipe {recipe.name}` compares"]
+    hashes = f"- recipe `{recipe.name}` of sha256 `{recipe.sha256}`, patterns `{recipe.patterns}`"
+    return [f"{hashes}: `gcd verify FOLDER --recipe {recipe.name}` compares"]
 
 
 def croissant(release: Release, files: Mapping[str, tuple[int, str]]) -> dict[str, Any]:
-    """The description in Croissant 1.0 (MLCommons); ``files``: path to size and SHA-256."""
+    """The description in Croissant 1.0 (MLCommons); ``files``: path to size [bytes] and SHA-256."""
     url = f"{release.endpoint}/datasets/{release.repo}"
     objects = [
         {
@@ -207,7 +207,7 @@ def croissant(release: Release, files: Mapping[str, tuple[int, str]]) -> dict[st
 
 
 def _file_set(split: str, record: SplitRecord) -> dict[str, Any]:
-    """All files in the shards of a split."""
+    """The ``FileSet`` of all files in the shards of a split."""
     return {
         "@type": "cr:FileSet",
         "@id": f"{split}-files",
@@ -219,13 +219,13 @@ def _file_set(split: str, record: SplitRecord) -> dict[str, Any]:
 
 
 def _records(split: str, release: Release) -> dict[str, Any]:
-    """The files of a split, by name; the words say which file holds what."""
-    words = "; ".join(f"{member}: {_words(field)}" for field, member in fields_of(release.members).items())
+    """The ``RecordSet`` of a split: one record a file; the description lists the members."""
+    members = "; ".join(f"{member}: {_describe(field)}" for field, member in fields_of(release.members).items())
     return {
         "@type": "cr:RecordSet",
         "@id": split,
         "name": split,
-        "description": f"The files of each garment, KEY.MEMBER. {words}",
+        "description": f"The files of each garment, KEY.MEMBER. {members}",
         "field": [
             _field(split, "file", "Key and member.", "filename"),
             _field(split, "content", "The file's bytes.", "content"),
@@ -233,14 +233,14 @@ def _records(split: str, release: Release) -> dict[str, Any]:
     }
 
 
-def _field(split: str, name: str, words: str, what: str) -> dict[str, Any]:
+def _field(split: str, name: str, description: str, file_property: str) -> dict[str, Any]:
     return {
         "@type": "cr:Field",
         "@id": f"{split}/{name}",
         "name": f"{split}/{name}",
-        "description": words,
+        "description": description,
         "dataType": "sc:Text",
-        "source": {"fileSet": {"@id": f"{split}-files"}, "extract": {"fileProperty": what}},
+        "source": {"fileSet": {"@id": f"{split}-files"}, "extract": {"fileProperty": file_property}},
     }
 
 
@@ -287,4 +287,4 @@ _CONTEXT: dict[str, Any] = {
     "subField": "cr:subField",
     "transform": "cr:transform",
 }
-"""The words of Croissant 1.0, as its specification lists them."""
+"""The JSON-LD context of Croissant 1.0, as listed in its specification."""

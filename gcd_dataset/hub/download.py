@@ -1,4 +1,4 @@
-"""Data sets brought here: whole shards, or shards of the fields that are wanted; gone on with wherever it broke off."""
+"""Downloads splits, whole or reduced to some fields. An interrupted download is continued."""
 
 import hashlib
 import logging
@@ -11,14 +11,14 @@ from pathlib import Path
 
 from gcd_dataset.errors import ConfigError, RemoteError, ShardError
 from gcd_dataset.files import make_folder
-from gcd_dataset.hub.checked import CheckedShards
-from gcd_dataset.hub.download_record import begin, end, what_is_there
+from gcd_dataset.hub.checked_shards import CheckedShards
+from gcd_dataset.hub.download_record import begin_split, completed_download, finish_split
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
 from gcd_dataset.hub.source import Repo, Url
 from gcd_dataset.shards.access import locked, writing
 from gcd_dataset.shards.copying import copy_shard
-from gcd_dataset.shards.download_file import Fetched
+from gcd_dataset.shards.download_file import DownloadRecord
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import (
     FOREIGN,
@@ -28,9 +28,9 @@ from gcd_dataset.shards.layout import (
     fields_of,
     garments_layout,
     index_name,
-    known_fields,
     lock_name,
     part_path,
+    select_fields,
     shard_number,
 )
 from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_recipe, keep_split
@@ -39,86 +39,98 @@ from gcd_dataset.shards.reader import ShardReader
 __all__ = ["download", "remote_splits"]
 
 META = "meta"
-LINES = 4  # shards that come at a time
+PARALLEL_SHARDS = 4
 
-Told = Callable[[int, int], None]
-"""Called with bytes that have come, and bytes in all."""
+Progress = Callable[[int, int], None]
+"""Called with bytes downloaded, and bytes in total."""
 
 log = logging.getLogger(__name__)
 
 
 def download(
-    place: Repo | Url,
+    source: Repo | Url,
     folder: Path,
     remote: Remote | None = None,
     *,
     split: str = "train",
     fields: Sequence[str] | None = None,
-    told: Told | None = None,
-) -> Fetched:
-    """Bring a split into ``folder``, as a data set of its own; with ``fields`` nothing else of each sample.
+    on_progress: Progress | None = None,
+) -> DownloadRecord:
+    """Download a split into ``folder`` as a data set; with ``fields``, only these fields of each sample.
 
-    What is whole there is not asked for again: broken off and started again, it goes on. Where ``place`` names another
-    revision, that of a URL whose data set has grown, what has changed is brought. Every shard has the hash, or every
-    member the CRC-32, that was published, or does not stay. Raises ``RemoteError`` for a server that fails for longer
-    than it is waited for, ``ConfigError`` for a folder that holds something else, ``OutputError`` for one that cannot
-    be written.
+    An interrupted download continues with the missing shards. Where the data set at a URL has grown since, the changed
+    shards are downloaded. Every shard is verified by its SHA-256, or every member by its CRC-32, and discarded on a
+    mismatch. ``on_progress``: see ``Progress``. Raises ``RemoteError`` for a server that fails for longer than the
+    patience, ``ConfigError`` for a folder that holds another data set, ``OutputError`` for one that cannot be written.
     """
-    remote = remote or Remote()
-    views = MOST_VIEWS if any(field.startswith("view_") for field in fields or ()) else 0
-    everything = GARMENTS if fields is None else garments_layout(caption=True, views=views)
-    names = {META, *known_fields(fields, fields_of(everything.members))}
-    wanted = everything.of([member for field, member in fields_of(everything.members).items() if field in names])
-    if there := what_is_there(folder, place, split, wanted):
-        return there
-    site = Site(place, remote)
-    place = replace(place, revision=site.revision)
-    store = RemoteStore(site, None)
-    reader = ShardReader(store, split)
+    wanted = _wanted_layout(fields)
+    if completed := completed_download(folder, source, split, wanted):
+        return completed
+    site = Site(source, remote or Remote())
+    source = replace(source, revision=site.revision)
+    reader = ShardReader(RemoteStore(site, None), split)
     if reader.manifest is None or reader.layout.kind == FOREIGN:
-        raise _foreign(site)
-    for name in reader.index.shards:  # the manifest's too: they have been compared
-        if shard_number(name, split) is None:
-            raise ShardError(f"{site.source}: tells of a shard {name!r}, which is no name for one: tell its publisher")
-    layout = reader.layout
-    if fields is not None:
-        held = fields_of(layout.members)
-        if missing := sorted(names - held.keys()):
-            raise ConfigError(f"{site.source}: its garments have no {missing[0]}: there are {', '.join(held)}")
-        layout = layout.of([member for field, member in held.items() if field in names])
+        raise _foreign_error(site)
+    _require_shard_names(site, reader)
+    layout = reader.layout if fields is None else _reduced_layout(site, reader.layout, wanted)
     make_folder(folder)
     with locked(folder / lock_name(split), f"writing split {split}", wait=True):
-        if there := what_is_there(folder, place, split, layout):
-            return there  # another process was faster
-        begin(folder, site.source, split, layout, reader.manifest)
+        if completed := completed_download(folder, source, split, layout):
+            return completed  # by another process meanwhile
+        begin_split(folder, site.source, split, layout, reader.manifest)
         record = reader.manifest.splits[split]
         if layout == reader.layout:
-            _bring_whole(folder, site, split, record, told or _silent)
+            _download_shards(folder, site, split, record, on_progress or _no_progress)
             shards = list(record.shards)
             reader.index.write(folder / index_name(split))
         else:
-            shards = _bring_fields(folder, reader, layout, told or _silent)
+            shards = _download_fields(folder, reader, layout, on_progress or _no_progress)
         keep_split(folder, split, replace(record, shards=tuple(shards)))
         if reader.manifest.recipe is not None:
             keep_recipe(folder, reader.manifest.recipe)
-        return end(folder, site.source, split, layout)
+        return finish_split(folder, site.source, split, layout)
 
 
-def remote_splits(place: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple[str, ...]]:
-    """The place at its revision of now, and the splits there are.
+def remote_splits(source: Repo | Url, remote: Remote) -> tuple[Repo | Url, tuple[str, ...]]:
+    """The source pinned to its current revision, and its splits.
 
     Raises ``ConfigError`` for tars of another program, else as ``download``.
     """
-    site = Site(place, remote)
+    site = Site(source, remote)
     manifest = RemoteStore(site, None).manifest()
     if manifest is None:
-        raise _foreign(site)
-    return replace(place, revision=site.revision), tuple(manifest.splits)
+        raise _foreign_error(site)
+    return replace(source, revision=site.revision), tuple(manifest.splits)
 
 
-def _foreign(site: Site) -> ConfigError:
+def _wanted_layout(fields: Sequence[str] | None) -> Layout:
+    """The members to download, ``meta.json`` included, by their current names. Raises ``ConfigError``."""
+    if fields is None:
+        return GARMENTS
+    views = MOST_VIEWS if any(field.startswith("view_") for field in fields) else 0
+    full = garments_layout(caption=True, views=views)
+    names = {META, *select_fields(fields, fields_of(full.members))}
+    return full.of([member for field, member in fields_of(full.members).items() if field in names])
+
+
+def _require_shard_names(site: Site, reader: ShardReader) -> None:
+    """Raise ``ShardError`` for an unsafe shard name; ``RemoteStore.index`` has compared them with the manifest's."""
+    for name in reader.index.shards:
+        if shard_number(name, reader.split) is None:
+            raise ShardError(f"{site.source}: lists a shard {name!r}, which is no valid name: tell its publisher")
+
+
+def _reduced_layout(site: Site, layout: Layout, wanted: Layout) -> Layout:
+    """The published layout reduced to the fields of ``wanted``. Raises ``ConfigError`` for a missing field."""
+    names, available = fields_of(wanted.members).keys(), fields_of(layout.members)
+    if missing := sorted(names - available.keys()):
+        raise ConfigError(f"{site.source}: its garments have no {missing[0]}: there are {', '.join(available)}")
+    return layout.of([member for field, member in available.items() if field in names])
+
+
+def _foreign_error(site: Site) -> ConfigError:
     return ConfigError(
-        f"{site.source}: tars of another program have no manifest to check them by: read them without root, or get "
+        f"{site.source}: tars of another program have no manifest to verify them by: read them without root, or get "
         "them with hf download"
     )
 
@@ -126,32 +138,32 @@ def _foreign(site: Site) -> ConfigError:
 # ------------------------------------------------------------------------------------------------------- whole shards
 
 
-def _bring_whole(folder: Path, site: Site, split: str, record: SplitRecord, told: Told) -> None:
+def _download_shards(folder: Path, site: Site, split: str, record: SplitRecord, on_progress: Progress) -> None:
     checked = CheckedShards(folder, split)
-    total, come = sum(shard.size for shard in record.shards), [0] * len(record.shards)
+    total, received = sum(shard.size for shard in record.shards), [0] * len(record.shards)
 
-    def bring(number: int) -> None:
-        def tell(size: int) -> None:
-            come[number] = size
-            told(sum(come), total)
+    def download_number(number: int) -> None:
+        def report(size: int) -> None:
+            received[number] = size
+            on_progress(sum(received), total)
 
-        _bring_shard(folder, site, record.shards[number], checked, tell)
+        _download_shard(folder, site, record.shards[number], checked, report)
 
-    _all_of(bring, len(record.shards), LINES)
+    _run_all(download_number, len(record.shards), PARALLEL_SHARDS)
 
 
-def _bring_shard(
-    folder: Path, site: Site, shard: ShardRecord, checked: CheckedShards, tell: Callable[[int], None]
+def _download_shard(
+    folder: Path, site: Site, shard: ShardRecord, checked: CheckedShards, report: Callable[[int], None]
 ) -> None:
-    """One shard, checked. Raises ``RemoteError`` where wrong bytes come twice; none of them stay."""
+    """Download and verify one shard. Raises ``RemoteError`` after two wrong hashes, and keeps nothing."""
     path = folder / shard.name
     if checked.holds(shard):
-        tell(shard.size)
+        report(shard.size)
         return
     with writing(path):
         path.unlink(missing_ok=True)
     for _ in range(2):
-        if _filled(part_path(path), site, shard, tell) == shard.sha256:
+        if _complete_part(part_path(path), site, shard, report) == shard.sha256:
             with writing(path):
                 part_path(path).replace(path)
             checked.remember(shard)
@@ -159,27 +171,27 @@ def _bring_shard(
         with writing(path):
             part_path(path).unlink()
     raise RemoteError(
-        f"{site.web.address(shard.name)}: other bytes come than were published: none of them is kept; try again later, "
-        "or tell its publisher"
+        f"{site.web.address(shard.name)}: received bytes do not match the published hash; none are kept: try again "
+        "later, or tell its publisher"
     )
 
 
-def _filled(part: Path, site: Site, shard: ShardRecord, tell: Callable[[int], None]) -> str:
-    """SHA-256 of a shard's draft, after what was missing of it has come."""
+def _complete_part(part: Path, site: Site, shard: ShardRecord, report: Callable[[int], None]) -> str:
+    """Download the rest of a ``.part`` file; the SHA-256 of the whole."""
     digest = hashlib.sha256()
     with _appending(part) as file:
         if os.fstat(file).st_size > shard.size:
             os.ftruncate(file, 0)
-        place = 0
-        while piece := os.pread(file, 1 << 20, place):
+        offset = 0
+        while piece := os.pread(file, 1 << 20, offset):
             digest.update(piece)
-            place += len(piece)
-        tell(place)
-        for piece in site.web.pieces(shard.name, place, shard.size) if place < shard.size else ():
+            offset += len(piece)
+        report(offset)
+        for piece in site.web.pieces(shard.name, offset, shard.size) if offset < shard.size else ():
             with writing(part):
-                place += _written(file, piece, place)
+                offset += _write_all(file, piece, offset)
             digest.update(piece)
-            tell(place)
+            report(offset)
         with writing(part):
             os.fsync(file)
     return digest.hexdigest()
@@ -195,46 +207,46 @@ def _appending(part: Path) -> Iterator[int]:
         os.close(file)
 
 
-def _written(file: int, piece: bytes, place: int) -> int:
+def _write_all(file: int, piece: bytes, offset: int) -> int:
     rest = memoryview(piece)
     while rest:
-        rest = rest[os.pwrite(file, rest, place + len(piece) - len(rest)) :]
+        rest = rest[os.pwrite(file, rest, offset + len(piece) - len(rest)) :]
     return len(piece)
 
 
 # ------------------------------------------------------------------------------------------------------------- fields
 
 
-def _bring_fields(folder: Path, reader: ShardReader, layout: Layout, told: Told) -> list[ShardRecord]:
-    """Shards of the same names and samples, which hold these members alone."""
+def _download_fields(folder: Path, reader: ShardReader, layout: Layout, on_progress: Progress) -> list[ShardRecord]:
+    """Write shards of the same names and samples, with the members of ``layout`` only."""
     columns = [reader.layout.members.index(member) for member in layout.members]
     index = reader.index
-    total, come = int(index.table.size[:, columns].sum()), [0] * len(index.shards)
+    total, received = int(index.table.size[:, columns].sum()), [0] * len(index.shards)
     records: list[ShardRecord | None] = [None] * len(index.shards)
     tables = {}
     position_of = dict(zip(reader.rows(range(len(reader))).tolist(), range(len(reader)), strict=True))
 
-    def bring(number: int) -> None:
+    def download_number(number: int) -> None:
         positions = [position_of[row] for row in (index.shard == number).nonzero()[0].tolist()]
 
-        def tell(size: int) -> None:
-            come[number] += size
-            told(sum(come), total)
+        def report(size: int) -> None:
+            received[number] += size
+            on_progress(sum(received), total)
 
-        shard, table = copy_shard(folder / index.shards[number], reader, positions, layout, tell)
+        shard, table = copy_shard(folder / index.shards[number], reader, positions, layout, report)
         records[number], tables[index.shards[number]] = shard, table
 
-    _all_of(bring, len(index.shards), 1)  # the samples of one come side by side
+    _run_all(download_number, len(index.shards), 1)  # samples of one shard are fetched in parallel already
     ShardIndex.of(folder, {name: tables[name] for name in index.shards}, layout).write(
         folder / index_name(reader.split)
     )
     return [shard for shard in records if shard is not None]
 
 
-def _all_of(bring: Callable[[int], None], count: int, lines: int) -> None:
-    """Bring every shard, ``lines`` at a time; the first error ends it, once those on their way have come."""
-    with ThreadPoolExecutor(lines) as pool:
-        jobs = [pool.submit(bring, number) for number in range(count)]
+def _run_all(task: Callable[[int], None], count: int, threads: int) -> None:
+    """Run ``task`` for all numbers below ``count``; after an error finish running tasks and start no others."""
+    with ThreadPoolExecutor(threads) as pool:
+        jobs = [pool.submit(task, number) for number in range(count)]
         try:
             for job in jobs:
                 job.result()
@@ -243,5 +255,5 @@ def _all_of(bring: Callable[[int], None], count: int, lines: int) -> None:
                 job.cancel()
 
 
-def _silent(come: int, total: int) -> None:
-    """Nobody is told."""
+def _no_progress(received: int, total: int) -> None:
+    """A ``Progress`` that does nothing."""

@@ -1,4 +1,4 @@
-"""One writer at a time below a URL, as far as its store can tell writers apart."""
+"""A lease in an object store: one writer at a time below a URL, where the store has conditional writes."""
 
 import contextlib
 import json
@@ -25,54 +25,55 @@ log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
-def leased(files: Objects, own: Path) -> Iterator[None]:
-    """Hold the object ``.writing.json`` while the block runs; ``own`` keeps its content over a kill.
+def leased(files: Objects, local: Path) -> Iterator[None]:
+    """Hold the lease, the object ``.writing.json``, while the block runs.
 
-    Raises ``OutputError`` where another run holds it. On S3 one of any number of writers gets it; of a store without
-    conditional writes two that begin at the same instant may, unless the second is seen when it is read again.
+    ``local``: file with a copy of the lease, which identifies this run after a kill. Raises ``OutputError`` where
+    another run holds the lease. On S3 exactly one writer gets it. In a store without conditional writes two writers
+    that start at the same instant may both get it, unless the check after writing sees the other's.
     """
-    if not own.exists():
+    if not local.exists():
         lease = {"run": secrets.token_hex(16), "host": socket.gethostname(), "process": os.getpid()}
-        write_whole(own, json.dumps(lease).encode())
-    with reading(own):
-        content = own.read_bytes()
-    files.put_new(LEASE, content)  # ours may be there: of a run that was killed, or of an answer that was lost
-    require_free(files, own)
+        write_whole(local, json.dumps(lease).encode())
+    with reading(local):
+        content = local.read_bytes()
+    files.put_new(LEASE, content)  # False is fine if it is ours: of a killed run, or of a lost reply
+    require_free(files, local)
     try:
         yield
     finally:
-        _release(files, own)
+        _release(files, local)
 
 
-def require_free(files: Objects, own: Path) -> None:
-    """Raise ``OutputError`` where another run holds the lease than the one that ``own`` tells of."""
+def require_free(files: Objects, local: Path) -> None:
+    """Raise ``OutputError`` where another run holds the lease; ``local``: local copy of this run's lease."""
     try:
         content = files.get(LEASE, LARGEST_JSON)
     except MissingError:
         return
-    with reading(own):
-        if own.exists() and own.read_bytes() == content:
+    with reading(local):
+        if local.exists() and local.read_bytes() == content:
             return
     raise OutputError(
-        f"{files.base}: another run{_told(content)} writes there: wait for it; if it was killed, and cannot go on, "
-        f"remove {files.address(LEASE)} and start again"
+        f"{files.base}: another run{_describe(content)} writes there: wait for it; if it was killed and cannot "
+        f"continue, remove {files.address(LEASE)} and start again"
     )
 
 
-def _told(content: bytes) -> str:
-    """Who holds a lease, if that can be read."""
+def _describe(content: bytes) -> str:
+    """Process and host of a lease, if readable."""
     with contextlib.suppress(ShardError, ValueError, KeyError, TypeError):
         lease: Any = decode_json(content)
         return f" (process {lease['process']} on {lease['host']})"[:200]
     return ""
 
 
-def _release(files: Objects, own: Path) -> None:
-    """Let others write. Where the store cannot be asked, only the run that ``own`` tells of goes on."""
+def _release(files: Objects, local: Path) -> None:
+    """Remove the lease. If the store does not answer, keep ``local``: this machine can still continue."""
     try:
-        Objects(files.base, patient=False).remove(LEASE)
+        Objects(files.base, retry_unreachable=False).remove(LEASE)
     except RemoteError as error:
-        log.warning("%s; until it is removed, only this machine goes on", error)
+        log.warning("%s; until the lease is removed, only this machine can continue", error)
         return
-    with writing(own):
-        own.unlink(missing_ok=True)
+    with writing(local):
+        local.unlink(missing_ok=True)

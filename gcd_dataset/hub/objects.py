@@ -1,7 +1,7 @@
-"""Objects below one prefix of a store that ``fsspec`` opens: S3, Google Cloud Storage, Azure and others.
+"""Reads and writes objects below one prefix of an object store through ``fsspec``: S3, Google Cloud Storage, Azure, ….
 
-Credentials, addresses and proxies are those of the environment and of the store's own library, as for any program:
-``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL``, ``FSSPEC_S3='{"anon": true}'`` and their like.
+Credentials, endpoints and proxies come from the environment and the store's own library: ``AWS_ACCESS_KEY_ID``,
+``AWS_ENDPOINT_URL``, ``FSSPEC_S3='{"anon": true}'`` and so on.
 """
 
 import contextlib
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gcd_dataset.errors import ConfigError, MissingError, RefusedError, RemoteError
-from gcd_dataset.hub.patience import Outage, Trouble, reason
+from gcd_dataset.hub.retry import Backoff, RetryableError, first_line
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -24,30 +24,30 @@ __all__ = ["Objects", "is_store"]
 T = TypeVar("T")
 
 S3 = ("s3://", "s3a://")
-PIECE = 1 << 24  # bytes of a stream that are asked for at a time
+PIECE = 1 << 24  # bytes of one request of a stream
 TIMEOUT = 30  # s without a byte
 NO_CREDENTIALS = re.compile("Credential|NoAuth")
-"""Names of the errors by which libraries tell that they have none: botocore, google.auth, azure.identity."""
-WRONG = (ValueError, TypeError, NotImplementedError, FileExistsError, NotADirectoryError, IsADirectoryError)
-NEVER = frozenset({errno.EINVAL, errno.ENOSYS, errno.EPERM, errno.ENAMETOOLONG, errno.EREMCHG, errno.EMSGSIZE})
-"""What a store refuses of which another attempt makes nothing better: 400, 301, 405, 416, 501."""
+"""In the names of errors about missing credentials: botocore, google.auth, azure.identity."""
+INVALID = (ValueError, TypeError, NotImplementedError, FileExistsError, NotADirectoryError, IsADirectoryError)
+PERMANENT = frozenset({errno.EINVAL, errno.ENOSYS, errno.EPERM, errno.ENAMETOOLONG, errno.EREMCHG, errno.EMSGSIZE})
+"""``errno`` of errors that a retry does not cure: s3fs sets them for status 400, 301, 405, 416, 501."""
 
 
 def is_store(protocol: str) -> bool:
-    """Whether ``fsspec`` knows stores of that name, though their package may be missing."""
+    """Whether ``fsspec`` knows the protocol; its package may be missing."""
     import fsspec
 
     return protocol in fsspec.available_protocols()
 
 
 class Objects:
-    """The objects below one URL, read and written whole or not at all. May be pickled, forked, and used by threads.
+    """The objects below one URL; writes are atomic. May be pickled, forked, and used by several threads.
 
-    ``patience``: seconds of waits after which an attempt is given up, counted anew from each that has brought
-    something. Not ``patient``: there is no second attempt. ``sleep`` waits, and gives true to end all waiting.
+    ``patience``: seconds of waiting before a request is given up. ``retry_unreachable=False``: no second attempt if the
+    store does not answer. ``sleep``: waits a number of seconds; returns true to give up.
 
-    Its methods raise ``MissingError`` for what is not there, ``RefusedError`` for what these credentials may not do,
-    ``RemoteError`` for any other trouble, ``ConfigError`` where the store's package is not installed.
+    Methods raise ``MissingError`` for a missing object, ``RefusedError`` where the credentials lack the right,
+    ``RemoteError`` for any other failure, ``ConfigError`` where the store's package is not installed.
     """
 
     def __init__(
@@ -55,13 +55,13 @@ class Objects:
         base: str,
         *,
         patience: float | None = None,
-        patient: bool = True,
+        retry_unreachable: bool = True,
         sleep: Callable[[float], object] | None = None,
     ) -> None:
         self.base, self.patience = base.rstrip("/"), patience
-        self._patient, self._sleep = patient, sleep
+        self._retry_unreachable, self._sleep = retry_unreachable, sleep
         self.etags: dict[str, str] = {}
-        """Of each object, where the store tells a hash; none does that this package could check."""
+        """Always empty: the ETags of object stores are no hashes that could be checked."""
 
     def address(self, path: str) -> str:
         """The URL of an object."""
@@ -70,50 +70,50 @@ class Objects:
     # --------------------------------------------------------------------------------------------------------- reading
 
     def size(self, path: str) -> int:
-        """Bytes of an object."""
-        return self._patiently(path, lambda store, name: int(_info(store, name)["size"]))
+        """Size of an object [bytes]."""
+        return self._retry(path, lambda store, name: int(_info(store, name)["size"]))
 
-    def get(self, path: str, most: int) -> bytes:
-        """A whole object of ``most`` bytes at most. Raises ``RemoteError`` for a longer one before it is read."""
+    def get(self, path: str, limit: int) -> bytes:
+        """A whole object. Raises ``RemoteError`` for more than ``limit`` bytes, before any is read."""
         size = self.size(path)
-        if size > most:
+        if size > limit:
             raise RemoteError(
-                f"{self.address(path)}: has {size} bytes, and up to {most} are read of a file of this kind: check the "
+                f"{self.address(path)}: has {size} bytes, over the limit of {limit} for this kind of file: check the "
                 "address, or tell its publisher"
             )
         return self._range(path, 0, size)
 
     def read(self, path: str, start: int, end: int) -> memoryview:
-        """Bytes ``start`` to ``end`` of an object, writable and the caller's own."""
+        """Bytes ``start`` to ``end`` of an object, in a new writable buffer."""
         return memoryview(bytearray(self._range(path, start, end)))
 
     def _range(self, path: str, start: int, end: int) -> bytes:
         if start >= end:
             return b""
-        content: bytes = self._patiently(path, lambda store, name: store.cat_file(name, start=start, end=end))
+        content: bytes = self._retry(path, lambda store, name: store.cat_file(name, start=start, end=end))
         if len(content) != end - start:
             raise RemoteError(
-                f"{self.address(path)}: {len(content)} bytes come from byte {start}, where {end - start} were asked "
-                "for: shorter than its index tells: tell its publisher"
+                f"{self.address(path)}: {len(content)} bytes from byte {start} on, requested {end - start}: shorter "
+                "than in its index: tell its publisher"
             )
         return content
 
     def pieces(self, path: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
-        """The bytes from ``start`` to ``end``, or to the end of the object, as they come."""
+        """The bytes from ``start`` to ``end``, by default the end of the object, in pieces."""
         end = self.size(path) if end is None else end
-        for place in range(start, end, PIECE):
-            yield self._range(path, place, min(place + PIECE, end))
+        for offset in range(start, end, PIECE):
+            yield self._range(path, offset, min(offset + PIECE, end))
 
     # --------------------------------------------------------------------------------------------------------- writing
 
     def put(self, path: str, content: bytes) -> None:
-        """Store an object, in the place of the one that is there."""
-        self._patiently(path, lambda store, name: store.pipe_file(name, content))
+        """Store an object, replacing an existing one."""
+        self._retry(path, lambda store, name: store.pipe_file(name, content))
 
     def put_new(self, path: str, content: bytes) -> bool:
-        """Store an object unless one is there; whether there was none.
+        """Store an object unless it exists; whether it was stored.
 
-        On S3 one of several writers succeeds; of a store without conditional writes two at the same instant may.
+        On S3 exactly one of several writers succeeds; in a store without conditional writes two may.
         """
 
         def created(store: "AbstractFileSystem", name: str) -> bool:
@@ -123,18 +123,18 @@ class Objects:
                 return False
             return True
 
-        return self._patiently(path, created)
+        return self._retry(path, created)
 
     def put_file(self, path: str, file: Path) -> None:
-        """Store a file as an object. Raises ``RemoteError`` too where fewer bytes have arrived than there are."""
+        """Store a file as an object. Raises ``RemoteError`` also where the stored size differs."""
         with file.open("rb") as opened:
             size = os.fstat(opened.fileno()).st_size
-        self._patiently(path, lambda store, name: store.put_file(str(file), name))
-        if (there := self.size(path)) != size:
-            raise RemoteError(f"{self.address(path)}: holds {there} of {size} bytes after its upload: start again")
+        self._retry(path, lambda store, name: store.put_file(str(file), name))
+        if (stored := self.size(path)) != size:
+            raise RemoteError(f"{self.address(path)}: holds {stored} of {size} bytes after its upload: start again")
 
     def remove(self, path: str) -> None:
-        """Remove an object, or all below a name that ends in a slash; nothing where there is none."""
+        """Remove an object, or all objects below a path that ends in a slash. Missing ones are ignored."""
 
         def removed(store: "AbstractFileSystem", name: str) -> None:
             if path.endswith("/"):
@@ -144,44 +144,45 @@ class Objects:
                 store.rm_file(name)
 
         with contextlib.suppress(MissingError):
-            self._patiently(path, removed)
+            self._retry(path, removed)
 
-    def _patiently(self, path: str, ask: "Callable[[AbstractFileSystem, str], T]") -> T:
-        """What ``ask`` gets from the store for an object, tried again where that may help."""
-        outage = Outage(self.patience)
+    def _retry(self, path: str, request: "Callable[[AbstractFileSystem, str], T]") -> T:
+        """The result of ``request(store, name)``, retried after errors that may pass."""
+        backoff = Backoff(self.patience)
         while True:
             try:
                 store = _store(os.getpid(), "/".join(self.base.split("/")[:3]))
-                return ask(store, store._strip_protocol(self.address(path.rstrip("/"))))
-            # Each store raises the errors of a library of its own, which is not even installed everywhere.
+                return request(store, store._strip_protocol(self.address(path.rstrip("/"))))
+            # Each store raises errors of its own library, which may not be installed.
             except Exception as error:  # noqa: BLE001
-                trouble = self._trouble(path, error)
-            outage.rest(self.address(path), trouble, patient=self._patient, sleep=self._sleep)
+                retryable = self._retryable(path, error)
+            backoff.wait(self.address(path), retryable, retry_unreachable=self._retry_unreachable, sleep=self._sleep)
 
-    def _trouble(self, path: str, error: Exception) -> Trouble:
-        """What may pass of an error. Raises what will not."""
-        own, told = self.address(path), reason(error)
+    def _retryable(self, path: str, error: Exception) -> RetryableError:
+        """The error as a retryable one. Raises permanent errors as ``RemoteError`` or ``ConfigError``."""
+        address, message = self.address(path), first_line(error)
         kinds = " ".join(kind.__name__ for kind in type(error).__mro__)
         if isinstance(error, ImportError):
-            raise ConfigError(f"{own}: {_package(self.base, told)}") from error
+            raise ConfigError(f"{address}: {_missing_package(self.base, message)}") from error
         if isinstance(error, FileNotFoundError):
-            raise MissingError(f"{own}: not there ({told}): check bucket and name") from error
+            raise MissingError(f"{address}: not found ({message}): check bucket and name") from error
         if NO_CREDENTIALS.search(kinds):
             raise RefusedError(
-                f"{own}: no credentials ({told}): set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or what else this "
-                """store takes; for a public bucket FSSPEC_S3='{"anon": true}'"""
+                f"{address}: no credentials ({message}): set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or those of "
+                """your store; for a public bucket FSSPEC_S3='{"anon": true}'"""
             ) from error
         if isinstance(error, PermissionError):
             raise RefusedError(
-                f"{own}: refused ({told}): ask for the rights to read, write and list there, or set other credentials"
+                f"{address}: refused ({message}): ask for the rights to read, write and list there, or set other "
+                "credentials"
             ) from error
-        if isinstance(error, WRONG) or "Validation" in kinds or getattr(error, "errno", None) in NEVER:
-            raise RemoteError(f"{own}: the store does not take this ({told}): check the address") from error
-        return Trouble(f"no answer ({told})", is_unreachable=True)
+        if isinstance(error, INVALID) or "Validation" in kinds or getattr(error, "errno", None) in PERMANENT:
+            raise RemoteError(f"{address}: the store rejects the request ({message}): check the address") from error
+        return RetryableError(f"no answer ({message})", is_unreachable=True)
 
 
 def _info(store: "AbstractFileSystem", name: str) -> Any:
-    """What the store tells of an object now. Raises ``FileNotFoundError`` for a prefix of others."""
+    """The store's current information on an object. Raises ``FileNotFoundError`` for a prefix."""
     store.invalidate_cache()
     info = store.info(name)
     if info["type"] != "file":
@@ -189,24 +190,24 @@ def _info(store: "AbstractFileSystem", name: str) -> Any:
     return info
 
 
-def _package(url: str, told: str) -> str:
-    """What to install for the store of a URL."""
+def _missing_package(url: str, message: str) -> str:
+    """Message and remedy for a missing package of a store."""
     if url.startswith(S3):
-        return "S3 takes the package s3fs: pip install 'gcd-dataset[s3]'"
-    return f"a package is missing: {told}"
+        return "S3 needs the package s3fs: pip install 'gcd-dataset[s3]'"
+    return f"a package is missing: {message}"
 
 
 @functools.cache
 def _store(process: int, root: str) -> "AbstractFileSystem":
-    """A process's way to a bucket, or a host: a forked process must not send on its parent's lines."""
+    """The file system of a bucket or host. One a process: a forked child must not use its parent's connections."""
     from fsspec.config import conf
     from fsspec.core import url_to_fs
 
     options: dict[str, Any] = {}
     if root.startswith(S3):
-        # One attempt, by s3fs and by the library below it, since it is this module that has patience.
-        ours = {"retries": {"total_max_attempts": 1}, "connect_timeout": TIMEOUT, "read_timeout": TIMEOUT}
-        options["config_kwargs"] = ours | dict(conf.get("s3", {}).get("config_kwargs", {}))
+        # No retries in s3fs and botocore: this module retries.
+        config = {"retries": {"total_max_attempts": 1}, "connect_timeout": TIMEOUT, "read_timeout": TIMEOUT}
+        options["config_kwargs"] = config | dict(conf.get("s3", {}).get("config_kwargs", {}))
     store = url_to_fs(root, skip_instance_cache=True, **options)[0]
     if root.startswith(S3):
         store.retries = 1

@@ -1,4 +1,4 @@
-"""The way to the shards of whatever a user has named."""
+"""Opens the store of a source: a folder, a URL or a repository."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import user_path
 from gcd_dataset.hub.cache import Cache, size_in_bytes
 from gcd_dataset.hub.download import download
-from gcd_dataset.hub.download_record import require_from
+from gcd_dataset.hub.download_record import require_same_source
 from gcd_dataset.hub.remote import RemoteStore
 from gcd_dataset.hub.site import Remote, Site
 from gcd_dataset.hub.source import Folder, parse_source
@@ -25,30 +25,30 @@ def open_store(
     splits: Sequence[str] = (),
     fields: Sequence[str] | None = None,
 ) -> Store:
-    """The shards at a folder, a URL, or in a repository; ``root``: a folder to download these splits and fields into.
+    """The store of a folder, a URL or a repository; ``root``: a folder to download ``splits`` and ``fields`` into.
 
-    Raises ``ConfigError`` for a source that is none of these, or options that it has no use for; else as ``Store``.
+    Raises ``ConfigError`` for any other source, and for options that do not apply to it; else as ``Store``.
     """
     remote = remote or Remote()
-    place = parse_source(source, remote.revision)
-    if isinstance(place, Folder):
-        _require_unused(place, remote, root)
-        return FolderStore(place.path)
+    parsed = parse_source(source, remote.revision)
+    if isinstance(parsed, Folder):
+        _require_unused(parsed, remote, root)
+        return FolderStore(parsed.path)
     limit = size_in_bytes(remote.max_cache_size)
     if root is not None:
         folder = user_path(root)
         if not remote.allowed:
-            require_from(folder, place)
+            require_same_source(folder, parsed)
         for split in splits if remote.allowed else ():
-            download(place, folder, remote, split=split, fields=fields)
+            download(parsed, folder, remote, split=split, fields=fields)
         return FolderStore(folder)
-    return RemoteStore(Site(place, remote), Cache(remote.folder, limit))
+    return RemoteStore(Site(parsed, remote), Cache(remote.folder, limit))
 
 
-def _require_unused(place: Folder, remote: Remote, root: str | Path | None) -> None:
-    """Raise ``ConfigError`` for an option that a folder has no use for."""
+def _require_unused(folder: Folder, remote: Remote, root: str | Path | None) -> None:
+    """Raise ``ConfigError`` for an option that does not apply to a folder."""
     names = ("cache_dir", "max_cache_size", "endpoint", "token", "patience")
     given = {"root": root, **{name: getattr(remote, name) for name in names}}
     if named := [name for name, value in given.items() if value is not None]:
         shown = "" if named[0] == "token" else f"={given[named[0]]!r}"
-        raise ConfigError(f"{named[0]}{shown} is for URLs and the Hub, and {place} is a folder: leave it out")
+        raise ConfigError(f"{named[0]}{shown} is for URLs and the Hub, and {folder} is a folder: leave it out")

@@ -1,4 +1,4 @@
-"""A data set brought to the Hub: divided into splits, described, and uploaded."""
+"""Publishes a data set on the Hub: divides it into splits, describes and uploads it."""
 
 import hashlib
 import json
@@ -15,6 +15,7 @@ from gcd_dataset.errors import ConfigError, RemoteError, shown
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.hub.card import Release, card, croissant
 from gcd_dataset.hub.partition import BODY, DESIGN, SHARES, leaks, partition
+from gcd_dataset.hub.retry import first_line
 from gcd_dataset.hub.site import hub_endpoint
 from gcd_dataset.hub.source import Repo, parse_source
 from gcd_dataset.shards.access import locked, reading, writing
@@ -31,33 +32,33 @@ __all__ = ["Staged", "stage", "upload"]
 
 CARD, CROISSANT = "README.md", "croissant.json"
 CLIENTS = ("httpx2", "httpx", "requests")  # of huggingface_hub 2, 1 and 0.36
-ANY_ENDPOINT = (1, 31)  # of huggingface_hub: the first that was seen to publish to any
-STAGED = ".staged"  # in a folder whose shards are copies, which may be made anew
-OURS = re.compile(r"[^/]+-\d{5,}\.tar|index-[^/]+\.npz")
+ANY_ENDPOINT = (1, 31)  # first tested version of huggingface_hub that publishes to any endpoint
+STAGED = ".staged"  # marks a staging folder: its shards are copies and may be replaced
+REPLACED = re.compile(r"[^/]+-\d{5,}\.tar|index-[^/]+\.npz")
 HUB_NAMES = {"training": "train", "val": "validation", "valid": "validation", "dev": "validation"}
-"""What the Hub calls splits that others call otherwise."""
+"""Other names of splits to the Hub's names."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Staged:
-    """A folder that is ready to go up."""
+    """A folder ready for upload."""
 
     folder: Path
     manifest: Manifest
     files: Mapping[str, int]
-    """Path to size of what goes up."""
+    """Path to size [bytes] of the files to upload."""
 
     @property
     def garments(self) -> int:
-        """How many there are in all splits."""
+        """Number of garments in all splits."""
         return sum(shard.count for split in self.manifest.splits.values() for shard in split.shards)
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """Which samples go into a split."""
+    """The samples of one published split."""
 
     reader: ShardReader
     record: SplitRecord
@@ -74,21 +75,20 @@ def stage(
     endpoint: str | None = None,
     partial: bool = False,
 ) -> Staged:
-    """Put what is to be published as ``repo`` into ``folder``; gone on with where an earlier call was left.
+    """Write the files to publish as ``repo`` into ``folder``, continuing an interrupted call.
 
-    A data set of one split is divided by ``shares``, so that neither designs nor bodies are shared; several splits stay
-    as they are. Raises ``ConfigError`` for splits that share designs, a data set that is not ours, one whose making was
-    stopped, unless it is to be published in part (``partial``), one whose parts are not merged, or a folder that holds
-    another data set.
+    A data set of one split is divided by ``shares`` into splits that share neither designs nor bodies; several splits
+    are kept. ``partial`` allows a data set whose run was stopped. Raises ``ConfigError`` for splits that share designs,
+    foreign tars, an unfinished data set, parts that are not merged, and a folder that holds another data set.
     """
     if not isinstance(parse_source(repo), Repo):
-        raise ConfigError(f"{repo}: no repository: write ORG/NAME, and see to it that no folder here is called so")
+        raise ConfigError(f"{repo}: no repository: give ORG/NAME, which must not be a folder here")
     require_merged(dataset, ConfigError)
     for split in splits_in(dataset):
-        if not partial and (told := unfinished(dataset, split)) is not None:
-            raise ConfigError(f"{dataset}: split {split} is not whole: {told}, or publish what is there with --partial")
+        if not partial and (problem := unfinished(dataset, split)) is not None:
+            raise ConfigError(f"{dataset}: split {split} is not whole: {problem}, or publish it with --partial")
     plans = _plans(dataset, shares)
-    _begin(folder)
+    _prepare(folder)
     splits: dict[str, SplitRecord] = {}
     settled: dict[str, int] = {}
     members: tuple[str, ...] = ()
@@ -97,17 +97,17 @@ def stage(
             splits[name] = _write_split(folder, name, plan)
         settled[name] = int(plan.reader.index.table.settled[plan.reader.rows(plan.positions)].sum())
         members = plan.reader.layout.members
-    generator = next(iter(plans.values())).reader.manifest or Manifest()
-    manifest = replace(generator, splits=splits)
-    _tidy(folder, manifest)
+    source_manifest = next(iter(plans.values())).reader.manifest or Manifest()
+    manifest = replace(source_manifest, splits=splits)
+    _remove_unlisted(folder, manifest)
     manifest.write(folder)
     is_divided = _only_split(splits_in(dataset)) is not None or manifest.recipe is not None
     release = Release(repo, manifest, settled, members, license, is_divided, hub_endpoint(endpoint))
     write_whole(folder / CARD, card(release).encode())
     listed = {name: _size_and_hash(folder / name) for name in [MANIFEST, *map(index_name, splits)]}
     listed |= {shard.name: (shard.size, shard.sha256) for split in splits.values() for shard in split.shards}
-    described = croissant(release, listed)
-    write_whole(folder / CROISSANT, (json.dumps(described, indent=1) + "\n").encode())
+    description = croissant(release, listed)
+    write_whole(folder / CROISSANT, (json.dumps(description, indent=1) + "\n").encode())
     names = [CARD, CROISSANT, *listed]
     return Staged(folder, manifest, {name: (folder / name).stat().st_size for name in names})
 
@@ -115,11 +115,11 @@ def stage(
 def upload(
     staged: Staged, repo: str, *, endpoint: str | None = None, token: str | None = None, private: bool = False
 ) -> str:
-    """Bring what is staged to the Hub, which is made to hold it if need be; the commit.
+    """Upload a staged folder to the Hub, creating the repository if needed; the commit's hash.
 
-    One commit holds all of it: until then a reader finds the release before, and from then on the whole of this one.
-    Raises ``RemoteError`` for a Hub that does not answer, or refuses; ``ConfigError`` for an endpoint that this version
-    of ``huggingface_hub`` cannot publish to.
+    All files are in one commit, so readers see either the previous version or the whole new one. Raises ``RemoteError``
+    for a Hub that does not answer, or refuses; ``ConfigError`` for an endpoint that this version of ``huggingface_hub``
+    cannot publish to.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
@@ -130,9 +130,9 @@ def upload(
         api.create_repo(name, repo_type="dataset", private=private, exist_ok=True)
         added = [CommitOperationAdd(path, staged.folder / path) for path in staged.files]
         api.preupload_lfs_files(name, added, repo_type="dataset")
-        # Listed when all bytes are up, which may take hours.
-        there = api.list_repo_files(name, repo_type="dataset")
-        stale = [path for path in there if _is_ours(path) and path not in staged.files]
+        # Listed after the upload, which may take hours.
+        present = api.list_repo_files(name, repo_type="dataset")
+        stale = [path for path in present if _is_replaced(path) and path not in staged.files]
         commit = api.create_commit(
             name,
             [*added, *map(CommitOperationDelete, stale)],
@@ -142,8 +142,8 @@ def upload(
     return str(commit.oid)
 
 
-def _begin(folder: Path) -> None:
-    """Make the folder, marked as one of copies. Raises ``ConfigError`` for one that holds anything else."""
+def _prepare(folder: Path) -> None:
+    """Make the staging folder. Raises ``ConfigError`` for a folder that holds anything else."""
     make_folder(folder)
     if not (folder / STAGED).exists():
         if splits_in(folder):
@@ -156,17 +156,21 @@ def _begin(folder: Path) -> None:
 
 
 def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
-    """Split to what goes into it."""
+    """Published split to its samples. Raises ``ConfigError`` as ``stage`` does."""
     readers = {split: ShardReader(dataset, split) for split in splits_in(dataset)}
     if not readers:
-        raise ConfigError(f"{dataset}: no shards: give a folder that gcd generate has made")
+        raise ConfigError(f"{dataset}: no shards: give a folder made by gcd generate")
     for split, reader in readers.items():
         if reader.layout.kind == FOREIGN or reader.manifest is None or split not in reader.manifest.splits:
-            raise ConfigError(f"{dataset}: {MANIFEST} does not tell how split {split} was made: run gcd generate again")
+            raise ConfigError(f"{dataset}: {MANIFEST} has no recipe of split {split}: run gcd generate again")
         if missing := [field for field in (DESIGN, BODY) if field not in fields_of(reader.layout.members)]:
-            raise ConfigError(f"{dataset}: its garments have no {missing[0]} to divide them by: publish the whole")
-    if told := leaks(readers):
-        raise ConfigError(f"{dataset}: {told[0]}: publish it as one split, which is then divided, or make them anew")
+            raise ConfigError(
+                f"{dataset}: its garments have no {missing[0]} to divide them by: publish a data set with all fields"
+            )
+    if shared := leaks(readers):
+        raise ConfigError(
+            f"{dataset}: {shared[0]}: publish it as one split, which is then divided, or generate them again"
+        )
     divided = _only_split(readers)
     plans = {
         HUB_NAMES.get(split, split): _Plan(reader, reader.manifest.splits[split], list(range(len(reader))))
@@ -179,18 +183,18 @@ def _plans(dataset: Path, shares: Mapping[str, float]) -> dict[str, _Plan]:
 def _divided(dataset: Path, reader: ShardReader, shares: Mapping[str, float]) -> dict[str, _Plan]:
     assert reader.manifest is not None
     record, parts = reader.manifest.splits[reader.split], partition(reader, shares)
-    _tell_missing(dataset, shares, parts)
+    _warn_of_empty_splits(dataset, shares, parts)
     return {name: _Plan(reader, _part(record, shares, name), positions) for name, positions in parts.items()}
 
 
 def _only_split(splits: Collection[str]) -> str | None:
-    """The split that is to be divided, if there is one alone; beside it drapes that failed may be kept."""
+    """The split to divide: the only one besides ``failed``; ``None`` for several."""
     others = [split for split in splits if split != FAILED] or [*splits]
     return others[0] if len(others) == 1 else None
 
 
-def _tell_missing(dataset: Path, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
-    """Warn of splits that have a share and get no garment, since fewer families are there than splits."""
+def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Mapping[str, object]) -> None:
+    """Warn of splits that have a share but get no garment: there are fewer families than splits."""
     if missing := [name for name, share in shares.items() if share > 0 and name not in parts]:
         log.warning(
             "%s: nothing for %s: garments that share a design or a body stay in one split, and all of these fall into "
@@ -202,7 +206,7 @@ def _tell_missing(dataset: Path, shares: Mapping[str, float], parts: Mapping[str
 
 
 def _part(record: SplitRecord, shares: Mapping[str, float], name: str) -> SplitRecord:
-    """How a part of a split was made; its shards hold as many samples as those of the whole, about."""
+    """The record of a part of a split, with shards of about as many samples as the undivided split's."""
     cut = {"of": {split: round(share, 6) for split, share in shares.items()}, "name": name}
     return replace(
         record, recipe={**record.recipe, "part": cut}, shard_size=round(record.shard_size / max(shares[name], 0.01))
@@ -210,7 +214,7 @@ def _part(record: SplitRecord, shares: Mapping[str, float], name: str) -> SplitR
 
 
 def _write_split(folder: Path, name: str, plan: _Plan) -> SplitRecord:
-    """The shards and the index of a split."""
+    """Write shards and index of a split; its record."""
     sample = plan.reader.index.table.sample[plan.reader.rows(plan.positions)]
     numbered = zip((sample // plan.record.shard_size).tolist(), plan.positions, strict=True)
     records, tables = [], {}
@@ -223,8 +227,8 @@ def _write_split(folder: Path, name: str, plan: _Plan) -> SplitRecord:
     return replace(plan.record, shards=tuple(records))
 
 
-def _tidy(folder: Path, manifest: Manifest) -> None:
-    """Remove shards of an earlier call that are no longer part of it."""
+def _remove_unlisted(folder: Path, manifest: Manifest) -> None:
+    """Remove shards of an earlier call that the manifest does not list."""
     listed = {shard.name for split in manifest.splits.values() for shard in split.shards}
     for split in splits_in(folder):
         for path in shards_in(folder, split):
@@ -233,9 +237,9 @@ def _tidy(folder: Path, manifest: Manifest) -> None:
                     path.unlink()
 
 
-def _is_ours(path: str) -> bool:
-    """Whether a file of a repository is one that a release replaces."""
-    return OURS.fullmatch(path) is not None
+def _is_replaced(path: str) -> bool:
+    """Whether a file of a repository is a shard or an index, which an upload replaces."""
+    return REPLACED.fullmatch(path) is not None
 
 
 def _size_and_hash(path: Path) -> tuple[int, str]:
@@ -244,21 +248,21 @@ def _size_and_hash(path: Path) -> tuple[int, str]:
 
 
 def _repo_name(repo: str) -> str:
-    place = parse_source(repo)
-    assert isinstance(place, Repo)
-    return place.name
+    source = parse_source(repo)
+    assert isinstance(source, Repo)
+    return source.name
 
 
 @contextmanager
 def _asking_hub(repo: str) -> Iterator[None]:
-    """Turn what ``huggingface_hub`` raises into a ``RemoteError``."""
+    """Turn errors of ``huggingface_hub`` into ``RemoteError``."""
     from huggingface_hub.errors import HfHubHTTPError
 
-    unreached: tuple[type[Exception], ...] = (
+    connection_errors: tuple[type[Exception], ...] = (
         ConnectionError,
         *_errors_of_clients("TransportError", "ConnectionError", "ReadTimeout"),
     )
-    failed: tuple[type[Exception], ...] = (
+    request_errors: tuple[type[Exception], ...] = (
         HfHubHTTPError,
         RuntimeError,
         ValueError,
@@ -266,21 +270,21 @@ def _asking_hub(repo: str) -> Iterator[None]:
     )
     try:
         yield
-    except unreached as error:
-        raise _unpublished(repo, error, "see to the network and to HF_ENDPOINT") from error
-    except failed as error:
-        # An upload that fails comes as a RuntimeError or ValueError.
-        raise _unpublished(repo, error, "see to the token (hf auth login) and your rights") from error
+    except connection_errors as error:
+        raise _publish_error(repo, error, "check the network and HF_ENDPOINT") from error
+    except request_errors as error:
+        # huggingface_hub raises RuntimeError or ValueError for a failed upload.
+        raise _publish_error(repo, error, "check the token (hf auth login) and your rights") from error
 
 
 def _errors_of_clients(*names: str) -> tuple[type[Exception], ...]:
-    """The exceptions of these names, of whichever HTTP client this version of ``huggingface_hub`` has loaded."""
+    """The exceptions of these names in the HTTP clients that are loaded."""
     loaded = [sys.modules[client] for client in CLIENTS if client in sys.modules]
     return tuple(getattr(client, name) for client in loaded for name in names if hasattr(client, name))
 
 
 def _require_endpoint(endpoint: str) -> None:
-    """Raise ``ConfigError`` for another endpoint than ``HF_ENDPOINT`` where a commit to it could not be read back."""
+    """Raise ``ConfigError`` for an endpoint other than ``HF_ENDPOINT`` where huggingface_hub cannot publish to it."""
     import huggingface_hub
 
     major, minor = map(int, huggingface_hub.__version__.split(".")[:2])
@@ -291,8 +295,8 @@ def _require_endpoint(endpoint: str) -> None:
         )
 
 
-def _unpublished(repo: str, error: Exception, remedy: str) -> RemoteError:
-    reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+def _publish_error(repo: str, error: Exception, remedy: str) -> RemoteError:
     return RemoteError(
-        f"{repo}: cannot be published ({reason}): {remedy}, then run it again: what is up is not sent again"
+        f"{repo}: cannot be published ({first_line(error)}): {remedy}, then run it again: uploaded files are not sent "
+        "again"
     )

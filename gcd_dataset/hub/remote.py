@@ -1,4 +1,4 @@
-"""A data set on a server, read sample by sample: only the members asked for, each checked, each asked for once."""
+"""Reads a data set on a server sample by sample: only the requested members, verified and cached."""
 
 import hashlib
 import io
@@ -11,7 +11,7 @@ from typing import BinaryIO, TypeVar
 
 from gcd_dataset.errors import MissingError, RemoteError, ShardError, did_you_mean, shown
 from gcd_dataset.hub.cache import Cache, CachedMember
-from gcd_dataset.hub.listing import foreign_site_index
+from gcd_dataset.hub.foreign_tars import read_foreign_index
 from gcd_dataset.hub.site import Site
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import GARMENTS, Layout, index_name
@@ -22,15 +22,15 @@ __all__ = ["RemoteStore"]
 
 T = TypeVar("T")
 
-GAP = 1 << 17  # bytes: they come in about the time that one more answer takes, and requests are what servers count
+GAP = 1 << 17  # bytes: transferring them takes about as long as another request, and servers limit requests
 SHA256 = re.compile(r"[0-9a-f]{64}")
 REPUBLISH = "ask its publisher to run gcd index and publish it again"
-LINES = 8  # requests at a time
-LARGEST_MEMBER = 1 << 28  # bytes: a hundred times what a garment's largest has
+PARALLEL_REQUESTS = 8
+LARGEST_MEMBER = 1 << 28  # bytes: a hundred times the largest member of a garment
 
 
 class RemoteStore(Store):
-    """The samples of a site. ``cache``: where what is read is kept, if anywhere."""
+    """The samples of a site. ``cache``: for the members read; ``None`` for no caching."""
 
     remedy = "try again later, or tell its publisher"
 
@@ -38,33 +38,33 @@ class RemoteStore(Store):
         self.site, self._cache, self.source = site, cache, site.source
         self._shards: dict[str, _RemoteShard] = {}
 
-    def place(self, name: str = "") -> str:
+    def location(self, name: str = "") -> str:
         return f"{self.source}/{shown(name)}" if name else str(self.source)
 
     def manifest(self) -> Manifest | None:
         try:
-            return parse_manifest(self.site.small(MANIFEST), self.place(MANIFEST), self.remedy)
+            return parse_manifest(self.site.small_file(MANIFEST), self.location(MANIFEST), self.remedy)
         except MissingError:
             return None
         except ShardError:
-            self.site.forget(MANIFEST)  # the next try asks the server again
+            self.site.forget(MANIFEST)  # the next call asks the server again
             raise
 
     def index(self, split: str, layout: Layout) -> ShardIndex:
         manifest, name = self.manifest(), index_name(split)
         if manifest is not None and split not in manifest.splits:
-            there = f"there is {', '.join(manifest.splits)}{did_you_mean(split, manifest.splits)}"
-            raise ShardError(f"{self.place()}: no samples of split {split}: {there}")
+            available = f"there is {', '.join(manifest.splits)}{did_you_mean(split, manifest.splits)}"
+            raise ShardError(f"{self.location()}: no samples of split {split}: {available}")
         try:
-            content = self.site.small(name)
-            index = ShardIndex.parse(content, self.place(name), layout, partial=True, remedy=REPUBLISH)
+            content = self.site.small_file(name)
+            index = ShardIndex.parse(content, self.location(name), layout, partial=True, remedy=REPUBLISH)
             self._require_listed(index, split, manifest)
         except MissingError as error:
             if manifest is not None or layout != GARMENTS:
                 raise RemoteError(f"{error}: {REPUBLISH}") from error
-            index = foreign_site_index(self.site, split)
+            index = read_foreign_index(self.site, split)
         except ShardError:
-            self.site.forget(name)  # its publisher may be at work
+            self.site.forget(name)  # its publisher may be replacing files just now
             raise
         first = 0
         for shard, table in index.tables().items():
@@ -77,61 +77,58 @@ class RemoteStore(Store):
 
     def read_many(self, wanted: Sequence[tuple[str, int, Sequence[MemberLocation]]]) -> list[dict[int, memoryview]]:
         content: dict[tuple[str, int], memoryview] = {}
-        asked: dict[str, dict[int, MemberLocation]] = {}
+        requested: dict[str, dict[int, MemberLocation]] = {}
         for shard, number, parts in wanted:
-            flags = asked.setdefault(shard, {})
+            flags = requested.setdefault(shard, {})
             flags |= {self._shards[shard].flag(number, part.column): part for part in parts}
         jobs: list[Callable[[], dict[tuple[str, int], memoryview]]] = []
-        for shard, flags in asked.items():
-            here = self._kept(shard, flags)
-            content |= {(shard, flag): data for flag, data in here.items()}
-            missing = [part._replace(column=flag) for flag, part in flags.items() if flag not in here]
+        for shard, flags in requested.items():
+            cached = self._read_cache(shard, flags)
+            content |= {(shard, flag): data for flag, data in cached.items()}
+            missing = [part._replace(column=flag) for flag, part in flags.items() if flag not in cached]
             missing.sort(key=lambda part: part.offset)
             jobs += [partial(self._fetch, shard, run) for run in runs(missing, GAP)]
-        for fetched in _at_once(jobs):
+        for fetched in _run_parallel(jobs):
             content |= fetched
-        given: set[tuple[str, int]] = set()
+        returned: set[tuple[str, int]] = set()
         samples = []
         for shard, number, parts in wanted:
-            places = {part.column: (shard, self._shards[shard].flag(number, part.column)) for part in parts}
-            # A sample may be asked for twice, and what is given is the caller's own.
-            samples.append(
-                {c: _copy(content[place]) if place in given else content[place] for c, place in places.items()}
-            )
-            given.update(places.values())
+            keys = {part.column: (shard, self._shards[shard].flag(number, part.column)) for part in parts}
+            # A sample may be requested twice, and the caller owns each buffer.
+            samples.append({c: _copy(content[key]) if key in returned else content[key] for c, key in keys.items()})
+            returned.update(keys.values())
         return samples
 
-    def mend(self, shard: str, number: int, part: MemberLocation) -> memoryview | None:
-        there = self._shards[shard]
-        flag = there.flag(number, part.column)
+    def refetch(self, shard: str, number: int, part: MemberLocation) -> memoryview | None:
+        remote_shard = self._shards[shard]
+        flag = remote_shard.flag(number, part.column)
         if self._cache is not None:
-            self._cache.drop(there.key, there.count, flag, part.size)
+            self._cache.drop(remote_shard.key, remote_shard.count, flag, part.size)
         return self._fetch(shard, [part._replace(column=flag)])[shard, flag]
 
     def stream(self, shard: str) -> BinaryIO:
         self.site.require_allowed(f"a stream of {shard}")
         return io.BufferedReader(_Pieces(self.site.web.pieces(shard)), 1 << 20)
 
-    def _kept(self, shard: str, flags: dict[int, MemberLocation]) -> dict[int, memoryview]:
+    def _read_cache(self, shard: str, flags: dict[int, MemberLocation]) -> dict[int, memoryview]:
         if self._cache is None:
             return {}
-        there = self._shards[shard]
+        remote_shard = self._shards[shard]
         wanted = sorted(flags.items(), key=lambda entry: entry[1].offset)
-        return self._cache.read(there.key, there.count, wanted)
+        return self._cache.read(remote_shard.key, remote_shard.count, wanted)
 
     def _fetch(self, shard: str, run: Sequence[MemberLocation]) -> dict[tuple[str, int], memoryview]:
-        """Members that lie close together, by one request; ``column`` of a part is its flag here. Keeps what comes.
+        """Fetch neighbouring members by one range request and cache them; here ``column`` of a part is its flag.
 
-        Raises ``RemoteError`` with sample and member for bytes that are wrong twice.
+        Raises ``RemoteError`` with sample and member after two CRC-32 mismatches.
         """
-        there = self._shards[shard]
-        self.site.require_allowed(f"{shard}, {there.name_of(run[0].column)}")
+        remote_shard = self._shards[shard]
+        self.site.require_allowed(f"{shard}, {remote_shard.name_of(run[0].column)}")
         for part in run:
             if part.size > LARGEST_MEMBER:
                 raise RemoteError(
-                    f"{self.place(shard)}: {there.name_of(part.column)}: has {part.size} bytes by its index, and "
-                    f"members of up to {LARGEST_MEMBER} are read from servers: leave this field out, or tell its "
-                    "publisher"
+                    f"{self.location(shard)}: {remote_shard.name_of(part.column)}: has {part.size} bytes by its index, "
+                    f"over the limit of {LARGEST_MEMBER} for servers: leave this field out, or tell its publisher"
                 )
         wrong = None
         for _ in range(2):
@@ -143,16 +140,16 @@ class RemoteStore(Store):
         else:
             assert wrong is not None
             raise RemoteError(
-                f"{self.place(shard)}: {there.name_of(wrong.column)}: other bytes come than were published: nothing of "
-                f"it is kept; {self.remedy}"
+                f"{self.location(shard)}: {remote_shard.name_of(wrong.column)}: received bytes do not match the "
+                f"published CRC-32; none are kept: {self.remedy}"
             )
         if self._cache is not None:
             pieces = [CachedMember(part.column, part.offset, content) for part, content in data.items()]
-            self._cache.keep(there.key, there.count, pieces)
+            self._cache.keep(remote_shard.key, remote_shard.count, pieces)
         return {(shard, part.column): content for part, content in data.items()}
 
     def _require_listed(self, index: ShardIndex, split: str, manifest: Manifest | None) -> None:
-        """Raise ``RemoteError`` unless index and manifest tell of the same shards."""
+        """Raise ``RemoteError`` unless index and manifest list the same shards."""
         if manifest is None:
             return
         listed = {shard.name: (shard.size, shard.count) for shard in manifest.splits[split].shards}
@@ -160,17 +157,17 @@ class RemoteStore(Store):
         found = dict(zip(index.shards, zip(index.length.tolist(), counts, strict=True), strict=True))
         if found != listed:
             odd = sorted(name for name, _ in listed.items() ^ found.items())[0]
-            raise RemoteError(f"{self.place()}: {index_name(split)} and {MANIFEST} differ in {odd}: {REPUBLISH}")
+            raise RemoteError(f"{self.location()}: {index_name(split)} and {MANIFEST} differ in {odd}: {REPUBLISH}")
 
     def _key(self, shard: str, split: str, manifest: Manifest | None) -> str:
-        """What the cache knows a shard by: its hash, so that data sets and revisions share what they share."""
+        """The cache key of a shard: its published hash, so that data sets and revisions share equal shards."""
         records = manifest.splits[split].shards if manifest is not None else ()
         known = {record.name: record.sha256 for record in records if SHA256.fullmatch(record.sha256)}
-        return known.get(shard) or hashlib.sha256(self.place(shard).encode()).hexdigest()
+        return known.get(shard) or hashlib.sha256(self.location(shard).encode()).hexdigest()
 
 
 class _RemoteShard:
-    """One shard: its members are numbered through, sample by sample."""
+    """One shard. Its members are numbered sample by sample; the number is the flag in the cache."""
 
     def __init__(self, key: str, samples: int, first: int, index: ShardIndex) -> None:
         self.key, self._first, self._index = key, first, index
@@ -181,13 +178,13 @@ class _RemoteShard:
         return number * self._members + column
 
     def name_of(self, flag: int) -> str:
-        """Sample and member, as messages name them."""
+        """Sample and member of a flag, for messages."""
         number, column = divmod(flag, self._members)
         return f"sample {self._index.key(self._first + number)}, member {self._index.layout.members[column]}"
 
 
 class _Pieces(io.RawIOBase):
-    """Bytes that come in pieces, as a file that is read from its beginning."""
+    """A readable file over an iterator of bytes."""
 
     def __init__(self, pieces: Iterator[bytes]) -> None:
         self._pieces, self._rest = pieces, memoryview(b"")
@@ -208,10 +205,10 @@ def _copy(data: memoryview) -> memoryview:
     return memoryview(bytearray(data))
 
 
-def _at_once(jobs: Sequence[Callable[[], T]]) -> Iterator[T]:
-    """What jobs bring, a few of them running at a time."""
+def _run_parallel(jobs: Sequence[Callable[[], T]]) -> Iterator[T]:
+    """The results of jobs in order; up to ``PARALLEL_REQUESTS`` run at a time."""
     if len(jobs) < 2:
         yield from (job() for job in jobs)
         return
-    with ThreadPoolExecutor(min(LINES, len(jobs))) as pool:
+    with ThreadPoolExecutor(min(PARALLEL_REQUESTS, len(jobs))) as pool:
         yield from pool.map(lambda job: job(), jobs)

@@ -1,4 +1,4 @@
-"""A data set on a server, at one revision: its small files, kept here for good, and the way to its large ones."""
+"""A data set on a server, pinned to a revision, with its small files cached on disk."""
 
 import contextlib
 import hashlib
@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Remote:
-    """How servers are asked, and where what they say is kept."""
+    """Options of access to servers, and of the cache."""
 
     revision: str | None = None
     cache_dir: str | Path | None = None
@@ -42,189 +42,195 @@ class Remote:
     endpoint: str | None = None
     token: str | None = None
     allowed: bool = True
-    """Whether any server may be asked at all."""
+    """Whether servers may be contacted."""
     patience: float | None = None
-    """Seconds to wait for a server that is gone or busy; ``None`` for ``patience.PATIENCE``."""
+    """Seconds to wait for an unreachable or busy server; ``None`` for ``retry.PATIENCE``."""
 
     def __post_init__(self) -> None:
         if self.patience is not None and not 0 <= self.patience <= math.inf:
-            raise ConfigError(f"patience={self.patience!r}: give seconds, 0 or more; inf waits for ever")
+            raise ConfigError(f"patience={self.patience!r}: give seconds, 0 or more; inf waits forever")
 
     @property
     def folder(self) -> Path:
-        """Of the cache."""
+        """The folder of the cache."""
         return Path.home() / ".cache" / "gcd_dataset" if self.cache_dir is None else user_path(self.cache_dir)
 
 
 def hub_endpoint(endpoint: str | None) -> str:
-    """The address of the Hub: the one given, or ``HF_ENDPOINT``, or its own."""
+    """The URL of the Hub: ``endpoint``, else ``HF_ENDPOINT``, else the default."""
     from huggingface_hub import constants
 
     return (endpoint or constants.ENDPOINT).rstrip("/")
 
 
 class Site:
-    """A repository at a commit, or a URL whose manifest has a certain hash: looked up once, then it does not change.
+    """A repository at a commit, or a URL at a hash of its manifest. The revision is looked up once.
 
-    Where the server cannot be reached, the revision that was last seen is read, as far as it is kept here.
-    Raises ``MissingError`` for what the server does not have, ``RemoteError`` where nothing is known of it.
+    If the server is unreachable, the last revision seen is used, as far as it is cached. Raises ``MissingError`` where
+    the server has no such data set, ``RemoteError`` where it is unreachable and nothing is cached.
     """
 
-    def __init__(self, place: Repo | Url, remote: Remote) -> None:
-        self._place, self._remote = place, remote
-        self._seen = remote.folder / "sets" / self._slug()
+    def __init__(self, source: Repo | Url, remote: Remote) -> None:
+        self._parsed, self._remote = source, remote
+        self._folder = remote.folder / "sets" / self._slug()
         self._headers = partial(_hub_headers, remote.token)
-        if isinstance(place, Repo):
-            base = f"{hub_endpoint(remote.endpoint)}/datasets/{place.name}/resolve"
-            self.revision = place.revision if place.is_pinned else self._look_up(place.revision, self._commit)
+        if isinstance(source, Repo):
+            base = f"{hub_endpoint(remote.endpoint)}/datasets/{source.name}/resolve"
+            self.revision = source.revision if source.is_pinned else self._look_up(source.revision, self._commit)
             self.web: Web | Objects = Web(f"{base}/{self.revision}", headers=self._headers, patience=remote.patience)
-            self.source = str(Repo(place.name, self.revision))
+            self.source = str(Repo(source.name, self.revision))
         else:
-            _require_unused(place, remote)
+            _require_unused(source, remote)
             self.web = self._files()
             self.revision = self._look_up("now", self._manifest_hash)
-            self.source = f"{place.url}@{self.revision}"
+            self.source = f"{source.url}@{self.revision}"
 
     @property
     def allowed(self) -> bool:
-        """Whether the server may be asked."""
+        """Whether the server may be contacted."""
         return self._remote.allowed
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The files of a repository. Raises ``ConfigError`` for a URL, which cannot list them."""
-        if not isinstance(self._place, Repo):
-            raise ConfigError(f"{self._place}: a URL cannot list its files: give a folder, or a repository of the Hub")
-        content = self.kept(LISTING, lambda: self._api(self.revision).get("", LARGEST_LISTING))
+        """File names of a repository. Raises ``ConfigError`` for a URL, where files cannot be listed."""
+        if not isinstance(self._parsed, Repo):
+            raise ConfigError(f"{self._parsed}: a URL cannot list its files: give a folder, or a repository of the Hub")
+        content = self.cached(LISTING, lambda: self._api(self.revision).get("", LARGEST_LISTING))
         try:
             return tuple(sorted(str(file["rfilename"]) for file in json.loads(content)["siblings"]))
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             self.forget(LISTING)
-            raise RemoteError(f"{self._place}: the server's list of files is none of the Hub's: {CHECK}") from error
+            raise RemoteError(f"{self._parsed}: the server's list of files is none of the Hub's: {CHECK}") from error
 
-    def small(self, name: str) -> bytes:
-        """A small file, asked for once. Raises ``MissingError``, or ``RemoteError`` for one that comes damaged."""
-        sign = self._path(f"{name}.missing")
-        if sign.exists():
+    def small_file(self, name: str) -> bytes:
+        """A small file, cached. Raises ``MissingError``, and ``RemoteError`` for a damaged one."""
+        marker = self._path(f"{name}.missing")
+        if marker.exists():
             raise MissingError(f"{self.source}: has no {name}")
         try:
-            return self.kept(name, lambda: self._checked(self.web, name))
+            return self.cached(name, lambda: self._checked(self.web, name))
         except MissingError:
-            if isinstance(self._place, Repo):  # at a URL it may come later
-                _keep(sign, b"")
+            if isinstance(self._parsed, Repo):  # a URL may get the file later
+                _write_cache(marker, b"")
             raise
 
     def forget(self, name: str) -> None:
-        """Ask for a small file anew the next time, if a server may be asked: it was not what it should be."""
+        """Remove an invalid small file from the cache, if it may be fetched again."""
         with contextlib.suppress(OSError):
             if self.allowed:
                 self._path(name).unlink(missing_ok=True)
 
-    def kept(self, name: str, get: Callable[[], bytes]) -> bytes:
-        """What is kept of this revision under a name; gotten and kept where it is not."""
+    def cached(self, name: str, get: Callable[[], bytes]) -> bytes:
+        """The cached content under a name; else the result of ``get``, which is then cached."""
         path = self._path(name)
         with contextlib.suppress(OSError):
             return path.read_bytes()
         self.require_allowed(name)
         content = get()
-        _keep(path, content)
+        _write_cache(path, content)
         return content
 
-    def require_allowed(self, what: str) -> None:
-        """Raise ``RemoteError`` if no server may be asked."""
+    def require_allowed(self, name: str) -> None:
+        """Raise ``RemoteError`` if servers may not be contacted; ``name``: what is missing in the cache."""
         if not self.allowed:
-            raise RemoteError(f"{self._place}: {what} is not in the cache, and download=False: leave that out")
+            raise RemoteError(f"{self._parsed}: {name} is not in the cache, and download=False: leave that out")
 
     def _path(self, name: str) -> Path:
-        """Where a file of this revision is kept. Raises ``ShardError`` for a name that leads elsewhere."""
-        return self._seen / self.revision / require_name(name, self.source)
+        """Cache path of a file of this revision. Raises ``ShardError`` for an unsafe name."""
+        return self._folder / self.revision / require_name(name, self.source)
 
     @staticmethod
     def _checked(web: Web | Objects, name: str) -> bytes:
-        """A file whose hash is that of its ETag, if that is one."""
+        """A file, verified by its ETag if that is a hash. Raises ``RemoteError`` after two mismatches."""
         for _ in range(2):
             content = web.get(name, LARGEST_MANIFEST if name == MANIFEST else LARGEST_INDEX)
-            if _is_that(content, web.etags.get(name, "")):
+            if _matches_etag(content, web.etags.get(name, "")):
                 return content
-        raise RemoteError(f"{web.address(name)}: other bytes come than were published: try again later")
+        raise RemoteError(f"{web.address(name)}: received bytes do not match its ETag: try again later")
 
     def _look_up(self, name: str, ask: Callable[[bool], str]) -> str:
-        """The revision that a name stands for, or stood for when it was last asked for."""
-        path = self._seen / "refs" / safe_name(name)
+        """The revision of a branch, tag or URL: the server's, else the last one seen.
+
+        ``ask``: gets the server's; its argument says whether to retry an unreachable server.
+        """
+        path = self._folder / "refs" / safe_name(name)
         try:
             if not self.allowed:
-                raise RemoteError(f"{self._place}: never read before, and download=False: leave that out")
+                raise RemoteError(f"{self._parsed}: never read before, and download=False: leave that out")
             revision = ask(not path.exists())
         except (MissingError, RefusedError):
             raise
         except RemoteError as error:
-            known = _revision_in(path)
+            known = _read_revision(path)
             if known is None:
                 raise
             if self.allowed:
-                log.warning("%s; going on with revision %s, which was read before", error, known)
+                log.warning("%s; continuing with the cached revision %s", error, known)
             return known
-        _keep(path, revision.encode())
+        _write_cache(path, revision.encode())
         return revision
 
-    def _commit(self, patient: bool) -> str:
-        assert isinstance(self._place, Repo)
+    def _commit(self, retry_unreachable: bool) -> str:
+        assert isinstance(self._parsed, Repo)
         try:
-            commit = json.loads(self._api(self._place.revision, patient=patient).get("", LARGEST_LISTING))["sha"]
+            commit = json.loads(
+                self._api(self._parsed.revision, retry_unreachable=retry_unreachable).get("", LARGEST_LISTING)
+            )["sha"]
         except (MissingError, RefusedError) as error:
-            raise type(error)(f"{error}; and there is no folder {self._place.name} here") from error
+            raise type(error)(f"{error}; there is no folder {self._parsed.name} here either") from error
         except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise RemoteError(f"{self._place}: the server's answer is none of the Hub's: {CHECK}") from error
+            raise RemoteError(f"{self._parsed}: the server's answer is none of the Hub's: {CHECK}") from error
         if COMMIT.fullmatch(str(commit)) is None:
-            raise RemoteError(f"{self._place}: {ascii(commit)[:80]} is no commit: {CHECK}")
+            raise RemoteError(f"{self._parsed}: {ascii(commit)[:80]} is not a commit: {CHECK}")
         return str(commit)
 
-    def _manifest_hash(self, patient: bool) -> str:
+    def _manifest_hash(self, retry_unreachable: bool) -> str:
         try:
-            content = self._checked(self._files(patient=patient), MANIFEST)
+            content = self._checked(self._files(retry_unreachable=retry_unreachable), MANIFEST)
         except MissingError as error:
-            if isinstance(self._place, Url) and not self._place.is_web:
-                raise MissingError(f"{error}; a set that is being made shows when all of it is there") from error
+            if isinstance(self._parsed, Url) and not self._parsed.is_web:
+                raise MissingError(f"{error}; a data set appears when all of it is uploaded") from error
             raise
         revision = hashlib.sha256(content).hexdigest()
-        _keep(self._seen / revision / MANIFEST, content)
+        _write_cache(self._folder / revision / MANIFEST, content)
         return revision
 
-    def _files(self, *, patient: bool = True) -> Web | Objects:
-        """The way to the files of a URL."""
-        assert isinstance(self._place, Url)
-        kind = Web if self._place.is_web else Objects
-        return kind(self._place.url, patience=self._remote.patience, patient=patient)
+    def _files(self, *, retry_unreachable: bool = True) -> Web | Objects:
+        """Access to the files of a URL."""
+        assert isinstance(self._parsed, Url)
+        kind = Web if self._parsed.is_web else Objects
+        return kind(self._parsed.url, patience=self._remote.patience, retry_unreachable=retry_unreachable)
 
-    def _api(self, revision: str, *, patient: bool = True) -> Web:
-        assert isinstance(self._place, Repo)
+    def _api(self, revision: str, *, retry_unreachable: bool = True) -> Web:
+        """Access to the Hub's information on a revision."""
+        assert isinstance(self._parsed, Repo)
         endpoint = hub_endpoint(self._remote.endpoint)
         return Web(
-            f"{endpoint}/api/datasets/{self._place.name}/revision/{quote(revision, safe='')}",
+            f"{endpoint}/api/datasets/{self._parsed.name}/revision/{quote(revision, safe='')}",
             headers=self._headers,
             patience=self._remote.patience,
-            patient=patient,
+            retry_unreachable=retry_unreachable,
         )
 
     def _slug(self) -> str:
-        """A folder's name for the place, whatever the server."""
-        if isinstance(self._place, Url):
-            return self._place.slug
-        return slug(self._place.name.replace("/", "--"), hub_endpoint(self._remote.endpoint))
+        """Cache folder name of the source."""
+        if isinstance(self._parsed, Url):
+            return self._parsed.slug
+        return slug(self._parsed.name.replace("/", "--"), hub_endpoint(self._remote.endpoint))
 
 
-def _require_unused(place: Url, remote: Remote) -> None:
-    """Raise ``ConfigError`` for an option of the Hub that a store has no use for."""
+def _require_unused(url: Url, remote: Remote) -> None:
+    """Raise ``ConfigError`` for an option of the Hub with the URL of an object store."""
     for name in ("endpoint", "token"):
-        if not place.is_web and getattr(remote, name) is not None:
+        if not url.is_web and getattr(remote, name) is not None:
             raise ConfigError(
-                f"{name} is for the Hub, and {place} is none: set what its store takes, such as AWS_ENDPOINT_URL and "
+                f"{name} is for the Hub, not for {url}: set the variables of its store, such as AWS_ENDPOINT_URL and "
                 "AWS_ACCESS_KEY_ID"
             )
 
 
-def _revision_in(path: Path) -> str | None:
-    """The revision that was kept in a file; ``None`` where there is none."""
+def _read_revision(path: Path) -> str | None:
+    """The revision in a cache file; ``None`` without a valid one."""
     with contextlib.suppress(OSError, ValueError):
         if REVISION.fullmatch(known := path.read_text()):
             return known
@@ -232,23 +238,23 @@ def _revision_in(path: Path) -> str | None:
 
 
 def _hub_headers(token: str | None) -> dict[str, str]:
-    # Only where a request follows: the library may ask the Hub for something of its own on the way.
+    # Called at the first request only: build_hf_headers may itself contact the Hub.
     from huggingface_hub.utils import build_hf_headers  # type: ignore[attr-defined]
 
     return build_hf_headers(token=token, library_name="gcd_dataset")
 
 
-def _is_that(content: bytes, etag: str) -> bool:
-    """Whether the content has the hash in its ETag: of Git, or SHA-256; any other tells nothing."""
+def _matches_etag(content: bytes, etag: str) -> bool:
+    """Whether the content has the hash in its ETag, a Git blob hash or SHA-256; true for any other ETag."""
     if re.fullmatch(r"[0-9a-f]{40}", etag):
         return hashlib.sha1(b"blob %d\0" % len(content) + content, usedforsecurity=False).hexdigest() == etag
     return hashlib.sha256(content).hexdigest() == etag if re.fullmatch(r"[0-9a-f]{64}", etag) else True
 
 
-def _keep(path: Path, content: bytes) -> None:
-    """Write a file of the cache; without one, everything is asked for again."""
+def _write_cache(path: Path, content: bytes) -> None:
+    """Write a file of the cache; logs a warning where that fails."""
     try:
         make_folder(path.parent)
         write_whole(path, content)
     except OutputError as error:
-        log.warning("%s; going on without keeping what is read", error)
+        log.warning("%s; continuing without caching", error)

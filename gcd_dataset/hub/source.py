@@ -1,6 +1,6 @@
-"""What a user may write where a data set is asked for: a folder, a URL, a repository of the Hugging Face Hub.
+"""Parses the source of a data set as given by a user: a folder, a URL, or a repository of the Hugging Face Hub.
 
-A URL is that of a web server, or any that ``fsspec`` knows: ``s3://``, ``gs://``, ``az://`` and others.
+A URL is of a web server, or of an object store known to ``fsspec``: ``s3://``, ``gs://``, ``az://`` and others.
 
 >>> parse_source("org/garments@v1.0")
 Repo(name='org/garments', revision='v1.0')
@@ -24,7 +24,7 @@ __all__ = ["Folder", "Repo", "Source", "Url", "parse_source", "parse_target", "s
 
 MAIN = "main"
 WEB = ("http://", "https://")
-HERE = ("file://", "local://")
+LOCAL = ("file://", "local://")
 STORE = re.compile(r"(?P<protocol>[a-z][a-z0-9+-]*)://[^/:].*")
 COMMIT = re.compile(r"[0-9a-f]{40}")
 REPO = re.compile(r"(?:hf://)?(?:datasets/)?(?P<name>\w[\w.-]*/\w[\w.-]*)(?:@(?P<revision>.+))?")
@@ -33,7 +33,7 @@ REVISION = re.compile(r"\w[\w.+-]*(?:/\w[\w.+-]*)*")
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder of this machine."""
+    """A local folder."""
 
     path: Path
 
@@ -43,20 +43,20 @@ class Folder:
 
 @dataclass(frozen=True)
 class Url:
-    """A folder of a web server, or the objects of a store below a prefix."""
+    """A folder of a web server, or a prefix in an object store."""
 
     url: str
     revision: str = ""
-    """Hash of its manifest; empty for whatever is there."""
+    """SHA-256 of its manifest; empty for the current one."""
 
     @property
     def is_web(self) -> bool:
-        """Whether a web server is asked."""
+        """Whether this is a web server, not an object store."""
         return self.url.startswith(WEB)
 
     @property
     def slug(self) -> str:
-        """A folder's name for what is kept here of it."""
+        """Name of its cache folder."""
         return slug(re.sub(r"[^\w.-]+", "-", self.url)[:80], self.url)
 
     def __str__(self) -> str:
@@ -73,7 +73,7 @@ class Repo:
 
     @property
     def is_pinned(self) -> bool:
-        """Whether the revision is a commit, which never changes."""
+        """Whether the revision is a commit hash."""
         return COMMIT.fullmatch(self.revision) is not None
 
     def __str__(self) -> str:
@@ -84,28 +84,28 @@ Source: TypeAlias = Folder | Url | Repo
 
 
 def parse_source(source: str | Path, revision: str | None = None) -> Source:
-    """The place that ``source`` names. What is a folder here is taken as one, before a repository of that name.
+    """Parse a source. A local folder takes precedence over a repository of the same name.
 
-    Raises ``ConfigError`` for anything else, and for a revision of what has none.
+    Raises ``ConfigError`` for anything else, and for a revision of a folder or URL.
     """
     if str(source).startswith("~"):
         source = user_path(source)
     with reading(Path(source)):
-        is_here = "://" not in str(source)
-        is_folder, is_file = is_here and Path(source).is_dir(), is_here and Path(source).is_file()
+        is_path = "://" not in str(source)
+        is_folder, is_file = is_path and Path(source).is_dir(), is_path and Path(source).is_file()
     if is_folder:
         return _without_revision(Folder(Path(source)), revision)
     text = str(source)
     if is_file:
         raise ConfigError(
-            f"{shown(text)}: a file, not a folder of shards: give that; Hdf5Garments reads what gcd export --hdf5 makes"
+            f"{shown(text)}: a file, not a folder of shards: give a folder; Hdf5Garments reads HDF5 files"
         )
-    if text.startswith(HERE):
+    if text.startswith(LOCAL):
         return parse_source(Path(unquote(urlsplit(text).path)), revision)
     if text.startswith(WEB) and text.isprintable():
         _require_address(text)
         return _without_revision(Url(text.rstrip("/")), revision)
-    if _is_in_store(text):
+    if _is_store_url(text):
         return _without_revision(Url(text.rstrip("/")), revision)
     match = None if isinstance(source, Path) else REPO.fullmatch(text)
     if match is None:
@@ -114,19 +114,19 @@ def parse_source(source: str | Path, revision: str | None = None) -> Source:
             "https://…, s3://BUCKET/PREFIX or ORG/NAME"
         )
     if match["revision"] and revision and match["revision"] != revision:
-        raise ConfigError(f"{text}: revision={revision!r} is another: give one of them")
-    asked = revision or match["revision"] or MAIN
-    if REVISION.fullmatch(asked) is None:
-        raise ConfigError(f"{match['name']}: {shown(asked)} is no revision: give a branch, a tag or a commit")
-    return Repo(match["name"], asked)
+        raise ConfigError(f"{text}: revision={revision!r} contradicts it: give one of them")
+    wanted = revision or match["revision"] or MAIN
+    if REVISION.fullmatch(wanted) is None:
+        raise ConfigError(f"{match['name']}: {shown(wanted)} is no revision: give a branch, a tag or a commit")
+    return Repo(match["name"], wanted)
 
 
 def parse_target(out: str | Path) -> Folder | Url:
-    """Where a data set is to be made: a folder, there or not, or the URL of a store. Raises ``ConfigError``."""
+    """Parse the output of a run: a folder, which need not exist, or the URL of a store. Raises ``ConfigError``."""
     text = str(out)
-    if text.startswith(HERE):
+    if text.startswith(LOCAL):
         return Folder(Path(unquote(urlsplit(text).path)))
-    if _is_in_store(text):
+    if _is_store_url(text):
         return Url(text.rstrip("/"))
     if "://" in text:
         raise ConfigError(f"{shown(text)}: cannot be written to: give a folder, or a URL such as s3://BUCKET/PREFIX")
@@ -134,18 +134,19 @@ def parse_target(out: str | Path) -> Folder | Url:
 
 
 def slug(name: str, address: str) -> str:
-    """A folder's name for something at an address, which another of the same name has not."""
+    """A folder name: ``name`` with a hash of the address, so that equal names at other addresses differ."""
     return safe_name(f"{name}-{hashlib.sha256(address.encode()).hexdigest()[:8]}")
 
 
-def _without_revision(place: Folder | Url, revision: str | None) -> Folder | Url:
+def _without_revision(source: Folder | Url, revision: str | None) -> Folder | Url:
+    """``source``. Raises ``ConfigError`` if a revision is given."""
     if revision is not None:
-        raise ConfigError(f"revision={revision!r} is for repositories of the Hub, and {place} is none: leave it out")
-    return place
+        raise ConfigError(f"revision={revision!r} is for repositories of the Hub, not for {source}: leave it out")
+    return source
 
 
-def _is_in_store(text: str) -> bool:
-    """Whether this is a URL of a store. One in another, ``a::b://c``, is none: what it does is not only to read."""
+def _is_store_url(text: str) -> bool:
+    """Whether this is the URL of an object store. Chained URLs, ``a::b://c``, are none: they invoke other protocols."""
     from gcd_dataset.hub.objects import is_store
 
     match = STORE.fullmatch(text)
@@ -155,11 +156,11 @@ def _is_in_store(text: str) -> bool:
 
 
 def _require_address(url: str) -> None:
-    """Raise ``ConfigError`` for a URL that names no server."""
+    """Raise ``ConfigError`` for a URL without a valid host and port."""
     try:
         parts = urlsplit(url)
         is_address = bool(parts.hostname) and " " not in parts.netloc and parts.port != 0
     except ValueError:  # brackets that do not close, a port beyond 65535
         is_address = False
     if not is_address:
-        raise ConfigError(f"{shown(url)}: no address of a server: see to host and port")
+        raise ConfigError(f"{shown(url)}: no address of a server: check host and port")

@@ -1,7 +1,7 @@
-"""Files of a web server, whole or in part, with patience for one that is busy, or gone for a while.
+"""Reads files of a web server, whole or by byte range, with retries.
 
-Proxies and certificates are those of the environment: ``HTTPS_PROXY``, ``SSL_CERT_FILE`` and their like. Nothing is
-allocated because a server declares a size: memory grows with the bytes that come, up to a limit of the caller's.
+Proxies and certificates come from the environment: ``HTTPS_PROXY``, ``SSL_CERT_FILE`` and so on. Declared sizes
+allocate nothing: memory grows with the received bytes, up to a limit given by the caller.
 """
 
 import atexit
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote, urlsplit
 
 from gcd_dataset.errors import MissingError, RefusedError, RemoteError, shown
-from gcd_dataset.hub.patience import Outage, Trouble, reason
+from gcd_dataset.hub.retry import Backoff, RetryableError, first_line
 
 if TYPE_CHECKING:
     import httpx2
@@ -31,12 +31,12 @@ GONE = frozenset({404, 410})
 
 
 class Web:
-    """The files below one address. May be pickled, forked, and used by several threads.
+    """The files below one base URL. May be pickled, forked, and used by several threads.
 
-    What ``headers`` gives goes to that address alone, not to where it redirects; it is called once, when the first
-    request is made. ``patience``: seconds of waits, counted anew from each byte that comes, before a read is given up.
-    Not ``patient``: where nobody answers at all, there is no second attempt. A redirect is remembered, so that the next
-    part of the same file costs one request; an address that has expired is asked for again.
+    ``headers`` is called once, at the first request; its headers are sent to the base URL's origin only, not to
+    redirect targets. ``patience``: seconds of waiting since the last received byte before a read is given up.
+    ``retry_unreachable=False``: no second attempt if there is no connection. Redirects are remembered, so that the next
+    range of the same file costs one request; an expired target is looked up again.
     """
 
     def __init__(
@@ -45,86 +45,94 @@ class Web:
         *,
         headers: Callable[[], Mapping[str, str]] = dict,
         patience: float | None = None,
-        patient: bool = True,
+        retry_unreachable: bool = True,
     ) -> None:
         self.base, self.patience = base.rstrip("/"), patience
-        self._make_headers, self._patient = headers, patient
+        self._make_headers, self._retry_unreachable = headers, retry_unreachable
         self._headers: Mapping[str, str] | None = None
-        self._moved: dict[str, str] = {}
+        self._redirects: dict[str, str] = {}
         self.etags: dict[str, str] = {}
-        """ETag of each file that was answered for: that of the large file behind a redirect of the Hub."""
+        """File to its ETag; for a redirect of the Hub, the ETag of the large file behind it."""
 
     def address(self, path: str) -> str:
         """The URL of a file."""
         return f"{self.base}/{quote(path, errors='surrogatepass')}" if path else self.base
 
-    def get(self, path: str, most: int) -> bytes:
-        """A whole file of ``most`` bytes at most.
+    def get(self, path: str, limit: int) -> bytes:
+        """A whole file.
 
-        Raises ``MissingError`` where there is none, ``RemoteError`` for a longer one and any other trouble.
+        Raises ``MissingError`` for a missing file, ``RemoteError`` for over ``limit`` bytes and any other failure.
         """
         content = bytearray()
-        for piece in self.pieces(path, most=most):
+        for piece in self.pieces(path, limit=limit):
             content += piece
         return bytes(content)
 
     def read(self, path: str, start: int, end: int) -> memoryview:
-        """Bytes ``start`` to ``end`` of a file, writable and the caller's own.
+        """Bytes ``start`` to ``end`` of a file, in a new writable buffer.
 
-        Raises as ``get`` does, and ``RemoteError`` for a server that would send the whole file for every part of it.
+        Raises as ``get`` does, and ``RemoteError`` for a server that ignores ranges and sends whole files.
         """
         content = bytearray()
-        for piece in self.pieces(path, start, end, only=True):
+        for piece in self.pieces(path, start, end, require_range=True):
             content += piece
         return memoryview(content)
 
     def pieces(
-        self, path: str, start: int = 0, end: int | None = None, *, only: bool = False, most: int | None = None
+        self,
+        path: str,
+        start: int = 0,
+        end: int | None = None,
+        *,
+        require_range: bool = False,
+        limit: int | None = None,
     ) -> Iterator[bytes]:
-        """The bytes from ``start`` to ``end``, or to the end of the file, as they come; goes on where a line breaks.
+        """The bytes from ``start`` to ``end``, by default the end of the file, as received; resumes lost connections.
 
-        ``only`` these: a server that sends others with them is not read. Raises ``RemoteError`` for a file that is
-        declared to have, or has, more than ``most`` bytes.
+        ``require_range``: refuse a server that sends other bytes too. Raises ``RemoteError`` for a declared or actual
+        size over ``limit`` bytes.
         """
-        place, outage = start, Outage(self.patience)
+        offset, backoff = start, Backoff(self.patience)
         while True:
-            before = place
+            before = offset
             try:
-                for piece in self._once(path, place, end, only, most):
-                    place += len(piece)
-                    if most is not None and place > most:
-                        raise self._too_long(path, f"more than {most} bytes", most)
+                for piece in self._request(path, offset, end, require_range, limit):
+                    offset += len(piece)
+                    if limit is not None and offset > limit:
+                        raise self._too_long(path, f"more than {limit} bytes", limit)
                     yield piece
-                if end is None or place == end:
+                if end is None or offset == end:
                     return
-                trouble = Trouble(f"ends at byte {place} of {end}")
-            except Trouble as error:
-                trouble = error
-            if place > before:
-                outage = Outage(self.patience)
-            outage.rest(self.address(path), trouble, patient=self._patient)
+                retryable = RetryableError(f"ends at byte {offset} of {end}")
+            except RetryableError as error:
+                retryable = error
+            if offset > before:
+                backoff = Backoff(self.patience)
+            backoff.wait(self.address(path), retryable, retry_unreachable=self._retry_unreachable)
 
-    def _once(self, path: str, start: int, end: int | None, only: bool, most: int | None) -> Iterator[bytes]:
-        """One attempt. Raises ``Trouble`` where another may do better."""
+    def _request(
+        self, path: str, start: int, end: int | None, require_range: bool, limit: int | None
+    ) -> Iterator[bytes]:
+        """One attempt of ``pieces``. Raises ``RetryableError`` for an error that may pass."""
         whole = start == 0 and end is None
         if end is not None and start >= end:
             return
-        # Packed bytes could be neither counted nor cut.
-        wanted = {"Accept-Encoding": "identity"}
+        # Ranges of a compressed response could not be counted.
+        headers = {"Accept-Encoding": "identity"}
         if not whole:
-            wanted["Range"] = f"bytes={start}-{'' if end is None else end - 1}"
-        with self._answer(path, wanted) as response:
+            headers["Range"] = f"bytes={start}-{'' if end is None else end - 1}"
+        with self._response(path, headers) as response:
             if response.status_code == 416 and end is None:
-                return  # all of it is there
+                return  # ``start`` is the end of the file
             self._require(path, response, ranged=not whole)
             declared = response.headers.get("Content-Length", "")
-            if most is not None and declared.isdecimal() and int(declared) > most:
-                raise self._too_long(path, f"{declared} bytes", most)
+            if limit is not None and declared.isdecimal() and int(declared) > limit:
+                raise self._too_long(path, f"{declared} bytes", limit)
             skip = 0 if whole else _skip(response, start, self.address(path))
             left = None if end is None else end - start
-            if only:
-                _require_part(response, left, self.address(path))
-            for piece in response.iter_raw():  # as it comes: what is gathered first is lost where the line breaks
+            if require_range:
+                _require_range(response, left, self.address(path))
+            for piece in response.iter_raw():  # unbuffered: a buffer would be lost with the connection
                 part = piece[skip:] if left is None else piece[skip : skip + left]
                 skip -= min(skip, len(piece))
                 if left is not None:
@@ -135,77 +143,77 @@ class Web:
                     return
 
     @contextmanager
-    def _answer(self, path: str, wanted: Mapping[str, str]) -> Iterator["httpx2.Response"]:
-        """The server's answer. Raises ``Trouble`` for a line that breaks, now or while the answer is read."""
+    def _response(self, path: str, headers: Mapping[str, str]) -> Iterator["httpx2.Response"]:
+        """The server's response. Raises ``RetryableError`` for a lost connection, also while the body is read."""
         import httpx2
         from huggingface_hub import constants
 
-        own = self.address(path)
+        address = self.address(path)
         if constants.HF_HUB_OFFLINE:
-            raise RemoteError(f"{own}: HF_HUB_OFFLINE is set, and this is not in the cache: unset it")
-        url = self._moved.get(path, own)
+            raise RemoteError(f"{address}: HF_HUB_OFFLINE is set, and this is not in the cache: unset it")
+        url = self._redirects.get(path, address)
         if self._headers is None:
             self._headers = self._make_headers()
-        headers = {**wanted, **(self._headers if _origin(url) == _origin(own) else {})}
+        headers = {**headers, **(self._headers if _origin(url) == _origin(address) else {})}
         try:
             with _client(os.getpid()).stream("GET", url, headers=headers) as response:
-                if url != own and response.status_code in REFUSED | GONE:
-                    self._moved.pop(path, None)
-                    raise Trouble(f"its address has expired ({response.status_code})", wait=0.0)
+                if url != address and response.status_code in REFUSED | GONE:
+                    self._redirects.pop(path, None)
+                    raise RetryableError(f"its redirect has expired ({response.status_code})", wait=0.0)
                 if response.is_success:
                     self._remember(path, response)
                 yield response
         except (httpx2.UnsupportedProtocol, httpx2.TooManyRedirects) as error:
             raise RemoteError(
-                f"{own}: leads to {shown(str(error.request.url))} ({reason(error)}): up to {MOST_REDIRECTS} redirects "
-                "to http and https are followed: check the address, or tell its publisher"
+                f"{address}: redirects to {shown(str(error.request.url))} ({first_line(error)}): up to "
+                f"{MOST_REDIRECTS} redirects to http and https are followed: check the address, or tell its publisher"
             ) from error
         except httpx2.TransportError as error:
-            self._moved.pop(path, None)
-            nobody = isinstance(error, httpx2.ConnectError | httpx2.ConnectTimeout)
-            raise Trouble(f"no connection ({reason(error)})", is_unreachable=nobody) from error
+            self._redirects.pop(path, None)
+            is_unreachable = isinstance(error, httpx2.ConnectError | httpx2.ConnectTimeout)
+            raise RetryableError(f"no connection ({first_line(error)})", is_unreachable=is_unreachable) from error
         except httpx2.HTTPError as error:
-            raise RemoteError(f"{own}: cannot be read ({reason(error)}): check the address") from error
+            raise RemoteError(f"{address}: cannot be read ({first_line(error)}): check the address") from error
         except httpx2.InvalidURL as error:
-            raise RemoteError(f"{own}: no address ({error}): check it") from error
+            raise RemoteError(f"{address}: no valid URL ({error}): check it") from error
 
-    def _too_long(self, path: str, size: str, most: int) -> RemoteError:
+    def _too_long(self, path: str, size: str, limit: int) -> RemoteError:
         return RemoteError(
-            f"{self.address(path)}: has {size}, and up to {most} are read of a file of this kind: check the address, "
+            f"{self.address(path)}: has {size}, over the limit of {limit} for this kind of file: check the address, "
             "or tell its publisher"
         )
 
     def _remember(self, path: str, response: "httpx2.Response") -> None:
-        """What the answer tells of the file: its ETag, and where it lies."""
+        """Store the file's ETag and redirect target."""
         first = response.history[0] if response.history else response
         etag = first.headers.get("X-Linked-Etag") or first.headers.get("ETag")
         if etag:
             self.etags[path] = etag.removeprefix("W/").strip('"')
         if response.history:
-            self._moved[path] = str(response.url)
+            self._redirects[path] = str(response.url)
 
     def _require(self, path: str, response: "httpx2.Response", *, ranged: bool) -> None:
-        """Raise ``Trouble`` or ``RemoteError`` unless the answer holds what was asked for."""
-        status, own = response.status_code, self.address(path)
+        """Raise ``RetryableError`` or ``RemoteError`` unless the response fits the request."""
+        status, address = response.status_code, self.address(path)
         if status in BUSY:
-            raise Trouble(f"the server is busy ({status})", wait=_retry_after(response.headers))
+            raise RetryableError(f"the server is busy ({status})", wait=_retry_after(response.headers))
         if status in GONE:
-            raise MissingError(f"{own}: not there ({status}): check the name, and the token if it is private")
+            raise MissingError(f"{address}: not found ({status}): check the name, and the token if it is private")
         if status in REFUSED:
-            raise RefusedError(f"{own}: refused ({status}): ask for access, then run hf auth login or set HF_TOKEN")
+            raise RefusedError(f"{address}: refused ({status}): ask for access, then run hf auth login or set HF_TOKEN")
         if status == 416:
-            raise RemoteError(f"{own}: shorter than its index tells: tell its publisher, or pin another revision")
+            raise RemoteError(f"{address}: shorter than in its index: tell its publisher, or pin another revision")
         if not response.is_success:
-            raise RemoteError(f"{own}: answered with {status}: check the address")
+            raise RemoteError(f"{address}: answered with status {status}: check the address")
         if status == 206 and not ranged:
-            raise RemoteError(f"{own}: sent a part of what was asked for whole: try another server")
-        if (packed := response.headers.get("Content-Encoding", "identity")) != "identity":
-            raise RemoteError(f"{own}: comes packed ({packed}), unasked: have its server send files as they are")
+            raise RemoteError(f"{address}: sent a part of the file, requested whole: try another server")
+        if (encoding := response.headers.get("Content-Encoding", "identity")) != "identity":
+            raise RemoteError(f"{address}: sent compressed ({encoding}), unrequested: turn that off on its server")
 
 
 @functools.cache
 def _client(process: int) -> "httpx2.Client":
-    """The client of a process: a forked one must not send on its parent's lines."""
+    """The HTTP client of a process: a forked child must not use its parent's connections."""
     import httpx2
 
     client = httpx2.Client(follow_redirects=True, max_redirects=MOST_REDIRECTS, timeout=TIMEOUT)
@@ -213,27 +221,27 @@ def _client(process: int) -> "httpx2.Client":
     return client
 
 
-def _skip(response: "httpx2.Response", start: int, where: str) -> int:
-    """How many bytes of the answer lie before ``start``: all, from a server that knows no ranges."""
+def _skip(response: "httpx2.Response", start: int, address: str) -> int:
+    """Number of bytes in the body before ``start``: 0, or ``start`` from a server that ignores ranges."""
     if response.status_code == 200:
         return start
     span = response.headers.get("Content-Range", "")
     if not span.startswith(f"bytes {start}-"):
-        raise RemoteError(f"{where}: sent {span or 'an unnamed part'}, asked for byte {start}: try another server")
+        raise RemoteError(f"{address}: sent {span or 'an unnamed range'}, requested byte {start}: try another server")
     return 0
 
 
-def _require_part(response: "httpx2.Response", size: int | None, where: str) -> None:
-    """Raise ``RemoteError`` for an answer that holds all of a file for the sake of ``size`` bytes of it."""
+def _require_range(response: "httpx2.Response", size: int | None, address: str) -> None:
+    """Raise ``RemoteError`` for a response with the whole file where ``size`` bytes were requested."""
     if response.status_code == 200 and response.headers.get("Content-Length") != str(size):
         raise RemoteError(
-            f"{where}: this server sends whole files only, all of a shard for every garment: bring the data set here "
+            f"{address}: this server sends whole files only, a whole shard for every garment: download the data set "
             "with gcd download, without --fields, or read it with streaming=True"
         )
 
 
 def _retry_after(headers: Mapping[str, str]) -> float | None:
-    """Seconds that the server asks to wait; ``None`` where it does not say."""
+    """Seconds of the header Retry-After; ``None`` without a valid one."""
     text = headers.get("Retry-After", "").strip()
     if text.isdecimal():
         return float(text)

@@ -1,4 +1,4 @@
-"""What the authors of GarmentCodeData have published, read as it is; and our own data in that layout."""
+"""Reads GarmentCodeData as published, and writes our garments in its layout."""
 
 from gcd_dataset.release.batch_index import PublishedBatches
 from gcd_dataset.release.body_folder import PublishedPeople

@@ -1,4 +1,4 @@
-"""The batches of a release that are on disk: their garments, and what is known of each."""
+"""The batches of a release on disk: the files and the properties of their garments."""
 
 import functools
 import logging
@@ -8,10 +8,11 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import user_path
 from gcd_dataset.release.garment_folder import GarmentFiles, open_batch
 from gcd_dataset.release.properties import Properties, read_properties
-from gcd_dataset.release.published_names import BODY_FOLDERS, SPLIT_FILE, batch_order, body_folders, properties_name
+from gcd_dataset.release.published_names import SPLIT_FILE, batch_order, body_folders, properties_name
 from gcd_dataset.shards.access import reading
+from gcd_dataset.shards.published import find_batches, is_batch
 
-__all__ = ["PublishedBatches", "is_published"]
+__all__ = ["PublishedBatches"]
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -19,12 +20,12 @@ logger = logging.getLogger("gcd_dataset")
 class PublishedBatches:
     """The batches of a release, each with its garments on the default body, on random ones, or both.
 
-    ``root``: the folder with ``garments_5000_0`` and its like, or the one that holds it. ``bodies``: ``default``,
-    ``random`` or ``both``. ``cache_dir``: where the indices of archives and the digests of properties are kept; by
+    ``root``: the folder with ``garments_5000_0`` and further batches, or its parent. ``bodies``: ``default``,
+    ``random`` or ``both``. ``cache_dir``: folder for the indices of archives and the extracts of properties files; by
     default beside the files. May be pickled and forked.
 
-    Raises ``ConfigError`` for a choice of bodies that there is not, ``ShardError`` for a folder without the layout or a
-    damaged archive, ``OutputError`` where indices cannot be kept.
+    Raises ``ConfigError`` for an unknown choice of bodies, ``ShardError`` for a folder without the layout or a damaged
+    archive, ``OutputError`` where an index cannot be written.
     """
 
     def __init__(self, root: Path | str, *, bodies: str = "both", cache_dir: Path | str | None = None) -> None:
@@ -33,59 +34,44 @@ class PublishedBatches:
         self.files: dict[tuple[str, str], GarmentFiles] = {}
         """Batch and body folder to the files of the garments there."""
         self.properties: dict[tuple[str, str], Properties] = {}
-        """The same to what is known of them."""
+        """Batch and body folder to the properties of the garments there."""
         with reading(self.root):
-            for batch in sorted((path for path in self.root.iterdir() if _is_batch(path)), key=_order):
+            for batch in sorted((path for path in self.root.iterdir() if is_batch(path)), key=_order):
                 for folder in self.body_folders:
                     if (batch / folder).is_dir():
                         self._open(batch / folder)
 
     @functools.cached_property
     def split_file(self) -> Path | None:
-        """The official split, if it is there."""
+        """The official split file; ``None`` where it is missing."""
         with reading(self.root):
             return next(iter(sorted(self.root.glob(SPLIT_FILE))), None)
 
     @property
     def release(self) -> str:
-        """What the release calls itself in the name of its split file: ``GarmentCodeData_v2``, …"""
+        """Name of the release, from the name of its split file: ``GarmentCodeData_v2``, …"""
         return self.root.name if self.split_file is None else self.split_file.name.partition("_official")[0]
 
     def _open(self, folder: Path) -> None:
-        place, properties = (folder.parent.name, folder.name), folder / properties_name(folder.name)
-        self.files[place] = open_batch(folder, self._cache_dir)
-        if properties.exists():
-            self.properties[place] = read_properties(properties, self._cache_dir)
+        key, path = (folder.parent.name, folder.name), folder / properties_name(folder.name)
+        self.files[key] = open_batch(folder, self._cache_dir)
+        if path.exists():
+            self.properties[key] = read_properties(path, self._cache_dir)
         else:
-            logger.warning("%s: missing, so failed garments are not known: download it too", properties)
-            self.properties[place] = Properties()
-
-
-def is_published(folder: Path) -> bool:
-    """Whether a folder is a release, or one of its batches."""
-    if _is_batch(folder) or folder.name in BODY_FOLDERS.values():
-        return True
-    try:
-        _root(folder)
-    except ShardError:
-        return False
-    return True
+            logger.warning("%s: missing, so failed garments are not left out: download it too", path)
+            self.properties[key] = Properties()
 
 
 def _root(path: Path) -> Path:
     """The folder of the batches. Raises ``ShardError`` where there is none."""
     with reading(path):
         if not path.is_dir():
-            there = "a file" if path.exists() else "no such folder"
-            raise ShardError(f"{path}: {there}: give the folder that holds garments_5000_0 and its like")
-        for folder in (path, *sorted(inner for inner in path.iterdir() if inner.is_dir())):
-            if any(_is_batch(inner) for inner in folder.iterdir()):
-                return folder
-    raise ShardError(f"{path}: no folder such as garments_5000_0/default_body: give where GarmentCodeData lies")
-
-
-def _is_batch(path: Path) -> bool:
-    return path.is_dir() and any((path / folder).is_dir() for folder in BODY_FOLDERS.values())
+            problem = "a file" if path.exists() else "no such folder"
+            raise ShardError(f"{path}: {problem}: give the folder that holds garments_5000_0 and further batches")
+        folder = find_batches(path)
+    if folder is None:
+        raise ShardError(f"{path}: no folder such as garments_5000_0/default_body: give the folder of GarmentCodeData")
+    return folder
 
 
 def _order(path: Path) -> tuple[object, ...]:

@@ -1,7 +1,7 @@
 """The folder ``5000_body_shapes_and_measures`` as published with GarmentCodeData.
 
-meshes/00345_straight.obj, meshes/00345_apart.obj   one person in two poses [m], everybody on one mesh
-measurements/00345.yaml                             the measures, which hold for both poses [cm, degrees]
+meshes/00345_straight.obj, meshes/00345_apart.obj   one person in two poses [m], all people on one mesh
+measurements/00345.yaml                             the measures, the same for both poses [cm, degrees]
 meta/00345_meta.json                                pca_weights [standard deviations], arm_inclination [degrees]
 """
 
@@ -29,25 +29,25 @@ __all__ = ["FOLDER", "KINDS", "PublishedPeople"]
 
 FOLDER = "5000_body_shapes_and_measures"
 METRE = 100.0  # cm
-LARGEST = 1e4  # no weight and no angle in degrees is more
-SHORTEST, TALLEST = 30.0, 300.0  # cm: a mesh beyond is not in metres
+LARGEST = 1e4  # bound of weights, and of angles in degrees
+SHORTEST, TALLEST = 30.0, 300.0  # cm: heights beyond mean that the mesh is not in metres
 KINDS = {
     "measures": "measurements/{}.yaml",
     "meta": "meta/{}_meta.json",
     "straight": "meshes/{}_straight.obj",
     "apart": "meshes/{}_apart.obj",
 }
-"""What there is of each person, and where."""
+"""Kind of file to its path for a person."""
 
 
 class PublishedPeople:
     """The people in a folder of the published layout, by name (``00345``).
 
-    ``root``: the folder, or the one that its archive was extracted into. ``names``: whom to read; by default everybody
-    whose measures are there. ``needed``: which of ``KINDS`` there must be of each of them. ``segmentation``: a JSON of
-    vertex ids by part, as GarmentCode's ``ggg_body_segmentation.json``. May be pickled and forked.
+    ``root``: the folder, or its parent. ``names``: people to read; by default all with a measurement file. ``needed``:
+    the ``KINDS`` of file that each must have. ``segmentation``: a JSON of vertex ids by body part, as GarmentCode's
+    ``ggg_body_segmentation.json``. May be pickled and forked.
 
-    Raises ``ShardError`` with the first file that is missing, and how many are.
+    Raises ``ShardError`` with the first missing file, and the number of missing files.
     """
 
     def __init__(
@@ -59,12 +59,12 @@ class PublishedPeople:
         segmentation: Path | str | None = None,
     ) -> None:
         self.folder = _folder(user_path(root))
-        self.names = _everybody(self.folder) if names is None else tuple(names)
+        self.names = _all_names(self.folder) if names is None else tuple(names)
         self._segmentation = segmentation
         _require(self.folder, self.names, tuple(needed))
 
     def person(self, name: str) -> Person:
-        """One person. Raises ``BodyError`` with the file that is not as it should be."""
+        """One person. Raises ``BodyError`` naming an invalid file."""
         straight, apart = (self.vertices(name, pose) for pose in POSES)
         return Person(name, self.shape(name), straight, apart, self.measurements(name))
 
@@ -83,10 +83,10 @@ class PublishedPeople:
         return read_measurements(self._path(name, "measures"))
 
     def shape(self, name: str) -> BodyShape:
-        """A person's weights in the authors' shape space, and the turn of the arms. Raises ``BodyError``.
+        """A person's weights in the authors' shape space, and the arm angle [rad]. Raises ``BodyError``.
 
-        ``arm_angle`` is the ``arm_inclination`` of the file, which was drawn from ±15 degrees. Whether it lifts or
-        lowers the hands lies in the authors' rig, which is not published: the measure ``arm_pose_angle`` tells it.
+        ``arm_angle`` is ``arm_inclination`` of the file, drawn from ±15 degrees. Its sign depends on the authors' rig,
+        which is not published; the measure ``arm_pose_angle`` is the actual inclination.
         """
         path = self._path(name, "meta")
         try:
@@ -94,46 +94,46 @@ class PublishedPeople:
             weights, angle = meta["pca_weights"], meta["arm_inclination"]
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise BodyError(
-                f"{path}: no map with pca_weights and arm_inclination ({error}): extract it again"
+                f"{path}: no object with pca_weights and arm_inclination ({error}): extract it again"
             ) from error
         if not (isinstance(weights, list) and weights and all(map(_is_number, weights)) and _is_number(angle)):
-            there = f"pca_weights {reprlib.repr(weights)}, arm_inclination {reprlib.repr(angle)}"
-            raise BodyError(f"{path}: {there}: these are a list of numbers and a number of degrees: extract it again")
+            found = f"pca_weights {reprlib.repr(weights)}, arm_inclination {reprlib.repr(angle)}"
+            raise BodyError(f"{path}: {found}: expected a list of numbers, and degrees: extract it again")
         return BodyShape(np.array(weights, float), math.radians(angle))
 
     @functools.cached_property
     def mesh(self) -> BodyMesh:
-        """The mesh of everybody, as the first file has it. Raises ``BodyError`` for a broken file."""
+        """The common mesh, from the first file. Raises ``BodyError`` for a broken file."""
         first, parts = self._first, None
         if self._segmentation is not None:
             parts = read_body_parts(user_path(self._segmentation), first.n_vertices, first.path)
         return BodyMesh(first.faces, parts)
 
     @functools.cached_property
-    def _first(self) -> "_First":
-        """The first mesh that is there."""
+    def _first(self) -> "_FirstMesh":
+        """The first mesh on disk. Raises ``ShardError`` without any."""
         paths = (self._path(name, pose) for name in self.names for pose in POSES)
         path = next((path for path in paths if path.exists()), None)
         if path is None:
-            raise ShardError(f"{self.folder / 'meshes'}: no mesh of anybody: extract {FOLDER}.tar.gz again")
+            raise ShardError(f"{self.folder / 'meshes'}: no meshes: extract {FOLDER}.tar.gz again")
         text = read_obj(path)
-        return _First(path, len(text.v), text.triangles(), text.faces_hash())
+        return _FirstMesh(path, len(text.v), text.triangles(), text.faces_hash())
 
     def _require_same_mesh(self, text: ObjText) -> None:
-        """Raise ``BodyError`` if a file's vertices or triangles are not those of the mesh."""
+        """Raise ``BodyError`` if a file has other triangles, or another number of vertices, than the first mesh."""
         first = self._first
-        # Their text first: to read the numbers takes longer than all the rest.
+        # Compare the text first: parsing the numbers takes longer than all the rest.
         same = text.faces_hash() == first.faces_hash or np.array_equal(text.triangles(), first.faces)
         if not same or len(text.v) != first.n_vertices:
-            raise BodyError(f"{text.path}: not the mesh of {first.path.name}, on which everybody should be")
+            raise BodyError(f"{text.path}: another mesh than {first.path.name}: all people must be on one mesh")
 
     def _path(self, name: str, kind: str) -> Path:
         return self.folder / KINDS[kind].format(name)
 
 
 @dataclass(frozen=True, eq=False)
-class _First(Record):
-    """What every other mesh is held against."""
+class _FirstMesh(Record):
+    """The mesh to which all others must be equal."""
 
     path: Path
     n_vertices: int
@@ -142,37 +142,37 @@ class _First(Record):
 
 
 def _folder(root: Path) -> Path:
-    """The folder itself. Raises ``ShardError`` where there is none."""
+    """The folder of the bodies: ``root`` or its subfolder. Raises ``ShardError``."""
     with reading(root):
         if root.is_file():
             raise ShardError(f"{root}: a file: extract it (tar xzf) and give the folder {FOLDER}")
         for folder in (root, root / FOLDER):
             if (folder / "measurements").is_dir():
                 return folder
-    raise ShardError(f"{root}: neither {FOLDER} nor a folder that holds it: give where its archive was extracted")
+    raise ShardError(f"{root}: neither {FOLDER} nor a folder that holds it: give the folder of the extracted archive")
 
 
-def _everybody(folder: Path) -> tuple[str, ...]:
+def _all_names(folder: Path) -> tuple[str, ...]:
     with reading(folder):
         names = tuple(sorted(path.stem for path in (folder / "measurements").iterdir() if path.suffix == ".yaml"))
     if not names:
-        raise ShardError(f"{folder / 'measurements'}: measures of nobody: extract {FOLDER}.tar.gz again")
+        raise ShardError(f"{folder / 'measurements'}: no measurement files: extract {FOLDER}.tar.gz again")
     return names
 
 
 def _require(folder: Path, names: Sequence[str], kinds: Sequence[str]) -> None:
-    """Raise ``ShardError`` unless there are files of these kinds of everybody."""
+    """Raise ``ShardError`` unless all people have files of these kinds."""
     with reading(folder):
         subfolders = {KINDS[kind].partition("/")[0] for kind in kinds}
-        there = {
+        present = {
             f"{sub}/{path.name}" for sub in subfolders if (folder / sub).is_dir() for path in (folder / sub).iterdir()
         }
     wanted = [KINDS[kind].format(name) for name in names for kind in kinds]
-    missing = [file for file in wanted if file not in there]
+    missing = [file for file in wanted if file not in present]
     if missing:
         raise ShardError(
-            f"{folder / missing[0]}: missing, as {len(missing)} of {len(wanted)} files are: extract the archive again, "
-            "name whom to read, or leave out the fields that are not there"
+            f"{folder / missing[0]}: missing, with {len(missing)} of {len(wanted)} files: extract the archive again, "
+            "name the people to read, or leave out the missing fields"
         )
 
 

@@ -1,7 +1,7 @@
-"""A release that is being written: every garment in its place is whole, and a later run goes on.
+"""Writes a release garment by garment; an interrupted run is continued.
 
-What is not whole lies in a hidden folder of the release, beside a note of which garments it is made from; that folder
-goes when everything is there.
+Unfinished garments lie in a hidden folder, with a note that identifies their source; the folder is removed at the end.
+Each garment outside that folder is complete.
 """
 
 import shutil
@@ -20,48 +20,46 @@ UNFINISHED, NOTE, LOCK = ".unfinished", ".garments", ".export.lock"
 
 
 class ReleaseDraft:
-    """The folder of a release while garments are put into it."""
+    """The folder of a release during export."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self._apart = folder, folder / UNFINISHED
-        self._put: set[Path] = set()
+        self.folder, self._unfinished = folder, folder / UNFINISHED
+        self._visited: set[Path] = set()
 
     def begin(self, garments: str) -> None:
-        """Begin, or go on where a run with the same ``garments`` was stopped. Raises ``ConfigError`` for others."""
-        note = self._apart / NOTE
+        """Start the export, or continue one of the same ``garments``. Raises ``ConfigError`` for others."""
+        note = self._unfinished / NOTE
         with reading(self.folder):
             begun = note.read_text() if note.exists() else None
             others = {path.name for path in self.folder.iterdir()} - {UNFINISHED, LOCK}
         if others and begun is None:
-            raise ConfigError(
-                f"{self.folder}: not empty: choose another folder, so that nothing of two data sets is mixed"
-            )
+            raise ConfigError(f"{self.folder}: not empty: choose another folder")
         if others and begun != garments:
             raise ConfigError(
-                f"{self.folder}: begun from other garments, or by another version of gcd_dataset: delete it, or choose "
+                f"{self.folder}: begun with other garments, or by another version of gcd_dataset: delete it, or choose "
                 "another folder"
             )
-        make_folder(self._apart)
+        make_folder(self._unfinished)
         write_whole(note, garments.encode())
 
-    def holds(self, place: Path) -> bool:
-        """Whether the garment of that place is there.
+    def holds(self, path: Path) -> bool:
+        """Whether the garment at ``path``, relative to the release, is complete.
 
-        Raises ``ShardError`` for a place that was asked for before, and for one outside the release.
+        Raises ``ShardError`` for a path that was queried before, and for an unsafe one.
         """
-        for part in place.parts:
-            require_name(part, f"{self.folder}: a garment's place")
-        if place in self._put:
+        for part in path.parts:
+            require_name(part, f"{self.folder}: a garment's path")
+        if path in self._visited:
             raise ShardError(
-                f"{self.folder / place}: two garments of the data set have this name: export their splits one by one"
+                f"{self.folder / path}: two garments of the data set have this name: export their splits one by one"
             )
-        self._put.add(place)
-        with reading(self.folder / place):
-            return (self.folder / place).exists()
+        self._visited.add(path)
+        with reading(self.folder / path):
+            return (self.folder / path).exists()
 
-    def put(self, place: Path, files: Mapping[str, bytes]) -> None:
-        """The files of a garment, all of them or none. Raises ``OutputError``."""
-        folder, draft = self.folder / place, self._apart / place.name
+    def put(self, path: Path, files: Mapping[str, bytes]) -> None:
+        """Write the files of a garment, atomically. Raises ``OutputError``."""
+        folder, draft = self.folder / path, self._unfinished / path.name
         with writing_to(draft):
             if draft.exists():  # left by a run that was killed
                 shutil.rmtree(draft)
@@ -73,17 +71,17 @@ class ReleaseDraft:
             draft.rename(folder)
 
     def end(self) -> None:
-        """All is there. Raises ``OutputError``."""
-        with writing_to(self._apart):
-            shutil.rmtree(self._apart)
+        """Remove the hidden folder: the export is complete. Raises ``OutputError``."""
+        with writing_to(self._unfinished):
+            shutil.rmtree(self._unfinished)
 
 
 @contextmanager
 def release_draft(folder: Path | str, garments: str) -> Iterator[ReleaseDraft]:
-    """A release in ``folder``, whole when the block ends well; else the same ``garments`` may be gone on with.
+    """A release in ``folder``, complete when the block ends without an error; otherwise the next call continues it.
 
-    ``garments``: what tells them from others. Raises ``ConfigError`` for a folder with anything else in it,
-    ``OutputError`` for one that cannot be written, or that another process writes.
+    ``garments``: a text that identifies the exported garments. Raises ``ConfigError`` for a folder with anything else
+    in it, ``OutputError`` for one that cannot be written, or is locked by another process.
     """
     draft = ReleaseDraft(make_folder(folder))
     with locked(draft.folder / LOCK, "exporting"):

@@ -1,4 +1,4 @@
-"""The garments of one batch on one kind of body, wherever they lie: in a folder, or in the archive as downloaded."""
+"""The files of one batch on one kind of body: extracted, or in the downloaded archive."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from gcd_dataset.shards.access import reading
 __all__ = ["GarmentFiles", "open_batch"]
 
 ARCHIVES = (".tar.gz", ".tgz", ".tar")
-NO_GARMENTS = frozenset({"renders", "patterns_vis"})  # folders that the authors' tools put beside those of garments
+NO_GARMENTS = frozenset({"renders", "patterns_vis"})  # folders of the authors' tools beside the garments
 
 
 class GarmentFiles(Protocol):
@@ -21,23 +21,23 @@ class GarmentFiles(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the garments."""
+        """Names of the garments."""
 
-    def where(self, name: str) -> str:
-        """How messages call the place of a garment."""
+    def location(self, name: str) -> str:
+        """Path of a garment, for messages."""
 
     def read(self, name: str, kinds: Sequence[str]) -> dict[str, bytes]:
-        """Files of a garment by kind, those that there are. Raises ``ShardError``."""
+        """Kind to content of a garment's files, without missing ones. Raises ``ShardError``."""
 
 
 @dataclass(frozen=True)
 class Extracted:
-    """Garments in folders of their own."""
+    """Extracted garments, each in its folder."""
 
     path: Path
     names: tuple[str, ...]
 
-    def where(self, name: str) -> str:
+    def location(self, name: str) -> str:
         return str(self.path / name)
 
     def read(self, name: str, kinds: Sequence[str]) -> dict[str, bytes]:
@@ -51,10 +51,10 @@ class Extracted:
 
 
 def open_batch(folder: Path, cache_dir: Path | None) -> GarmentFiles:
-    """The garments in ``garments_5000_0/default_body`` or the like: those extracted, else those in its archive.
+    """The garments in a folder such as ``garments_5000_0/default_body``: extracted ones, else those in its archive.
 
     Raises ``ShardError`` for a folder without garments and for a damaged archive, ``OutputError`` where the index of an
-    archive cannot be kept.
+    archive cannot be written.
     """
     with reading(folder):
         data = folder / "data" if (folder / "data").is_dir() else folder

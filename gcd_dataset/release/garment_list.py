@@ -1,4 +1,4 @@
-"""The published GarmentCodeData as a list of garments: what is there, what the split asks for, what failed."""
+"""The garments of a split of the published GarmentCodeData that are on disk and have not failed."""
 
 import functools
 import hashlib
@@ -21,7 +21,7 @@ __all__ = ["ALL", "GarmentEntry", "PublishedGarments"]
 logger = logging.getLogger("gcd_dataset")
 
 ALL = "all"
-"""The split of every garment that is on disk."""
+"""The split of all garments on disk."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class GarmentEntry:
     """One garment of a split."""
 
     index: int
-    """Twice the place of its design in the split, and 1 more on a random body: whatever else is on disk."""
+    """2 · position of its design in the split, + 1 on a random body; independent of the other garments on disk."""
     batch: str
     body_folder: str
     name: str
@@ -41,8 +41,8 @@ class GarmentEntry:
 class PublishedGarments:
     """The garments of one split that are on disk and have not failed, in the order of the split.
 
-    ``split``: ``train``, ``validation``, ``test``, or ``all`` for whatever is on disk. May be pickled and forked.
-    Raises ``ConfigError`` for a split that there is not, ``ShardError`` for a split file that is missing or broken.
+    ``split``: ``train``, ``validation``, ``test``, or ``all`` for all garments on disk. May be pickled and forked.
+    Raises ``ConfigError`` for an unknown split, ``ShardError`` for a missing or broken split file.
     """
 
     def __init__(self, batches: PublishedBatches, split: str = "train") -> None:
@@ -54,37 +54,37 @@ class PublishedGarments:
         return len(self.entries)
 
     def garment(self, position: int) -> PublishedGarment:
-        """One garment; nothing is read yet."""
+        """One garment; its files are read on demand."""
         entry = self.entries[position]
-        place = (entry.batch, entry.body_folder)
-        files = self.batches.files[place]
+        key = (entry.batch, entry.body_folder)
+        files = self.batches.files[key]
         return PublishedGarment(
             name=entry.name,
-            place=files.where(entry.name),
+            location=files.location(entry.name),
             read=functools.partial(files.read, entry.name),
-            facts=self.batches.properties[place].facts.get(entry.name, Facts()),
+            facts=self.batches.properties[key].facts.get(entry.name, Facts()),
             default_body=entry.body_folder == BODY_FOLDERS["default"],
         )
 
     def require_any(self) -> None:
         """Raise ``ShardError`` if there is no garment."""
         if not self.entries:
-            there = ", ".join("/".join(place) for place in self.batches.files) or "none"
+            found = ", ".join("/".join(key) for key in self.batches.files) or "none"
             raise ShardError(
-                f"{self.batches.root}: no garment of split {self.split} on the bodies asked for: there is {there}: "
-                "download the batches that it lists"
+                f"{self.batches.root}: no garment of split {self.split} on these bodies; batches on disk: {found}: "
+                "download the batches that the split lists"
             )
 
     @functools.cached_property
     def split_sha256(self) -> str | None:
-        """Of the split file: what numbers the garments; ``None`` for all."""
+        """Hash of the split file, which decides the indices; ``None`` for split ``all``."""
         if self.split_file is None:
             return None
         with reading(self.split_file):
             return hashlib.sha256(self.split_file.read_bytes()).hexdigest()
 
     def _listed(self) -> Iterator[tuple[int, str, str]]:
-        """Number, batch and name of every design of the split."""
+        """Position, batch and name of every design of the split."""
         if self.split_file is not None:
             yield from ((number, *design) for number, design in enumerate(_designs(self.split_file, self.split)))
             return
@@ -94,27 +94,27 @@ class PublishedGarments:
         yield from ((number, *design) for number, design in enumerate(designs))
 
     def _present(self, listed: Iterator[tuple[int, str, str]]) -> Iterator[GarmentEntry]:
-        names = {place: frozenset(files.names) for place, files in self.batches.files.items()}
+        names = {key: frozenset(files.names) for key, files in self.batches.files.items()}
         absent = 0
         missing: list[GarmentEntry] = []
         for number, batch, name in listed:
             for folder in self.batches.body_folders:
-                place = (batch, folder)
+                key = (batch, folder)
                 entry = GarmentEntry(2 * number + (folder == BODY_FOLDERS["random"]), batch, folder, name)
-                if place not in names:
+                if key not in names:
                     absent += 1
-                elif name in self.batches.properties[place].fails:
+                elif name in self.batches.properties[key].fails:
                     continue
-                elif name in names[place]:
+                elif name in names[key]:
                     yield entry
                 elif self.split_file is not None:
                     missing.append(entry)
         if absent:
-            logger.info("%s: %d garments of the split are in batches that are not there", self.batches.root, absent)
+            logger.info("%s: %d garments of the split are in batches that are not on disk", self.batches.root, absent)
         if missing:
-            # The official lists name designs that came out well on the default body: on another some have failed.
+            # The official split lists designs that succeeded on the default body; some failed on random bodies.
             logger.warning(
-                "%s: %d garments of the split are neither there nor noted as failed, such as %s; they are left out",
+                "%s: %d garments of the split are neither on disk nor listed as failed, such as %s; they are left out",
                 self.batches.root,
                 len(missing),
                 shown(str(missing[0])),
@@ -122,7 +122,7 @@ class PublishedGarments:
 
 
 def _split_name(split: str) -> str:
-    """Our name for a split; theirs is known too. Raises ``ConfigError``."""
+    """Our name of a split, given by ours or the authors' name. Raises ``ConfigError``."""
     for name, others in SPLIT_NAMES.items():
         if split == name or split in others:
             return name
@@ -133,10 +133,11 @@ def _split_name(split: str) -> str:
 
 
 def _split_file(batches: PublishedBatches) -> Path:
+    """The official split file. Raises ``ShardError`` without one."""
     if batches.split_file is None:
         raise ShardError(
             f"{batches.root}: no official split ({SPLIT_FILE}): download it into this folder; "
-            f"PublishedGarmentCodeData does without for {ALL!r}"
+            f"split={ALL!r} does not need it"
         )
     return batches.split_file
 
@@ -148,7 +149,7 @@ def _designs(path: Path, split: str) -> list[tuple[str, str]]:
     try:
         lists: Mapping[str, Any] = json.loads(text)
         (key,) = (name for name in SPLIT_NAMES[split] if name in lists)
-        # On disk a level named data may lie between.
+        # Version 2 has an extra level named data.
         parts = [[part for part in entry.strip("/").split("/") if part != "data"] for entry in lists[key]]
         return [(batch, name) for batch, _, name in parts]
     except (ValueError, TypeError, AttributeError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""Body meshes as OBJ text, as the authors' tools write them: one mesh, triangles, vertices in the order that counts."""
+"""Reads body meshes from OBJ files by the authors' tools: one mesh of triangles, in the file's order of vertices."""
 
 import hashlib
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ __all__ = ["ObjText", "read_obj"]
 
 @dataclass(frozen=True)
 class ObjText:
-    """The lines of an OBJ file that count: vertices and faces."""
+    """The vertex and face lines of an OBJ file."""
 
     path: Path
     v: tuple[bytes, ...]
@@ -28,7 +28,7 @@ class ObjText:
         except ValueError as error:
             raise self._broken(f"a vertex that is not three numbers ({error})") from error
         if not np.isfinite(found).all():
-            raise self._broken("a position that is no number")
+            raise self._broken("a position that is NaN or infinite")
         return found
 
     def triangles(self) -> Int[np.ndarray, "f 3"]:
@@ -45,11 +45,11 @@ class ObjText:
         return found.astype(np.int32)
 
     def faces_hash(self) -> str:
-        """Equal for files whose faces are written alike."""
+        """SHA-256 of the face lines."""
         return hashlib.sha256(b"\n".join(self.f)).hexdigest()
 
-    def _broken(self, what: str) -> BodyError:
-        return BodyError(f"{self.path}: holds {what}: extract or export it again")
+    def _broken(self, problem: str) -> BodyError:
+        return BodyError(f"{self.path}: holds {problem}: extract or export it again")
 
 
 def read_obj(path: Path) -> ObjText:

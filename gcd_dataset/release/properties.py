@@ -1,7 +1,7 @@
-"""``dataset_properties_default_body.yaml``: what the authors' tools noted about all garments of a batch.
+"""Reads ``dataset_properties_default_body.yaml``: failures and simulation counts of the garments of a batch.
 
-It tells which garments failed: those are left out, whether or not their folders are there. A file of 5,000 garments
-takes seconds to parse, so what counts of it is kept.
+Failed garments are left out, even if their folders exist. Parsing a file of 5,000 garments takes seconds, so an extract
+is cached.
 """
 
 import json
@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from gcd_dataset.errors import ShardError
-from gcd_dataset.release.memo import keep, kept_path, stamp_of
+from gcd_dataset.release.file_cache import cache_path, file_stamp, write_cache
 from gcd_dataset.release.published_names import REMEDY
 from gcd_dataset.shards.access import reading
 from gcd_dataset.yamlfile import require_shallow
@@ -26,7 +26,7 @@ COUNTS = {"frames": "fin_frame", "self_crossings": "self_collisions", "body_cros
 
 @dataclass(frozen=True)
 class Facts:
-    """What is noted of one garment; -1 where nobody counted."""
+    """Simulation counts of one garment; -1 for a missing count."""
 
     frames: int = -1
     self_crossings: int = -1
@@ -35,27 +35,27 @@ class Facts:
 
 @dataclass(frozen=True)
 class Properties:
-    """What counts of the file."""
+    """The extract of a properties file."""
 
     fails: Mapping[str, str] = field(default_factory=dict)
-    """Name of each garment that failed, to the class of its failure."""
+    """Failed garment to the class of its failure."""
     facts: Mapping[str, Facts] = field(default_factory=dict)
-    """Of each garment that was simulated."""
+    """Simulated garment to its counts."""
 
 
 def read_properties(path: Path, cache_dir: Path | None) -> Properties:
-    """The properties of a batch. Raises ``ShardError`` for a broken file, ``OutputError`` where they cannot be kept."""
-    stamp, kept = [SCHEMA, *stamp_of(path)], kept_path(path, cache_dir, ".json")
-    there = _kept(kept, stamp)
-    if there is not None:
-        return there
+    """The properties of a batch. Raises ``ShardError`` for a broken file, ``OutputError`` for an unwritable cache."""
+    stamp, cache = [SCHEMA, *file_stamp(path)], cache_path(path, cache_dir, ".json")
+    cached = _read_cache(cache, stamp)
+    if cached is not None:
+        return cached
     properties = _parsed(path)
-    keep(kept, json.dumps({"stamp": stamp} | asdict(properties), separators=(",", ":")).encode())
+    write_cache(cache, json.dumps({"stamp": stamp} | asdict(properties), separators=(",", ":")).encode())
     return properties
 
 
-def _kept(path: Path, stamp: list[int]) -> Properties | None:
-    """What is kept; ``None`` where there is nothing yet, or what is there is broken, or of another file."""
+def _read_cache(path: Path, stamp: list[int]) -> Properties | None:
+    """The cached extract; ``None`` for a missing or broken one, or one of another file."""
     try:
         entry = json.loads(path.read_bytes())
         if entry["stamp"] != stamp:
@@ -85,11 +85,11 @@ def _parsed(path: Path) -> Properties:
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Reads plain values, and passes by what Python objects were written into the file."""
+    """Reads plain values, and skips Python objects in the file."""
 
 
-def _passed_by(loader: Any, suffix: str, node: yaml.Node) -> None:
+def _skip_object(loader: Any, suffix: str, node: yaml.Node) -> None:
     return None
 
 
-_Loader.add_multi_constructor("tag:yaml.org,2002:python/", _passed_by)
+_Loader.add_multi_constructor("tag:yaml.org,2002:python/", _skip_object)

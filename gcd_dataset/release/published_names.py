@@ -6,13 +6,14 @@ garments_5000_0/default_body/data.tar.gz                             as download
 garments_5000_0/default_body/data/rand_K3V9QX7T1B/                   extracted; version 1 without ``data``
     rand_K3V9QX7T1B_specification.json                               … and the other files of ``ENDINGS``
 garments_5000_0/random_body/…                                        the same designs on other bodies
-5000_body_shapes_and_measures/                                       those bodies, see ``PublishedPeople``
+5000_body_shapes_and_measures/                                       the random bodies, see ``PublishedPeople``
 """
 
 import re
 from collections.abc import Mapping
 
 from gcd_dataset.errors import ConfigError, did_you_mean
+from gcd_dataset.shards.published import BODY_FOLDERS
 
 __all__ = [
     "BODY_FOLDERS",
@@ -45,11 +46,8 @@ ENDINGS: Mapping[str, str] = {
 }
 """The files of a garment, each named after the garment and with one of these endings."""
 
-BODY_FOLDERS: Mapping[str, str] = {"default": "default_body", "random": "random_body"}
-"""Choice of ``bodies`` to the folder of a batch."""
-
 DEFAULT_BODY = "mean_all"
-"""Who wears the garments of ``default_body``: published files do not say so themselves."""
+"""Name of the body in ``default_body``; the published files do not hold it."""
 
 SPLIT_FILE = "*train_valid_test_data_split*.json"
 SPLIT_NAMES: Mapping[str, tuple[str, ...]] = {
@@ -57,11 +55,11 @@ SPLIT_NAMES: Mapping[str, tuple[str, ...]] = {
     "validation": ("validation", "valid"),
     "test": ("test",),
 }
-"""Our name of a split to those that split files have for it: the official one, and those of redistributed copies."""
+"""Split to its names in split files: the official file, and redistributed copies."""
 
 
 def properties_name(body_folder: str) -> str:
-    """The name of the file that tells about all garments of a batch on one kind of body."""
+    """The name of the properties file of a batch: its failures and simulation counts on one kind of body."""
     return f"dataset_properties_{body_folder}.yaml"
 
 
@@ -76,7 +74,7 @@ def body_folders(bodies: str) -> tuple[str, ...]:
 
 
 def batch_order(name: str) -> tuple[object, ...]:
-    """Sorts ``garments_5000_10`` behind ``garments_5000_9``.
+    """Sort key that puts ``garments_5000_10`` behind ``garments_5000_9``.
 
     >>> sorted(["b_10", "b_9", "a_11"], key=batch_order)
     ['a_11', 'b_9', 'b_10']

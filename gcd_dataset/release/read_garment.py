@@ -1,4 +1,4 @@
-"""A published garment as our records: files read, ply vertices welded back to the numbers of the labels."""
+"""Reads a published garment into our records; welds the split PLY vertices back to the numbers of the labels."""
 
 import functools
 import json
@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from gcd_dataset.bodyfiles import parse_measurements
 from gcd_dataset.errors import BodyError, ShardError, SpecError, shown
 from gcd_dataset.records import BoxMesh, Drape, Measurements, Outcome, Panel, Pattern
-from gcd_dataset.release.ply import Ply, first_mentions, read_ply
+from gcd_dataset.release.ply import Ply, read_ply, weld
 from gcd_dataset.release.properties import Facts
 from gcd_dataset.release.published_names import DEFAULT_BODY, ENDINGS, REMEDY
 from gcd_dataset.spec import pattern_from_spec
@@ -27,43 +27,43 @@ from gcd_dataset.yamlfile import require_shallow
 __all__ = ["PublishedGarment"]
 
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-SEAM = "stitch_"  # how a line of the segmentation file begins where panels are sewn together
+SEAM = "stitch_"  # prefix of seam vertices in the segmentation file
 SEAM_NUMBER = re.compile(r"[0-9]{1,9}")
-MOST_VALUES, DEEPEST = 1_000_000, 64  # of a YAML file; an alias may stand for another alias, and so on
+MOST_VALUES, DEEPEST = 1_000_000, 64  # of a YAML tree with its aliases expanded
 BROKEN = (yaml.YAMLError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError)
-"""What PyYAML lets through of a date that is none, ``!!bool maybe``, a map that is its own key, …"""
-SHORTEST = 1e-6  # cm: the flat length of an edge whose stretch is told
-FLATNESS = 0.02  # cm: how far a vertex in the middle of a panel may be from where its texture coordinates put it
+"""Exceptions of PyYAML on invalid dates, ``!!bool maybe``, a map that is its own key, …"""
+SHORTEST = 1e-6  # cm: flat length below which an edge has no stretch
+FLATNESS = 0.02  # cm: tolerance between an inner vertex of a panel and its texture coordinates
 
 
 @dataclass(frozen=True, eq=False)
 class PublishedGarment:
-    """One garment, its files read when they are first asked for.
+    """One garment; its files are read on demand.
 
-    Every property raises ``ShardError`` with the file where that is missing or not as it should be.
+    Properties raise ``ShardError`` naming a missing or invalid file.
     """
 
     name: str
-    place: str
-    """The archive or folder, for messages."""
+    location: str
+    """Its folder or archive entry, for messages."""
     read: Callable[[Sequence[str]], Mapping[str, bytes]]
-    """Kinds of file to their contents, those that there are."""
+    """Reads kinds of file: kind to content, without missing ones."""
     facts: Facts
     default_body: bool
-    """Whether this is the design on the default body."""
+    """Whether the garment is on the default body."""
 
     def fetch(self, kinds: Iterable[str]) -> None:
-        """Read several files at once."""
+        """Read several files in one call of ``read``."""
         if missing := [kind for kind in kinds if kind not in self._files]:
             self._files.update(self.read(missing))
 
-    def broken(self, kind: str, what: str) -> ShardError:
-        """The error for a file that is not as it should be."""
-        return ShardError(f"{self._path(kind)}: {what}: {REMEDY}")
+    def broken(self, kind: str, problem: str) -> ShardError:
+        """The error for an invalid file."""
+        return ShardError(f"{self._path(kind)}: {problem}: {REMEDY}")
 
     @functools.cached_property
     def pattern(self) -> Pattern:
-        """Its sewing pattern; whether it can be sewn is left to ``validate``."""
+        """The sewing pattern; ``gcd_dataset.validate`` checks whether it can be sewn."""
         try:
             pattern = pattern_from_spec(json.loads(self._file("spec")), self.name, source=self._path("spec"))
         except (ValueError, RecursionError, SpecError) as error:
@@ -72,12 +72,14 @@ class PublishedGarment:
         for number, seam in enumerate(pattern.seams):
             for side in (seam.left, seam.right):
                 if not 0 <= side.edge < edges.get(side.panel, 0):
-                    raise self.broken("spec", f"seam {number} joins {shown(side.panel)}, edge {side.edge}: not there")
+                    raise self.broken(
+                        "spec", f"seam {number} joins {shown(side.panel)}, edge {side.edge}, which does not exist"
+                    )
         return pattern
 
     @functools.cached_property
     def design(self) -> Mapping[str, Any]:
-        """The tree of its design parameters: values ``v`` beside range and type, those of parts not worn too."""
+        """The tree of design parameters, unused parts included: value ``v``, range and type of each."""
         design = self._yaml("design").get("design")
         if not isinstance(design, dict):
             raise self.broken("design", "no map named design")
@@ -85,7 +87,7 @@ class PublishedGarment:
 
     @functools.cached_property
     def measurements(self) -> Measurements:
-        """Of the wearer, as they stand in the file."""
+        """The wearer's measures."""
         try:
             return parse_measurements(self._yaml("measures"), self._path("measures"))
         except BodyError as error:
@@ -93,29 +95,29 @@ class PublishedGarment:
 
     @property
     def measures(self) -> dict[str, float]:
-        """All numbers of the measurement file, as they stand there: cm, inclinations in degrees; derived ones too."""
-        self.measurements  # noqa: B018 -- raises for a file that is not as it should be
+        """All numbers of the measurement file, derived ones included: cm, inclinations in degrees."""
+        self.measurements  # noqa: B018 -- raises for an invalid file
         table = self._yaml("measures")["body"]
         return {key: value for key, value in table.items() if type(value) in (int, float) and abs(value) < math.inf}
 
     @property
     def body_name(self) -> str:
-        """Whose the measures are: ``mean_all``, or a person and pose, as ``00345_straight``."""
+        """Name of the wearer: ``mean_all``, or a person and pose such as ``00345_straight``."""
         table = self._yaml("measures").get("body")
-        given = table if isinstance(table, Mapping) else {}
-        name = given.get("body_sample", DEFAULT_BODY if self.default_body else None)
+        body = table if isinstance(table, Mapping) else {}
+        name = body.get("body_sample", DEFAULT_BODY if self.default_body else None)
         if not isinstance(name, str):
-            raise self.broken("measures", "does not say who wears the garment, as body_sample: 00345_straight would")
+            raise self.broken("measures", "body_sample is missing, such as 00345_straight")
         return name
 
     @functools.cached_property
     def box_mesh(self) -> BoxMesh:
-        """The pattern as a mesh, before sewing; ``uv`` in the planes of the panels [cm]."""
+        """The mesh before sewing; ``uv`` in the planes of the panels [cm]."""
         box, pattern = self._box, self.pattern
         first, vertex = self._welded
         panel_of_row = self._panel_of_row
         return BoxMesh(
-            vertices=box.places[first].astype(float),
+            vertices=box.vertices[first].astype(float),
             faces=vertex[box.faces],
             uv=self._in_panel_planes(panel_of_row),
             corners=box.faces,
@@ -129,8 +131,8 @@ class PublishedGarment:
 
     @functools.cached_property
     def vertices(self) -> Float[np.ndarray, "v 3"]:
-        """Positions at rest [cm]."""
-        return self._sim.places[self._welded[0]]
+        """Vertex positions at rest [cm]."""
+        return self._sim.vertices[self._welded[0]]
 
     @property
     def faces(self) -> Int[np.ndarray, "f 3"]:
@@ -139,7 +141,7 @@ class PublishedGarment:
 
     @property
     def drape(self) -> Drape:
-        """The garment at rest; a count is -1 where the properties of its batch do not tell it."""
+        """The settled garment; counts are -1 where the batch's properties lack them."""
         stretch = _stretch(self.box_mesh, self.vertices.astype(float))
         median, p99 = np.percentile(stretch, [50, 99]).tolist() if len(stretch) else (np.nan, np.nan)
         facts = self.facts
@@ -159,25 +161,25 @@ class PublishedGarment:
 
     @functools.cached_property
     def _box(self) -> Ply:
-        """The mesh before sewing, row by row that of the drape."""
+        """The mesh before sewing, with the rows and faces of the drape."""
         box = self._ply("box")
-        if not np.array_equal(box.faces, self._sim.faces) or len(box.places) != len(self._sim.places):
-            raise self.broken("box", f"not the mesh of {self.name}{ENDINGS['sim']}")
+        if not np.array_equal(box.faces, self._sim.faces) or len(box.vertices) != len(self._sim.vertices):
+            raise self.broken("box", f"another mesh than {self.name}{ENDINGS['sim']}")
         return box
 
     @functools.cached_property
     def _segments(self) -> tuple[str, ...]:
-        """Panel or seams of every vertex."""
+        """Panel, or comma-separated seams, of every vertex."""
         text = self._file("segmentation").decode("utf-8", "replace")
         return tuple(text.removesuffix("\n").split("\n"))
 
     @functools.cached_property
     def _welded(self) -> tuple[Int[np.ndarray, " v"], Int[np.ndarray, " c"]]:
-        """First row of each vertex, vertex of each row."""
-        count, sim = len(self._segments), self._sim.places
-        first, vertex = first_mentions(sim)
-        if len(first) != count:  # vertices that came to lie on each other to the last digit lay apart before
-            first, vertex = first_mentions(sim, self._box.places)
+        """First row of each welded vertex, welded vertex of each row."""
+        count, sim = len(self._segments), self._sim.vertices
+        first, vertex = weld(sim)
+        if len(first) != count:  # vertices may coincide in the drape; they are apart before sewing
+            first, vertex = weld(sim, self._box.vertices)
         if len(first) != count:
             raise self.broken("segmentation", f"labels {count} vertices, the mesh has {len(first)}")
         return first, vertex
@@ -192,24 +194,24 @@ class PublishedGarment:
         ]
         seams = np.array(rows, np.int64).reshape(-1, 2)
         if len(seams) and not 0 <= seams[:, 1].min() <= seams[:, 1].max() < len(self.pattern.seams):
-            raise self.broken("segmentation", f"names a stitch that is none of the {len(self.pattern.seams)}")
+            raise self.broken("segmentation", f"names a stitch outside the {len(self.pattern.seams)} of the pattern")
         return seams[np.argsort(seams[:, 1], kind="stable")]
 
     @functools.cached_property
     def _panel_of_row(self) -> Int[np.ndarray, " c"]:
-        """The panel that each row of the mesh lies in: rows that triangles join are of one panel."""
+        """Panel of each row: rows connected by triangles belong to one panel."""
         names = [panel.name for panel in self.pattern.panels]
         free = {segment: -1 for segment in self._segments if segment.startswith(SEAM)}
         number = free | {name: row for row, name in enumerate(names)}
         if unknown := sorted(set(self._segments) - number.keys()):
             raise self.broken("segmentation", f"names {shown(unknown[0])}, which is no panel of the pattern")
-        told = np.array([number[segment] for segment in self._segments])[self._welded[1]]
-        count, piece = _pieces(self._box.faces, len(told))
+        named = np.array([number[segment] for segment in self._segments])[self._welded[1]]
+        count, piece = _pieces(self._box.faces, len(named))
         panel = np.full(count, -1)
-        panel[piece[told >= 0]] = told[told >= 0]
-        if (panel[piece[told >= 0]] != told[told >= 0]).any():
+        panel[piece[named >= 0]] = named[named >= 0]
+        if (panel[piece[named >= 0]] != named[named >= 0]).any():
             raise self.broken("segmentation", "names two panels in one piece of cloth")
-        # Pieces that are sewn all over name no panel; faces stand in the order of the panels.
+        # Pieces with only seam vertices name no panel; faces are sorted by panel.
         left = [row for row in range(len(names)) if row not in panel]
         unnamed = [p for p in dict.fromkeys(piece[self._box.faces[:, 0]].tolist()) if panel[p] < 0]
         if len(left) != len(unnamed):
@@ -223,7 +225,7 @@ class PublishedGarment:
         labels = {}
         for label, ids in self._yaml("vertex_labels").items():
             if not isinstance(ids, list) or not all(type(i) is int and 0 <= i < len(self._segments) for i in ids):
-                raise self.broken("vertex_labels", f"{shown(str(label))} is no list of the mesh's vertices")
+                raise self.broken("vertex_labels", f"{shown(str(label))} is no list of vertices of the mesh")
             if label not in known:
                 raise self.broken("vertex_labels", f"{shown(str(label))} is on no edge of the pattern")
             labels[label] = np.array(ids, np.int64)
@@ -232,8 +234,8 @@ class PublishedGarment:
     def _in_panel_planes(self, panel_of_row: Int[np.ndarray, " c"]) -> Float[np.ndarray, "c 2"]:
         """Every row in the plane of its panel [cm].
 
-        Rows off seams still hang where their panel was placed. Those on seams do not; their texture coordinates are
-        the panel's plane, moved, and stretched along x and y as the whole garment is.
+        Rows off seams follow from the placement of their panel. Rows on seams do not, since they are welded; their
+        texture coordinates are plane coordinates up to a translation a panel, and one scale along x and y each.
         """
         box, texture = self._box, self._box.texture
         on_seam = np.zeros(len(self._segments), bool)
@@ -241,17 +243,17 @@ class PublishedGarment:
         free = ~on_seam[self._welded[1]]
         flat = np.zeros((len(texture), 2))
         for row, panel in enumerate(self.pattern.panels):
-            own = free & (panel_of_row == row)
-            flat[own] = ((box.places[own] - panel.placement.translation) @ panel.placement.matrix)[:, :2]
+            inner = free & (panel_of_row == row)
+            flat[inner] = ((box.vertices[inner] - panel.placement.translation) @ panel.placement.matrix)[:, :2]
         scale = _common_scale(texture[free], flat[free], panel_of_row[free])
         scaled = texture * scale
         for row, panel in enumerate(self.pattern.panels):
-            own = panel_of_row == row
-            known = own & free
-            offset = (flat - scaled)[known].mean(axis=0) if known.any() else _offset(scaled[own], panel)
-            if not np.abs((scaled + offset - flat)[known]).max(initial=0.0) <= FLATNESS:  # nor for what is no number
-                raise self.broken("box", f"texture coordinates of panel {panel.name} are not those of its plane")
-            flat[own & ~free] = scaled[own & ~free] + offset
+            in_panel = panel_of_row == row
+            known = in_panel & free
+            offset = (flat - scaled)[known].mean(axis=0) if known.any() else _offset(scaled[in_panel], panel)
+            if not np.abs((scaled + offset - flat)[known]).max(initial=0.0) <= FLATNESS:  # false for NaN
+                raise self.broken("box", f"texture coordinates of panel {panel.name} do not match its plane")
+            flat[in_panel & ~free] = scaled[in_panel & ~free] + offset
         return flat
 
     # -------------------------------------------------------------------------------------------------------- files
@@ -271,7 +273,7 @@ class PublishedGarment:
         try:
             return read_ply(self._file(kind))
         except ShardError as error:
-            raise error if str(error).startswith(self.place) else self.broken(kind, str(error)) from error
+            raise error if str(error).startswith(self.location) else self.broken(kind, str(error)) from error
 
     def _yaml(self, kind: str) -> dict[str, Any]:
         try:
@@ -285,14 +287,14 @@ class PublishedGarment:
         return table if isinstance(table, dict) else {}
 
     def _path(self, kind: str) -> str:
-        return f"{self.place}/{self.name}{ENDINGS[kind]}"
+        return f"{self.location}/{self.name}{ENDINGS[kind]}"
 
 
 def _is_small(table: Any) -> bool:
-    """Whether a tree has few levels and values, each counted as often as aliases name it."""
+    """Whether a tree, its aliases expanded, has at most ``DEEPEST`` levels and ``MOST_VALUES`` values."""
     level, count = [table], 1
     for _ in range(DEEPEST):
-        inner = (value.values() if isinstance(value, Mapping) else value for value in level if _holds(value))
+        inner = (value.values() if isinstance(value, Mapping) else value for value in level if _is_container(value))
         level = list(islice(chain.from_iterable(inner), MOST_VALUES))
         count += len(level)
         if not level or count > MOST_VALUES:
@@ -300,12 +302,12 @@ def _is_small(table: Any) -> bool:
     return not level and count <= MOST_VALUES
 
 
-def _holds(value: Any) -> bool:
+def _is_container(value: Any) -> bool:
     return isinstance(value, Mapping | list | tuple | set)
 
 
 def _pieces(faces: Int[np.ndarray, "f 3"], rows: int) -> tuple[int, Int[np.ndarray, " c"]]:
-    """How many pieces triangles form, and the piece of every row."""
+    """Number of connected components of the mesh, and the component of every row."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]]).T
     return connected_components(coo_matrix((np.ones(ends.shape[1]), ends), shape=(rows, rows)), directed=False)
 
@@ -313,7 +315,7 @@ def _pieces(faces: Int[np.ndarray, "f 3"], rows: int) -> tuple[int, Int[np.ndarr
 def _common_scale(
     texture: Float[np.ndarray, "n 2"], flat: Float[np.ndarray, "n 2"], panel: Int[np.ndarray, " n"]
 ) -> Float[np.ndarray, "2"]:
-    """Centimetres a texture coordinate, along x and y: the least squares over all panels, each moved by itself."""
+    """Centimetres per texture unit along x and y: a least-squares fit over all panels, with a translation each."""
     count = np.maximum(np.bincount(panel), 1)
 
     def centred(values: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
@@ -325,7 +327,7 @@ def _common_scale(
 
 
 def _offset(scaled: Float[np.ndarray, "n 2"], panel: Panel) -> Float[np.ndarray, "2"]:
-    """What moves a mesh without rows of known place onto its panel: its corners are among the rows."""
+    """Translation onto the panel for a mesh without inner rows, by ICP between the panel's corners and the rows."""
     corners = panel.vertices[[edge.start for edge in panel.edges]]
     offset = 0.5 * (corners.min(axis=0) + corners.max(axis=0) - scaled.min(axis=0) - scaled.max(axis=0))
     for _ in range(8):
@@ -336,7 +338,7 @@ def _offset(scaled: Float[np.ndarray, "n 2"], panel: Panel) -> Float[np.ndarray,
 
 
 def _stretch(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " e"]:
-    """Length of the edges of the mesh against their flat lengths; edges of no flat length are left out."""
+    """Stretch of the mesh edges: length / flat length, without edges of zero flat length."""
     sides = np.sort(np.concatenate([mesh.corners[:, [0, 1]], mesh.corners[:, [1, 2]], mesh.corners[:, [2, 0]]]), axis=1)
     a, b = np.divmod(np.unique(sides[:, 0] * len(mesh.uv) + sides[:, 1]), max(len(mesh.uv), 1))
     flat = np.linalg.norm(mesh.uv[a] - mesh.uv[b], axis=1)

@@ -1,7 +1,7 @@
-"""Garments of ours as the files of the published layout, so that code written for it reads them.
+"""Writes our garments as the files of the published layout, for code written for it.
 
-Where the layout stores less than we have, or in a worse form, we follow the layout: ply files split vertices at seams,
-texture coordinates lose their scale, the rest lengths of seams are a pickle (of plain numbers: any reader takes them).
+The layout loses some information: PLY files split vertices at seams, and texture coordinates lose their scale. The rest
+lengths of seams are a pickle, of plain numbers only.
 """
 
 import io
@@ -19,14 +19,14 @@ from PIL import Image
 from gcd_dataset.bodyfiles import measurements_tree
 from gcd_dataset.errors import ShardError
 from gcd_dataset.records import ANGLES, BoxMesh, Drape, Measurements, Outcome, Record, Sample
-from gcd_dataset.release.ply import Ply, first_mentions, write_ply
+from gcd_dataset.release.ply import Ply, weld, write_ply
 from gcd_dataset.release.published_names import ENDINGS
 from gcd_dataset.spec import spec_from_pattern
 
 __all__ = ["FAIL_CLASSES", "PatternDrawing", "garment_files", "yaml_bytes"]
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-PICTURE = 800  # pixels, of a render
+PICTURE = 800  # pixels a side of a render
 PICKLE = 4  # protocol
 DEGREE_DIGITS = 10
 
@@ -40,35 +40,35 @@ FAIL_CLASSES: Mapping[Outcome, str] = {
     Outcome.OVERFULL: "crashes",
     Outcome.DIVERGED: "crashes",
 }
-"""How the properties of a batch call a drape that failed; they have one word for what they did not foresee."""
+"""Outcome to the failure class in the properties of a batch; ``crashes`` for failures without a class."""
 
 
 @dataclass(frozen=True, eq=False)
 class PatternDrawing(Record):
-    """What is drawn of a pattern, and where its panels lie in the drawing."""
+    """The drawings of a pattern, and the positions of its panels in the texture."""
 
     svg: bytes
     drawing: bytes
     """PNG of the pattern."""
     texture: bytes
-    """PNG that the texture coordinates point into."""
+    """PNG of the texture."""
     shifts: Float[np.ndarray, "p 2"]
-    """From each panel's plane to the texture [cm]."""
+    """Translation from each panel's plane to the texture [cm]."""
     size: Float[np.ndarray, "2"]
-    """Of the texture [cm]."""
+    """Width and height of the texture [cm]."""
 
 
 def garment_files(
     sample: Sample, name: str, design: Mapping[str, Any], drawn: PatternDrawing, *, body_sample: str | None
 ) -> dict[str, bytes]:
-    """File name to content, of the 13 files that a draped garment has there.
+    """File name to content of the 13 files of a draped garment.
 
-    ``design``: the tree of its parameters. ``body_sample``: who wears it; ``None`` on the default body. Raises
-    ``ShardError`` for a garment that is not draped, or that the layout cannot hold.
+    ``design``: the tree of its parameters. ``body_sample``: name of the wearer; ``None`` for the default body. Raises
+    ``ShardError`` for a garment without a drape, and for one that the layout cannot hold.
     """
     mesh, drape = sample.box_mesh, sample.drape
     if mesh is None or drape is None:
-        raise ShardError(f"sample {sample.key} is not draped, and the published layout holds drapes: make it so")
+        raise ShardError(f"sample {sample.key} is not draped, and the published layout holds drapes: drape it")
     content = {
         "spec": json.dumps(spec_from_pattern(sample.pattern), indent=2).encode(),
         "svg": drawn.svg,
@@ -87,12 +87,12 @@ def garment_files(
 
 
 def yaml_bytes(tree: Mapping[str, Any]) -> bytes:
-    """A tree as YAML with every digit, in its own order."""
+    """A tree as YAML, with all digits, in the order of its keys."""
     return yaml.dump(tree, Dumper=DUMPER, sort_keys=False, default_flow_style=False).encode()
 
 
 def _measures(measurements: Measurements, body_sample: str | None) -> dict[str, float | str]:
-    """The measures, without the digits that degrees gain on their way through radians."""
+    """The measures; angles are rounded to remove the rounding errors of radians."""
     tree: dict[str, float | str] = {
         key: round(value, DEGREE_DIGITS) if key.removeprefix("_") in ANGLES else value
         for key, value in measurements_tree(measurements).items()
@@ -101,26 +101,26 @@ def _measures(measurements: Measurements, body_sample: str | None) -> dict[str, 
 
 
 def _meshes(key: str, mesh: BoxMesh, drape: Drape, drawn: PatternDrawing) -> dict[str, bytes]:
-    """Both ply files: a vertex for each row of ``uv``, those of one vertex side by side."""
+    """Both PLY files: a split vertex for each row of ``uv``, sorted by welded vertex. Raises ``ShardError``."""
     panel_of_row = np.zeros(len(mesh.uv), np.int64)
     panel_of_row[mesh.corners] = mesh.panel_id[:, None]
     texture = (mesh.uv + drawn.shifts[panel_of_row]) / drawn.size
     rows = np.argsort(mesh.uv_vertex, kind="stable")
-    place = np.empty_like(rows)
-    place[rows] = np.arange(len(rows))
-    faces = place[mesh.corners]
+    number = np.empty_like(rows)
+    number[rows] = np.arange(len(rows))
+    faces = number[mesh.corners]
     positions = {
         kind: np.asarray(vertices, np.float32)[mesh.uv_vertex[rows]]
         for kind, vertices in (("box", mesh.vertices), ("sim", drape.vertices))
     }
-    # Readers find a vertex again by its place.
-    if not np.array_equal(first_mentions(positions["sim"])[1], mesh.uv_vertex[rows]):
-        raise ShardError(f"sample {key}: two vertices of its drape lie on each other, or one has no face: leave it out")
-    return {kind: write_ply(Ply(places, texture[rows], faces)) for kind, places in positions.items()}
+    # Readers weld vertices by position.
+    if not np.array_equal(weld(positions["sim"])[1], mesh.uv_vertex[rows]):
+        raise ShardError(f"sample {key}: two vertices of its drape coincide, or one has no face: leave it out")
+    return {kind: write_ply(Ply(vertices, texture[rows], faces)) for kind, vertices in positions.items()}
 
 
 def _segments(mesh: BoxMesh) -> list[str]:
-    """Panel, or seams, of every vertex."""
+    """Panel, or comma-separated seams, of every vertex."""
     segments = [""] * len(mesh.vertices)
     for face, panel in zip(mesh.faces.tolist(), mesh.panel_id.tolist(), strict=True):
         for vertex in face:
@@ -134,8 +134,8 @@ def _segments(mesh: BoxMesh) -> list[str]:
 
 
 def _rest_lengths(mesh: BoxMesh) -> dict[tuple[int, int], float]:
-    """Length in the plane [cm] of every edge of the triangles that touch a seam; along a seam the shorter side's."""
-    faces, corners = _touching(mesh)
+    """Flat length [cm] of every edge of the triangles at seams; on a seam, of the shorter side."""
+    faces, corners = _seam_faces(mesh)
     lengths: dict[tuple[int, int], float] = {}
     for face, corner in zip(faces.tolist(), corners.tolist(), strict=True):
         for i, j in ((0, 1), (1, 2), (0, 2)):
@@ -145,7 +145,7 @@ def _rest_lengths(mesh: BoxMesh) -> dict[tuple[int, int], float]:
     return lengths
 
 
-def _touching(mesh: BoxMesh) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "n 3"]]:
+def _seam_faces(mesh: BoxMesh) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "n 3"]]:
     """Faces with a vertex on a seam, and their corners."""
     on_seam = np.zeros(len(mesh.vertices), bool)
     on_seam[mesh.seams[:, 0]] = True
@@ -154,7 +154,7 @@ def _touching(mesh: BoxMesh) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "n
 
 
 def _render(picture: bytes | None) -> bytes:
-    """A picture of ours as the layout has them; of nothing where none was taken."""
+    """A picture as a PNG of ``PICTURE`` pixels a side; transparent for ``None``."""
     file = io.BytesIO()
     if picture is None:
         image = Image.new("RGBA", (PICTURE, PICTURE))

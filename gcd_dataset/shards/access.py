@@ -1,4 +1,4 @@
-"""Access to a data set's files: one writer at a time, and what the system refuses as one line with the way out."""
+"""Access to a data set's files: locks, and OS errors as one-line messages with a remedy."""
 
 import contextlib
 import errno
@@ -9,16 +9,16 @@ from pathlib import Path
 
 from gcd_dataset.errors import OutputError, ShardError
 
-__all__ = ["REMEDY", "locked", "read_small", "reading", "writing"]
+__all__ = ["REMEDY", "locked", "read_limited", "reading", "writing"]
 
 REMEDY = "copy it again, or delete it and run gcd generate again"
-"""What to do about a damaged shard: the next writer makes again what is missing."""
+"""Remedy for a damaged shard: the next writer makes the missing samples again."""
 
 
 class reading:  # noqa: N801 -- a context manager, named as functions are
-    """Turn the system's errors into a ``ShardError``."""
+    """Context that turns ``OSError`` into ``ShardError`` with the file and a remedy."""
 
-    # A class: entered for every garment, where a generator would take several times as long.
+    # A class: it is entered for every garment, and a generator would take several times as long.
     __slots__ = ("_path",)
 
     def __init__(self, path: Path) -> None:
@@ -29,60 +29,59 @@ class reading:  # noqa: N801 -- a context manager, named as functions are
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, OSError):
-            raise ShardError(f"{self._path}: cannot be read ({error.strerror}): {_way_out(error)}") from error
+            raise ShardError(f"{self._path}: cannot be read ({error.strerror}): {_remedy(error)}") from error
 
 
-def read_small(path: Path, most: int) -> bytes:
-    """The content of a file of no more than ``most`` bytes. Raises ``ShardError``."""
+def read_limited(path: Path, limit: int) -> bytes:
+    """The content of a file. Raises ``ShardError`` for more than ``limit`` bytes, before any is read."""
     with reading(path), path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
-        if size > most:
-            raise ShardError(f"{path}: {size} bytes, where {most} are read: {REMEDY}")
+        if size > limit:
+            raise ShardError(f"{path}: {size} bytes, over the limit of {limit}: {REMEDY}")
         return file.read()
 
 
-def _way_out(error: OSError) -> str:
-    """What to do about a file that cannot be read."""
+def _remedy(error: OSError) -> str:
     if isinstance(error, PermissionError):
-        return "have yourself allowed to read it, or give another folder"
+        return "ask for the right to read it, or give another folder"
     if isinstance(error, FileNotFoundError | NotADirectoryError):
-        return "give a folder that gcd generate has made, or copy what is missing again"
+        return "give a folder made by gcd generate, or copy the missing files again"
     return REMEDY
 
 
 @contextlib.contextmanager
 def writing(path: Path, *, kept: int | None = None) -> Iterator[None]:
-    """Turn the system's errors into an ``OutputError``; ``kept`` samples are in the file."""
-    there = "" if kept is None else f"; {kept} samples in it are kept"
+    """Turn ``OSError`` into ``OutputError``; ``kept``: whole samples in the file, for the message."""
+    note = "" if kept is None else f"; {kept} samples in it are kept"
     try:
         yield
     except OSError as error:
         is_link = error.errno == errno.ELOOP
-        remedy = "remove this link" if is_link else "make room there and start again to go on"
-        raise OutputError(f"{path}: cannot be written ({error.strerror}){there}: {remedy}") from error
+        remedy = "remove this link" if is_link else "make room there and start again to continue"
+        raise OutputError(f"{path}: cannot be written ({error.strerror}){note}: {remedy}") from error
 
 
 @contextlib.contextmanager
 def locked(path: Path, task: str, *, wait: bool = False) -> Iterator[None]:
-    """Hold the lock file ``path`` while the block runs; it goes with the lock, and a kill frees it.
+    """Hold an ``flock`` on the file ``path`` during the block. The file is removed at the end; a kill frees the lock.
 
-    Raises ``OutputError``: where another holds it for the same ``task``, unless this is to ``wait``; in a folder that
-    cannot be written; on a file system without locks.
+    ``task``: the work under the lock, for messages. Raises ``OutputError`` where another process holds the lock, unless
+    ``wait``; for a folder that cannot be written; on a file system without locks.
     """
     file, owner = _lock(path, task, wait), os.getpid()
     try:
         yield
     finally:
-        if os.getpid() == owner:  # a forked process that drops its copy frees nothing
+        if os.getpid() == owner:  # not in a forked child, which shares the lock
             with contextlib.suppress(OSError):
                 path.unlink()
-            # Not by closing alone: a process that was forked meanwhile has it open too, and would be waited for.
+            # Unlock explicitly: a child forked meanwhile has the file open too, and would keep the lock.
             fcntl.flock(file, fcntl.LOCK_UN)
         os.close(file)
 
 
 def _lock(path: Path, task: str, wait: bool) -> int:
-    """The file, ours alone."""
+    """The locked file's descriptor."""
     while True:
         file = _open(path)
         try:
@@ -101,7 +100,7 @@ def _lock(path: Path, task: str, wait: bool) -> int:
                 f"{path}: cannot be locked ({error.strerror}): mount this file system with locks (Lustre: -o flock), "
                 "or write to a local disk and copy the folder"
             ) from error
-        os.close(file)  # whoever held it has just removed it: what we hold is not what others will find
+        os.close(file)  # the last holder has just unlinked this file: lock the one that now has the name
 
 
 def _open(path: Path) -> int:
@@ -109,6 +108,6 @@ def _open(path: Path) -> int:
         return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     except OSError as error:
         raise OutputError(
-            f"{path.parent}: cannot be written ({error.strerror}): what is there can be read; to add to it, make room "
+            f"{path.parent}: cannot be written ({error.strerror}): its samples can be read; to add some, make room "
             "and allow writing, or choose another folder"
         ) from error

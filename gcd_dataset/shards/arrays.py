@@ -1,4 +1,4 @@
-"""Named arrays in one file (``.npz``), of which every size is known before anything is allocated."""
+"""Named arrays in one file (``.npz``); all sizes are checked before anything is allocated."""
 
 import io
 import zipfile
@@ -14,39 +14,39 @@ from gcd_dataset.shards.npy import read_any_npy
 
 __all__ = ["Column", "read_arrays"]
 
-ROOM = 1 << 20  # bytes that a small file may hold, however well they were compressed
+SMALL = 1 << 20  # bytes: unpacked arrays up to this size are read at any compression ratio
 
 
 class Column(NamedTuple):
-    """What an array has to be."""
+    """The type and the number of axes that an array must have."""
 
     kinds: str
-    """NumPy's letters for the types allowed."""
+    """NumPy's letters (``dtype.kind``) of the allowed types."""
     axes: int
     needed: bool = True
 
 
 def read_arrays(content: bytes, columns: Mapping[str, Column]) -> dict[str, np.ndarray]:
-    """The arrays in a file's content, of those named; others are left out.
+    """Name to array, of the columns named; other arrays in the file are skipped.
 
-    Raises ``ShardError`` for a file that is no such archive, lacks a column, has one of another type, or holds more
-    than ``LARGEST_INDEX`` times its own size.
+    Raises ``ShardError`` for a file that is no ``.npz``, lacks a column, has one of another type or shape, or unpacks
+    to more than ``LARGEST_INDEX`` times its own size.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as file:
             entries = {info.filename.removesuffix(".npy"): info for info in file.infolist()}
             size = sum(info.file_size for info in entries.values())
-            if size > max(LARGEST_INDEX * len(content), ROOM):
-                raise ShardError(f"{size} bytes in a file of {len(content)}")
+            if size > max(LARGEST_INDEX * len(content), SMALL):
+                raise ShardError(f"arrays of {size} bytes in a file of {len(content)}")
             return {
                 name: _column(name, file.read(entries[name]), column)
                 for name, column in columns.items()
                 if column.needed or name in entries
             }
     except KeyError as error:
-        raise ShardError(f"no column {error.args[0]}") from error
+        raise ShardError(f"column {error.args[0]} is missing") from error
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as error:
-        raise ShardError("no archive of arrays, or cut off") from error
+        raise ShardError("no .npz archive, or cut off") from error
 
 
 def _column(name: str, data: bytes, column: Column) -> np.ndarray:
@@ -55,5 +55,5 @@ def _column(name: str, data: bytes, column: Column) -> np.ndarray:
     except ShardError as error:
         raise ShardError(f"column {name}: {error}") from error
     if array.ndim != column.axes:
-        raise ShardError(f"column {name} of shape {array.shape}, where {column.axes} axes are read")
+        raise ShardError(f"column {name} of shape {array.shape} must have {column.axes} axes")
     return array

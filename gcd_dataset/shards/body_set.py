@@ -1,21 +1,21 @@
-"""A set of bodies in shards: a person as the files of ``BODIES``, and back; the mesh of all of them beside the shards.
+"""Bodies in shards: each person is a sample with the members of ``BODIES``; all share one mesh beside the shards.
 
 =================  =====================================================================================================
-``meta.json``      schema, key, index, seed, versions, recipe and its hash; name of the person; arm_angle: how far both
-                   arms are raised from the A-pose [rad]; CRC-32 of every other member and its own; see
+``meta.json``      schema, key, index, seed, versions, recipe and its hash; name of the person; arm_angle: angle of both
+                   arms above the A-pose [rad]; CRC-32 of every other member and its own; see
                    ``gcd_dataset.shards.meta``
 ``measures.json``  the tailor's measures: cm, inclinations in degrees, as in a GarmentCode measurement file; -1.0 for
-                   one that nobody took
+                   a missing one
 ``body.npy``       f64 [k]: weights of the body's shape components [standard deviations]
 ``straight.npy``   f32 [v, 3]: vertex positions with the legs straight [cm]
 ``apart.npy``      f32 [v, 3]: the same vertices with the legs apart
 =================  =====================================================================================================
 
-``mesh-train.npz`` holds faces, u16 or u32 [f, 3], and parts, u8 [v], without rows where they are not known. Its hash is
-part of the recipe, so that no set is gone on with on another mesh.
+``mesh-train.npz`` holds faces, u16 or u32 [f, 3], and body parts, u8 [v], or u8 [0] without a segmentation. Its hash is
+part of the recipe, so a set cannot be continued on another mesh.
 
-Vertices are stored, 600 kB a person, and not built from the weights on the way in: that costs 8 CPU-ms against 0.3, and
-whoever reads the shards would need the body model of the very version that wrote them.
+Vertices are stored, 600 kB a person, not rebuilt from the weights by the reader: rebuilding costs 8 ms of CPU time
+against 0.3 ms, and needs the body model of the version that wrote the shards.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ from gcd_dataset.bodies import POSES, BodyMesh, Person, measure_row
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.records import BodyShape, Measurements
-from gcd_dataset.shards.access import REMEDY, read_small, reading
+from gcd_dataset.shards.access import REMEDY, read_limited, reading
 from gcd_dataset.shards.arrays import Column, read_arrays
 from gcd_dataset.shards.codec import measures_json, read_measures
 from gcd_dataset.shards.layout import BODIES, SCHEMA, Bytes, key_of, mesh_name, recipe_hash
@@ -53,16 +53,16 @@ MEMBER_OF: Mapping[str, str] = {
     "apart": "apart.npy",
 }
 """Field of a loaded person to the member it comes from."""
-WORDS = {"meta.json": read_meta, "measures.json": read_measures}
+JSON_READERS = {"meta.json": read_meta, "measures.json": read_measures}
 
 
 # -------------------------------------------------------------------------------------------------------------- writing
 
 
 class BodyWriter:
-    """Writes the people of one split, who share a mesh, into a folder: to be used as ``ShardWriter``, whose rules hold.
+    """Writes the people of one split, all on one mesh, into a folder. Used as ``ShardWriter``.
 
-    Raises as ``ShardWriter`` does; ``ConfigError`` for a set on another mesh too.
+    Raises as ``ShardWriter`` does, and ``ConfigError`` for a folder of people on another mesh.
     """
 
     def __init__(
@@ -82,12 +82,12 @@ class BodyWriter:
             self._shards = on_error.enter_context(
                 ShardWriter(folder, split=split, seed=seed, recipe=self._recipe, shard_size=shard_size, layout=BODIES)
             )
-            _keep_mesh(Path(folder) / mesh_name(split), mesh)
+            _write_mesh(Path(folder) / mesh_name(split), mesh)
             on_error.pop_all()
 
     @property
     def done(self) -> frozenset[int]:
-        """Indices of the people who are whole on disk."""
+        """Indices of the people on disk."""
         return self._shards.done
 
     def write(self, index: int, person: Person) -> None:
@@ -101,7 +101,7 @@ class BodyWriter:
         self._shards.add(index, encode_person(person, {**self._origin, "index": index, "recipe": self._recipe}))
 
     def close(self) -> None:
-        """Make whole shards of those still open, and write the index. Raises ``OutputError``."""
+        """Finish the open shards and write the index. Raises ``OutputError``."""
         self._shards.close()
 
     def __enter__(self) -> Self:
@@ -114,9 +114,9 @@ class BodyWriter:
 
 
 def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]:
-    """The members of a person; ``origin``: index, seed, recipe and versions it was made with.
+    """Member name to bytes; equal people give equal bytes. ``origin``: index, seed, recipe and versions for the meta.
 
-    The same person gives the same bytes. Raises ``ShardError`` for what is no number.
+    Raises ``ShardError`` for NaN or infinity.
     """
     try:
         content = _content(person)
@@ -135,24 +135,24 @@ def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]
 
 
 def _content(person: Person) -> dict[str, bytes]:
-    """All members but the first."""
+    """All members except ``meta.json``."""
     arrays = {"body": np.asarray(person.shape.weights, float)}
     arrays |= {pose: np.asarray(getattr(person, pose), np.float32) for pose in POSES}
     for name, array in arrays.items():
         if not np.isfinite(array).all():
-            raise ShardError(f"{name} holds what is no number")
+            raise ShardError(f"{name} holds NaN or infinity")
     content = {f"{name}.npy": write_npy(array) for name, array in arrays.items()}
     return {"measures.json": measures_json(person.measurements), **content}
 
 
-def _keep_mesh(path: Path, mesh: BodyMesh) -> None:
-    """Keep the mesh as ``path``, unless it is there. Raises ``OutputError``."""
+def _write_mesh(path: Path, mesh: BodyMesh) -> None:
+    """Write the mesh to ``path`` unless the file holds it already. Raises ``OutputError``."""
     file = io.BytesIO()
     faces = np.asarray(mesh.faces, np.uint16 if mesh.n_vertices <= 1 << 16 else np.uint32)
     np.savez(file, faces=faces, parts=np.zeros(0, np.uint8) if mesh.parts is None else mesh.parts)
     with reading(path):
-        there = path.read_bytes() if path.exists() else b""
-    if there != file.getvalue():
+        before = path.read_bytes() if path.exists() else b""
+    if before != file.getvalue():
         write_whole(path, file.getvalue())
 
 
@@ -162,7 +162,7 @@ def _keep_mesh(path: Path, mesh: BodyMesh) -> None:
 def decode_body_fields(members: Mapping[str, Bytes], fields: Iterable[str]) -> dict[str, Any]:
     """Field name to value as stored: name, arm_angle [rad], measures in the order of ``MEASURES``, arrays.
 
-    Raises ``ShardError`` with the member's name for content that is not what it should be.
+    Raises ``ShardError`` with the member's name for invalid content.
     """
     found = {member: _decoded(member, members[member]) for member in {MEMBER_OF[field] for field in fields}}
     values = {field: found[MEMBER_OF[field]] for field in fields}
@@ -174,7 +174,7 @@ def decode_body_fields(members: Mapping[str, Bytes], fields: Iterable[str]) -> d
 
 
 def decode_person(members: Mapping[str, Bytes]) -> Person:
-    """The person that was encoded. Raises ``ShardError`` for content that is not what it should be."""
+    """The inverse of ``encode_person``. Raises ``ShardError`` with the member's name for invalid content."""
     value = decode_body_fields(members, ("name", "arm_angle", "shape", *POSES))
     return Person(
         name=value["name"],
@@ -186,10 +186,10 @@ def decode_person(members: Mapping[str, Bytes]) -> Person:
 
 
 def read_set_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
-    """The mesh of a split. Raises ``ShardError`` for a missing or broken file, or a mesh of another hash."""
+    """The mesh of a split. Raises ``ShardError`` for a missing or broken file, or where its hash is not ``sha256``."""
     path = folder / mesh_name(split)
     try:
-        file = read_arrays(read_small(path, LARGEST_SAMPLE), {"faces": Column("iu", 2), "parts": Column("u", 1)})
+        file = read_arrays(read_limited(path, LARGEST_SAMPLE), {"faces": Column("iu", 2), "parts": Column("u", 1)})
         faces, parts = file["faces"].astype(np.int32), file["parts"].astype(np.uint8)
         mesh = BodyMesh(faces, parts if len(parts) else None)
     except (ShardError, ValueError) as error:
@@ -203,6 +203,6 @@ def read_set_mesh(folder: Path, split: str, sha256: str) -> BodyMesh:
 
 def _decoded(member: str, data: Bytes) -> Any:
     try:
-        return WORDS[member](data) if member in WORDS else read_npy(data)
+        return JSON_READERS[member](data) if member in JSON_READERS else read_npy(data)
     except ShardError as error:
         raise ShardError(f"member {member}: {error}: {REMEDY}") from error

@@ -1,12 +1,13 @@
-"""A sample as the files of ``MEMBERS``, and back.
+"""Encodes a sample as the members of a shard (``MEMBERS``), and decodes it.
 
 ===================  ===================================================================================================
-``meta.json``        what the sample says of itself: seed, index, how it was made, words that the arrays refer to, the
-                     drape's figures, CRC-32 of every other member and its own; every key: ``gcd_dataset.shards.meta``
-``spec.txt``         the pattern as a GarmentCode specification; JSON, a text to readers that infer types
-``design.txt``       the design's parameters; JSON too
+``meta.json``        seed, index and recipe; names that the arrays refer to by row; figures of the drape; CRC-32 of
+                     every other member and its own; all keys: ``gcd_dataset.shards.meta``
+``spec.txt``         the pattern as a GarmentCode specification: JSON, named ``.txt`` since its keys differ between
+                     samples and readers that infer types would fail
+``design.txt``       the design's parameters: JSON, named ``.txt`` for the same reason
 ``measures.json``    the tailor's measures, all of ``MEASURES``: cm, inclinations in degrees, as in a GarmentCode
-                     measurement file; -1.0 for one that nobody took, which items leave out
+                     measurement file; -1.0 for a missing one, which items leave out
 ``panels.npy``       the pattern as arrays, see ``gcd_dataset.tensors``: one row a panel,
 ``edges.npy``        one row an edge,
 ``stitches.npy``     one row a seam
@@ -17,23 +18,24 @@
 ``labels.npy``       id [n, 2]: (vertex, row of ``edge_labels``), label by label
 ``seams.npy``        id [s, 2]: (vertex, row of ``stitches``), as ``BoxMesh.seams``
 ``corners.npy``      id [f, 3]: rows of ``uv`` at each face's corners
-``uv_vertex.npy``    id [c]: the vertex each row of ``uv`` belongs to
+``uv_vertex.npy``    id [c]: the vertex of each row of ``uv``
 ``box.npy``          f32 [v, 3]: positions before sewing [cm]
 ``verts.npy``        f32 [v, 3]: positions at rest [cm]
-``points.npy``       i16 [n, 6]: surface points about their centroid, and normals, in the units of ``points`` in
-                     ``meta.json``; -32768 where a diverged drape has none. Items hold them as f32, in cm
-``front.jpg``        pictures; a step not taken leaves a picture of one pixel,
-``back.jpg``         as it leaves arrays without rows
-``caption.txt``      the garment in a sentence                          } in every sample of a data set,
-``view_K.jpg``       a picture from any side, K = 0, 1, …               } or in none: each laid down here,
-``view_K.json``      its camera, light and materials                    } and filled by a later step
+``points.npy``       i16 [n, 6]: surface points relative to their centroid, and normals; ``meta.json`` holds scale and
+                     centre; -32768 where a diverged drape has none. Items hold them as f32, in cm
+``front.jpg``        pictures, of one pixel where none was rendered
+``back.jpg``
+``caption.txt``      the garment in a sentence                          } optional: in every sample of a data set,
+``view_K.jpg``       a picture from any side, K = 0, 1, …               } or in none
+``view_K.json``      its camera, light and materials                    }
 ===================  ===================================================================================================
 
-An id is u16 up to 65 536 rows, else u32 (``panel_id``: u8 up to 256 panels); loaded fields hold ids as int32. Readers
-that infer types from the first samples want one type for all, and get it as long as no garment has more vertices.
+An array of a skipped step has no rows. An id is u16 up to 65 536 rows, else u32 (``panel_id``: u8 up to 256 panels);
+loaded fields hold ids as int32. Readers that infer types from the first samples need one type throughout a data set:
+ids have one as long as no garment has more than 65 536 vertices.
 
-Samples of schema 1 are decoded too: specification and design were members of JSON, ``measures.json`` held what was
-taken, ``points.npy`` was f16 in cm.
+Samples of schema 1 are decoded too: there specification and design were ``.json`` members, ``measures.json`` held only
+the measures taken, and ``points.npy`` was f16 in cm.
 """
 
 import contextlib
@@ -64,6 +66,7 @@ from gcd_dataset.records import (
     Strain,
     View,
 )
+from gcd_dataset.shards.buffers import read_buffer
 from gcd_dataset.shards.layout import (
     CAPTION,
     FIELDS,
@@ -72,15 +75,22 @@ from gcd_dataset.shards.layout import (
     MOST_VIEWS,
     SCHEMA,
     Bytes,
-    content_of,
     fields_of,
-    known_fields,
+    member_content,
     recipe_hash,
+    select_fields,
 )
-from gcd_dataset.shards.meta import NO_FRAME, Frame, decode_json, frame_of, json_bytes, read_meta, write_meta
+from gcd_dataset.shards.meta import (
+    NO_QUANTIZATION,
+    Quantization,
+    decode_json,
+    json_bytes,
+    read_meta,
+    read_quantization,
+    write_meta,
+)
 from gcd_dataset.shards.npy import read_npy, write_npy
 from gcd_dataset.shards.picture import opened_picture
-from gcd_dataset.shards.room import room_for
 from gcd_dataset.spec import pattern_from_spec, spec_from_pattern
 from gcd_dataset.tensors import EdgeColumn, PanelColumn, PatternTensor, StitchColumn, encode_pattern
 
@@ -90,7 +100,7 @@ __all__ = [
     "decode_fields",
     "decode_json",
     "decode_sample",
-    "encode_part",
+    "encode_partial_sample",
     "encode_sample",
     "measures_json",
     "read_measures",
@@ -103,10 +113,10 @@ NO_PICTURE = (
     + bytes.fromhex("ffc0000b080001000101011100ffc40014000100000000000000000000000000000003")
     + bytes.fromhex("ffc40014100100000000000000000000000000000000ffda0008010100003f0037ffd9")
 )
-"""A grey JPEG of one pixel: other readers decode every picture they meet, so none may be empty."""
+"""A grey JPEG of one pixel: other readers decode every picture, so no member may be empty."""
 
 IDS = frozenset({"faces", "panel_id", "labels", "seams", "corners", "uv_vertex", "stitches"})
-"""Fields of row numbers."""
+"""Fields that hold row numbers."""
 
 WIDTHS: Mapping[str, tuple[int, ...]] = {
     "panels": (len(PanelColumn),), "edges": (len(EdgeColumn),), "stitches": (len(StitchColumn),), "body": (),
@@ -115,37 +125,34 @@ WIDTHS: Mapping[str, tuple[int, ...]] = {
 }  # fmt: skip
 """Field to the shape of a row."""
 
-UNTAKEN = -1.0
-"""A measure that nobody took: no length is negative, and no inclination exactly this."""
+MISSING_MEASURE = -1.0
+"""Marks a missing measure: no length is negative, and no inclination is exactly -1."""
 
-LARGEST, UNDEFINED = 32767, -32768  # of 16-bit integers
+INT16_MAX, UNDEFINED = 32767, -32768
 
 
 # ------------------------------------------------------------------------------------------------------------- encoding
 
 
 def encode_sample(sample: Sample) -> dict[str, bytes]:
-    """The members of a sample, the same names for every sample; the same sample gives the same bytes.
+    """Member name to bytes; equal samples give equal bytes.
 
-    With a caption, or views, it has members for these besides. Raises ``ShardError`` with the sample's key for content
-    that the format cannot hold.
+    The names are those of ``MEMBERS``, and those of the caption and the views where the sample has them. Raises
+    ``ShardError`` with the sample's key for content that the format cannot hold.
     """
     with _storing(sample):
         tensor = encode_pattern(sample.pattern)
-        content, frame = _content(sample, tensor)
+        content, quantization = _content(sample, tensor)
         crc = {member: zlib.crc32(data) for member, data in content.items()}
-        return {MEMBERS[0]: write_meta(_meta(sample, tensor, frame) | {"crc32": crc}), **content}
+        return {MEMBERS[0]: write_meta(_meta(sample, tensor, quantization) | {"crc32": crc}), **content}
 
 
-def encode_part(sample: Sample) -> dict[str, bytes]:
-    """The members of a partly read sample; no CRC-32 of them in ``meta.json``.
-
-    Raises ``ShardError`` as ``encode_sample`` does.
-    """
+def encode_partial_sample(sample: Sample) -> dict[str, bytes]:
+    """Encode a partly read sample, without checksums. Raises ``ShardError`` as ``encode_sample`` does."""
     with _storing(sample):
         tensor = encode_pattern(sample.pattern)
-        content, frame = _content(sample, tensor)
-        return {MEMBERS[0]: write_meta(_meta(sample, tensor, frame)), **content}
+        content, quantization = _content(sample, tensor)
+        return {MEMBERS[0]: write_meta(_meta(sample, tensor, quantization)), **content}
 
 
 @contextlib.contextmanager
@@ -156,9 +163,9 @@ def _storing(sample: Sample) -> Iterator[None]:
         raise ShardError(f"sample {sample.key} cannot be stored: {error}") from error
 
 
-def _content(sample: Sample, tensor: PatternTensor) -> tuple[dict[str, bytes], Frame]:
-    """All members but ``meta.json``, in their order, and how the points are written."""
-    points, frame = _points(sample.points)
+def _content(sample: Sample, tensor: PatternTensor) -> tuple[dict[str, bytes], Quantization]:
+    """All members except ``meta.json``, in file order, and the quantization of the points."""
+    points, quantization = _points(sample.points)
     pictures = {"front.jpg": sample.front or NO_PICTURE, "back.jpg": sample.back or NO_PICTURE}
     views = {
         name: data
@@ -168,11 +175,11 @@ def _content(sample: Sample, tensor: PatternTensor) -> tuple[dict[str, bytes], F
             (f"view_{number}.json", json_bytes(dict(view.facts))),
         )
     }
-    content = {**_words(sample), **_arrays(sample, tensor), "points.npy": points, **pictures, **views}
-    return content, frame
+    content = {**_texts(sample), **_arrays(sample, tensor), "points.npy": points, **pictures, **views}
+    return content, quantization
 
 
-def _words(sample: Sample) -> dict[str, bytes]:
+def _texts(sample: Sample) -> dict[str, bytes]:
     return {
         "spec.txt": json_bytes(spec_from_pattern(sample.pattern)),
         "design.txt": json_bytes(dict(sample.design)),
@@ -182,15 +189,15 @@ def _words(sample: Sample) -> dict[str, bytes]:
 
 
 def measures_json(measurements: Measurements) -> bytes:
-    """All measures as a member."""
-    return json_bytes({**dict.fromkeys(MEASURES, UNTAKEN), **measurements.to_file_values()})
+    """The member ``measures.json``."""
+    return json_bytes({**dict.fromkeys(MEASURES, MISSING_MEASURE), **measurements.to_file_values()})
 
 
 def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
-    """The arrays but for the points."""
+    """The members of all arrays except the points."""
     mesh = sample.box_mesh
     if mesh is not None and mesh.panel_names != tensor.panel_names:
-        raise ShardError("the panels of its mesh are not those of its pattern")
+        raise ShardError("its mesh has other panels than its pattern")
     arrays: dict[str, np.ndarray] = {
         "panels": tensor.panels,
         "edges": tensor.edges,
@@ -202,30 +209,30 @@ def _arrays(sample: Sample, tensor: PatternTensor) -> dict[str, bytes]:
     return {FIELDS[field]: write_npy(array) for field, array in arrays.items()}
 
 
-def _points(points: Float32[np.ndarray, "n 6"] | None) -> tuple[bytes, Frame]:
-    """The points as a member, and how they are written there."""
+def _points(points: Float32[np.ndarray, "n 6"] | None) -> tuple[bytes, Quantization]:
+    """The member ``points.npy``, and its quantization."""
     if points is None or not len(points):
-        return write_npy(np.zeros((0, 6), np.int16)), NO_FRAME
+        return write_npy(np.zeros((0, 6), np.int16)), NO_QUANTIZATION
     points = np.asarray(points, float)
     is_whole = np.isfinite(points).all(axis=1)
-    frame = _frame(points[is_whole, :3])
+    quantization = _quantization(points[is_whole, :3])
     stored = np.full(points.shape, UNDEFINED, np.int16)
-    place = (points[is_whole, :3] - frame.centre) / frame.scale
-    normal = np.clip(points[is_whole, 3:] / frame.normal, -LARGEST, LARGEST)
-    stored[is_whole] = np.rint(np.concatenate([place, normal], axis=1))
-    return write_npy(stored), frame
+    position = (points[is_whole, :3] - quantization.centre) / quantization.scale
+    normal = np.clip(points[is_whole, 3:] / quantization.normal, -INT16_MAX, INT16_MAX)
+    stored[is_whole] = np.rint(np.concatenate([position, normal], axis=1))
+    return write_npy(stored), quantization
 
 
-def _frame(place: Float32[np.ndarray, "n 3"]) -> Frame:
-    """How points are written: about their centroid, in steps of a power of two, so that no rounding is added later."""
-    centre = np.rint(place.mean(axis=0)) if len(place) else np.zeros(3)
-    reach = max(float(np.abs(place - centre).max(initial=0.0)), 1e-3)
+def _quantization(positions: Float32[np.ndarray, "n 3"]) -> Quantization:
+    """Centroid and step of the points. The step is a power of two: multiplying by it when decoding rounds nothing."""
+    centre = np.rint(positions.mean(axis=0)) if len(positions) else np.zeros(3)
+    reach = max(float(np.abs(positions - centre).max(initial=0.0)), 1e-3)
     x, y, z = centre.tolist()
-    return Frame(2.0 ** math.ceil(math.log2(reach / LARGEST)), 1 / LARGEST, (x, y, z))
+    return Quantization(2.0 ** math.ceil(math.log2(reach / INT16_MAX)), 1 / INT16_MAX, (x, y, z))
 
 
 def _mesh_arrays(mesh: BoxMesh, edge_labels: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The arrays of a box mesh, in the types that are stored. Raises ``ValueError`` for a label that no edge has."""
+    """The arrays of a box mesh in their stored types. Raises ``ValueError`` for a label that no edge has."""
     vertices, corners = len(mesh.vertices), len(mesh.uv)
     labelled = [
         np.stack([ids, np.full(len(ids), edge_labels.index(label))], axis=1) for label, ids in mesh.labels.items()
@@ -243,43 +250,48 @@ def _mesh_arrays(mesh: BoxMesh, edge_labels: tuple[str, ...]) -> dict[str, np.nd
 
 
 def _no_mesh() -> dict[str, np.ndarray]:
+    """The arrays of a skipped mesh, without rows."""
     flat, rows = np.zeros((0, 3)), np.zeros((0, 3), int)
     return _mesh_arrays(BoxMesh(flat, rows, flat[:, :2], rows, rows[:, 0], rows[:, 0], (), (), rows[:, :2]), ())
 
 
 def _floats(array: np.ndarray | None, *shape: int) -> np.ndarray:
-    """The array as f32; without rows for a step not taken."""
+    """The array as f32; for ``None`` zeros of ``shape``, which has no rows."""
     return np.zeros(shape, np.float32) if array is None else np.asarray(array, np.float32)
 
 
-def _ids(rows: Int[np.ndarray, "*n"], count: int, what: str, *, smallest: int = 2) -> np.ndarray:
-    """Numbers of ``count`` rows in as few bytes as hold them, ``smallest`` at least."""
+def _ids(rows: Int[np.ndarray, "*n"], count: int, name: str, *, smallest: int = 2) -> np.ndarray:
+    """Row numbers below ``count`` in the smallest unsigned type of at least ``smallest`` bytes."""
     rows = np.asarray(rows)
-    # The second column of labels and seams names something else, of which there is never more than vertices.
+    # The second column of labels and seams counts labels and seams: never more than there are vertices.
     if rows.size and not 0 <= rows.min() <= rows.max() < count:
-        raise ShardError(f"{what} holds row {rows.max() if rows.min() >= 0 else rows.min()} of {count}")
+        raise ShardError(f"{name} holds row {rows.max() if rows.min() >= 0 else rows.min()} of {count}")
     size = next(n for n in (1, 2, 4) if n >= smallest and count <= 256**n)
     return rows.astype(f"u{size}")
 
 
-def _meta(sample: Sample, tensor: PatternTensor, frame: Frame) -> dict[str, Any]:
-    made, shape, fabric = sample.provenance, sample.shape, sample.fabric
+def _meta(sample: Sample, tensor: PatternTensor, quantization: Quantization) -> dict[str, Any]:
+    provenance, shape, fabric = sample.provenance, sample.shape, sample.fabric
     mesh, drape = sample.box_mesh, sample.drape
     strain = None if drape is None else drape.strain
     return {
         "schema": SCHEMA,
         "key": sample.key,
-        "index": made.index,
-        "points": {"scale": frame.scale, "normal_scale": frame.normal, "centre": list(frame.centre)},
-        "seed": made.seed,
-        "attempts": made.attempts,
-        "rejects": list(made.rejects),
-        "redraws": dict(made.redraws),
-        "versions": dict(made.versions),
-        "recipe": dict(made.recipe),
-        "recipe_sha256": recipe_hash(dict(made.recipe)),
+        "index": provenance.index,
+        "points": {
+            "scale": quantization.scale,
+            "normal_scale": quantization.normal,
+            "centre": list(quantization.centre),
+        },
+        "seed": provenance.seed,
+        "attempts": provenance.attempts,
+        "rejects": list(provenance.rejects),
+        "redraws": dict(provenance.redraws),
+        "versions": dict(provenance.versions),
+        "recipe": dict(provenance.recipe),
+        "recipe_sha256": recipe_hash(dict(provenance.recipe)),
         "pattern": sample.pattern.name,
-        "body": made.body_name,
+        "body": provenance.body_name,
         "holds": {"shape": shape is not None, "mesh": mesh is not None, "drape": drape is not None},
         "pose": None if shape is None else {"arm_angle": float(shape.arm_angle), "legs_apart": bool(shape.legs_apart)},
         "panel_names": list(tensor.panel_names),
@@ -292,7 +304,7 @@ def _meta(sample: Sample, tensor: PatternTensor, frame: Frame) -> dict[str, Any]
         "fabric": None if fabric is None else {"name": fabric.name, "parameters": dict(fabric.parameters)},
         "gathers": list(map(float, sample.gathers)),
         "tags": list(sample.tags),
-        "source": made.source,
+        "source": provenance.source,
     }
 
 
@@ -322,22 +334,22 @@ def _strain_figures(strain: Strain) -> dict[str, Any]:
 def decode_fields(members: Mapping[str, Bytes], fields: Iterable[str] | None = None) -> dict[str, Any]:
     """Field name to array, parsed JSON, text, or picture as u8 [3, height, width]; all fields for ``None``.
 
-    Floats come as they are stored, points as f32 [cm], ids as int32, arrays as views of the members where they can. To
-    decode ``points`` takes ``meta.json`` too. Raises ``ConfigError`` for a field that does not exist, ``ShardError``
-    with the member's name for content that is not what it should be.
+    Floats keep their stored type; points are f32 [cm], ids int32; arrays are views of the members where possible.
+    Decoding ``points`` needs ``meta.json`` too. Raises ``ConfigError`` for an unknown field, ``ShardError`` with the
+    member's name for invalid content.
     """
-    there = fields_of(member for member in members if not member.startswith("__"))  # as webdataset has them
-    return {field: decode_field(field, members) for field in known_fields(fields, there)}
+    available = fields_of(member for member in members if not member.startswith("__"))  # webdataset adds __key__
+    return {field: decode_field(field, members) for field in select_fields(fields, available)}
 
 
 def decode_sample(members: Mapping[str, Bytes]) -> Sample:
-    """The sample that was encoded, to the precision that is stored; edges have lost the names of their drawing.
+    """The inverse of ``encode_sample``, to the stored precision; the names of edges are not stored.
 
-    Raises ``ShardError`` or ``SpecError`` for content that is not what it should be.
+    Raises ``ShardError`` or ``SpecError`` for invalid content.
     """
-    there = fields_of(members)
-    pictures = {field: bytes(members[there[field]]) for field in there if there[field].endswith(".jpg")}
-    field = decode_fields(members, [name for name in there if name not in pictures])
+    member_of = fields_of(members)
+    pictures = {field: bytes(members[member]) for field, member in member_of.items() if member.endswith(".jpg")}
+    field = decode_fields(members, [name for name in member_of if name not in pictures])
     meta = field["meta"]
     pattern = pattern_from_spec(field["spec"], meta["pattern"], source=meta["key"])
     try:
@@ -362,83 +374,83 @@ def decode_sample(members: Mapping[str, Bytes]) -> Sample:
     except (KeyError, ValueError, TypeError) as error:
         if isinstance(error, GcdError):
             raise
-        raise ShardError(f"sample {meta['key']}: its members do not fit together ({error}): {REMEDY}") from error
+        raise ShardError(f"sample {meta['key']}: its members contradict each other ({error}): {REMEDY}") from error
 
 
-REMEDY = "copy its shard again, or delete that and run gcd generate again"
+REMEDY = "copy its shard again, or delete the shard and run gcd generate again"
 
 
 def decode_field(field: str, members: Mapping[str, Bytes]) -> Any:
-    """One field, as ``decode_fields`` does it."""
+    """One field, decoded as by ``decode_fields``."""
     member = FIELDS.get(field, field)
     try:
         if field == "points":
             return _read_points(members[member], members[FIELDS["meta"]])
-        return DECODERS[field](content_of(field, members))
+        return DECODERS[field](member_content(field, members))
     except ShardError as error:
         member = next((name for name in (FIRST_NAMES.get(member, member), member) if name in members), member)
         raise ShardError(f"member {member}: {error}: {REMEDY}") from error
 
 
 def _read_array(field: str, data: Bytes) -> np.ndarray:
-    """An array with rows of the shape that the field has. Raises ``ShardError``."""
+    """An array, its type and row shape checked. Raises ``ShardError``."""
     array = read_npy(data)
-    if array.shape[1:] != WIDTHS[field] or array.ndim != len(WIDTHS[field]) + 1 or not _is_fit(field, array):
-        raise ShardError(f"{array.dtype} of shape {array.shape}, where rows of {WIDTHS[field]} are read")
+    if array.shape[1:] != WIDTHS[field] or array.ndim != len(WIDTHS[field]) + 1 or not _has_type(field, array):
+        raise ShardError(f"{array.dtype} of shape {array.shape}, expected rows of shape {WIDTHS[field]}")
     return array
 
 
-def _is_fit(field: str, array: np.ndarray) -> bool:
+def _has_type(field: str, array: np.ndarray) -> bool:
     kind = array.dtype.kind
     return kind in "ui" if field in IDS else kind == "f" or (field == "points" and array.dtype == np.int16)
 
 
 def _read_points(data: Bytes, meta: Bytes) -> Float32[np.ndarray, "n 6"]:
-    """Points [cm] and normals."""
+    """Surface points [cm] and unit normals, f32."""
     stored = _read_array("points", data)
     if stored.dtype.kind == "f":  # of schema 1
         return stored.astype(np.float32)
-    frame = frame_of(meta)
-    points = room_for(4 * stored.size).view(np.float32)
+    quantization = read_quantization(meta)
+    points = read_buffer(4 * stored.size).view(np.float32)
     np.copyto(points, stored.reshape(-1), casting="unsafe")
     try:
         with np.errstate(over="raise"):
-            _by_rows(points, np.multiply, (*3 * (frame.scale,), *3 * (frame.normal,)))
-            _by_rows(points, np.add, (*frame.centre, 0.0, 0.0, 0.0))
+            _by_rows(points, np.multiply, (*3 * (quantization.scale,), *3 * (quantization.normal,)))
+            _by_rows(points, np.add, (*quantization.centre, 0.0, 0.0, 0.0))
     except FloatingPointError as error:
-        raise ShardError(f"its scale {frame.scale} and centre {frame.centre} lead beyond float32") from error
+        raise ShardError(f"scale {quantization.scale} and centre {quantization.centre} overflow float32") from error
     rows = points.reshape(-1, 6)
     if stored.min(initial=0) == UNDEFINED:
         rows[(stored == UNDEFINED).any(axis=1)] = np.nan
     return rows
 
 
-def _by_rows(points: Float32[np.ndarray, " n"], change: np.ufunc, by: tuple[float, ...]) -> None:
-    """Change all rows in place, many at a time: NumPy takes as long to begin a row of six as for fifty numbers."""
-    many = np.empty((ROWS, len(by)), np.float32)
-    many[:] = by
-    flat = many.reshape(-1)
+def _by_rows(points: Float32[np.ndarray, " n"], operation: np.ufunc, operand: tuple[float, ...]) -> None:
+    """Apply an operation to all rows in place, 128 at a time: broadcasting over rows of six numbers is much slower."""
+    repeated = np.empty((ROWS, len(operand)), np.float32)
+    repeated[:] = operand
+    flat = repeated.reshape(-1)
     even = len(points) // len(flat) * len(flat)
     blocks, rest = points[:even].reshape(-1, len(flat)), points[even:]
-    change(blocks, flat, out=blocks)
-    change(rest, flat[: len(rest)], out=rest)
+    operation(blocks, flat, out=blocks)
+    operation(rest, flat[: len(rest)], out=rest)
 
 
 ROWS = 128
 
 
 def _read_ids(field: str, data: Bytes) -> np.ndarray:
-    """Row numbers as int32: a view of the member if they are stored as such."""
+    """Row numbers as int32; a view of the member where they are stored so."""
     array = _read_array(field, data)
     if array.dtype == np.int32:
         return array
-    wide = room_for(array.size * 4).view(np.int32).reshape(array.shape)
+    wide = read_buffer(array.size * 4).view(np.int32).reshape(array.shape)
     np.copyto(wide, array, casting="same_kind")
     return wide
 
 
 def _picture(data: Bytes) -> np.ndarray:
-    """The picture as u8 [3, height, width]; without rows where none was taken."""
+    """The picture as u8 [3, height, width]; [3, 0, 0] for ``NO_PICTURE``."""
     if data == NO_PICTURE:
         return np.zeros((3, 0, 0), np.uint8)
     with opened_picture(data, ("JPEG",)) as image:
@@ -449,17 +461,17 @@ def _picture(data: Bytes) -> np.ndarray:
 def _object(data: Bytes) -> dict[str, Any]:
     value = decode_json(data)
     if not isinstance(value, dict):
-        raise ShardError(f"{found(value)}, where an object is read")
+        raise ShardError(f"{found(value)}, expected an object")
     return value
 
 
 def read_measures(data: Bytes) -> dict[str, float]:
-    """The measures that were taken. Raises ``ShardError``."""
+    """Measure name to value, without the missing ones. Raises ``ShardError``."""
     values = _object(data)
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST_MEASURE:
-            raise ShardError(f"{name} is {found(value)}, where a number is read")
-    return {name: value for name, value in values.items() if value != UNTAKEN}
+            raise ShardError(f"{name} is {found(value)}, expected a number")
+    return {name: value for name, value in values.items() if value != MISSING_MEASURE}
 
 
 LARGEST_MEASURE = 1e6  # cm
@@ -469,7 +481,7 @@ def _caption(data: Bytes) -> str:
     try:
         return str(data, "utf-8")
     except UnicodeDecodeError as error:
-        raise ShardError(f"not a text ({error})") from error
+        raise ShardError(f"not UTF-8 text ({error})") from error
 
 
 def _decoder(field: str) -> Callable[[Bytes], Any]:
@@ -524,11 +536,11 @@ def _drape(field: Mapping[str, Any]) -> Drape:
     figures, strain = field["meta"]["drape"], field["meta"]["strain"]
     if figures["outcome"] not in Outcome.__members__:
         raise ShardError(f"outcome {figures['outcome']!r}: there are {', '.join(Outcome.__members__)}")
-    told = {entry.name: figures[entry.name] for entry in dataclass_fields(Drape) if entry.name in figures}
-    told |= {name: np.nan for name in ("stretch_median", "stretch_p99") if told[name] is None}
+    values = {entry.name: figures[entry.name] for entry in dataclass_fields(Drape) if entry.name in figures}
+    values |= {name: np.nan for name in ("stretch_median", "stretch_p99") if values[name] is None}
     principal = None if strain is None else Strain(tuple(strain["principal"]), tuple(map(tuple, strain["panels"])))
-    told |= {"vertices": field["verts"].astype(float), "outcome": Outcome[figures["outcome"]], "strain": principal}
-    return Drape(**told)
+    values |= {"vertices": field["verts"].astype(float), "outcome": Outcome[figures["outcome"]], "strain": principal}
+    return Drape(**values)
 
 
 def _views(pictures: Mapping[str, bytes], field: Mapping[str, Any]) -> tuple[View, ...]:

@@ -1,4 +1,4 @@
-"""Samples copied from one data set into the shards of another."""
+"""Copies samples of a data set into shards of another."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,23 +12,23 @@ from gcd_dataset.shards.reader import ShardReader
 
 __all__ = ["copy_shard"]
 
-BATCH = 32  # samples that are read together
+BATCH = 32  # samples in one read
 
 
 def copy_shard(
-    path: Path, reader: ShardReader, positions: Sequence[int], layout: Layout, tell: Callable[[int], None]
+    path: Path, reader: ShardReader, positions: Sequence[int], layout: Layout, on_progress: Callable[[int], None]
 ) -> tuple[ShardRecord, ShardTable]:
-    """The samples at these positions as a shard of ``layout``'s members; gone on with where an earlier call was left.
+    """Write the samples at ``positions``, with the members of ``layout``, as the shard ``path``; record and table.
 
-    What it left is read through, and taken if it is what ``reader`` has, byte for byte. ``tell``: called with the bytes
-    that each step has added. Raises ``ShardError`` for a sample that is not what was written, ``OutputError`` where the
-    shard cannot be.
+    Samples from an interrupted call are kept if their bytes equal the reader's. ``on_progress`` is called with the
+    number of bytes added by each step. Raises ``ShardError`` for a damaged sample, ``OutputError`` where the shard
+    cannot be written.
     """
     samples = reader.index.table.sample[reader.rows(positions)].tolist()
     if path.exists():
         table = whole_samples(path, layout)
         if table.sample.tolist() == sorted(samples) and _are_copies(table, reader, positions, layout):
-            tell(int(table.size.sum()))
+            on_progress(int(table.size.sum()))
             return shard_record(path, table), table
         with writing(path):
             path.unlink()
@@ -39,26 +39,26 @@ def copy_shard(
     shard = GrowingShard(path, empty_table(layout), layout)
     try:
         done = set(shard.table().sample.tolist())
-        tell(int(shard.table().size.sum()))
-        todo = [(place, sample) for place, sample in zip(positions, samples, strict=True) if sample not in done]
+        on_progress(int(shard.table().size.sum()))
+        todo = [(position, sample) for position, sample in zip(positions, samples, strict=True) if sample not in done]
         for start in range(0, len(todo), BATCH):
             batch = todo[start : start + BATCH]
-            content = reader.read_many([place for place, _ in batch], layout.members)
+            content = reader.read_many([position for position, _ in batch], layout.members)
             for (_, sample), members in zip(batch, content, strict=True):
                 shard.append(sample, members)
-                tell(sum(len(data) for data in members.values()))
+                on_progress(sum(len(data) for data in members.values()))
         return shard.finish(), shard.table()
     finally:
-        shard.release()
+        shard.close()
 
 
 def _are_copies(table: ShardTable, reader: ShardReader, positions: Sequence[int], layout: Layout) -> bool:
-    """Whether all samples of a shard are among those at these positions, by size and CRC-32 of their members."""
+    """Whether every sample of a shard equals the reader's at one of ``positions``: size and CRC-32 of each member."""
     rows = reader.rows(positions)
     row_of = dict(zip(reader.index.table.sample[rows].tolist(), rows.tolist(), strict=True))
     if not row_of.keys() >= set(table.sample.tolist()):
         return False
-    theirs = reader.index.table[[row_of[sample] for sample in table.sample.tolist()]]
+    source = reader.index.table[[row_of[sample] for sample in table.sample.tolist()]]
     columns = [reader.layout.members.index(member) for member in layout.members]
-    same = (theirs.crc[:, columns] == table.crc) & (theirs.size[:, columns] == table.size)
+    same = (source.crc[:, columns] == table.crc) & (source.size[:, columns] == table.size)
     return bool(same.all())

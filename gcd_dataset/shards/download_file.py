@@ -1,4 +1,4 @@
-"""Where a folder was downloaded from, and whether all of it has come: kept in ``download.json``."""
+"""``download.json``: the source of a downloaded folder, and its complete splits."""
 
 import contextlib
 import json
@@ -8,67 +8,67 @@ from pathlib import Path
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
-from gcd_dataset.shards.access import locked, read_small, reading
+from gcd_dataset.shards.access import locked, read_limited, reading
 from gcd_dataset.shards.limits import LARGEST_JSON
 from gcd_dataset.shards.meta import decode_json
 
-__all__ = ["FETCHED", "Fetched", "FetchedSplit", "changing_fetched", "read_fetched"]
+__all__ = ["DOWNLOAD_FILE", "DownloadRecord", "DownloadedSplit", "download_record_lock", "read_download_record"]
 
-FETCHED = "download.json"
+DOWNLOAD_FILE = "download.json"
 
 
 @dataclass(frozen=True)
-class FetchedSplit:
-    """One split."""
+class DownloadedSplit:
+    """One split of a download."""
 
     members: Sequence[str]
-    """Of each sample."""
+    """Members downloaded of each sample."""
     whole: bool = False
-    """Whether all of it has come."""
+    """Whether the download of the split is complete."""
 
 
 @dataclass(frozen=True)
-class Fetched:
+class DownloadRecord:
     """The contents of ``download.json``."""
 
     source: str
     """URL, or repository and commit."""
-    splits: Mapping[str, FetchedSplit] = field(default_factory=dict)
+    splits: Mapping[str, DownloadedSplit] = field(default_factory=dict)
 
     @property
     def unfinished(self) -> frozenset[str]:
-        """Splits of which something is missing."""
+        """Splits with missing shards."""
         return frozenset(name for name, split in self.splits.items() if not split.whole)
 
-    def with_split(self, name: str, split: FetchedSplit) -> "Fetched":
-        """The record with one split put in or replaced."""
+    def with_split(self, name: str, split: DownloadedSplit) -> "DownloadRecord":
+        """The record with one split added or replaced."""
         return replace(self, splits=dict(sorted({**self.splits, name: split}.items())))
 
     def write(self, folder: Path) -> None:
-        """Keep the record in the folder, whole or not at all. Raises ``OutputError``."""
-        write_whole(folder / FETCHED, (json.dumps(asdict(self), indent=1) + "\n").encode())
+        """Write the record to the folder, atomically. Raises ``OutputError``."""
+        write_whole(folder / DOWNLOAD_FILE, (json.dumps(asdict(self), indent=1) + "\n").encode())
 
 
 @contextlib.contextmanager
-def changing_fetched(folder: Path) -> Iterator[None]:
-    """Hold the record while it is read and written: splits may come side by side. Raises ``OutputError``."""
-    with locked(folder / f".{FETCHED}.lock", f"writing {FETCHED}", wait=True):
+def download_record_lock(folder: Path) -> Iterator[None]:
+    """Lock the record for a read and a write: splits may be downloaded in parallel. Raises ``OutputError``."""
+    with locked(folder / f".{DOWNLOAD_FILE}.lock", f"writing {DOWNLOAD_FILE}", wait=True):
         yield
 
 
-def read_fetched(folder: Path) -> Fetched | None:
+def read_download_record(folder: Path) -> DownloadRecord | None:
     """The record of a folder; ``None`` for one that was not downloaded. Raises ``ShardError`` for a broken one."""
-    path = folder / FETCHED
+    path = folder / DOWNLOAD_FILE
     with reading(path):
-        is_there = path.exists()
-    if not is_there:
+        exists = path.exists()
+    if not exists:
         return None
-    content = read_small(path, LARGEST_JSON)
+    content = read_limited(path, LARGEST_JSON)
     try:
         entry = decode_json(content)
         splits = {
-            name: FetchedSplit(tuple(split["members"]), split["whole"]) for name, split in entry["splits"].items()
+            name: DownloadedSplit(tuple(split["members"]), split["whole"]) for name, split in entry["splits"].items()
         }
-        return Fetched(entry["source"], splits)
+        return DownloadRecord(entry["source"], splits)
     except (ShardError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ShardError(f"{path}: not the record of a download ({error}): delete it, and download again") from error
+        raise ShardError(f"{path}: not a download record ({error}): delete it, and download again") from error

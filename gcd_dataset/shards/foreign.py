@@ -1,7 +1,7 @@
-"""Tars that other programs have written for ``webdataset``: what lies in them, and where.
+"""Indexes tars that other programs wrote for ``webdataset``.
 
-They are read from end to end once, for the hashes; nothing is ever extracted. A sample is the files whose names agree
-up to the first dot behind the last slash, one behind the other; what follows that dot is the member.
+Each tar is read once from end to end, for the CRC-32 of every member; nothing is extracted. As in ``webdataset``, a
+sample is a run of files whose paths agree up to the first dot of the file name; the rest of the name is the member.
 """
 
 import itertools
@@ -21,12 +21,12 @@ from gcd_dataset.shards.tar import BLOCK, padded, require_header
 
 __all__ = ["SPLITS", "ForeignSample", "foreign_index", "foreign_shards", "samples_of", "scan_foreign"]
 
-PIECE = 1 << 20  # bytes read at once
-LONGEST_HEADER = 1 << 20  # bytes of a long name or of extended attributes; none that is meant well comes near
-LARGEST = (1 << 32) - 1  # bytes of a member, as an index can hold
-REMEDY = "get it anew from whoever made it, or leave it out"
+CHUNK = 1 << 20  # bytes of a read
+LONGEST_HEADER = 1 << 20  # bytes of a long name or of extended attributes; honest ones are far shorter
+LARGEST = (1 << 32) - 1  # bytes of a member: sizes in an index are u32
+REMEDY = "get it again from its maker, or leave it out"
 
-FILE, FOLDER = (b"0", b"\0", b"7"), b"5"
+FILE, FOLDER = (b"0", b"\0", b"7"), b"5"  # type flags of POSIX.1-2001
 PAX, PAX_ALL, LONG_NAME, LONG_LINK = b"x", b"g", b"L", b"K"
 KINDS = {b"1": "a hard link", b"2": "a symbolic link", b"3": "a device", b"4": "a device", b"6": "a pipe"}
 
@@ -35,19 +35,19 @@ SPLITS = {
     "validation": ("validation", "valid", "val", "dev"),
     "test": ("test", "testing", "eval", "evaluation"),
 }
-"""Words in the name of a file that say which split it belongs to: those of the Hub."""
+"""Split to the words that name it in a file name, as on the Hugging Face Hub."""
 
 
 class ForeignSample(NamedTuple):
-    """The files of one sample."""
+    """The members of one sample in a foreign tar."""
 
     key: str
     members: Mapping[str, tuple[int, int, int]]
-    """Member to offset, size and CRC-32 of its content."""
+    """Member to (offset, size, CRC-32) of its content."""
 
 
 def foreign_shards(names: Iterable[str], split: str) -> tuple[str, ...]:
-    """The tars of a split among file names, sorted; those that name no split are of ``train``.
+    """The tars of a split among file names, sorted; a name without a split counts as ``train``.
 
     >>> foreign_shards(["b-00001.tar", "b-00000.tar", "b-test-00000.tar", "b.txt"], "train")
     ('b-00000.tar', 'b-00001.tar')
@@ -61,7 +61,7 @@ def _split_of(name: str) -> str:
 
 
 def foreign_index(archives: Mapping[str, Sequence[ForeignSample]], lengths: Sequence[int]) -> ShardIndex:
-    """The index of archives, from file name to samples; ``lengths``: bytes of each."""
+    """The index of archives, given as file name to samples; ``lengths``: bytes of each archive."""
     samples = [sample for content in archives.values() for sample in content]
     layout = foreign_layout(tuple(sorted({member for sample in samples for member in sample.members})))
     missing = (-1, 0, 0)
@@ -84,7 +84,7 @@ def foreign_index(archives: Mapping[str, Sequence[ForeignSample]], lengths: Sequ
 
 
 def scan_foreign(path: Path) -> list[ForeignSample]:
-    """The samples of an archive. Raises ``ShardError`` with the member that is damaged, or not a plain file."""
+    """The samples of an archive. Raises ``ShardError`` naming a member that is damaged, or no plain file."""
     try:
         with reading(path), path.open("rb") as file:
             return list(samples_of(file))
@@ -95,19 +95,19 @@ def scan_foreign(path: Path) -> list[ForeignSample]:
 
 
 def samples_of(file: BinaryIO) -> Iterator[ForeignSample]:
-    """The samples of an archive that is read from its beginning. Raises ``ShardError``."""
+    """The samples of an archive read from its first byte on. Raises ``ShardError``."""
     for key, entries in itertools.groupby(_entries(file), key=lambda entry: _key_and_member(entry[0])[0]):
         members: dict[str, tuple[int, int, int]] = {}
-        for name, *place in entries:
+        for name, offset, size, crc in entries:
             member = _key_and_member(name)[1]
             if member in members:
                 raise ShardError(f"member {shown(name)} is there twice")
-            members[member] = (place[0], place[1], place[2])
+            members[member] = (offset, size, crc)
         yield ForeignSample(key, members)
 
 
 def _key_and_member(name: str) -> tuple[str, str]:
-    """``a/b.c.NPY`` as (``a/b``, ``c.npy``), as ``webdataset`` takes it."""
+    """(``a/b``, ``c.npy``) for ``a/b.c.NPY``, as ``webdataset`` splits names."""
     folder, slash, file = name.rpartition("/")
     stem, _, member = file.partition(".")
     return folder + slash + stem, member.lower()
@@ -115,39 +115,39 @@ def _key_and_member(name: str) -> tuple[str, str]:
 
 def _entries(file: BinaryIO) -> Iterator[tuple[str, int, int, int]]:
     """Name, offset, size and CRC-32 of every plain file."""
-    position, name, size_told = 0, "", -1
+    position, name, pax_size = 0, "", -1
     while header := _exactly(file, BLOCK, "a header", may_end=True):
         if header == bytes(BLOCK):
             return
         require_header(header, position)
         kind, size = header[156:157], _number(header[124:136], position)
-        place = position + BLOCK
+        offset = position + BLOCK
         if kind in (PAX, PAX_ALL, LONG_NAME, LONG_LINK):
             if size > LONGEST_HEADER:
-                raise ShardError(f"a header of {size} bytes at byte {position}, where {LONGEST_HEADER} are plenty")
+                raise ShardError(f"a header of {size} bytes at byte {position}, over the limit of {LONGEST_HEADER}")
             text = _exactly(file, padded(size), "a header")[:size]
             if kind == LONG_NAME:
                 name = _text(text.rstrip(b"\0"))
             elif kind == PAX:
-                told = _pax(text)
-                name, size_told = told.get("path", name), int(told.get("size", size_told))
-            position = place + padded(size)
+                attributes = _pax(text)
+                name, pax_size = attributes.get("path", name), int(attributes.get("size", pax_size))
+            position = offset + padded(size)
             continue
-        size = size_told if size_told >= 0 else size
-        full = name or _full_name(header)
-        _require_harmless(full, kind)
+        size = pax_size if pax_size >= 0 else size
+        path = name or _header_path(header)
+        _require_harmless(path, kind)
         if kind == FOLDER:
             size = 0
         if size > LARGEST:
-            raise ShardError(f"member {shown(full)} has {size} bytes: members up to 4 GiB are read")
-        crc = _crc(file, size, full)
-        if kind != FOLDER and "." in full.rpartition("/")[2]:
-            yield full, place, size, crc
-        position, name, size_told = place + padded(size), "", -1
+            raise ShardError(f"member {shown(path)} has {size} bytes: members up to 4 GiB are read")
+        crc = _crc(file, size, path)
+        if kind != FOLDER and "." in path.rpartition("/")[2]:
+            yield path, offset, size, crc
+        position, name, pax_size = offset + padded(size), "", -1
 
 
 def _require_harmless(name: str, kind: bytes) -> None:
-    """Raise ``ShardError`` for anything but a plain file or folder inside."""
+    """Raise ``ShardError`` for a link, a device, or a path outside the archive."""
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts or "\0" in name:
         raise ShardError(f"member {shown(name)} points outside the archive")
@@ -155,7 +155,7 @@ def _require_harmless(name: str, kind: bytes) -> None:
         raise ShardError(f"member {shown(name)} is {KINDS.get(kind, f'of kind {kind!r}')}, not a plain file")
 
 
-def _full_name(header: bytes) -> str:
+def _header_path(header: bytes) -> str:
     name, prefix = header[:100].partition(b"\0")[0], header[345:500].partition(b"\0")[0]
     return _text(prefix + b"/" + name if prefix and header[257:262] == b"ustar" else name)
 
@@ -165,7 +165,7 @@ def _text(name: bytes) -> str:
 
 
 def _number(text: bytes, position: int) -> int:
-    """A number in octal digits, or in base 256 where these do not reach."""
+    """A header's number: octal digits, or base 256 (GNU) for large ones."""
     if text[0] == 0x80:
         return int.from_bytes(text[1:], "big")
     digits = text.strip(b" \0")
@@ -175,36 +175,36 @@ def _number(text: bytes, position: int) -> int:
 
 
 def _pax(text: bytes) -> dict[str, str]:
-    """Extended attributes: lines of ``LENGTH NAME=VALUE``."""
-    told, place = {}, 0
-    while place < len(text):
-        match = re.compile(rb"(\d{1,7}) ([^=]+)=").match(text, place)
-        if match is None or not len(match[0]) < int(match[1]) <= len(text) - place:
+    """Extended attributes (pax, POSIX.1-2001): lines of ``LENGTH NAME=VALUE``."""
+    attributes, start = {}, 0
+    while start < len(text):
+        match = re.compile(rb"(\d{1,7}) ([^=]+)=").match(text, start)
+        if match is None or not len(match[0]) < int(match[1]) <= len(text) - start:
             raise ShardError("a damaged header of extended attributes")
-        told[_text(match[2])] = _text(text[match.end() : place + int(match[1]) - 1])
-        place += int(match[1])
-    if not re.fullmatch(r"[0-9]{1,18}", told.get("size", "0")):  # Python refuses to read thousands of digits
+        attributes[_text(match[2])] = _text(text[match.end() : start + int(match[1]) - 1])
+        start += int(match[1])
+    if not re.fullmatch(r"[0-9]{1,18}", attributes.get("size", "0")):  # int() refuses thousands of digits
         raise ShardError("a damaged header of extended attributes")
-    return told
+    return attributes
 
 
 def _crc(file: BinaryIO, size: int, name: str) -> int:
-    """CRC-32 of the next ``size`` bytes; what pads them is passed over."""
+    """CRC-32 of the next ``size`` bytes; skips their padding."""
     crc, left = 0, size
     while left:
-        piece = file.read(min(left, PIECE))
+        piece = file.read(min(left, CHUNK))
         if not piece:
             raise ShardError(f"member {shown(name)} is cut off: {size - left} of its {size} bytes are there")
         crc, left = zlib.crc32(piece, crc), left - len(piece)
-    _exactly(file, padded(size) - size, f"what pads member {shown(name)}")
+    _exactly(file, padded(size) - size, f"the padding of member {shown(name)}")
     return crc
 
 
-def _exactly(file: BinaryIO, size: int, what: str, *, may_end: bool = False) -> bytes:
-    """The next bytes. Raises ``ShardError`` where the file ends among them."""
+def _exactly(file: BinaryIO, size: int, name: str, *, may_end: bool = False) -> bytes:
+    """The next ``size`` bytes. Raises ``ShardError`` where the file ends within them; ``may_end``: or before them."""
     content = b""
     while len(content) < size and (piece := file.read(size - len(content))):
         content += piece
     if len(content) < size and not (may_end and not content):
-        raise ShardError(f"{what} is cut off")
+        raise ShardError(f"{name} is cut off")
     return content

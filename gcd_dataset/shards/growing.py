@@ -1,4 +1,4 @@
-"""A shard while it is written."""
+"""A shard during writing: a ``.tar.part`` file that survives a kill."""
 
 import contextlib
 import hashlib
@@ -27,36 +27,39 @@ META = 0  # every layout begins with meta.json
 
 
 class GrowingShard:
-    """A shard under its temporary name: first what there was of it, then what is added.
+    """An open shard under its temporary name: the samples of an earlier writer, then those appended.
 
-    A sample belongs to it once its row does: an interrupt, or an error, in the middle of one leaves no trace.
+    A sample counts only once its row is added to ``rows``: an interrupt or error while it is written leaves no trace.
+    ``existing``: table of the finished shard at ``path`` that this one will replace.
     """
 
-    def __init__(self, path: Path, there: ShardTable, layout: Layout) -> None:
+    def __init__(self, path: Path, existing: ShardTable, layout: Layout) -> None:
         self.path, self.part, self._layout = path, part_path(path), layout
         with contextlib.ExitStack() as on_error:
             self._file = self._opened()
-            on_error.callback(self.release)
-            self._take_up(there)
+            on_error.callback(self.close)
+            self._resume(existing)
             on_error.pop_all()
 
-    def _take_up(self, there: ShardTable) -> None:
-        """Begin with what an earlier writer left here, then with what the shard to be replaced holds."""
-        kept = whole_samples(self.part, self._layout)
-        self.rows = [kept[i : i + 1] for i in range(len(kept))]
+    def _resume(self, existing: ShardTable) -> None:
+        """Start with the whole samples of the ``.part`` file, then copy the others of the finished shard."""
+        recovered = whole_samples(self.part, self._layout)
+        self.rows = [recovered[i : i + 1] for i in range(len(recovered))]
         with writing(self.part):
             os.ftruncate(self._file, self._end)
-        missing = there[~np.isin(there.sample, kept.sample)]
+        missing = existing[~np.isin(existing.sample, recovered.sample)]
         self.copy(self.path, missing)
 
     def table(self) -> ShardTable:
-        """The samples so far, in the order of the file."""
+        """The samples written so far, in file order."""
         return ShardTable.of(self.rows, self._layout)
 
     def append(self, index: int, members: Mapping[str, Bytes]) -> None:
-        """Add a sample. Raises as ``ShardWriter.add`` does."""
+        """Append a sample. Raises as ``ShardWriter.add`` does."""
         if any(row.sample[0] == index for row in self.rows):
-            raise ConfigError(f"{self.path}: {key_of(index)} is there already: write what is not in .done")
+            raise ConfigError(
+                f"{self.path}: {key_of(index)} is there already: write only indices that are not in .done"
+            )
         _require_members(index, members, self._layout)
         data = [members[member] for member in self._layout.members]
         entries = [
@@ -75,18 +78,18 @@ class GrowingShard:
         self.rows.append(row)
 
     def copy(self, source: Path, samples: ShardTable) -> None:
-        """Add samples of another shard that are not there yet. Raises ``ShardError``, ``OutputError``."""
-        there = {int(row.sample[0]) for row in self.rows}
+        """Append those samples of another shard that this one lacks. Raises ``ShardError``, ``OutputError``."""
+        present = {int(row.sample[0]) for row in self.rows}
         for i in range(len(samples)):
-            if int(samples.sample[i]) not in there:
-                self._take_over(source, samples[i : i + 1])
+            if int(samples.sample[i]) not in present:
+                self._copy_sample(source, samples[i : i + 1])
 
     def finish(self) -> ShardRecord:
-        """Give the shard its name, whole and in order."""
+        """Sort the samples by index, end the archive and rename it to ``path``; its record."""
         if any(a.sample[0] > b.sample[0] for a, b in pairwise(self.rows)):
             self._sort()
         with writing(self.part):
-            # What a broken write left goes, and zeros that end the archive come: as a hole, on a full disk too.
+            # Cut off a failed write, then end the archive with zeros: a hole, which needs no room on a full disk.
             os.ftruncate(self._file, self._end)
             os.ftruncate(self._file, self._end + END)
             os.fsync(self._file)
@@ -96,11 +99,11 @@ class GrowingShard:
         return replace(record, name=self.path.name)
 
     def discard(self) -> None:
-        """Leave nothing of a shard without samples."""
+        """Remove the file of a shard without samples."""
         with writing(self.part):
             self.part.unlink()
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Close the file."""
         os.close(self._file)
 
@@ -119,8 +122,7 @@ class GrowingShard:
                 written = os.pwrite(self._file, rest, position)
                 rest, position = rest[written:], position + written
 
-    def _take_over(self, path: Path, row: ShardTable) -> None:
-        """Copy a sample of another shard."""
+    def _copy_sample(self, path: Path, row: ShardTable) -> None:
         start, end = _span(row)
         with reading(path), path.open("rb") as source:
             source.seek(start)
@@ -130,13 +132,13 @@ class GrowingShard:
         self.rows.append(moved)
 
     def _sort(self) -> None:
-        """Write the samples anew in the order of their indices."""
+        """Rewrite the file with the samples in the order of their indices."""
         ordered = sorted(self.rows, key=lambda row: int(row.sample[0]))
         starts = np.cumsum([0] + [end - start for start, end in map(_span, ordered)])
         with open_whole(self.part) as file:
             for start, end in map(_span, ordered):
                 file.write(os.pread(self._file, end - start, start))
-        self.release()
+        self.close()
         self._file = self._opened()
         self.rows = [
             replace(row, offset=row.offset + (start - _span(row)[0]))
@@ -145,32 +147,32 @@ class GrowingShard:
 
 
 def shard_record(path: Path, table: ShardTable) -> ShardRecord:
-    """What the manifest says of the whole shard in ``path``. Raises ``OSError``."""
+    """The manifest's record of the finished shard ``path``. Raises ``OSError``."""
     rejects: Counter[str] = Counter()
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         for offset, size in zip(table.offset[:, META].tolist(), table.size[:, META].tolist(), strict=True):
             meta = read_meta(os.pread(file.fileno(), size, offset))
-            rejects.update(reason.partition(":")[0] for reason in meta.get("rejects", ()))  # a person has none
+            rejects.update(reason.partition(":")[0] for reason in meta.get("rejects", ()))  # bodies have no rejects
     return ShardRecord(path.name, len(table), path.stat().st_size, digest, dict(sorted(rejects.items())))
 
 
 def _require_members(index: int, members: Mapping[str, Bytes], layout: Layout) -> None:
-    """Raise ``ShardError`` for a sample that lacks a member of the layout, or has a caption or views that it lacks."""
+    """Raise ``ShardError`` for a missing member, and for a caption or view that the layout does not have."""
     for member in layout.members:
         if member not in members:
-            raise ShardError(f"{key_of(index)} has no {member}, as all samples of this data set: give it one")
+            raise ShardError(f"{key_of(index)} has no {member}, which all samples of this data set have: add it")
     if more := [member for member in members if member not in layout.members and is_extra(member)]:
-        raise ShardError(f"{key_of(index)} has {more[0]}, as no other sample of this data set: leave it out")
+        raise ShardError(f"{key_of(index)} has {more[0]}, which no other sample of this data set has: leave it out")
 
 
 def _span(row: ShardTable) -> tuple[int, int]:
-    """First and last byte, plus one, of a sample's place in the file."""
+    """Start and end of a sample in the file [bytes], its first header and last padding included."""
     return int(row.offset[0, 0]) - BLOCK, int(row.offset[0, -1]) + padded(int(row.size[0, -1]))
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring new names to the disk, as ``fsync`` brings content."""
+    """``fsync`` the folder, so that renames survive a power cut."""
     fd = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(fd)

@@ -1,7 +1,7 @@
-"""Where every member of every sample lies: what turns a tar into a file with random access.
+"""Shard indices: the offset, size and CRC-32 of every member, for random access to tars.
 
-``index-train.npz`` can always be made again from the shards; a shard that it does not know, or knows in another
-length, is read anew.
+``index-train.npz`` can be rebuilt from the shards. A shard that is missing in it, or has another length there, is
+scanned again.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.names import safe_name
 from gcd_dataset.records import Outcome, Record
-from gcd_dataset.shards.access import REMEDY, read_small, reading
+from gcd_dataset.shards.access import REMEDY, read_limited, reading
 from gcd_dataset.shards.arrays import Column, read_arrays
 from gcd_dataset.shards.layout import (
     BODIES,
@@ -45,40 +45,40 @@ from gcd_dataset.shards.tar import BLOCK, TarMember, tar_entries
 __all__ = [
     "ShardIndex",
     "ShardTable",
-    "first_sample",
+    "first_sample_format",
     "has_settled",
-    "known_index",
+    "read_stored_index",
+    "read_tables",
     "scan_shard",
-    "sizes_in",
-    "tables_of",
+    "shard_sizes",
     "whole_samples",
 ]
 
-MADE_AGAIN = "delete it, it is made again from the shards"
+REBUILD = "delete it, it is made again from the shards"
 META = "meta.json"
-MOST_MEMBERS = 256  # of a sample that is looked at
-SCHEMA_TOLD = re.compile(rb'\{\s*"schema":\s*(\d{1,9})\D')
-OURS = re.compile(rb"(gcd_\d{9,})\.meta\.json\0")  # how every archive of ours begins
+MOST_MEMBERS = 256  # of a sample, when its format is probed
+SCHEMA_ENTRY = re.compile(rb'\{\s*"schema":\s*(\d{1,9})\D')
+OWN_START = re.compile(rb"(gcd_\d{9,})\.meta\.json\0")  # start of every shard written by this package
 
 
 @dataclass(frozen=True, eq=False)
 class ShardTable(Record):
-    """The contents of one shard; ``n`` samples in the order of the file, ``m`` members."""
+    """The contents of one shard: ``n`` samples in file order, ``m`` members each."""
 
     sample: Int[np.ndarray, " n"]
     """Index of each sample in the data set."""
     offset: Int[np.ndarray, "n m"]
-    """First byte of each member's content."""
+    """First byte of each member's content in the shard."""
     size: UInt32[np.ndarray, "n m"]
-    """Bytes of it."""
+    """Bytes of the content."""
     crc: UInt32[np.ndarray, "n m"]
-    """CRC-32 of it."""
+    """CRC-32 of the content."""
     settled: Bool[np.ndarray, " n"]
-    """Whether the drape of each sample ended as ``Outcome.SETTLED``; false where there is none."""
+    """Whether the drape of each sample ended as ``Outcome.SETTLED``; false without a drape."""
 
     @classmethod
     def of(cls, rows: Iterable["ShardTable"], layout: Layout = GARMENTS) -> Self:
-        """Several tables as one."""
+        """The concatenation of several tables."""
         parts = [empty_table(layout), *rows]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
 
@@ -96,18 +96,18 @@ _ARRAYS: Mapping[str, Column] = {
     "crc": Column("iu", 2), "settled": Column("b", 1), "keys": Column("U", 1, needed=False),
     "digest": Column("U", 0, needed=False),
 }  # fmt: skip
-"""What an index file holds; ``keys`` for foreign archives, ``digest`` since schema 2."""
+"""The arrays of an index file; ``keys`` for foreign archives, ``digest`` since schema 2."""
 
 
 def empty_table(layout: Layout = GARMENTS) -> ShardTable:
-    """The contents of a shard without samples."""
+    """The table of a shard without samples."""
     none = np.zeros((0, len(layout.members)), np.uint32)
     return ShardTable(np.zeros(0, np.int64), none.astype(np.int64), none, none, np.zeros(0, bool))
 
 
 @dataclass(frozen=True, eq=False)
 class ShardIndex(Record):
-    """The contents of a split: the tables of its shards, one below the other."""
+    """The contents of a split: the concatenated tables of its shards."""
 
     shards: tuple[str, ...]
     """File names."""
@@ -118,18 +118,18 @@ class ShardIndex(Record):
     table: ShardTable
     layout: Layout = GARMENTS
     keys: tuple[str, ...] = ()
-    """Names of the samples of foreign archives; ours follow from their indices."""
+    """Keys of the samples of foreign archives; otherwise the keys follow from the indices."""
 
     @classmethod
     def of(cls, folder: Path, tables: Mapping[str, ShardTable], layout: Layout = GARMENTS) -> Self:
-        """The index of shards that lie in ``folder``, from file name to contents."""
+        """The index of shards in ``folder``, from file name to table."""
         with reading(folder):
             length = [(folder / name).stat().st_size for name in tables]
         return cls.joined(tables, length, layout)
 
     @classmethod
     def joined(cls, tables: Mapping[str, ShardTable], length: Sequence[int], layout: Layout = GARMENTS) -> Self:
-        """The index of shards of these lengths [bytes], wherever they lie, from file name to contents."""
+        """The index of shards of these lengths [bytes], from file name to table."""
         shard = np.repeat(np.arange(len(tables), dtype=np.int32), [len(table) for table in tables.values()])
         table = ShardTable.of(tables.values(), layout)
         return cls(tuple(tables), np.array(length, np.int64), shard, table, layout)
@@ -138,15 +138,15 @@ class ShardIndex(Record):
         return len(self.table)
 
     def key(self, row: int) -> str:
-        """The name of a sample in its shard."""
+        """The key of a sample: its name in the shard."""
         return self.keys[row] if self.keys else key_of(int(self.table.sample[row]))
 
     def write(self, path: Path) -> None:
-        """Keep the index as ``path``, whole or not at all. Raises ``OutputError``."""
+        """Write the index to ``path``, atomically. Raises ``OutputError``."""
         write_whole(path, self.to_bytes())
 
     def to_bytes(self) -> bytes:
-        """The index as a file."""
+        """The content of the index file."""
         file = io.BytesIO()
         arrays: dict[str, Any] = {name: getattr(self.table, name) for name in _COLUMNS}
         arrays |= {"shards": np.array(self.shards, np.str_), "length": self.length, "shard": self.shard}
@@ -160,18 +160,18 @@ class ShardIndex(Record):
 
     @classmethod
     def read(cls, path: Path, layout: Layout = GARMENTS, *, partial: bool = False) -> Self:
-        """The index in ``path``; ``partial``: one of some of the layout's members, of an earlier schema, or of foreign
-        archives, will do too.
+        """The index in ``path``.
 
-        Raises ``ShardError`` for a file that is broken, of another schema or layout.
+        ``partial`` also accepts an index of fewer members, of an earlier schema, or of foreign archives. Raises
+        ``ShardError`` for a broken file, and for another schema or layout.
         """
-        return cls.parse(read_small(path, LARGEST_FILE), str(path), layout, partial=partial)
+        return cls.parse(read_limited(path, LARGEST_FILE), str(path), layout, partial=partial)
 
     @classmethod
     def parse(
-        cls, content: bytes, path: str, layout: Layout = GARMENTS, *, partial: bool = False, remedy: str = MADE_AGAIN
+        cls, content: bytes, path: str, layout: Layout = GARMENTS, *, partial: bool = False, remedy: str = REBUILD
     ) -> Self:
-        """The index in a file's content; ``path`` and ``remedy`` stand in errors. Raises as ``read`` does."""
+        """The index in a file's content; ``path`` and ``remedy`` for messages. Raises as ``read`` does."""
         try:
             arrays = read_arrays(content, {"schema": _ARRAYS["schema"]})
             _require_known(int(arrays["schema"]), path)
@@ -182,7 +182,7 @@ class ShardIndex(Record):
             if found is None or (found != layout and not partial):
                 raise _other_layout(path, layout, schema, members, bool(keys))
             if schema > 1 and arrays.get("digest", "") != _digest(arrays):
-                raise ShardError("its columns are not those that were written")
+                raise ShardError("its digest does not match its columns")
             _require_consistent(arrays, found)
         except ShardError as error:
             if str(error).startswith(path):
@@ -204,13 +204,13 @@ class ShardIndex(Record):
         )
 
     def tables(self) -> dict[str, ShardTable]:
-        """File name to contents."""
+        """Shard name to table."""
         first = np.searchsorted(self.shard, np.arange(len(self.shards) + 1))
         return {name: self.table[first[i] : first[i + 1]] for i, name in enumerate(self.shards)}
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 of everything in an index, so that an edited column is found."""
+    """SHA-256 of all arrays of an index, which detects an edited column."""
     digest = hashlib.sha256()
     for name in sorted(arrays.keys() - {"digest"}):
         array = np.ascontiguousarray(arrays[name])
@@ -220,14 +220,14 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def _require_known(schema: int, path: str) -> None:
-    """Raise ``ShardError`` for an index of a schema that is not read."""
+    """Raise ``ShardError`` for an unknown schema."""
     if schema not in SCHEMAS:
         known = " and ".join(map(str, SCHEMAS))
         raise ShardError(f"{path}: an index of schema {schema}, and this reader knows {known}: update gcd_dataset")
 
 
 def _other_layout(path: str, layout: Layout, schema: int, members: tuple[str, ...], is_foreign: bool) -> ShardError:
-    """Why an index cannot be taken for one of ``layout``."""
+    """The error for an index whose layout is not ``layout``."""
     for other in (GARMENTS, BODIES):
         if other.kind != layout.kind and not is_foreign and layout_of(other, schema, members) is not None:
             return ShardError(
@@ -236,16 +236,16 @@ def _other_layout(path: str, layout: Layout, schema: int, members: tuple[str, ..
             )
     if is_foreign or layout_of(layout, schema, members) is not None:
         lacking = ", ".join(member for member in layout.members if member not in members)
-        what = f"schema {schema}, and schema {layout.schema} is written"
+        contents = f"schema {schema}, and schema {layout.schema} is written"
         if schema == layout.schema:
-            what = f"samples without {lacking}" if lacking else "samples with a caption or views"
-        what = "foreign archives" if is_foreign else what
-        return ShardError(f"{path}: an index of {what}: these are only read: choose another folder")
-    return ShardError(f"{path}: not an index of {layout.kind} (members {', '.join(members)[:60]}): {MADE_AGAIN}")
+            contents = f"samples without {lacking}" if lacking else "samples with a caption or views"
+        contents = "foreign archives" if is_foreign else contents
+        return ShardError(f"{path}: an index of {contents}: these are read-only: choose another folder")
+    return ShardError(f"{path}: not an index of {layout.kind} (members {', '.join(members)[:60]}): {REBUILD}")
 
 
 def _require_consistent(arrays: Mapping[str, np.ndarray], layout: Layout) -> None:
-    """Raise ``ShardError`` unless the columns fit together and every member is in its shard."""
+    """Raise ``ShardError`` unless the columns have matching shapes and every member lies inside its shard."""
     n, m, k = len(arrays["sample"]), len(layout.members), len(arrays["shards"])
     for name in (*_COLUMNS, "shard"):
         if arrays[name].shape != ((n, m) if name in ("offset", "size", "crc") else (n,)):
@@ -253,32 +253,32 @@ def _require_consistent(arrays: Mapping[str, np.ndarray], layout: Layout) -> Non
     if len(arrays["length"]) != k or len(arrays.get("keys", arrays["sample"])) != n:
         raise ShardError(f"{len(arrays['length'])} lengths for {k} shards, or keys for other than {n} samples")
     for name in ("sample", "shard", "size", "crc", "length"):
-        # Compared as whole numbers of Python: an unsigned column holds more than a signed one.
+        # Compared as Python integers: an unsigned column may exceed a signed one.
         low, high = (int(arrays[name].min()), int(arrays[name].max())) if arrays[name].size else (0, 0)
         most = {"shard": max(k - 1, 0), "size": LARGEST_SAMPLE, "crc": 2**32 - 1}.get(name, LONGEST)
         if low < 0 or high > most:
-            raise ShardError(f"column {name} from {low} to {high}, where 0 to {most} are read")
-    # Foreign names are compared with those in the folder, ours are joined to it.
-    ours = "keys" not in arrays
-    if any("/" in n or n in ("", ".", "..") or (ours and safe_name(n) != n) for n in arrays["shards"].tolist()):
+            raise ShardError(f"column {name} from {low} to {high}, outside 0 to {most}")
+    # Only our own names are joined to a path; foreign ones are compared with the names in the folder.
+    is_own = "keys" not in arrays
+    if any("/" in n or n in ("", ".", "..") or (is_own and safe_name(n) != n) for n in arrays["shards"].tolist()):
         raise ShardError("a shard outside the folder")
     if not n:
         return
     if (np.diff(arrays["shard"].astype(np.int64)) < 0).any():
         raise ShardError("shards out of order")
     if layout.kind != FOREIGN and len(np.unique(arrays["sample"])) != n:
-        raise ShardError("a sample that is there twice")
-    for first in range(0, n, AT_ONCE):
-        _require_inside(arrays, slice(first, first + AT_ONCE), layout)
+        raise ShardError("a sample is there twice")
+    for first in range(0, n, CHUNK):
+        _require_inside(arrays, slice(first, first + CHUNK), layout)
 
 
 LONGEST = 1 << 62
-AT_ONCE = 1 << 12  # samples that are checked at a time: what is computed of them takes more room than they do
+CHUNK = 1 << 12  # samples checked at a time: bounds the memory of intermediate arrays
 
 
 def _require_inside(arrays: Mapping[str, np.ndarray], rows: slice, layout: Layout) -> None:
-    """Raise ``ShardError`` for a member beyond the end of its shard, or a sample larger than is read."""
-    least = -1 if layout.kind == FOREIGN else 0  # of foreign samples a member may be missing
+    """Raise ``ShardError`` for a member beyond the end of its shard, or a sample over the size limits."""
+    least = -1 if layout.kind == FOREIGN else 0  # foreign samples may lack a member: offset -1
     length = arrays["length"].astype(np.int64, copy=False)[arrays["shard"][rows].astype(np.int64)][:, None]
     offset = arrays["offset"][rows]
     if int(offset.min()) < least or (offset > length).any():
@@ -293,47 +293,49 @@ def _require_inside(arrays: Mapping[str, np.ndarray], rows: slice, layout: Layou
             raise ShardError(f"a {META} of more than {LARGEST_JSON} bytes")
 
 
-def known_index(folder: Path, split: str, layout: Layout = GARMENTS, *, partial: bool = False) -> ShardIndex | None:
-    """The index that is kept in a folder; ``None`` where there is none. Raises as ``ShardIndex.read`` does."""
+def read_stored_index(
+    folder: Path, split: str, layout: Layout = GARMENTS, *, partial: bool = False
+) -> ShardIndex | None:
+    """The index file of a split; ``None`` where there is none. Raises as ``ShardIndex.read`` does."""
     with reading(folder):
-        is_there = (path := folder / index_name(split)).exists()
-    return ShardIndex.read(path, layout, partial=partial) if is_there else None
+        exists = (path := folder / index_name(split)).exists()
+    return ShardIndex.read(path, layout, partial=partial) if exists else None
 
 
-def tables_of(
+def read_tables(
     folder: Path, split: str, layout: Layout = GARMENTS, *, index: ShardIndex | None = None
 ) -> dict[str, ShardTable]:
-    """The contents of each whole shard of a split, from its ``index`` where that knows the shard.
+    """Shard name to table, for the finished shards of a split: from ``index`` where it has the shard, else scanned.
 
-    Without ``index`` the one that is kept in the folder. Raises ``ShardError`` for one of another layout.
+    ``index``: by default the index file in the folder. Raises ``ShardError`` for an index of another layout.
     """
-    index = known_index(folder, split, layout) if index is None else index
+    index = read_stored_index(folder, split, layout) if index is None else index
     known: dict[tuple[str, int], ShardTable] = {}
     if index is not None:
         known = dict(zip(zip(index.shards, index.length.tolist(), strict=True), index.tables().values(), strict=True))
     tables = {}
-    for shard, size in sizes_in(folder, split).items():
+    for shard, size in shard_sizes(folder, split).items():
         table = known.get((shard, size))
         tables[shard] = scan_shard(folder / shard, layout) if table is None else table
     return tables
 
 
-def sizes_in(folder: Path, split: str) -> dict[str, int]:
-    """File name to bytes of each whole shard of a split. Raises ``ShardError``."""
+def shard_sizes(folder: Path, split: str) -> dict[str, int]:
+    """File name to size [bytes] of each finished shard of a split. Raises ``ShardError``."""
     with reading(folder):
         return {path.name: path.stat().st_size for path in shards_in(folder, split)}
 
 
 def has_settled(meta: Mapping[str, Any]) -> bool:
-    """Whether the sample of a ``meta.json`` has been draped and hangs still."""
-    drape = meta.get("drape")  # a body has none
+    """Whether the drape in a ``meta.json`` has settled; false without a drape."""
+    drape = meta.get("drape")  # bodies have no drape
     return drape is not None and drape["outcome"] == Outcome.SETTLED.name
 
 
 def scan_shard(path: Path, layout: Layout = GARMENTS) -> ShardTable:
-    """The contents of a shard, read from its tar headers and the hashes in each sample's ``meta.json``.
+    """The table of a shard, from its tar headers and the checksums in each sample's ``meta.json``.
 
-    Raises ``ShardError`` for a damaged archive, or samples that are not of this layout and its schema.
+    Raises ``ShardError`` for a damaged archive, and for samples of another layout or schema.
     """
     with _opened(path) as file:
         try:
@@ -343,33 +345,33 @@ def scan_shard(path: Path, layout: Layout = GARMENTS) -> ShardTable:
             raise ShardError(f"{path}: {error}: {REMEDY}") from error
 
 
-def first_sample(path: Path) -> tuple[int, tuple[str, ...]] | None:
-    """Schema and members of the first sample of a shard; ``None`` for an archive that is not ours.
+def first_sample_format(path: Path) -> tuple[int, tuple[str, ...]] | None:
+    """Schema and members of the first sample of a shard; ``None`` for a tar by another program.
 
-    Schema 0 where the sample does not tell it. Raises ``ShardError`` for a file that cannot be read.
+    Schema 0 where the sample does not hold it. Raises ``ShardError`` for a file that cannot be read.
     """
     members: list[str] = []
     schema = 0
     with _opened(path) as file:
-        match = OURS.match(os.pread(file, BLOCK, 0))
-        if match is None:
+        start = OWN_START.match(os.pread(file, BLOCK, 0))
+        if start is None:
             return None
-        # An error here is damage, which the scan will tell.
+        # Damage is reported by the scan that follows.
         with contextlib.suppress(ShardError):
             for entry in islice(tar_entries(file), MOST_MEMBERS):
                 key, _, member = entry.name.partition(".")
-                if key != match[1].decode():
+                if key != start[1].decode():
                     break
-                if not members and (told := SCHEMA_TOLD.match(os.pread(file, 64, entry.offset))):
-                    schema = int(told[1])
+                if not members and (match := SCHEMA_ENTRY.match(os.pread(file, 64, entry.offset))):
+                    schema = int(match[1])
                 members.append(member)
     return schema, tuple(members)
 
 
 def whole_samples(path: Path, layout: Layout = GARMENTS) -> ShardTable:
-    """The contents of a shard whose writing was broken off: every sample up to the first that is not whole."""
+    """The table of an interrupted shard: its samples before the first incomplete or damaged one."""
     rows: list[ShardTable] = []
-    # An error here is the sample that was being written when the end came.
+    # An error marks the sample that was being written at the interrupt.
     with _opened(path) as file, contextlib.suppress(ShardError):
         for entries in _by_sample(tar_entries(file), layout):
             row = _row(file, entries, layout)
@@ -381,19 +383,19 @@ def whole_samples(path: Path, layout: Layout = GARMENTS) -> ShardTable:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[int]:
-    """The file's descriptor. Raises ``ShardError`` for what the system refuses."""
+    """The file's descriptor. Raises ``ShardError`` for an OS error."""
     with reading(path), path.open("rb") as file:
         yield file.fileno()
 
 
 def _by_sample(entries: Iterator[TarMember], layout: Layout) -> Iterator[list[TarMember]]:
-    # By number, not by key: to see that a key has changed, one would read into the next sample, which may be torn.
+    # Grouped by count, not by key: a change of key shows only in the next sample, which may be truncated.
     while sample := list(islice(entries, len(layout.members))):
         yield sample
 
 
 def _row(file: int, entries: list[TarMember], layout: Layout) -> ShardTable:
-    """The table of one sample."""
+    """The table of one sample. Raises ``ShardError``."""
     key = entries[0].name.partition(".")[0]
     if sum(entry.size for entry in entries) > LARGEST_SAMPLE:
         raise ShardError(f"sample {key} has more than {LARGEST_SAMPLE} bytes")
@@ -412,7 +414,7 @@ def _row(file: int, entries: list[TarMember], layout: Layout) -> ShardTable:
 
 def _read_meta(file: int, entry: TarMember, key: str, layout: Layout) -> dict[str, Any]:
     if entry.size > LARGEST_JSON:
-        raise ShardError(f"sample {key} begins with {entry.size} bytes, where {META} has {LARGEST_JSON} at most")
+        raise ShardError(f"sample {key} begins with {entry.size} bytes, where {META} has at most {LARGEST_JSON}")
     try:
         meta = read_meta(_content(file, entry))
     except ShardError as error:

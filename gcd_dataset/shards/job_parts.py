@@ -1,11 +1,11 @@
-"""A data set that is made in parts, by jobs that need not know of each other, until ``gcd merge`` joins them.
+"""The parts of a data set made by independent jobs of a cluster; ``gcd merge`` joins them.
 
-    .parts/parts.json              what the parts have in common: how many they are, count, seed, recipe, versions
-    .parts/00002-of-00008/         shards, index and manifest of a part, as of any data set; its lock
+    .parts/parts.json                  the plan: number of parts, count, seed, recipe, versions
+    .parts/00002-of-00008/             shards, index and manifest of a part, as of any data set; its lock
     .parts/00002-of-00008/part.json    of a finished part: its range, seed, recipe hash, versions, and its shards
-    .parts/merging                 while, or since a killed, ``gcd merge`` moves shards
+    .parts/merging                     exists during ``gcd merge``, and after an interrupted one
 
-Shards of a part have the numbers that they have in the whole; a shard at the border of two parts is in both, with the
+Shards of a part have the numbers of the merged data set. A shard at the border of two parts is in both, with the
 samples of each.
 """
 
@@ -19,7 +19,7 @@ import gcd_dataset
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import make_folder, write_whole
 from gcd_dataset.jsonfile import found
-from gcd_dataset.shards.access import locked, read_small, reading
+from gcd_dataset.shards.access import locked, read_limited, reading
 from gcd_dataset.shards.layout import FAILED, recipe_hash
 from gcd_dataset.shards.limits import LARGEST_JSON
 from gcd_dataset.shards.manifest import ShardRecord, SplitRecord
@@ -29,21 +29,21 @@ __all__ = [
     "MERGED",
     "PARTS",
     "FinishedPart",
-    "NamedSet",
+    "NamedRecipe",
     "PartsPlan",
-    "agree_on",
-    "changing_parts",
     "finished_path",
     "has_plan",
     "is_merging",
     "merging_path",
     "part_folder",
+    "parts_lock",
     "parts_waiting",
     "read_finished",
     "read_plan",
     "require_merged",
     "require_version",
     "write_finished",
+    "write_or_check_plan",
 ]
 
 PARTS, MERGED = ".parts", ".parts-merged"
@@ -53,8 +53,8 @@ DIGITS = 12  # of a hash, in messages
 
 
 @dataclass(frozen=True)
-class NamedSet:
-    """The recipe of a data set that has a name, as far as ``merge`` needs it."""
+class NamedRecipe:
+    """A published recipe, as far as ``merge`` needs it."""
 
     name: str
     sha256: str
@@ -62,100 +62,100 @@ class NamedSet:
     splits: Mapping[str, float]
     """Split to its share of the designs."""
     patterns: str
-    """The hash of all its patterns; empty where the recipe does not tell it."""
+    """Hash of all its patterns; empty where the recipe does not hold it."""
 
 
 @dataclass(frozen=True)
 class PartsPlan:
-    """What the parts of a data set have in common."""
+    """The plan shared by all parts of a data set."""
 
     of: int
-    """How many they are."""
+    """Number of parts."""
     count: int
-    """Samples of all parts."""
+    """Samples of all parts together."""
     seed: int
     recipe: Mapping[str, Any]
-    """The options that samples are made with."""
+    """Options of the generator."""
     shard_sizes: Mapping[str, int]
-    """Split to the range of indices of its shards."""
+    """Split to the range of indices that a shard covers."""
     schema: int
     versions: Mapping[str, str]
-    """Package to version, of all that decides the bytes."""
-    named: NamedSet | None = None
-    """The recipe, of a data set that has a name."""
+    """Package to version, of all packages that decide the bytes."""
+    named: NamedRecipe | None = None
+    """The published recipe, if the data set follows one."""
 
     @property
     def recipe_sha256(self) -> str:
-        """Of the options, and of the recipe of a data set that has a name."""
+        """Hash of the options and of the published recipe."""
         return recipe_hash({**self.recipe, **({} if self.named is None else {"named": self.named.sha256})})
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """Splits that are there whatever comes out, the first of them locked while a part is made."""
+        """All splits except ``failed``; a job locks the first of them."""
         return tuple(split for split in self.shard_sizes if split != FAILED)
 
-    def require_same(self, asked: "PartsPlan", place: Path) -> None:
-        """Raise ``ConfigError`` with both sides where other parts are asked for; ``place``: the file of this plan."""
-        mine, theirs = self._told(), asked._told()
-        for name in sorted(mine.keys() | theirs.keys()):
-            if recipe_hash({name: mine.get(name)}) != recipe_hash({name: theirs.get(name)}):
+    def require_same(self, requested: "PartsPlan", path: Path) -> None:
+        """Raise ``ConfigError`` with both values where ``requested`` differs; ``path``: the file of this plan."""
+        existing, wanted = self._flat(), requested._flat()
+        for name in sorted(existing.keys() | wanted.keys()):
+            if recipe_hash({name: existing.get(name)}) != recipe_hash({name: wanted.get(name)}):
                 raise ConfigError(
-                    f"{place}: parts begun with {name}={mine.get(name)!r}, asked for {name}={theirs.get(name)!r}: use "
-                    f"the same, choose another folder, or delete {place.parent} to begin anew"
+                    f"{path}: parts begun with {name}={existing.get(name)!r}, asked for {name}={wanted.get(name)!r}: "
+                    f"use the same, choose another folder, or delete {path.parent} to begin anew"
                 )
 
-    def _told(self) -> dict[str, Any]:
-        """Name to value of everything in it."""
-        own = {"parts": self.of, "count": self.count, "seed": self.seed, "shard_sizes": dict(self.shard_sizes)}
+    def _flat(self) -> dict[str, Any]:
+        """Name to value of everything in the plan, options and versions included."""
+        sizes = {"parts": self.of, "count": self.count, "seed": self.seed, "shard_sizes": dict(self.shard_sizes)}
         named = None if self.named is None else f"{self.named.name} ({self.named.sha256[:DIGITS]})"
-        return {"named": named, **own, "schema": self.schema, **self.versions, **self.recipe}
+        return {"named": named, **sizes, "schema": self.schema, **self.versions, **self.recipe}
 
 
 @dataclass(frozen=True)
 class FinishedPart:
-    """What a part that is finished leaves."""
+    """The record of a finished part, ``part.json``."""
 
     part: int
     of: int
     first: int
     """Its first sample."""
     stop: int
-    """Its last sample, plus one."""
+    """One past its last sample."""
     count: int
-    """Samples of all parts."""
+    """Samples of all parts together."""
     seed: int
     recipe_sha256: str
     schema: int
     versions: Mapping[str, str]
     splits: Mapping[str, tuple[ShardRecord, ...]]
-    """Split to its shards."""
+    """Split to the records of its shards."""
 
     @classmethod
     def of_plan(cls, part: int, indices: range, plan: PartsPlan, splits: Mapping[str, SplitRecord]) -> Self:
-        """Part ``part`` of a plan, of these samples, with the splits of its manifest."""
+        """The record of part ``part``, which covers ``indices``; ``splits``: of its manifest."""
         return cls(
             part, plan.of, indices.start, indices.stop, plan.count, plan.seed, plan.recipe_sha256, plan.schema,
             plan.versions, {name: split.shards for name, split in splits.items()},
         )  # fmt: skip
 
-    def require_of(self, plan: PartsPlan, part: int, place: Path, remedy: str) -> None:
-        """Raise ``ConfigError`` where this is not that part of ``plan``; ``place``: its file."""
+    def require_of(self, plan: PartsPlan, part: int, path: Path, remedy: str) -> None:
+        """Raise ``ConfigError`` unless this is part ``part`` of ``plan``; ``path``: the file of this record."""
         if self.part != part:
-            raise ConfigError(f"{place}: of part {self.part}, where part {part} is read: {remedy}")
-        mine = {"parts": self.of, "count": self.count, "seed": self.seed, "recipe_sha256": self.recipe_sha256}
-        theirs = {"parts": plan.of, "count": plan.count, "seed": plan.seed, "recipe_sha256": plan.recipe_sha256}
-        mine |= {"schema": self.schema, **self.versions}
-        theirs |= {"schema": plan.schema, **plan.versions}
-        for name in sorted(mine.keys() | theirs.keys()):
-            if mine.get(name) != theirs.get(name):
+            raise ConfigError(f"{path}: record of part {self.part}, expected part {part}: {remedy}")
+        own = {"parts": self.of, "count": self.count, "seed": self.seed, "recipe_sha256": self.recipe_sha256}
+        planned = {"parts": plan.of, "count": plan.count, "seed": plan.seed, "recipe_sha256": plan.recipe_sha256}
+        own |= {"schema": self.schema, **self.versions}
+        planned |= {"schema": plan.schema, **plan.versions}
+        for name in sorted(own.keys() | planned.keys()):
+            if own.get(name) != planned.get(name):
                 raise ConfigError(
-                    f"{place}: made with {name}={mine.get(name)!r}, the other parts with {name}={theirs.get(name)!r}: "
+                    f"{path}: made with {name}={own.get(name)!r}, the other parts with {name}={planned.get(name)!r}: "
                     f"{remedy}"
                 )
 
 
 def part_folder(out: Path, part: int, of: int) -> Path:
-    """The place of a part.
+    """The folder of a part.
 
     >>> part_folder(Path("shards"), 2, 8).as_posix()
     'shards/.parts/00002-of-00008'
@@ -164,23 +164,23 @@ def part_folder(out: Path, part: int, of: int) -> Path:
 
 
 def finished_path(folder: Path) -> Path:
-    """The file that the part in ``folder`` leaves when it is finished."""
+    """The record ``part.json`` of the part in ``folder``."""
     return folder / FINISHED
 
 
 def merging_path(out: Path) -> Path:
-    """The file that is there while parts are merged, and after that was broken off."""
+    """The file that exists during a merge, and after an interrupted one."""
     return out / PARTS / MERGING
 
 
 def is_merging(out: Path) -> bool:
-    """Whether the parts are being merged, or have been merged in part. Raises ``ShardError``."""
+    """Whether a merge is running or was interrupted. Raises ``ShardError``."""
     with reading(merging_path(out)):
         return merging_path(out).exists()
 
 
 def parts_waiting(out: Path) -> str | None:
-    """How many parts wait in a folder to be merged, and what to do about it; ``None`` where there are none.
+    """A message about the unmerged parts in a folder, with a remedy; ``None`` where there are none.
 
     Raises ``ShardError`` for a folder that cannot be read.
     """
@@ -191,55 +191,52 @@ def parts_waiting(out: Path) -> str | None:
         finished = sum(1 for _ in folder.glob(f"*-of-*/{FINISHED}"))
         begun = (folder / PLAN).exists()
     if is_merging(out):
-        return f"the merge of its parts goes on, or was stopped: run gcd merge {out}"
+        return f"the merge of its parts is running or was stopped: run gcd merge {out}"
     of = read_plan(folder).of if begun else 0
     others = "" if finished == of else "make the others, then "
     return f"{finished} of {of or 'its'} parts are finished: {others}run gcd merge {out}"
 
 
 def require_merged(out: Path, error: type[ShardError | ConfigError] = ShardError) -> None:
-    """Raise ``error`` for a folder whose parts wait to be merged."""
-    if (told := parts_waiting(out)) is not None:
-        raise error(f"{out}: made in parts: {told}")
+    """Raise ``error`` for a folder with unmerged parts."""
+    if (problem := parts_waiting(out)) is not None:
+        raise error(f"{out}: made in parts: {problem}")
 
 
 @contextlib.contextmanager
-def changing_parts(out: Path) -> Iterator[None]:
-    """Hold off parts that begin, and a merge that begins or ends, for the moment that the block takes.
-
-    Raises ``OutputError``.
-    """
+def parts_lock(out: Path) -> Iterator[None]:
+    """Lock the folder against the start of a part, and the start or end of a merge. Raises ``OutputError``."""
     with locked(make_folder(out) / LOCK, "beginning a part", wait=True):
         yield
 
 
-def agree_on(out: Path, asked: PartsPlan) -> None:
-    """Have a plan in ``out``, written if there is none. Raises ``ConfigError`` for parts of another plan.
+def write_or_check_plan(out: Path, requested: PartsPlan) -> None:
+    """Write the plan to ``out`` if there is none. Raises ``ConfigError`` where ``out`` has another plan.
 
-    Raises ``OutputError`` where it cannot be written, ``ShardError`` for a broken one.
+    Raises ``OutputError`` where the plan cannot be written, ``ShardError`` for a broken one.
     """
     path = make_folder(out / PARTS) / PLAN
     if not path.exists():
-        write_whole(path, _json(asdict(asked)))
-    read_plan(out / PARTS).require_same(asked, path)
+        write_whole(path, _json(asdict(requested)))
+    read_plan(out / PARTS).require_same(requested, path)
 
 
 def has_plan(folder: Path) -> bool:
-    """Whether parts were begun in ``folder``. Raises ``ShardError``."""
+    """Whether ``folder`` holds a plan of parts. Raises ``ShardError``."""
     with reading(folder):
         return (folder / PLAN).exists()
 
 
 def read_plan(folder: Path) -> PartsPlan:
-    """The plan of the parts in ``folder``. Raises ``ShardError`` for one that is missing or broken."""
-    remedy = f"copy it again, or delete {folder} and make the parts anew"
+    """The plan of the parts in ``folder``. Raises ``ShardError`` for a missing or broken file."""
+    remedy = f"copy it again, or delete {folder} and make the parts again"
     values = _read(folder / PLAN, PLAN_TYPES, remedy)
     named = values["named"]
-    return PartsPlan(**{**values, "named": None if named is None else NamedSet(**named)})
+    return PartsPlan(**{**values, "named": None if named is None else NamedRecipe(**named)})
 
 
 def read_finished(folder: Path) -> FinishedPart | None:
-    """What the part in ``folder`` left when it was finished; ``None`` if it is not. Raises ``ShardError``."""
+    """The record of the part in ``folder``; ``None`` for an unfinished part. Raises ``ShardError``."""
     path, remedy = finished_path(folder), "delete it and run this part again"
     with reading(path):
         if not path.exists():
@@ -256,14 +253,14 @@ def read_finished(folder: Path) -> FinishedPart | None:
 
 
 def write_finished(folder: Path, finished: FinishedPart) -> None:
-    """Leave word that the part in ``folder`` is finished. Raises ``OutputError``."""
+    """Write the record of the finished part in ``folder``. Raises ``OutputError``."""
     write_whole(finished_path(folder), _json(asdict(finished)))
 
 
-def require_version(place: Path, plan: PartsPlan) -> None:
-    """Raise ``ConfigError`` for parts by another version of this package."""
+def require_version(path: Path, plan: PartsPlan) -> None:
+    """Raise ``ConfigError`` for parts made by another version of this package; ``path``: for the message."""
     if (made := plan.versions.get("gcd_dataset")) != (now := gcd_dataset.__version__):
-        raise ConfigError(f"{place}: its parts were made by gcd_dataset {made}, and this is {now}: install {made}")
+        raise ConfigError(f"{path}: its parts were made by gcd_dataset {made}, and this is {now}: install {made}")
 
 
 def _json(value: Any) -> bytes:
@@ -318,13 +315,13 @@ FINISHED_TYPES = {
 
 
 def _read(path: Path, types: Mapping[str, Any], remedy: str) -> dict[str, Any]:
-    """The entries of a file. Raises ``ShardError`` for one that is missing or broken."""
+    """The entries of a JSON file, checked. Raises ``ShardError`` for a missing or broken file."""
     try:
-        entry = decode_json(read_small(path, LARGEST_JSON))
+        entry = decode_json(read_limited(path, LARGEST_JSON))
         if not isinstance(entry, Mapping):
-            raise ShardError(f"it holds {found(entry)}, where an object is read")
-        for name, is_fit in types.items():
-            if not is_fit(entry.get(name)):
+            raise ShardError(f"it holds {found(entry)}, expected an object")
+        for name, is_valid in types.items():
+            if not is_valid(entry.get(name)):
                 raise ShardError(f"{name} is {found(entry.get(name))}")
     except ShardError as error:
         if str(error).startswith(str(path)):

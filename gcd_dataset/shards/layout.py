@@ -1,10 +1,10 @@
-"""How a data set's folder is laid out: names of files, of samples, of the members of a sample.
+"""Names in a data set's folder: files, samples, and the members of a sample.
 
     manifest.json         schema, recipe and seed of each split; count, size and sha256 of each shard
-    download.json         of a data set that was downloaded: where from
-    index-train.npz       where each member of each sample lies
-    mesh-train.npz        of bodies: triangles and parts, which all of them share
-    train-00000.tar       samples 0 … shard_size-1, each as the files of ``MEMBERS``, bodies as those of ``BODIES``
+    download.json         of a downloaded data set: its source and its complete splits
+    index-train.npz       offset, size and CRC-32 of each member of each sample
+    mesh-train.npz        of bodies: the triangles and parts of their common mesh
+    train-00000.tar       samples 0 … shard_size-1 with the members ``MEMBERS``, bodies with those of ``BODIES``
 
 >>> member_name(12, "verts.npy"), shard_name("train", 3)
 ('gcd_000000012.verts.npy', 'train-00003.tar')
@@ -37,21 +37,21 @@ __all__ = [
     "WAITING",
     "Bytes",
     "Layout",
-    "content_of",
     "fields_of",
     "foreign_layout",
     "garments_layout",
     "index_name",
     "is_extra",
     "key_of",
-    "known_fields",
     "layout_of",
     "lock_name",
+    "member_content",
     "member_name",
     "members_of",
     "mesh_name",
     "part_path",
     "recipe_hash",
+    "select_fields",
     "shard_name",
     "shard_number",
     "shards_in",
@@ -60,50 +60,52 @@ __all__ = [
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
 SCHEMA = 2
-"""Of what is written. Raised by one whenever a reader of today's shards would misread tomorrow's."""
+"""The schema written. Raised by one whenever old readers would misread new shards."""
 
 SCHEMAS = (1, SCHEMA)
-"""What is read. In schema 1 specification and design were members of JSON, and points absolute 16-bit floats."""
+"""The schemas read. In schema 1 specification and design were ``.json`` members, and points absolute f16."""
 
 MEMBERS: tuple[str, ...] = (
     "meta.json", "spec.txt", "design.txt", "measures.json", "panels.npy", "edges.npy", "stitches.npy", "body.npy",
     "faces.npy", "uv.npy", "panel_id.npy", "labels.npy", "seams.npy", "corners.npy", "uv_vertex.npy", "box.npy",
     "verts.npy", "points.npy", "front.jpg", "back.jpg",
 )  # fmt: skip
-"""The members of every sample, in the order of the file: what is small, or read together, stands together."""
+"""The members of every sample in file order; small members, and members read together, are neighbours."""
 
 FIRST_NAMES: Mapping[str, str] = {"spec.txt": "spec.json", "design.txt": "design.json"}
-"""Member to its name in schema 1, where that differed."""
+"""Member to its name in schema 1, where it differed."""
 
 TRAIN, FAILED = "train", "failed"
-WAITING = ".waiting"  # folder of samples whose shard is not full yet
-"""The split of what is made, and that of drapes that failed and are kept."""
+"""The default split, and the split of failed drapes."""
+
+WAITING = ".waiting"
+"""Folder of single samples whose shard is not full yet."""
 
 CAPTION = "caption.txt"
 MOST_VIEWS = 100
 VIEW = re.compile(r"view_(0|[1-9]\d?)\.(jpg|json)")
 
 FIELDS: Mapping[str, str] = {member.split(".")[0]: member for member in MEMBERS}
-"""Field of a loaded sample to the member it comes from; ``fields_of`` adds those that a data set need not have."""
+"""Field of a loaded sample to its member; ``fields_of`` adds the optional ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What every sample of a data set is made of."""
+    """The kind and the members of the samples of a data set."""
 
     kind: str
-    """What the samples are."""
+    """``garments``, ``bodies`` or ``foreign``."""
     members: tuple[str, ...]
-    """The files of a sample in their order; the first is ``meta.json``, which holds the CRC-32 of the others."""
+    """The files of a sample in order; the first is ``meta.json``, which holds the CRC-32 of the others."""
     reader: str
-    """The data set to read them with."""
+    """The class in ``gcd_dataset.loaders`` that reads them, for messages."""
     schema: int = SCHEMA
     """The version of the format."""
 
     def holds(self, members: Sequence[str]) -> bool:
-        """Whether these are members of the layout, in its order, the first among them.
+        """Whether these are members of the layout in its order, beginning with its first.
 
-        Garments may have a caption and views besides.
+        Garments may also have a caption and views.
         """
         known = self.members
         if self.kind == "garments" and self.schema > 1:
@@ -112,19 +114,19 @@ class Layout:
         return list(members) == [m for m in known if m in members] and list(members[:1]) == list(known[:1])
 
     def of(self, members: Sequence[str]) -> "Layout":
-        """The layout with these members and no others."""
+        """The layout reduced to these members."""
         return replace(self, members=tuple(members))
 
 
 def garments_layout(*, caption: bool = False, views: int = 0) -> Layout:
-    """Garments; with a caption, or so many views, in every sample.
+    """The layout of garments; with a caption, or a number of views, in every sample.
 
     >>> garments_layout(caption=True, views=1).members[4:6], garments_layout(views=1).members[-3:]
     (('caption.txt', 'panels.npy'), ('back.jpg', 'view_0.jpg', 'view_0.json'))
     """
-    small = MEMBERS.index("panels.npy")
+    first_array = MEMBERS.index("panels.npy")
     pictures = [f"view_{number}.{ending}" for number in range(views) for ending in ("jpg", "json")]
-    members = (*MEMBERS[:small], *([CAPTION] if caption else []), *MEMBERS[small:], *pictures)
+    members = (*MEMBERS[:first_array], *([CAPTION] if caption else []), *MEMBERS[first_array:], *pictures)
     return Layout("garments", members, "GarmentDataset")
 
 
@@ -134,24 +136,23 @@ BODIES = Layout("bodies", ("meta.json", "measures.json", "body.npy", "straight.n
 
 
 def is_extra(member: str) -> bool:
-    """Whether a member is one that a data set need not have."""
+    """Whether a member is optional: a caption, or a view."""
     return member == CAPTION or VIEW.fullmatch(member) is not None
 
 
 def layout_of(layout: Layout, schema: int, members: Sequence[str]) -> Layout | None:
-    """The layout of samples of ``layout``'s kind with these members, in an earlier schema too; ``None`` if they are
-    none of it."""
+    """``layout`` in ``schema``, reduced to these members; ``None`` for an unknown schema, or other members."""
     if schema == layout.schema:
-        there = layout
+        full = layout
     elif schema in SCHEMAS:
-        there = replace(layout, schema=schema, members=tuple(FIRST_NAMES.get(m, m) for m in layout.members))
+        full = replace(layout, schema=schema, members=tuple(FIRST_NAMES.get(m, m) for m in layout.members))
     else:
         return None
-    return there.of(members) if there.holds(members) else None
+    return full.of(members) if full.holds(members) else None
 
 
 def fields_of(members: Iterable[str]) -> dict[str, str]:
-    """Field to member, of garments with these members.
+    """Field to member, for garments with these members.
 
     >>> fields_of(["spec.json", "verts.npy", "view_0.jpg", "view_0.json"])
     {'spec': 'spec.json', 'verts': 'verts.npy', 'view_0': 'view_0.jpg', 'view_0_json': 'view_0.json'}
@@ -164,16 +165,16 @@ def fields_of(members: Iterable[str]) -> dict[str, str]:
     }
 
 
-def members_of(fields: Iterable[str], there: Mapping[str, str] = FIELDS) -> tuple[str, ...]:
-    """The members that fields are decoded from; ``there``: field to member."""
-    wanted = dict.fromkeys(there[field] for field in fields)
-    if "points" in there and there["points"] in wanted:  # whose scale and centre are there
-        wanted[there["meta"]] = None
+def members_of(fields: Iterable[str], member_of: Mapping[str, str] = FIELDS) -> tuple[str, ...]:
+    """The members that decoding these fields needs; ``member_of``: field to member."""
+    wanted = dict.fromkeys(member_of[field] for field in fields)
+    if "points" in member_of and member_of["points"] in wanted:  # meta.json holds their scale and centre
+        wanted[member_of["meta"]] = None
     return tuple(wanted)
 
 
-def content_of(field: str, members: Mapping[str, Bytes]) -> Bytes:
-    """The member that a field comes from, under its name in any schema. Raises ``KeyError``."""
+def member_content(field: str, members: Mapping[str, Bytes]) -> Bytes:
+    """The content of a field's member, under its name in any schema. Raises ``KeyError``."""
     member = FIELDS.get(field)
     if member is None:
         member = field.removesuffix("_json") + ".json" if field.endswith("_json") else f"{field}.jpg"
@@ -182,12 +183,12 @@ def content_of(field: str, members: Mapping[str, Bytes]) -> Bytes:
 
 
 def foreign_layout(members: Sequence[str]) -> Layout:
-    """The layout of archives by others: any members, each of which a sample may lack."""
+    """The layout of tars by other programs: any members; a sample may lack some."""
     return Layout(FOREIGN, tuple(members), "GarmentDataset")
 
 
 def key_of(index: int) -> str:
-    """The name of a sample in a shard; no dots, since readers take the first dot for the key's end."""
+    """The name of a sample in a shard. No dots: readers end the key at the first dot."""
     return f"gcd_{index:09d}"
 
 
@@ -197,35 +198,35 @@ def member_name(index: int, member: str) -> str:
 
 
 def shard_name(split: str, number: int) -> str:
-    """The name of a shard. It does not say how many there are, so that a data set can grow.
+    """The file name of a shard. It does not hold the number of shards, so that a data set can grow.
 
-    Raises ``ShardError``, as the functions below do, for a split whose name cannot be part of a file's.
+    Raises ``ShardError``, as the functions below do, for a split that is no safe file name.
     """
     return f"{require_name(split, 'split')}-{number:05d}.tar"
 
 
 def index_name(split: str) -> str:
-    """The name of a split's index."""
+    """The file name of a split's index."""
     return f"index-{require_name(split, 'split')}.npz"
 
 
 def mesh_name(split: str) -> str:
-    """The name of the mesh that all bodies of a split share."""
+    """The file name of the common mesh of the bodies of a split."""
     return f"mesh-{require_name(split, 'split')}.npz"
 
 
 def lock_name(split: str) -> str:
-    """The name of the file that a writer of the split holds."""
+    """The file name of a split's writer lock."""
     return f".{require_name(split, 'split')}.lock"
 
 
 def part_path(path: Path) -> Path:
-    """The name a shard has while it is written."""
+    """The path of a shard during writing."""
     return path.with_name(path.name + ".part")
 
 
 def shard_number(name: str, split: str) -> int | None:
-    """Which shard of the split a file is; ``None`` for any other file.
+    """The number of a shard of the split, from its file name; ``None`` for any other file.
 
     >>> shard_number("train-00003.tar", "train"), shard_number("val-00003.tar", "train")
     (3, None)
@@ -235,35 +236,35 @@ def shard_number(name: str, split: str) -> int | None:
 
 
 def shards_in(folder: Path, split: str) -> tuple[Path, ...]:
-    """The whole shards of a split, in the order of their numbers. Raises ``OSError``."""
-    # Not ``glob``: to that a folder which may not be read is an empty one.
+    """The finished shards of a split, by number. Raises ``OSError``."""
+    # Not ``glob``: it takes an unreadable folder for an empty one.
     numbered = {number: path for path in folder.iterdir() if (number := shard_number(path.name, split)) is not None}
     return tuple(numbered[number] for number in sorted(numbered))
 
 
-def known_fields(fields: Iterable[str] | None, there: Iterable[str] = FIELDS) -> tuple[str, ...]:
-    """The fields asked for, in the order of those that are ``there``; all of them for ``None``.
+def select_fields(fields: Iterable[str] | None, available: Iterable[str] = FIELDS) -> tuple[str, ...]:
+    """The requested fields in the order of ``available``; all of them for ``None``.
 
-    Raises ``ConfigError`` with the fields there are.
+    Raises ``ConfigError`` with the available fields.
     """
-    known = tuple(there)
+    known = tuple(available)
     if fields is None:
         return known
-    asked = {fields} if isinstance(fields, str) else set(fields)
-    if unknown := sorted(asked - set(known)):
+    requested = {fields} if isinstance(fields, str) else set(fields)
+    if unknown := sorted(requested - set(known)):
         raise ConfigError(
             f"no field {', '.join(unknown)}: there are {', '.join(known)}{did_you_mean(unknown[0], known)}"
         )
-    return tuple(field for field in known if field in asked)
+    return tuple(field for field in known if field in requested)
 
 
 def recipe_hash(recipe: Mapping[str, Any]) -> str:
-    """SHA-256 of a recipe, whatever the order of its keys, and whether it says 4 or 4.0."""
+    """SHA-256 of a recipe, independent of the order of keys, and equal for 4 and 4.0."""
     return hashlib.sha256(json.dumps(_plain(recipe), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:
-    """The value with whole numbers as integers."""
+    """The value with integral floats as ints."""
     if isinstance(value, Mapping):
         return {name: _plain(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""What a data set is made of: the recipe and the shards of each split, kept in ``manifest.json``."""
+"""``manifest.json``: the recipe and the shards of each split of a data set."""
 
 import json
 from collections import Counter
@@ -12,7 +12,7 @@ from gcd_dataset.errors import ShardError, shown
 from gcd_dataset.files import write_whole
 from gcd_dataset.jsonfile import found
 from gcd_dataset.names import require_name
-from gcd_dataset.shards.access import locked, read_small, reading
+from gcd_dataset.shards.access import locked, read_limited, reading
 from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, shard_number
 from gcd_dataset.shards.limits import LARGEST_MANIFEST
 from gcd_dataset.shards.meta import decode_json
@@ -35,21 +35,21 @@ REMEDY = "delete it: shards are read without it, and gcd generate makes it again
 
 @dataclass(frozen=True)
 class ShardRecord:
-    """One whole shard."""
+    """One finished shard."""
 
     name: str
     count: int
-    """Samples in it."""
+    """Samples."""
     size: int
-    """Bytes of it."""
+    """Bytes."""
     sha256: str
     rejects: Mapping[str, int] = field(default_factory=dict)
-    """Designs turned down before those of its samples were taken, by the rule they broke; counted with each sample."""
+    """Rule to the number of designs it rejected for the samples of this shard."""
 
 
 @dataclass(frozen=True)
 class SplitRecord:
-    """How the samples of a split are made, and the shards that hold them."""
+    """The recipe and the shards of a split."""
 
     seed: int
     recipe: Mapping[str, Any]
@@ -57,11 +57,11 @@ class SplitRecord:
     """Shard k holds the samples from ``k * shard_size`` to ``(k + 1) * shard_size - 1``."""
     shards: tuple[ShardRecord, ...] = ()
     kind: str = "garments"
-    """What the samples are: ``garments`` or ``bodies``."""
+    """``garments`` or ``bodies``."""
 
     @property
     def rejects(self) -> Mapping[str, int]:
-        """Designs turned down on the way to all samples, by the rule they broke, the most frequent first."""
+        """Rule to the number of designs it rejected for all samples, the most frequent first."""
         total: Counter[str] = Counter()
         for shard in self.shards:
             total.update(shard.rejects)
@@ -69,12 +69,12 @@ class SplitRecord:
 
     @classmethod
     def from_json(cls, name: str, entry: Any) -> Self:
-        """Split ``name`` from its entry in the file. Raises ``ShardError`` for one that is not as it should be."""
+        """Split ``name`` from its entry in the file. Raises ``ShardError`` for an invalid entry."""
         values = _checked(entry, f"split {name}", SPLIT_TYPES, {"kind": "garments"})
         shards = [_checked(shard, f"split {name}, shard", SHARD_TYPES, {"rejects": {}}) for shard in values["shards"]]
         for shard in shards:
             if shard_number(require_name(shard["name"], f"split {name}, shard"), name) is None:
-                raise ShardError(f"split {name} tells of a shard {found(shard['name'])}: give {name}-00000.tar, …")
+                raise ShardError(f"split {name} lists a shard {found(shard['name'])}: give {name}-00000.tar, …")
             if not all(map(_is_count, shard["rejects"].values())):
                 raise ShardError(f"split {name}, shard {shard['name']}: rejects is {found(shard['rejects'])}")
         return cls(**{**values, "shards": tuple(ShardRecord(**shard) for shard in shards)})
@@ -82,13 +82,13 @@ class SplitRecord:
 
 @dataclass(frozen=True)
 class RecipeRecord:
-    """The recipe of a data set that has a name."""
+    """The published recipe that a data set follows."""
 
     name: str
     sha256: str
     """Of the recipe."""
     patterns: str = ""
-    """``gcd_dataset.patternhash`` of all patterns; empty until all of them are there."""
+    """``gcd_dataset.patternhash`` of all patterns; empty until all are made."""
 
 
 @dataclass(frozen=True)
@@ -97,26 +97,26 @@ class Manifest:
 
     splits: Mapping[str, SplitRecord] = field(default_factory=dict)
     generator: str = gcd_dataset.__version__
-    """Version of this package that began the data set."""
+    """Version of this package that started the data set."""
     schema: int = SCHEMA
     recipe: RecipeRecord | None = None
-    """Of the data set as a whole; ``None`` for one without a name."""
+    """The published recipe of the whole data set; ``None`` without one."""
 
     @property
     def counts(self) -> dict[str, int]:
-        """Split to the number of its samples."""
+        """Split to its number of samples."""
         return {name: sum(shard.count for shard in split.shards) for name, split in self.splits.items()}
 
     def with_split(self, name: str, record: SplitRecord) -> "Manifest":
-        """The manifest with one split put in or replaced."""
+        """The manifest with one split added or replaced."""
         return replace(self, splits=dict(sorted({**self.splits, name: record}.items())))
 
     def write(self, folder: Path) -> None:
-        """Keep the manifest in the folder, whole or not at all. Raises ``OutputError``."""
+        """Write the manifest to the folder, atomically. Raises ``OutputError``."""
         write_whole(folder / MANIFEST, self.to_bytes())
 
     def to_bytes(self) -> bytes:
-        """The manifest as a file."""
+        """The content of ``manifest.json``."""
         entry = {name: value for name, value in asdict(self).items() if (name, value) != ("recipe", None)}
         return (json.dumps(entry, indent=1, sort_keys=True) + "\n").encode()
 
@@ -124,21 +124,21 @@ class Manifest:
 def read_manifest(folder: Path) -> Manifest | None:
     """The manifest of a folder; ``None`` if there is none.
 
-    Raises ``ShardError`` for a broken file, and for another schema with both versions.
+    Raises ``ShardError`` for a broken file, and, naming both versions, for an unknown schema.
     """
     path = folder / MANIFEST
     with reading(path):
-        is_there = path.exists()
-    content = read_small(path, LARGEST_MANIFEST) if is_there else None
+        exists = path.exists()
+    content = read_limited(path, LARGEST_MANIFEST) if exists else None
     return None if content is None else parse_manifest(content, str(path))
 
 
 def parse_manifest(content: bytes, path: str, remedy: str = REMEDY) -> Manifest:
-    """The manifest in a file's content; ``path`` and ``remedy`` stand in errors. Raises as ``read_manifest`` does."""
+    """The manifest in a file's content; ``path`` and ``remedy`` for messages. Raises as ``read_manifest`` does."""
     try:
-        entry = decode_json(content, most=LARGEST_MANIFEST)
+        entry = decode_json(content, limit=LARGEST_MANIFEST)
         if not isinstance(entry, Mapping) or not _is_count(schema := entry.get("schema")):
-            raise ShardError("no schema")
+            raise ShardError("schema is missing")
         if schema not in SCHEMAS:
             raise ShardError(
                 f"{path}: written as schema {schema} by gcd_dataset {shown(str(entry.get('generator')))}; gcd_dataset "
@@ -193,27 +193,30 @@ SHARD_TYPES: Mapping[str, Callable[[Any], bool]] = {
 
 
 def _checked(
-    entry: Any, place: str, types: Mapping[str, Callable[[Any], bool]], usual: Mapping[str, Any]
+    entry: Any, location: str, types: Mapping[str, Callable[[Any], bool]], defaults: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The entries named in ``types``, ``usual`` for those left out. Raises ``ShardError``."""
+    """The entries named in ``types``, with ``defaults`` for missing ones. Raises ``ShardError``."""
     if not isinstance(entry, Mapping):
-        raise ShardError(f"{place} is {found(entry)}, where an object is read")
-    values = {**usual, **entry}
-    for name, is_fit in types.items():
+        raise ShardError(f"{location} is {found(entry)}, expected an object")
+    values = {**defaults, **entry}
+    for name, is_valid in types.items():
         if name not in values:
-            raise ShardError(f"{place}: no {name}")
-        if not is_fit(values[name]):
-            raise ShardError(f"{place}: {name} is {found(values[name])}")
+            raise ShardError(f"{location}: {name} is missing")
+        if not is_valid(values[name]):
+            raise ShardError(f"{location}: {name} is {found(values[name])}")
     return {name: values[name] for name in types}
 
 
 def keep_split(folder: Path, split: str, record: SplitRecord) -> None:
-    """Put a split into the folder's manifest, beside those that other writers put there. Raises ``OutputError``."""
+    """Add or replace a split in the folder's manifest, under a lock: splits may be written in parallel.
+
+    Raises ``OutputError``.
+    """
     with locked(folder / f".{MANIFEST}.lock", f"writing {MANIFEST}", wait=True):
         (read_manifest(folder) or Manifest()).with_split(split, record).write(folder)
 
 
 def keep_recipe(folder: Path, record: RecipeRecord) -> None:
-    """Name the recipe of a folder in its manifest. Raises ``OutputError``."""
+    """Write the published recipe to the folder's manifest. Raises ``OutputError``."""
     with locked(folder / f".{MANIFEST}.lock", f"writing {MANIFEST}", wait=True):
         replace(read_manifest(folder) or Manifest(), recipe=record).write(folder)

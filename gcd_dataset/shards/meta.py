@@ -1,12 +1,11 @@
-"""What a sample says of itself: ``meta.json``, as it is stored and as items hold it.
+"""``meta.json``: provenance, names and figures of a sample, as stored and as items hold them.
 
-Stored, every key has the same type in every sample, so that readers which infer types from the first samples, such as
-``datasets``, read all others too. What has free structure is JSON text. Where there is nothing to say a neutral value
-stands: ``""``, ``-1``, ``-1.0``, or in a list one such entry. Items hold ``None`` or an empty list there, and JSON
-parsed.
+In the file every key has one type in all samples, since readers such as ``datasets`` infer types from the first ones.
+Values of free structure are JSON text. A missing value is stored as a neutral one: ``""``, ``-1``, ``-1.0``, or a list
+with one such entry. Items hold ``None`` or an empty list instead, and parsed JSON.
 
 ====================  =========  ===============================================================  =====================
-garments              JSON type  holds                                                            where there is none
+garments              JSON type  holds                                                            if missing
 ====================  =========  ===============================================================  =====================
 ``schema``            int        version of the format: 2
 ``key``               text       name of the sample in its shard
@@ -14,20 +13,20 @@ garments              JSON type  holds                                          
 ``points``            object     ``scale`` [cm] of ``points.npy``, ``normal_scale``, both         scale 1.0
                                  floats, and ``centre`` [cm], 3 floats
 ``seed``              int
-``attempts``          int        designs that were tried, this one among them
-``rejects``           texts      why earlier ones were turned down                                ``[""]``
+``attempts``          int        designs tried, this one included
+``rejects``           texts      rule and reason of each rejected design                          ``[""]``
 ``redraws``           objects    ``rule`` (text), ``count`` (int): parts drawn again  (*)         one of ``""``, 0
-``versions``          JSON text  package to version, of all that decides the bytes
-``recipe``            JSON text  the options it was made with
+``versions``          JSON text  package to version, of all packages that decide the bytes
+``recipe``            JSON text  options of the generator
 ``recipe_sha256``     text
 ``pattern``           text       name of the pattern
-``body``              text       who wears it
-``holds``             object     ``shape``, ``mesh``, ``drape`` (bools): what there is of it
+``body``              text       name of the body
+``holds``             object     ``shape``, ``mesh``, ``drape`` (bools): whether the sample has one
 ``pose``              object     ``arm_angle`` [rad], float; ``legs_apart``, bool                 0.0, false
 ``panel_names``       texts      rows of ``panels.npy``
-``panel_labels``      texts      words for its column ``LABEL``
-``edge_labels``       texts      words for that of ``edges.npy``
-``vertex_labels``     texts      labels that vertices have                                        ``[""]``
+``panel_labels``      texts      labels that its column ``LABEL`` refers to
+``edge_labels``       texts      labels that the column of ``edges.npy`` refers to
+``vertex_labels``     texts      labels of vertices                                               ``[""]``
 ``drape``             object     ``outcome`` (text), ``frames``, ``self_crossings``,              ``""``, 0, -1, -1.0
                                  ``body_crossings`` (cloth edges through the body),
                                  ``body_through`` (body edges through the cloth) (ints),
@@ -36,17 +35,17 @@ garments              JSON type  holds                                          
 ``grade``             text       ``clean``, ``paper`` or ``failed``  (*)                          ``""``
 ``fabric``            object     ``name`` (text), ``parameters`` (JSON text)                      ``""``, ``"{}"``
 ``gathers``           floats     left edge over right edge, a seam  (*)                           ``[-1.0]``
-``tags``              texts      words for the kind of garment  (*)                               ``[""]``
-``source``            text       where others have published it                                   ``""``
+``tags``              texts      kinds of garment  (*)                                            ``[""]``
+``source``            text       publication that the garment comes from                          ``""``
 ``crc32``             object     CRC-32 of every other member, ints
 ``crc32_before``      int        CRC-32 of the bytes of this file before this key
 ====================  =========  ===============================================================  =====================
 
-(*) neutral until a later step of the generator fills it.
+(*) missing unless a later step of the generator has filled it.
 
 A person (``people``) has ``schema``, ``key``, ``index``, ``seed``, ``versions``, ``recipe``, ``recipe_sha256``,
-``crc32``, ``crc32_before`` as above, ``name`` (text) and ``arm_angle`` (float). In schema 1 there was no
-``crc32_before``, and what was not known was null or left out.
+``crc32``, ``crc32_before`` as above, ``name`` (text) and ``arm_angle`` [rad] (float). In schema 1 there was no
+``crc32_before``, and missing values were null or left out.
 """
 
 import json
@@ -62,20 +61,20 @@ from gcd_dataset.shards.layout import SCHEMA, SCHEMAS, Bytes
 from gcd_dataset.shards.limits import LARGEST_JSON
 
 __all__ = [
-    "NO_FRAME",
-    "Frame",
+    "NO_QUANTIZATION",
+    "Quantization",
     "decode_json",
-    "frame_of",
-    "index_told",
     "json_bytes",
     "read_meta",
+    "read_quantization",
+    "read_sample_index",
     "sealed",
     "write_meta",
 ]
 
 
 def _no_constant(text: str) -> float:
-    raise ValueError(f"{text} is no number")
+    raise ValueError(f"{text} is not valid JSON")
 
 
 STRICT = json.JSONDecoder(parse_constant=_no_constant)
@@ -91,8 +90,8 @@ FRAME = re.compile(
 LONGEST = 1 << 62  # above all numbers of samples and bytes that an index can hold
 
 
-class Frame(NamedTuple):
-    """How ``points.npy`` writes numbers: position = ``centre`` + ``scale`` * integer, normal = ``normal`` * integer."""
+class Quantization(NamedTuple):
+    """The encoding of ``points.npy``: position = ``centre`` + ``scale`` · integer, normal = ``normal`` · integer."""
 
     scale: float
     """[cm]"""
@@ -101,26 +100,26 @@ class Frame(NamedTuple):
     """[cm]"""
 
 
-NO_FRAME = Frame(1.0, 1.0, (0.0, 0.0, 0.0))
-"""Of no points."""
+NO_QUANTIZATION = Quantization(1.0, 1.0, (0.0, 0.0, 0.0))
+"""For a sample without points."""
 
 
 # ------------------------------------------------------------------------------------------------------------- writing
 
 
 def write_meta(meta: Mapping[str, Any]) -> bytes:
-    """The file of a ``meta`` as items hold it, sealed with its own CRC-32."""
+    """The content of ``meta.json`` for a ``meta`` as items hold it, sealed with its own CRC-32."""
     return sealed({name: STORED[name](value) if name in STORED else value for name, value in meta.items()})
 
 
 def sealed(stored: Mapping[str, Any]) -> bytes:
-    """A ``meta.json`` of these entries, which ends with the CRC-32 of what stands before it."""
+    """A ``meta.json`` of stored entries; its last entry, the seal, is the CRC-32 of the bytes before."""
     body = json_bytes(stored)[:-1]
     return body + b',"%b":%d}' % (SEAL.encode(), zlib.crc32(body))
 
 
 def json_bytes(value: Any) -> bytes:
-    """Compact JSON; keys stay in their order, which the records define; floats keep all their digits."""
+    """Compact JSON in the order of the keys; floats keep all digits."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
 
 
@@ -157,16 +156,16 @@ STORED: Mapping[str, Callable[[Any], Any]] = {
     "gathers": lambda ratios: list(ratios) or [-1.0],
     "tags": lambda words: list(words) or [""],
 }
-"""Key to how it is stored."""
+"""Key to the function from an item's value to the stored one."""
 
 
 # ------------------------------------------------------------------------------------------------------------- reading
 
 
-def decode_json(data: Bytes, *, constants: bool = False, most: int = LARGEST_JSON) -> Any:
-    """Parsed JSON of up to ``most`` bytes; ``constants``: NaN and infinities too. Raises ``ShardError``."""
-    if len(data) > most:
-        raise ShardError(f"{len(data)} bytes of JSON, where {most} are read")
+def decode_json(data: Bytes, *, constants: bool = False, limit: int = LARGEST_JSON) -> Any:
+    """Parsed JSON; ``constants`` allows NaN and infinities. Raises ``ShardError``, also for over ``limit`` bytes."""
+    if len(data) > limit:
+        raise ShardError(f"{len(data)} bytes of JSON, over the limit of {limit}")
     try:
         return loads(str(data, "utf-8"), decode=json.loads if constants else STRICT.decode)
     except ValueError as error:
@@ -174,9 +173,9 @@ def decode_json(data: Bytes, *, constants: bool = False, most: int = LARGEST_JSO
 
 
 def read_meta(data: Bytes) -> dict[str, Any]:
-    """The ``meta`` of an item, of any schema that is known: the same keys, with ``None`` where nothing is known.
+    """The ``meta`` of an item, from any known schema: the same keys, with ``None`` for missing values.
 
-    Raises ``ShardError`` for one of another schema, whose bytes are not those that were written, or which lacks a key.
+    Raises ``ShardError`` for an unknown schema, a wrong seal, or a missing or invalid key.
     """
     meta = _mapping(decode_json(data), "the file")
     schema = meta.get("schema")
@@ -189,39 +188,39 @@ def read_meta(data: Bytes) -> dict[str, Any]:
     forms = PERSON if "name" in meta else GARMENT
     for name, form in forms.items():
         if name not in meta:
-            raise ShardError(f"no {name}")
+            raise ShardError(f"{name} is missing")
         if not form(meta[name]):
             raise ShardError(f"{name} is {found(meta[name])}")
     return meta
 
 
-def index_told(data: Bytes) -> int:
-    """The number of the sample that a ``meta.json`` belongs to, without reading the rest. Raises ``ShardError``."""
+def read_sample_index(data: Bytes) -> int:
+    """The index of a ``meta.json``'s sample, from the head of the file where possible. Raises ``ShardError``."""
     match = HEAD.match(data)
     return int(match[1]) if match else int(read_meta(data)["index"])
 
 
-def frame_of(data: Bytes) -> Frame:
-    """How the sample's points are written, without reading the rest of its ``meta.json``. Raises ``ShardError``."""
+def read_quantization(data: Bytes) -> Quantization:
+    """The encoding of the points, from the head of ``meta.json`` where possible. Raises ``ShardError``."""
     match = FRAME.match(data)
     try:
         if match is not None:
             scale, normal, x, y, z = map(float, match.groups()[1:])
-            return Frame(scale, normal, (x, y, z))
+            return Quantization(scale, normal, (x, y, z))
     except ValueError as error:
         raise ShardError(f"points: {error}") from error
     points = read_meta(data)["points"]
-    return Frame(points["scale"], points["normal_scale"], tuple(points["centre"]))
+    return Quantization(points["scale"], points["normal_scale"], tuple(points["centre"]))
 
 
 def _require_seal(data: Bytes) -> None:
-    """Raise ``ShardError`` if the file is not, byte for byte, what was written."""
+    """Raise ``ShardError`` unless the CRC-32 at the end of the file matches."""
     end = bytes(data[-40:])
     match = next((match for match in SEALED.finditer(end) if match.end() == len(end)), None)
     if match is None:
         raise ShardError(f"does not end with its {SEAL}")
     if zlib.crc32(memoryview(data)[: len(data) - len(match[0])]) != int(match[1]):
-        raise ShardError("bytes differ from those that were written")
+        raise ShardError("bytes differ from those written")
 
 
 def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
@@ -234,12 +233,12 @@ def _loaded(meta: Mapping[str, Any]) -> dict[str, Any]:
     holds = _mapping(meta.get("holds"), "holds")
     for name in ("rejects", "vertex_labels", "tags"):
         loaded[name] = [word for word in _list(meta.get(name), name) if word != ""]
-    rules = [_mapping(entry, "redraws") for entry in _list(meta.get("redraws"), "redraws")]
-    loaded["redraws"] = {str(entry.get("rule")): entry.get("count") for entry in rules if entry.get("rule") != ""}
+    redraws = [_mapping(entry, "redraws") for entry in _list(meta.get("redraws"), "redraws")]
+    loaded["redraws"] = {str(entry.get("rule")): entry.get("count") for entry in redraws if entry.get("rule") != ""}
     loaded["gathers"] = [ratio for ratio in _list(meta.get("gathers"), "gathers") if ratio != -1.0]
     loaded["fabric"] = _loaded_fabric(_mapping(meta.get("fabric"), "fabric"))
     loaded["strain"] = None if meta.get("strain") == NO_STRAIN else meta.get("strain")
-    loaded["drape"] = _without_unknown(_mapping(meta.get("drape"), "drape")) if holds.get("drape") else None
+    loaded["drape"] = _loaded_drape(_mapping(meta.get("drape"), "drape")) if holds.get("drape") else None
     for name, step in {"pose": "shape", "vertex_labels": "mesh"}.items():
         loaded[name] = loaded.get(name) if holds.get(step) else None
     return loaded
@@ -264,35 +263,35 @@ def _of_first_schema(meta: Mapping[str, Any]) -> dict[str, Any]:
         "gathers": [],
         "tags": [],
     }
-    told = {"drape": None if drape is None else {"body_through": -1, **_mapping(drape, "drape")}}
-    return {**added, "source": "", **meta, **told}
+    drape = None if drape is None else {"body_through": -1, **_mapping(drape, "drape")}
+    return {**added, "source": "", **meta, "drape": drape}
 
 
 def _loaded_fabric(fabric: Mapping[str, Any]) -> dict[str, Any] | None:
     return {"name": fabric["name"], "parameters": _parsed(fabric, "parameters")} if fabric.get("name") else None
 
 
-def _without_unknown(drape: Mapping[str, Any]) -> dict[str, Any]:
+def _loaded_drape(drape: Mapping[str, Any]) -> dict[str, Any]:
     return {name: None if name in STRETCHES and value == -1.0 else value for name, value in drape.items()}
 
 
-def _parsed(holder: Mapping[str, Any], name: str) -> Any:
-    """JSON that is stored as text."""
-    text = holder.get(name)
+def _parsed(entries: Mapping[str, Any], name: str) -> Any:
+    """The value of an entry that is stored as JSON text. Raises ``ShardError``."""
+    text = entries.get(name)
     if not isinstance(text, str):
-        raise ShardError(f"{name} is {found(text)}, where a text of JSON is read")
+        raise ShardError(f"{name} is {found(text)}, expected JSON text")
     return decode_json(text.encode(errors="replace"))
 
 
 def _mapping(value: Any, name: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise ShardError(f"{name} is {found(value)}, where an object is read")
+        raise ShardError(f"{name} is {found(value)}, expected an object")
     return value
 
 
 def _list(value: Any, name: str) -> Sequence[Any]:
     if not isinstance(value, list):
-        raise ShardError(f"{name} is {found(value)}, where a list is read")
+        raise ShardError(f"{name} is {found(value)}, expected a list")
     return value
 
 
@@ -320,7 +319,7 @@ def _is_mapping(value: Any) -> bool:
 
 
 def _are(form: Callable[[Any], bool], count: int | None = None) -> Callable[[Any], bool]:
-    """The check of a list of such values, of so many of them."""
+    """A check for lists of values that pass ``form``, ``count`` of them if given."""
 
     def check(values: Any) -> bool:
         return isinstance(values, list) and all(map(form, values)) and count in (None, len(values))
@@ -333,7 +332,7 @@ def _maps_to(form: Callable[[Any], bool]) -> Callable[[Any], bool]:
 
 
 def _has(**forms: Callable[[Any], bool]) -> Callable[[Any], bool]:
-    """The check of an object with these entries."""
+    """A check for objects with these entries."""
     return lambda value: isinstance(value, Mapping) and all(form(value.get(name)) for name, form in forms.items())
 
 
@@ -379,4 +378,4 @@ GARMENT: Mapping[str, Callable[[Any], bool]] = {
     "tags": _are(_is_word),
     "source": _is_word,
 }
-"""Key to the check of what items hold there."""
+"""Key to the check of an item's value."""

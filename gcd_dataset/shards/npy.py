@@ -1,7 +1,6 @@
-"""Arrays as ``.npy`` files of version 1.0: plain numbers, C order, little-endian, data aligned to 64 bytes.
+"""Arrays as ``.npy`` files of version 1.0 (NEP 1): plain numbers, C order, little-endian, data aligned to 64 bytes.
 
-NumPy's own writer pads headers differently from release to release; shards must not change with it. The format is
-that of the NumPy Enhancement Proposal 1.
+NumPy's own writer pads headers differently from version to version; the bytes of shards must not change with it.
 
 >>> read_npy(write_npy(np.array([[1, 2], [3, 4]], np.uint16)))
 array([[1, 2],
@@ -24,7 +23,7 @@ __all__ = ["npy_header", "read_any_npy", "read_npy", "write_npy"]
 
 MAGIC = b"\x93NUMPY\x01\x00"
 ALIGNMENT = 64
-USUAL = 2 * ALIGNMENT  # bytes of a header, unless it has many numbers
+USUAL = 2 * ALIGNMENT  # bytes of a header, unless the shape has many digits
 KINDS = "biuf"  # NumPy's letters for booleans, integers and floats: never objects, which would need pickle
 COUNT = rb"\d{1,18}"
 HEADER = re.compile(
@@ -33,9 +32,9 @@ HEADER = re.compile(
 )
 
 
-READ = {"U": "texts", "b": "booleans", "iu": "whole numbers"}
+KIND_NAMES = {"U": "texts", "b": "booleans", "iu": "integers"}
 BROKEN = (ValueError, SyntaxError, TypeError, EOFError, OverflowError, MemoryError, RecursionError, TokenError)
-"""What NumPy and Python's parser raise at headers of all kinds."""
+"""Exceptions of NumPy and Python's parser on broken headers."""
 
 
 def write_npy(array: np.ndarray) -> bytes:
@@ -47,7 +46,7 @@ def write_npy(array: np.ndarray) -> bytes:
 
 
 def npy_header(dtype: np.dtype, shape: tuple[int, ...]) -> bytes:
-    """How the ``.npy`` file of an array of little-endian numbers begins."""
+    """The ``.npy`` header, magic included, of an array of little-endian numbers."""
     axes = ", ".join(str(n) for n in shape) + ("," if len(shape) == 1 else "")
     text = f"{{'descr': '{dtype.str}', 'fortran_order': False, 'shape': ({axes}), }}".encode()
     padding = -(len(MAGIC) + 2 + len(text) + 1) % ALIGNMENT
@@ -56,7 +55,7 @@ def npy_header(dtype: np.dtype, shape: tuple[int, ...]) -> bytes:
 
 
 def read_npy(file: Bytes) -> np.ndarray:
-    """The array in a ``.npy`` file, as a view of it. Raises ``ShardError`` for a file of another writer."""
+    """The array in a ``.npy`` file by ``write_npy``, as a view. Raises ``ShardError`` for any other file."""
     data = memoryview(file)
     start, dtype, shape, size = _parsed(bytes(data[:USUAL]))
     if start > USUAL:
@@ -72,18 +71,18 @@ def read_npy(file: Bytes) -> np.ndarray:
 def read_any_npy(file: Bytes, kinds: str) -> np.ndarray:
     """The array in a ``.npy`` file by any writer, in this machine's byte order.
 
-    ``kinds``: NumPy's letters for the types that are read. The size that it declares is compared with its bytes before
-    anything is allocated. Raises ``ShardError``.
+    ``kinds``: allowed letters of ``dtype.kind``. The declared size is compared with the file's before anything is
+    allocated. Raises ``ShardError``.
     """
     stream = io.BytesIO(file)
     try:
         version = np.lib.format.read_magic(stream)
         if version not in ((1, 0), (2, 0)):
-            raise ShardError(f"a .npy file of version {version[0]}.{version[1]}, where numbers need 1.0")
+            raise ShardError(f"a .npy file of version {version[0]}.{version[1]}, expected 1.0 or 2.0")
         header = getattr(np.lib.format, f"read_array_header_{version[0]}_0")
         shape, is_fortran, dtype = header(stream)
         if dtype.kind not in kinds or dtype.hasobject:
-            raise ShardError(f"{dtype}, where {READ.get(kinds, 'numbers')} are read")
+            raise ShardError(f"{dtype}, expected {KIND_NAMES.get(kinds, 'numbers')}")
         size = dtype.itemsize * math.prod(shape)
         if min(shape, default=0) < 0 or len(file) - stream.tell() != size:
             raise ShardError(f"a .npy file of {len(file) - stream.tell()} bytes for {dtype} of shape {shape}")
@@ -96,7 +95,7 @@ def read_any_npy(file: Bytes, kinds: str) -> np.ndarray:
 
 @lru_cache(maxsize=4096)
 def _parsed(head: bytes) -> tuple[int, np.dtype, tuple[int, ...], int]:
-    """Where the array begins, its type and shape, and how many bytes it takes; if ``head`` is too short the first."""
+    """Offset, type, shape and size [bytes] of the array; only the offset is valid where ``head`` is too short."""
     if not head.startswith(MAGIC) or len(head) < len(MAGIC) + 2:
         raise ShardError("not a .npy file of version 1.0")
     start = len(MAGIC) + 2 + struct.unpack_from("<H", head, len(MAGIC))[0]
@@ -104,6 +103,6 @@ def _parsed(head: bytes) -> tuple[int, np.dtype, tuple[int, ...], int]:
         return start, np.dtype("u1"), (), 0
     match = HEADER.fullmatch(head[len(MAGIC) + 2 : start])
     if match is None:
-        raise ShardError("a .npy header of another writer: only plain C-ordered, little-endian numbers are read")
+        raise ShardError("a .npy header of another writer: expected plain C-ordered, little-endian numbers")
     dtype, shape = np.dtype(match[1].decode()), tuple(int(n) for n in match[2].split(b",") if n.strip())
     return start, dtype, shape, dtype.itemsize * math.prod(shape)

@@ -1,4 +1,4 @@
-"""The patterns of a split as arrays, and nothing else of its samples."""
+"""Reads the patterns of a split as arrays, without the other members."""
 
 from collections.abc import Container, Iterator
 
@@ -10,25 +10,27 @@ from gcd_dataset.tensors import PatternTensor
 
 __all__ = ["stored_patterns"]
 
-WANTED = ("meta", "panels", "edges", "stitches")  # fields
-TOGETHER = 256  # samples that are asked for at once
+PATTERN_FIELDS = ("meta", "panels", "edges", "stitches")
+BATCH = 256  # samples in one read
 
 
 def stored_patterns(reader: ShardReader, of: Container[int] | None = None) -> Iterator[tuple[int, PatternTensor]]:
-    """Index and pattern of each sample, in order; ``of``: the indices of those that are wanted.
+    """Index and pattern of each sample in order; ``of``: indices to read, by default all.
 
     Raises ``ShardError`` with shard and sample for a damaged one, ``ConfigError`` for samples without patterns.
     """
-    if missing := [field for field in WANTED if field not in fields_of(reader.layout.members)]:
-        raise ConfigError(f"{reader.store.place()}: its samples have no {missing[0]}: bring the whole of them")
+    if missing := [field for field in PATTERN_FIELDS if field not in fields_of(reader.layout.members)]:
+        raise ConfigError(
+            f"{reader.store.location()}: its samples have no {missing[0]}: give a data set with all fields"
+        )
     wanted = [position for position in range(len(reader)) if of is None or reader.number(position) in of]
-    for first in range(0, len(wanted), TOGETHER):
-        positions = wanted[first : first + TOGETHER]
+    for first in range(0, len(wanted), BATCH):
+        positions = wanted[first : first + BATCH]
         for position, members in zip(
-            positions, reader.read_many(positions, [FIELDS[field] for field in WANTED]), strict=True
+            positions, reader.read_many(positions, [FIELDS[field] for field in PATTERN_FIELDS]), strict=True
         ):
             with reader.naming(position):
-                field = {name: decode_field(name, members) for name in WANTED}
+                field = {name: decode_field(name, members) for name in PATTERN_FIELDS}
             meta = field["meta"]
             yield (
                 reader.number(position),

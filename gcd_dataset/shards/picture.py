@@ -1,4 +1,4 @@
-"""Pictures of limited size, by a decoder that is named: Pillow would try all that it has."""
+"""Opens pictures of limited size with the named decoders only; by default Pillow tries all it has."""
 
 import contextlib
 import io
@@ -17,14 +17,14 @@ BROKEN = (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombErr
 
 @contextlib.contextmanager
 def opened_picture(data: Bytes, formats: tuple[str, ...]) -> Iterator[ImageFile.ImageFile]:
-    """The picture in a member, whose pixels are decoded in the block; ``formats``: Pillow's names of those allowed.
+    """The picture in a member; its pixels are decoded inside the block. ``formats``: Pillow's names of allowed formats.
 
-    Raises ``ShardError`` for one that is broken, in another format, or has more than ``MOST_PIXELS``.
+    Raises ``ShardError`` for a broken picture, another format, or more than ``MOST_PIXELS`` pixels.
     """
     try:
         with Image.open(io.BytesIO(data), formats=formats) as image:
             if image.width * image.height > MOST_PIXELS:
-                raise ShardError(f"a picture of {image.width} x {image.height} pixels, where {MOST_PIXELS} are read")
+                raise ShardError(f"a picture of {image.width} x {image.height} pixels, over the limit of {MOST_PIXELS}")
             yield image
     except BROKEN as error:
         raise ShardError(f"not a picture ({error})") from error

@@ -1,4 +1,4 @@
-"""Samples of a data set by number: the members asked for and no others, checked as they come."""
+"""Reads samples of a split by position: only the requested members, with their CRC-32 checked."""
 
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,43 +13,43 @@ from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import decode_sample
 from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.layout import FIRST_NAMES, FOREIGN, GARMENTS, MEMBERS, Layout
-from gcd_dataset.shards.meta import index_told
+from gcd_dataset.shards.meta import read_sample_index
 from gcd_dataset.shards.store import MemberLocation, Store
 
-__all__ = ["ShardReader", "Verify", "naming_place"]
+__all__ = ["ShardReader", "Verify", "naming_sample"]
 
-META = 0  # every layout of ours begins with meta.json
+META = 0  # column of meta.json in our layouts
 Verify = Literal["lazy", "full", "off"]
 Rows: TypeAlias = Int[np.ndarray, " n"]
-Wanted: TypeAlias = tuple[str, int, list[MemberLocation]]
-"""Shard, number in it, and members of a sample."""
+Request: TypeAlias = tuple[str, int, list[MemberLocation]]
+"""Shard, number of a sample in it, and the locations of the requested members."""
 
 
-class naming_place:  # noqa: N801 -- a context manager, named as functions are
-    """Add shard and sample to errors about a member."""
+class naming_sample:  # noqa: N801 -- a context manager, named as functions are
+    """Context that prefixes errors about a member with its shard and sample; ``name`` returns them."""
 
-    # A class: entered for every garment, where a generator would take several times as long.
-    __slots__ = ("_place",)
+    # A class: it is entered for every garment, and a generator would take several times as long.
+    __slots__ = ("_name",)
 
-    def __init__(self, place: Callable[[], str]) -> None:
-        self._place = place
+    def __init__(self, name: Callable[[], str]) -> None:
+        self._name = name
 
     def __enter__(self) -> None:
         pass
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, ShardError) and str(error).startswith("member "):
-            raise ShardError(f"{self._place()}, {error}") from error
+            raise ShardError(f"{self._name()}, {error}") from error
 
 
 class ShardReader:
-    """The samples of one split, of one ``layout``, in the order of their indices; in a folder, or any other store.
+    """The samples of one split of a folder or another store, in the order of their indices.
 
-    ``verify``: ``lazy`` checks a member's CRC-32 the first time that this process reads it, ``full`` checks all of them
-    at once, ``off`` none. ``settled_only`` leaves out samples that are not draped, or did not settle. May be pickled,
-    forked, and read from several threads.
+    ``verify``: ``lazy`` checks a member's CRC-32 the first time that this process reads it, ``full`` checks all members
+    on opening, ``off`` none. ``settled_only`` leaves out samples without a drape, or with one that did not settle. May
+    be pickled, forked, and read from several threads.
 
-    Raises ``ShardError`` for a folder without the split, or with a broken, foreign or incomplete one.
+    Raises ``ShardError`` where the split is missing, broken, incomplete, or of another layout.
     """
 
     def __init__(
@@ -68,12 +68,12 @@ class ShardReader:
         self.manifest = self.store.manifest()
         self.index = self.store.index(split, layout)
         self.layout = self.index.layout
-        # A shard that was filled out of order, or a foreign one, need not be in the order of its numbers.
+        # Shards filled out of order, and foreign ones, may not be sorted by index.
         order = np.argsort(self.index.table.sample, kind="stable")
         self._row = order[self.index.table.settled[order]] if settled_only else order
         if not len(self._row):
-            there = f"none of the {len(order)} samples of split {split} has settled"
-            raise ShardError(f"{self.store.place()}: {there}: leave out settled_only, or make garments that are draped")
+            found = f"none of the {len(order)} samples of split {split} has settled"
+            raise ShardError(f"{self.store.location()}: {found}: leave out settled_only, or make garments with a drape")
         self._first = np.searchsorted(self.index.shard, np.arange(len(self.index.shards))).tolist()
         self._columns_of: dict[tuple[str, ...], list[int]] = {}
         self._unchecked = self._all_unchecked()
@@ -85,34 +85,34 @@ class ShardReader:
         return len(self._row)
 
     def rows(self, positions: Iterable[int]) -> Rows:
-        """The rows of ``index`` that hold samples."""
+        """The rows of ``index`` for positions."""
         return self._row[np.fromiter(positions, np.int64)]
 
     def read(self, position: int, members: Iterable[str]) -> dict[str, memoryview]:
-        """The content of some members of a sample, writable and the caller's own.
+        """Member to content, in buffers that the caller owns and may write to.
 
-        Raises ``ShardError`` with shard, key and member for a byte that is not what was written.
+        Raises ``ShardError`` with shard, key and member for a CRC-32 mismatch.
         """
         return next(self.read_many([position], members))
 
     def read_many(self, positions: Iterable[int], members: Iterable[str]) -> Iterator[dict[str, memoryview]]:
-        """As ``read``, for several samples: a server is asked for all of them at once, a folder for one by one."""
+        """As ``read``, for several samples; a remote store requests them in parallel."""
         rows, columns = self.rows(positions), self._columns(tuple(members))
-        wanted = self._parts(rows, columns)
-        return self._checked(rows, columns, wanted, self.store.read_many(wanted))
+        requests = self._requests(rows, columns)
+        return self._checked(rows, columns, requests, self.store.read_many(requests))
 
     def number(self, position: int) -> int:
-        """The index that a sample was written under."""
+        """The index of the sample at a position."""
         return int(self.index.table.sample[self._row[position]])
 
-    def naming(self, position: int) -> "naming_place":
-        """A context in which errors about a member of a sample name shard and sample too."""
-        return naming_place(lambda: self._named(int(self._row[position])))
+    def naming(self, position: int) -> "naming_sample":
+        """A context in which errors about a member also name shard and sample."""
+        return naming_sample(lambda: self._named(int(self._row[position])))
 
     def sample(self, position: int) -> Sample:
-        """A garment with everything that is stored of it.
+        """A garment with all its members.
 
-        Raises ``ShardError`` with shard and key for a damaged one, ``ConfigError`` where some members are not there.
+        Raises ``ShardError`` with shard and key for a damaged one, ``ConfigError`` where the split lacks some members.
         """
         first = FIRST_NAMES if self.layout.schema == 1 else {}
         members = dict.fromkeys([*(first.get(member, member) for member in MEMBERS), *self.layout.members])
@@ -120,33 +120,33 @@ class ShardReader:
             return decode_sample(self.read(position, members))
 
     def _named(self, row: int) -> str:
-        return f"{self.store.place(self.index.shards[self.index.shard[row]])}: sample {self.index.key(row)}"
+        return f"{self.store.location(self.index.shards[self.index.shard[row]])}: sample {self.index.key(row)}"
 
     def check(self, position: int) -> None:
-        """Raise ``ShardError`` if any byte of a sample is not what was written."""
+        """Check all members of a sample again. Raises ``ShardError`` for a CRC-32 mismatch."""
         rows = self._row[[position]]
-        for column, data in self.store.read(*self._parts(rows, self._columns(self.layout.members))[0]).items():
+        for column, data in self.store.read(*self._requests(rows, self._columns(self.layout.members))[0]).items():
             self._require_same(int(rows[0]), column, data)
             if column == META:
-                self._require_own(int(rows[0]), data)
+                self._require_index(int(rows[0]), data)
 
     def _columns(self, members: tuple[str, ...]) -> list[int]:
-        """Columns of members, in the order of the file. Raises ``ConfigError`` for one that the samples lack."""
+        """Columns of members in file order. Raises ``ConfigError`` for a member that the samples lack."""
         if members not in self._columns_of:
             if lacking := [member for member in members if member not in self.layout.members]:
                 raise ConfigError(
-                    f"{self.store.place()}: its samples have no {lacking[0]}: give a data set with all of their files"
+                    f"{self.store.location()}: its samples have no {lacking[0]}: give a data set with all members"
                 )
             self._columns_of[members] = sorted({self.layout.members.index(member) for member in members})
         return self._columns_of[members]
 
-    def _parts(self, rows: Rows, columns: list[int]) -> list[Wanted]:
-        """Shard, number in it, and members of each sample, in the order of the file."""
+    def _requests(self, rows: Rows, columns: list[int]) -> list[Request]:
+        """A request for each row, its members in file order."""
         table, shards = self.index.table, self.index.shard[rows].tolist()
-        # All at once: an array takes as long to give up one row as a hundred.
+        # Indexed once for all rows: indexing an array takes as long for one row as for a hundred.
         offset, size, crc = (array[rows].take(columns, 1).tolist() for array in (table.offset, table.size, table.crc))
         parts = [list(map(MemberLocation, columns, *entry)) for entry in zip(offset, size, crc, strict=True)]
-        if self.layout.kind == FOREIGN:  # a sample may lack what others have, and be in another order
+        if self.layout.kind == FOREIGN:  # a sample may lack members, or have them in another order
             parts = [sorted((part for part in row if part.offset >= 0), key=lambda part: part.offset) for row in parts]
         return [
             (self.index.shards[shard], row - self._first[shard], entry)
@@ -154,44 +154,46 @@ class ShardReader:
         ]
 
     def _checked(
-        self, rows: Rows, columns: list[int], wanted: Sequence[Wanted], content: Iterable[dict[int, memoryview]]
+        self, rows: Rows, columns: list[int], requests: Sequence[Request], content: Iterable[dict[int, memoryview]]
     ) -> Iterator[dict[str, memoryview]]:
-        """Member to content of each sample, after a look at what has not been looked at."""
+        """Member to content of each sample, with unchecked members verified."""
         members = self.layout.members
-        # As it was before: of a sample that is asked for twice, both copies may have been read damaged.
+        # Copied before the loop: a sample requested twice is read twice, and both reads are checked.
         unchecked = self._unchecked[rows]
-        first = unchecked.take(columns, 1).any(axis=1).tolist()
-        for row, is_first, which, parts, sample in zip(rows.tolist(), first, unchecked, wanted, content, strict=True):
-            if is_first:
-                self._check_first(row, which, parts, sample)
+        needs_check = unchecked.take(columns, 1).any(axis=1).tolist()
+        for row, check, flags, request, sample in zip(
+            rows.tolist(), needs_check, unchecked, requests, content, strict=True
+        ):
+            if check:
+                self._check_unchecked(row, flags, request, sample)
             yield {members[column]: data for column, data in sample.items()}
 
-    def _check_first(
-        self, row: int, unchecked: Bool[np.ndarray, " m"], wanted: Wanted, content: dict[int, memoryview]
+    def _check_unchecked(
+        self, row: int, unchecked: Bool[np.ndarray, " m"], request: Request, content: dict[int, memoryview]
     ) -> None:
         """Verify unchecked members; fetch damaged ones again."""
-        shard, number, parts = wanted
+        shard, number, parts = request
         for part in parts:
             if unchecked[part.column]:
                 if zlib.crc32(content[part.column]) != part.crc:
-                    content[part.column] = self.store.mend(shard, number, part) or content[part.column]
+                    content[part.column] = self.store.refetch(shard, number, part) or content[part.column]
                 self._require_same(row, part.column, content[part.column])
                 if part.column == META:
-                    self._require_own(row, content[part.column])
+                    self._require_index(row, content[part.column])
 
-    def _require_own(self, row: int, meta: memoryview) -> None:
-        """Raise ``ShardError`` for a ``meta.json`` of another sample than the index tells."""
-        if self.layout.kind != FOREIGN and index_told(meta) != self.index.table.sample[row]:
+    def _require_index(self, row: int, meta: memoryview) -> None:
+        """Raise ``ShardError`` where ``meta.json`` belongs to another sample than its row of the index."""
+        if self.layout.kind != FOREIGN and read_sample_index(meta) != self.index.table.sample[row]:
             shard = self.index.shards[self.index.shard[row]]
             raise ShardError(
-                f"{self.store.place(shard)}: sample {index_told(meta)} where the index has {self.index.key(row)}: "
-                "delete the index, it is made again from the shards"
+                f"{self.store.location(shard)}: holds sample {read_sample_index(meta)} where the index has "
+                f"{self.index.key(row)}: delete the index, it is made again from the shards"
             )
 
     def _require_same(self, row: int, column: int, data: memoryview) -> None:
         if zlib.crc32(data) != self.index.table.crc[row, column]:
             raise ShardError(
-                f"{self._named(row)}, member {self.layout.members[column]}: bytes differ from those that were written: "
+                f"{self._named(row)}, member {self.layout.members[column]}: bytes differ from those written: "
                 f"{self.store.remedy}"
             )
         self._unchecked[row, column] = False

@@ -1,21 +1,21 @@
-"""The attempts that were turned down on the way to the samples of a data set: ``rejects.jsonl``.
+"""``rejects.jsonl``: the rejected attempts of a data set.
 
 One JSON object a line, in the order of designs and attempts:
 
 ==============  ====================================================================================================
 ``seed``        of the data set
-``design``      number of the design: that of its first sample, over the wearers of a design
-``attempt``     0 for the first design tried under this number
+``design``      number of the design: index of its first sample // wearers a design
+``attempt``     0 for the first attempt at this design
 ``index``       the sample whose wearer the attempt did not fit, or whose drape failed
-``rule``        the rule that was broken, as ``manifest.json`` counts them; ``drape`` for a drape that failed
-``reason``      what was met, in words; of a drape its outcome
+``rule``        the rule that rejected it, as counted in ``manifest.json``; ``drape`` for a failed drape
+``reason``      a sentence; for a drape its outcome
 ``figures``     the numbers behind the rule; names end in their units: ``{"cuff_cm": 29.9, "limb_cm": 35.5}``
 ==============  ====================================================================================================
 
-The file is the same for any number of workers, of interruptions and of parts: it holds the lines of those designs that
-have a sample in the data set. While samples are made, lines go to a journal, each before the sample that it led to, so
-that a killed process loses none. Where neither file has the lines of a sample (it was made by an earlier version, the
-file was deleted, the power failed), rule and reason are read from its ``meta.json``, and ``figures`` are empty.
+The file does not depend on the number of workers, interruptions or parts: it holds the lines of all designs that have a
+sample in the data set. During a run, lines go to a journal, before the sample of the same design is written, so a
+killed process loses none. Where neither file has the lines of a sample (an earlier version made it, the file was
+deleted, the power failed), rule and reason are taken from its ``meta.json``, and ``figures`` are empty.
 """
 
 import contextlib
@@ -41,9 +41,9 @@ __all__ = ["REJECTS", "RejectLog", "has_rejects", "joined_rejects", "merged_reje
 
 REJECTS = "rejects.jsonl"
 JOURNAL = ".rejects.jsonl.part"
-DIGITS = 4  # of a figure behind the point
+DIGITS = 4  # decimals of a figure
 LONGEST_LINE = 1 << 16  # bytes
-META = 0  # every layout begins with meta.json
+META = 0  # column of meta.json
 
 logger = logging.getLogger("gcd_dataset")
 
@@ -52,33 +52,33 @@ Lines = dict[int, dict[int, bytes]]
 
 
 class RejectLog:
-    """Keeps ``rejects.jsonl`` of a folder while samples are added to it; to be opened beside their writers.
+    """Writes ``rejects.jsonl`` of a folder while its ``ShardWriter`` adds samples.
 
-    ``wearers``: samples of one design. ``done``: gives the samples that are whole on disk. On the way out of the
-    ``with`` block, by an error too, the file is written whole. Raises ``ShardError`` for a broken shard,
-    ``OutputError`` where the folder cannot be written.
+    ``wearers``: samples of one design. ``done``: returns the indices of the samples on disk. The file is written at the
+    end of the ``with`` block, also after an error. Raises ``ShardError`` for a broken shard, ``OutputError`` where the
+    folder cannot be written.
     """
 
     def __init__(self, folder: Path, *, seed: int, wearers: int, done: Callable[[], Collection[int]]) -> None:
         self._folder, self._seed, self._wearers, self._done = folder, seed, wearers, done
-        self._lines = self._known()
-        self._add_untold()
+        self._lines = self._stored_lines()
+        self._add_missing()
         self._journal: int | None = None
 
     def add(self, attempts: Iterable[Rejected]) -> None:
-        """Keep the attempts turned down for a design; to be called before its sample is written."""
+        """Record the rejected attempts of a design. Call it before the sample is written."""
         lines = {
             (reject.index // self._wearers, attempt): self._line(attempt, reject)
             for attempt, reject in enumerate(attempts)
         }
-        new = {place: line for place, line in lines.items() if self._lines.get(place[0], {}).get(place[1]) != line}
+        new = {key: line for key, line in lines.items() if self._lines.get(key[0], {}).get(key[1]) != line}
         if not new:
             return
         with writing(self._folder / JOURNAL):
             if self._journal is None:
                 flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW
                 self._journal = os.open(self._folder / JOURNAL, flags, 0o644)
-                os.write(self._journal, b"\n")  # a kill may have left the beginning of a line
+                os.write(self._journal, b"\n")  # ends a line that a kill may have cut off
             rest = memoryview(b"".join(new.values()))
             while rest:
                 rest = rest[os.write(self._journal, rest) :]
@@ -86,7 +86,7 @@ class RejectLog:
             self._lines.setdefault(design, {})[attempt] = line
 
     def close(self) -> None:
-        """Write ``rejects.jsonl``. Raises ``OutputError``; the journal stays then."""
+        """Write ``rejects.jsonl`` and remove the journal. Raises ``OutputError``, and keeps the journal."""
         if self._journal is not None:
             os.close(self._journal)
             self._journal = None
@@ -108,7 +108,7 @@ class RejectLog:
         except OutputError:
             if kind is None:
                 raise
-            # The first error says what is wrong; the journal waits for the next writer.
+            # Raise the first error; the next writer reads the journal.
 
     def _line(self, attempt: int, reject: Rejected) -> bytes:
         entry = {
@@ -122,8 +122,8 @@ class RejectLog:
         }
         return json_bytes(entry) + b"\n"
 
-    def _known(self) -> Lines:
-        """What is kept in the folder, by an earlier run or by one that was killed."""
+    def _stored_lines(self) -> Lines:
+        """The lines of earlier runs: of the file, and of the journal of a killed run."""
         lines: Lines = {}
         for path in (self._folder / REJECTS, self._folder / JOURNAL):
             for line in _lines_in(path):
@@ -132,8 +132,8 @@ class RejectLog:
                     lines.setdefault(entry["design"], {})[entry["attempt"]] = line
         return lines
 
-    def _add_untold(self) -> None:
-        """Take from the samples what the lines do not tell."""
+    def _add_missing(self) -> None:
+        """Add lines from the samples of shards whose counts of rejects differ from the manifest's."""
         manifest = read_manifest(self._folder)
         for split, record in manifest.splits.items() if manifest is not None else ():
             counted = {shard.name: shard.rejects for shard in record.shards}
@@ -142,7 +142,7 @@ class RejectLog:
                     self._add_from(self._folder / name, table)
 
     def _counts(self, table: ShardTable) -> Counter[str]:
-        """Rule to number of lines, counted with each sample as ``manifest.json`` does."""
+        """Rule to number of lines, counted once a sample as in ``manifest.json``."""
         designs = Counter(index // self._wearers for index in table.sample.tolist())
         counts: Counter[str] = Counter()
         for design in designs.keys() & self._lines.keys():
@@ -151,13 +151,13 @@ class RejectLog:
         return counts
 
     def _add_from(self, path: Path, table: ShardTable) -> None:
-        places = zip(table.sample.tolist(), table.offset[:, META].tolist(), table.size[:, META].tolist(), strict=True)
+        metas = zip(table.sample.tolist(), table.offset[:, META].tolist(), table.size[:, META].tolist(), strict=True)
         with reading(path), path.open("rb") as file:
-            for index, offset, size in places:
+            for index, offset, size in metas:
                 design = index // self._wearers
                 rejects = [_split(text) for text in read_meta(os.pread(file.fileno(), size, offset))["rejects"]]
-                there = [json.loads(line) for _, line in sorted(self._lines.get(design, {}).items())]
-                if [(entry["rule"], entry["reason"]) for entry in there] != rejects:
+                known = [json.loads(line) for _, line in sorted(self._lines.get(design, {}).items())]
+                if [(entry["rule"], entry["reason"]) for entry in known] != rejects:
                     self._lines[design] = {
                         attempt: self._line(attempt, Rejected(design * self._wearers, rule, reason))
                         for attempt, (rule, reason) in enumerate(rejects)
@@ -165,18 +165,18 @@ class RejectLog:
 
 
 def has_rejects(folder: Path) -> bool:
-    """Whether ``rejects.jsonl`` is there, and nothing is to be added to it. Raises ``ShardError``."""
+    """Whether ``rejects.jsonl`` exists and is complete: no journal is left. Raises ``ShardError``."""
     with reading(folder):
         return (folder / REJECTS).exists() and not (folder / JOURNAL).exists()
 
 
 def joined_rejects(folders: Iterable[Path]) -> bytes:
-    """The content of ``rejects.jsonl`` of a data set that was made in parts, in their order. Raises ``ShardError``."""
+    """The concatenation of ``rejects.jsonl`` of the parts of a data set. Raises ``ShardError``."""
     return b"".join(line for folder in folders for line in _lines_in(folder / REJECTS))
 
 
 def merged_rejects(contents: Iterable[bytes]) -> bytes:
-    """Several files' lines as one file, each once; of two lines of one attempt the later."""
+    """The sorted lines of several files; for two lines of one attempt, the later one."""
     lines: Lines = {}
     for content in contents:
         for line in content.splitlines(keepends=True):
@@ -186,13 +186,13 @@ def merged_rejects(contents: Iterable[bytes]) -> bytes:
 
 
 def _lines_in(path: Path) -> Iterator[bytes]:
-    """The lines of a file with their ends, none where there is no file. Raises ``ShardError``."""
+    """The lines of a file, newlines included; none for a missing file. Raises ``ShardError``."""
     with reading(path), contextlib.suppress(FileNotFoundError), path.open("rb") as file:
         yield from iter(lambda: file.readline(LONGEST_LINE), b"")
 
 
 def _parsed(line: bytes) -> dict[str, Any] | None:
-    """A line, if it is one that was written whole."""
+    """The entry of a line; ``None`` for a truncated or invalid one."""
     with contextlib.suppress(ShardError):
         entry = decode_json(line) if line.endswith(b"\n") else None
         if isinstance(entry, Mapping) and all(_is_count(entry.get(name)) for name in ("seed", "design", "attempt")):

@@ -1,4 +1,4 @@
-"""One sample in a tar of its own: how samples wait until there are enough for a shard."""
+"""A tar of one sample: the form in which samples wait until their shard is complete."""
 
 import zlib
 from collections.abc import Mapping
@@ -15,21 +15,21 @@ __all__ = ["read_single", "write_single"]
 
 
 def write_single(path: Path, index: int, members: Mapping[str, Bytes]) -> None:
-    """Keep the members of a sample as a tar, whole or not at all. Raises ``OutputError``."""
+    """Write the members of a sample as a tar, atomically. Raises ``OutputError``."""
     entries = [tar_entry(member_name(index, member), members[member]) for member in MEMBERS]
     write_whole(path, b"".join([*entries, bytes(END)]))
 
 
 def read_single(path: Path) -> dict[str, memoryview]:
-    """The members of the sample in a tar, each checked against its CRC-32. Raises ``ShardError``."""
+    """The members of the sample in a tar, their CRC-32 checked. Raises ``ShardError``."""
     table = scan_shard(path)
     if len(table) != 1:
-        raise ShardError(f"{path}: {len(table)} samples where there should be one")
+        raise ShardError(f"{path}: {len(table)} samples, expected one")
     with reading(path):
         data = memoryview(bytearray(path.read_bytes()))
-    places = zip(MEMBERS, table.offset[0].tolist(), table.size[0].tolist(), table.crc[0].tolist(), strict=True)
+    entries = zip(MEMBERS, table.offset[0].tolist(), table.size[0].tolist(), table.crc[0].tolist(), strict=True)
     members = {}
-    for member, offset, size, crc in places:
+    for member, offset, size, crc in entries:
         members[member] = data[offset : offset + size]
         if zlib.crc32(members[member]) != crc:
             raise ShardError(f"{path}: member {member}: bytes differ from those written")

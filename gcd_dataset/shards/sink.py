@@ -1,4 +1,4 @@
-"""A file for a library that does not survive a failed write."""
+"""A file object that hides failed writes from libhdf5, which would abort the process."""
 
 import io
 from pathlib import Path
@@ -9,9 +9,9 @@ __all__ = ["Sink"]
 
 
 class Sink(io.RawIOBase):
-    """The file at ``path``, open for writing; a write that fails is told by ``check``, and those after it go nowhere.
+    """The file at ``path``, open for writing. After a failed write it discards all others; ``check`` raises the error.
 
-    libhdf5 ends the process where the disk is full: it fails to close what it failed to write.
+    On a full disk libhdf5 aborts the process: it cannot close a file that it failed to write.
     """
 
     def __init__(self, path: Path) -> None:
@@ -19,7 +19,7 @@ class Sink(io.RawIOBase):
         self._error: OSError | None = None
 
     def check(self) -> None:
-        """Raise the ``OSError`` of the first write that failed, if one has."""
+        """Raise the ``OSError`` of the first failed write, if any."""
         if self._error is not None:
             raise self._error
 

@@ -1,4 +1,4 @@
-"""Where the files of a data set lie: what a reader asks of a folder, and of a server."""
+"""The interface between ``ShardReader`` and the storage of a data set: a folder, or a server."""
 
 import math
 from abc import ABC, abstractmethod
@@ -14,10 +14,10 @@ __all__ = ["MemberLocation", "Store", "runs"]
 
 
 class MemberLocation(NamedTuple):
-    """Where one member of a sample lies in its shard."""
+    """Offset, size and CRC-32 of one member of a sample in its shard."""
 
     column: int
-    """Place among the members of the layout."""
+    """Position of the member in ``Layout.members``."""
     offset: int
     size: int
     crc: int
@@ -31,49 +31,49 @@ class Store(ABC):
     """The files of a data set. May be pickled, forked, and read from several threads."""
 
     source: str | None = None
-    """Where the data come from, and which revision of them; ``None`` where nobody has said."""
+    """Origin and revision of the data; ``None`` where unknown."""
 
     remedy: str = REMEDY
-    """What to do about damage in it."""
+    """The remedy in messages about damaged members."""
 
     @abstractmethod
-    def place(self, name: str = "") -> str:
-        """A file, or all of them, as messages name it."""
+    def location(self, name: str = "") -> str:
+        """The path or URL of a file, by default of the whole data set, for messages."""
 
     @abstractmethod
     def manifest(self) -> Manifest | None:
-        """What the data set is made of, if that is written down. Raises ``ShardError``."""
+        """The manifest; ``None`` without one. Raises ``ShardError``."""
 
     @abstractmethod
     def index(self, split: str, layout: Layout) -> ShardIndex:
-        """The contents of a split; its layout holds the members that are there, ``layout``'s at most.
+        """The index of a split; its layout is ``layout``, reduced to the members present.
 
-        Raises ``ShardError`` for one that is broken, foreign, incomplete, or without samples.
+        Raises ``ShardError`` where the split is broken, incomplete, empty, or of another layout.
         """
 
     @abstractmethod
     def read(self, shard: str, number: int, parts: Sequence[MemberLocation]) -> dict[int, memoryview]:
-        """Column to content of some members of sample ``number`` of a shard, in the order of the file.
+        """Column to content of members of sample ``number`` of a shard; ``parts`` in file order.
 
-        Writable, and the caller's own. Raises ``ShardError``.
+        The caller owns the buffers and may write to them. Raises ``ShardError``.
         """
 
     def read_many(self, wanted: Sequence[tuple[str, int, Sequence[MemberLocation]]]) -> Iterable[dict[int, memoryview]]:
         """As ``read``, for several samples: shard, number and members of each. Raises ``ShardError``."""
-        # One by one, so that what is read is looked at while it is in the processor's cache.
+        # One by one: each sample is checked while it is in the CPU cache.
         return (self.read(*sample) for sample in wanted)
 
-    def mend(self, shard: str, number: int, part: MemberLocation) -> memoryview | None:
-        """A member that was found damaged, got anew; ``None`` where there is nowhere to get it."""
+    def refetch(self, shard: str, number: int, part: MemberLocation) -> memoryview | None:
+        """Fetch a damaged member again; ``None`` where the store has no other copy."""
         return None
 
     @abstractmethod
     def stream(self, shard: str) -> BinaryIO:
-        """A shard from its first byte on. Raises ``ShardError``, when it is read too."""
+        """A shard as a file, from its first byte on. Raises ``ShardError``, also on reading."""
 
 
 def runs(parts: Sequence[MemberLocation], gap: int) -> list[list[MemberLocation]]:
-    """Members in runs with no more than ``gap`` bytes between neighbours."""
+    """Group members, given in file order, into runs with at most ``gap`` bytes between neighbours."""
     found: list[list[MemberLocation]] = []
     end = -math.inf
     for part in parts:

@@ -1,4 +1,4 @@
-"""USTAR archives (POSIX.1-1988): the same members give the same bytes, on any machine and on any day."""
+"""USTAR archives (POSIX.1-1988), reproducible: equal members give equal bytes."""
 
 import os
 from collections.abc import Container, Iterator
@@ -11,7 +11,7 @@ from gcd_dataset.shards.limits import LARGEST_SAMPLE
 __all__ = ["BLOCK", "END", "TarMember", "padded", "require_header", "stream_samples", "tar_entries", "tar_entry"]
 
 BLOCK = 512
-END = 2 * BLOCK  # zeros that end an archive
+END = 2 * BLOCK  # bytes of zeros at the end of an archive
 CHUNK = 1 << 20  # bytes
 LONGEST_NAME = 100
 LARGEST = 8**11 - 1  # bytes: eleven octal digits
@@ -20,7 +20,7 @@ KIND, PLAIN = 156, ord("0")
 
 
 class TarMember(NamedTuple):
-    """Where a member's content lies in an archive."""
+    """Name, offset and size of a member's content in an archive."""
 
     name: str
     offset: int
@@ -33,9 +33,9 @@ def padded(size: int) -> int:
 
 
 def tar_entry(name: str, data: Bytes) -> bytes:
-    """A member as it stands in the archive: header, content, zeros up to the next block.
+    """A member in an archive: header, content, zeros up to the next block.
 
-    Owner 0, mode 0644 and the first second of 1970. Raises ``ShardError`` for a name or content too long for USTAR.
+    Owner 0, mode 0644, mtime 0. Raises ``ShardError`` for a name or content too long for USTAR.
     """
     encoded = name.encode()
     if len(encoded) > LONGEST_NAME or len(data) > LARGEST:
@@ -73,7 +73,7 @@ def tar_entries(file: int) -> Iterator[TarMember]:
 
 
 def _require_zeros(file: int, position: int, end: int) -> None:
-    """Raise ``ShardError`` for content between ``position`` and ``end``: a header before it was wiped out."""
+    """Raise ``ShardError`` for anything but zeros from ``position`` to ``end``: a header was overwritten by zeros."""
     while position < end:
         chunk = os.pread(file, CHUNK, position)
         if not chunk or chunk.strip(b"\0"):
@@ -84,26 +84,26 @@ def _require_zeros(file: int, position: int, end: int) -> None:
 def stream_samples(
     file: BinaryIO, wanted: Container[str], *, begin: int = 0
 ) -> Iterator[tuple[str, dict[str, bytearray]]]:
-    """Key and wanted members of each sample of an archive of ours, of which byte ``begin`` is read next.
+    """Key and wanted members of each sample of one of our archives, read from byte ``begin`` on.
 
-    Raises ``ShardError`` where a header is damaged, a member is cut off, there twice or too large, or a sample is there
-    twice.
+    ``file`` is positioned at ``begin``. Raises ``ShardError`` for a damaged header, a member that is cut off or too
+    large, and a duplicate member or sample.
     """
-    key, members, names, before, position = "", dict[str, bytearray](), set[str](), set[str](), begin
+    key, members, names, past_keys, position = "", dict[str, bytearray](), set[str](), set[str](), begin
     while (header := file.read(BLOCK)) not in (b"", bytes(BLOCK)):
         name, size = _parse(header, position)
         if size > LARGEST_SAMPLE:
-            raise ShardError(f"member {shown(name)} has {size} bytes, where {LARGEST_SAMPLE} are read")
-        own, _, member = name.partition(".")
-        if own != key:
+            raise ShardError(f"member {shown(name)} has {size} bytes, over the limit of {LARGEST_SAMPLE}")
+        next_key, _, member = name.partition(".")
+        if next_key != key:
             if key:
                 yield key, members
-            before.add(key)
-            key, members, names = own, {}, set()
-        if member in names or key in before:
+            past_keys.add(key)
+            key, members, names = next_key, {}, set()
+        if member in names or key in past_keys:
             raise ShardError(f"member {shown(name)} is there twice, at byte {position}")
         names.add(member)
-        content = _taken(file, size, member in wanted, name)
+        content = _read_content(file, size, member in wanted, name)
         if member in wanted:
             members[member] = content
         position += BLOCK + padded(size)
@@ -111,8 +111,8 @@ def stream_samples(
         yield key, members
 
 
-def _taken(file: BinaryIO, size: int, is_wanted: bool, name: str) -> bytearray:
-    """The content of the next member, or nothing, when it has been passed over. Raises ``ShardError``."""
+def _read_content(file: BinaryIO, size: int, is_wanted: bool, name: str) -> bytearray:
+    """The content of the next member; empty for a skipped one. Raises ``ShardError``."""
     if not is_wanted and file.seekable():
         file.seek(padded(size), os.SEEK_CUR)
         return bytearray()
@@ -130,7 +130,7 @@ def _signed(header: bytes) -> bytes:
 
 
 def require_header(header: bytes, position: int) -> None:
-    """Raise ``ShardError`` unless the checksum of a header, by any program, is that of its bytes."""
+    """Raise ``ShardError`` unless the checksum of a header matches; the header may be by any program."""
     blank = header[: CHECKSUM.start] + 8 * b" " + header[CHECKSUM.stop :]
     digits = header[CHECKSUM].strip(b" \0")
     if len(header) < BLOCK or not digits.isdigit() or not digits.isascii() or _octal(digits) != sum(blank):
@@ -147,9 +147,9 @@ def _parse(header: bytes, position: int) -> tuple[str, int]:
     try:
         name, size = header[:LONGEST_NAME].rstrip(b"\0").decode("ascii"), _octal(header[124:135])
     except ValueError as error:
-        raise ShardError(f"no tar header of ours at byte {position}") from error
+        raise ShardError(f"tar header of another program at byte {position}") from error
     if size < 0:
-        raise ShardError(f"no tar header of ours at byte {position}")
+        raise ShardError(f"tar header of another program at byte {position}")
     if header[KIND] != PLAIN:
         raise ShardError(f"member {name} at byte {position} is no plain file")
     return name, size

@@ -1,4 +1,4 @@
-"""Shards written so that nothing finished is ever lost, and a data set made in pieces is the one made in one go."""
+"""Writes shards. Finished samples survive a kill, and several runs give the same shards as one."""
 
 import contextlib
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from gcd_dataset.records import Sample
 from gcd_dataset.shards.access import locked, reading
 from gcd_dataset.shards.codec import encode_sample
 from gcd_dataset.shards.growing import GrowingShard, shard_record
-from gcd_dataset.shards.index import ShardIndex, empty_table, tables_of
+from gcd_dataset.shards.index import ShardIndex, empty_table, read_tables
 from gcd_dataset.shards.layout import (
     GARMENTS,
     Bytes,
@@ -25,28 +25,28 @@ from gcd_dataset.shards.layout import (
     shard_number,
 )
 from gcd_dataset.shards.manifest import ShardRecord, SplitRecord, keep_split
-from gcd_dataset.shards.origin import agreed, require_schema
+from gcd_dataset.shards.origin import record_to_resume, require_schema
 
 __all__ = ["ShardWriter"]
 
 SHARD_SIZE = 256  # samples: about 250 MB of draped garments at 1 cm
-UNLISTED = 1 / 64  # of the shards may be missing in the manifest while more are written: it tells of all of them anew
+UNLISTED = 1 / 64  # share of shards that the manifest may lag behind: each update rewrites all its entries
 
 
 class ShardWriter:
-    """Writes the samples of one split into a folder, and goes on where an earlier writer stopped.
+    """Writes the samples of one split into a folder, continuing the work of an earlier writer.
 
-    Shard k holds the samples from ``k * shard_size`` to ``(k + 1) * shard_size - 1``, in order, whatever the order and
-    the number of sittings they were written in. While it fills it is called ``….tar.part``; on the way out of the
-    ``with`` block, by an error too, it becomes a whole shard of the samples so far, which a later writer completes.
-    After a kill or a power cut the next writer keeps what is whole in the ``.part`` file.
+    Shard k holds the samples from ``k * shard_size`` to ``(k + 1) * shard_size - 1``, sorted by index, independent of
+    the order and the number of runs in which they were written. A shard being filled is named ``….tar.part``. At the
+    end of the ``with`` block, also after an error, it becomes a finished shard of the samples so far; a later writer
+    completes it. After a kill or a power cut the next writer recovers the whole samples of the ``.part`` file.
 
-    From its making to its close it is the only writer of the split; other splits may be written at the same time.
+    A writer holds the lock of its split until ``close``; other splits may be written in parallel.
 
-    ``layout``: what a sample is made of; by default a garment without caption and views, see ``garments_layout``.
+    ``layout``: the members of a sample; by default a garment without caption and views, see ``garments_layout``.
     Raises ``ConfigError`` for a folder made with another recipe, seed, shard size, schema or version of this package,
-    ``ShardError`` for one with a broken shard, ``OutputError`` with file and remedy for a place that cannot be written
-    or locked, or where another writer is at work.
+    ``ShardError`` for a broken shard, ``OutputError`` for a folder that cannot be written or locked, or is locked by
+    another writer.
     """
 
     def __init__(
@@ -63,58 +63,60 @@ class ShardWriter:
             raise ConfigError(f"shard_size is {shard_size}: a shard holds 1 sample or more")
         self._folder, self._split, self._layout = make_folder(user_path(folder)), split, layout
         self._open: dict[int, GrowingShard] = {}
-        with contextlib.ExitStack() as held:
-            held.enter_context(locked(self._folder / lock_name(split), f"writing split {split}"))
-            held.callback(_release, self._open)
+        with contextlib.ExitStack() as resources:
+            resources.enter_context(locked(self._folder / lock_name(split), f"writing split {split}"))
+            resources.callback(_close_all, self._open)
             require_schema(self._folder, split, layout)
-            tables = tables_of(self._folder, split, layout)
-            asked = SplitRecord(seed, dict(recipe), shard_size, kind=layout.kind)
-            self._record = agreed(self._folder, split, tables, asked, layout)
+            tables = read_tables(self._folder, split, layout)
+            requested = SplitRecord(seed, dict(recipe), shard_size, kind=layout.kind)
+            self._record = record_to_resume(self._folder, split, tables, requested, layout)
             self._whole = {
                 number: table for name, table in tables.items() if (number := shard_number(name, split)) is not None
             }
             self._shards, self._unlisted = self._records(), 0
-            self._keep_manifest()
-            self._take_up()
-            self._held = held.pop_all()
+            self._write_manifest()
+            self._resume()
+            self._resources = resources.pop_all()
         self._closed = False
 
     @property
     def done(self) -> frozenset[int]:
-        """Indices of the samples that are whole on disk."""
+        """Indices of the samples on disk."""
         tables = [*self._whole.values(), *(shard.table() for shard in self._open.values())]
         return frozenset(index for table in tables for index in table.sample.tolist())
 
     def write(self, sample: Sample) -> None:
-        """Add a garment. Raises as ``add`` does, and ``ShardError`` for one that the format cannot hold."""
+        """Encode and add a garment. Raises as ``add`` does, and ``ShardError`` where the format cannot hold it."""
         self.add(sample.provenance.index, encode_sample(sample))
 
     def add(self, index: int, members: Mapping[str, Bytes]) -> None:
-        """Add a sample as the files of the writer's layout.
+        """Add an encoded sample: the members of the writer's layout.
 
-        Raises ``ConfigError`` for one that is there, ``OutputError`` where it cannot be written, or where this writer
-        is closed.
+        Raises ``ConfigError`` for a sample that is in the split already, ``OutputError`` where it cannot be written, or
+        after ``close``.
         """
         if self._closed:
-            raise OutputError(f"{self._folder}: this writer is closed: open another to go on")
+            raise OutputError(f"{self._folder}: this writer is closed: open another to continue")
         number = index // self._record.shard_size
         if number in self._whole and index in self._whole[number].sample:
-            raise ConfigError(f"{self._path(number)}: {key_of(index)} is there already: write what is not in .done")
+            raise ConfigError(
+                f"{self._path(number)}: {key_of(index)} is there already: write only indices that are not in .done"
+            )
         shard = self._shard(number)
         shard.append(index, members)
         if len(shard.rows) == self._record.shard_size:
             self._finish(number)
 
     def close(self) -> None:
-        """Make whole shards of those still open, and write the index. Raises ``OutputError``."""
+        """Finish the open shards and write the index. Raises ``OutputError``."""
         if self._closed:
             return
         self._closed = True
-        with self._held:
+        with self._resources:
             for number in sorted(self._open):
                 self._finish(number)
             if self._unlisted:
-                self._keep_manifest()
+                self._write_manifest()
             tables = {shard_name(self._split, number): self._whole[number] for number in sorted(self._whole)}
             ShardIndex.of(self._folder, tables, self._layout).write(self._folder / index_name(self._split))
 
@@ -129,10 +131,10 @@ class ShardWriter:
         except OutputError:
             if kind is None:
                 raise
-            # The first error says what is wrong; whole samples wait in the .part files for the next writer.
+            # Raise the first error; the next writer recovers whole samples from the .part files.
 
-    def _take_up(self) -> None:
-        """Go on with the shards that an earlier writer could not finish."""
+    def _resume(self) -> None:
+        """Open the unfinished shards of an earlier writer."""
         names = [path.name.removesuffix(".part") for path in self._folder.glob("*.tar.part")]
         for number in sorted(number for name in names if (number := shard_number(name, self._split)) is not None):
             self._shard(number)
@@ -142,8 +144,8 @@ class ShardWriter:
 
     def _shard(self, number: int) -> GrowingShard:
         if number not in self._open:
-            there = self._whole.get(number, empty_table(self._layout))
-            self._open[number] = GrowingShard(self._path(number), there, self._layout)
+            existing = self._whole.get(number, empty_table(self._layout))
+            self._open[number] = GrowingShard(self._path(number), existing, self._layout)
         return self._open[number]
 
     def _finish(self, number: int) -> None:
@@ -153,13 +155,13 @@ class ShardWriter:
             self._whole[number] = shard.table()
         else:
             shard.discard()
-        self._open.pop(number).release()
+        self._open.pop(number).close()
         self._unlisted += 1
         if self._unlisted >= UNLISTED * len(self._shards):
-            self._keep_manifest()
+            self._write_manifest()
 
     def _records(self) -> dict[int, ShardRecord]:
-        """What the manifest says of the shards that are there; looked up anew where it is behind."""
+        """Number to record of the finished shards: the manifest's where its size matches, else computed."""
         listed = {(shard.name, shard.size): shard for shard in self._record.shards}
         records = {}
         for number, table in self._whole.items():
@@ -168,13 +170,13 @@ class ShardWriter:
                 records[number] = listed.get((path.name, path.stat().st_size)) or shard_record(path, table)
         return records
 
-    def _keep_manifest(self) -> None:
+    def _write_manifest(self) -> None:
         shards = tuple(self._shards[number] for number in sorted(self._shards))
         keep_split(self._folder, self._split, replace(self._record, shards=shards))
         self._unlisted = 0
 
 
-def _release(shards: dict[int, GrowingShard]) -> None:
+def _close_all(shards: dict[int, GrowingShard]) -> None:
     for shard in shards.values():
-        shard.release()
+        shard.close()
     shards.clear()

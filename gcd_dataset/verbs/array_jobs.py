@@ -15,21 +15,21 @@ from gcd_dataset.shards.contents import read_index
 from gcd_dataset.shards.job_parts import (
     PARTS,
     FinishedPart,
-    NamedSet,
+    NamedRecipe,
     PartsPlan,
-    agree_on,
-    changing_parts,
     finished_path,
     is_merging,
     part_folder,
+    parts_lock,
     parts_waiting,
     read_finished,
     read_plan,
     write_finished,
+    write_or_check_plan,
 )
 from gcd_dataset.shards.layout import SCHEMA
 from gcd_dataset.shards.manifest import SplitRecord, read_manifest
-from gcd_dataset.shards.origin import agreed
+from gcd_dataset.shards.origin import record_to_resume
 from gcd_dataset.verbs.storing import SplitRule, is_begun
 
 __all__ = ["JobPart", "PartFolder", "begin_part", "command_of"]
@@ -122,13 +122,13 @@ def begin_part(out: Path, part: JobPart, count: int, seed: int, config: MakeConf
     without the samples of this part; ``OutputError`` if it cannot be written.
     """
     indices = part.indices(count, wearers=config.wearers)
-    with changing_parts(out):
+    with parts_lock(out):
         if not (out / PARTS).exists() and any(is_begun(out, split) for split in rule.shard_sizes):
             _require_stored(out, part, indices, seed, config, rule)
             return PartFolder(out, part, indices, is_merged=True)
         _require_not_merging(out, part_folder(out, part.number, part.of))
         options, named = recipe_of(config), _named_set(rule.recipe)
-        agree_on(out, PartsPlan(part.of, count, seed, options, rule.shard_sizes, SCHEMA, versions(), named))
+        write_or_check_plan(out, PartsPlan(part.of, count, seed, options, rule.shard_sizes, SCHEMA, versions(), named))
     return PartFolder(out, part, indices)
 
 
@@ -138,13 +138,13 @@ def command_of(out: Path, plan: PartsPlan, part: int) -> str:
     return shlex.join(["gcd", "generate", str(out), *options, "--shard", str(JobPart(part, plan.of))])
 
 
-def _named_set(recipe: Recipe | None) -> NamedSet | None:
+def _named_set(recipe: Recipe | None) -> NamedRecipe | None:
     if recipe is None:
         return None
-    return NamedSet(recipe.name, recipe.sha256, dict(recipe.splits), recipe.patterns)
+    return NamedRecipe(recipe.name, recipe.sha256, dict(recipe.splits), recipe.patterns)
 
 
-def _options_of_named(plan: PartsPlan, named: NamedSet) -> Iterator[str]:
+def _options_of_named(plan: PartsPlan, named: NamedRecipe) -> Iterator[str]:
     yield from ("--recipe", named.name if named.name in recipe_names() else "FILE.toml")
     yield from _device_of(plan)
 
@@ -189,7 +189,7 @@ def _require_stored(out: Path, part: JobPart, indices: range, seed: int, config:
     for split, size in rule.shard_sizes.items():
         asked = SplitRecord(seed, recipe_of(config), size)
         index = read_index(out, split)
-        agreed(out, split, index.tables(), asked)
+        record_to_resume(out, split, index.tables(), asked)
         stored.update(index.table.sample.tolist())
     if missing := set(indices) - stored:
         raise ConfigError(

@@ -10,18 +10,18 @@ from gcd_dataset.files import user_path, write_whole
 from gcd_dataset.shards.access import locked, reading, writing
 from gcd_dataset.shards.contents import splits_in
 from gcd_dataset.shards.growing import GrowingShard, shard_record, sync_folder
-from gcd_dataset.shards.index import ShardIndex, ShardTable, empty_table, known_index, scan_shard, whole_samples
+from gcd_dataset.shards.index import ShardIndex, ShardTable, empty_table, read_stored_index, scan_shard, whole_samples
 from gcd_dataset.shards.job_parts import (
     MERGED,
     PARTS,
     FinishedPart,
     PartsPlan,
-    changing_parts,
     finished_path,
     has_plan,
     is_merging,
     merging_path,
     part_folder,
+    parts_lock,
     read_finished,
     read_plan,
     require_version,
@@ -107,7 +107,7 @@ def _merge(out: Path, on_progress: ProgressCallback) -> None:
     for split in records:
         ShardIndex.of(out, tables[split], layouts.get(split, GARMENTS)).write(out / index_name(split))
     _write_manifest(out, plan, records)
-    with changing_parts(out), writing(out / PARTS):
+    with parts_lock(out), writing(out / PARTS):
         _remove(out / MERGED)
         (out / PARTS).rename(out / MERGED)
         sync_folder(out)
@@ -121,7 +121,7 @@ def _begin(out: Path) -> None:
 
     Raises ``ConfigError`` for shards beside the parts.
     """
-    with changing_parts(out):
+    with parts_lock(out):
         if is_merging(out):
             return
         if extra := sorted(path.name for pattern in ("*.tar", "*.tar.part") for path in out.glob(pattern)):
@@ -130,7 +130,7 @@ def _begin(out: Path) -> None:
 
 
 def _end(out: Path) -> None:
-    with changing_parts(out), writing(merging_path(out)):
+    with parts_lock(out), writing(merging_path(out)):
         merging_path(out).unlink()
 
 
@@ -179,7 +179,7 @@ def _sources(out: Path, plan: PartsPlan, parts: Sequence[FinishedPart]) -> dict[
     for part in parts:
         folder = part_folder(out, part.part, part.of)
         for split, records in part.splits.items():
-            index = known_index(folder, split, partial=True)
+            index = read_stored_index(folder, split, partial=True)
             layout, tables = (GARMENTS, {}) if index is None else (index.layout, index.tables())
             for record in records:
                 source = _Source(part.part, folder / record.name, record, layout, tables.get(record.name))
@@ -245,7 +245,7 @@ def _concatenate(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord,
             shard.copy(source.path, whole_samples(source.path, layout))
         return shard.finish(), shard.table()
     finally:
-        shard.release()
+        shard.close()
 
 
 def _write_manifest(out: Path, plan: PartsPlan, records: Mapping[str, Sequence[ShardRecord]]) -> None:

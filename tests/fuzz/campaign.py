@@ -23,13 +23,13 @@ accepted input read as the original, else it is counted as `silent`. Limits for 
 
 
 def try_files(name: str, folder: Path, count: int) -> Tally:
-    """What a reader makes of ``count`` damaged files."""
+    """The tally of a reader on ``count`` damaged files."""
     reader = reader_named(name, folder)
     return try_all(reader.read, damaged(reader, name, count), expected=reader.expected())
 
 
 def try_documents(name: str, folder: Path, count: int) -> Tally:
-    """What a reader makes of up to ``count`` edited documents; fewer where the strategy repeats itself."""
+    """The tally of a reader on up to ``count`` edited documents; fewer if the strategy repeats itself."""
     reader = reader_named(name, folder)
     contents: list[bytes] = []
 

@@ -21,12 +21,12 @@ def edited(document: Any) -> st.SearchStrategy[Any]:
 
 
 def json_bytes(document: Any) -> bytes:
-    """The document as JSON, with numbers and nesting that JSON writers of others allow."""
+    """The document as JSON, with numbers and nesting that other JSON writers produce."""
     return _text(document).encode("utf-8", "surrogatepass")
 
 
 class _Raw:
-    """Text that goes into the document as it is."""
+    """Text inserted into the document unquoted."""
 
     def __init__(self, text: str) -> None:
         self.text = text

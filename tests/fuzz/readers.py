@@ -1,4 +1,4 @@
-"""Every reader of files from outside: what it is given, how its result is told from another, what it may not change."""
+"""Every reader of external files: its input, its result in comparable form, and whether checksums protect it."""
 
 import json
 import random
@@ -49,19 +49,19 @@ class Reader:
     """A reader, and a file that it reads."""
 
     content: bytes
-    """Of the file as it should be."""
+    """Of the undamaged file."""
     read: Callable[[bytes], Any]
     """Reads the file with other content."""
     protected: bool
     """Whether checksums cover the file: changed content is refused, or reads as the original."""
 
     def expected(self) -> object:
-        """The result that no damage may change; ``None`` where nothing protects it."""
+        """The result that damage must not change; ``None`` without checksums."""
         return self.read(self.content) if self.protected else None
 
 
 def damaged(reader: Reader, name: str, count: int) -> Iterator[bytes]:
-    """The file ``count`` times, each time with other damage, the same in every run."""
+    """``count`` damaged copies of the file, the same in every run."""
     return (mutated(reader.content, random.Random(f"{name}:{number}")) for number in range(count))
 
 
@@ -71,7 +71,7 @@ def reader_named(name: str, folder: Path) -> Reader:
 
 
 def _plain(value: Any) -> Any:
-    """The value with arrays and tensors as bytes, to be compared."""
+    """The value with arrays and tensors as bytes, for comparison."""
     if isinstance(value, torch.Tensor):
         value = value.numpy()
     if isinstance(value, np.ndarray):
@@ -85,7 +85,7 @@ def _plain(value: Any) -> Any:
 
 
 def _shards(folder: Path, name: str, *, streaming: bool = False, without: str = "") -> Reader:
-    """A data set of one shard, in which file ``name`` is replaced, and ``without`` is missing."""
+    """A data set of one shard; file ``name`` is replaced by the input, file ``without`` is missing."""
     write_shards(folder)
     content = (folder / name).read_bytes()
     kept = {path.name: path.read_bytes() for path in folder.iterdir() if path.name not in (without, name)}
@@ -138,7 +138,7 @@ def _member(_: Path, field: str) -> Reader:
 
 
 def _sample(_: Path, field: str) -> Reader:
-    """A whole sample, of which one member is replaced."""
+    """A whole sample with one member replaced."""
     members = encode_sample(garments()[0])
 
     def read(data: bytes) -> Any:
@@ -149,7 +149,7 @@ def _sample(_: Path, field: str) -> Reader:
 
 
 def _sealed_again(data: bytes) -> bytes:
-    """A meta.json that was edited, with the checksum of its new content: else that would be all that is looked at."""
+    """An edited meta.json with a valid seal; otherwise the seal check would hide all others."""
     head, comma, _ = data.rpartition(b',"crc32_before":')
     return head + comma + b"%d}" % zlib.crc32(head) if comma else data
 
@@ -159,7 +159,7 @@ def _decoded(field: str, data: bytes) -> Any:
 
 
 def _foreign(folder: Path) -> Reader:
-    """An archive by others, which has no checksums."""
+    """A foreign archive, without checksums."""
     write_shards(folder / "shards")
     path, out = folder / "theirs" / "a-train.tar", folder / "theirs"
     out.mkdir()
@@ -201,7 +201,7 @@ def _state(folder: Path) -> Reader:
 
 
 def _published(folder: Path, ending: str) -> Reader:
-    """A release in folders, in which one file is replaced."""
+    """An extracted release with one file replaced."""
     root = _release(folder)
     path = next(path for path in sorted(root.rglob("*")) if path.name.endswith(ending))
     return Reader(path.read_bytes(), partial(_read_release, root, path), protected=False)
@@ -257,7 +257,7 @@ def _config(folder: Path) -> Reader:
 
 
 def _body(folder: Path, changed: str) -> Reader:
-    """A body in three files, of which one is replaced."""
+    """A body of three files, one of them replaced."""
     shape = small_body()
     count = len(shape.vertices)
     parts = {

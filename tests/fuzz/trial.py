@@ -24,7 +24,7 @@ MEGABYTES = 1024  # of address space that reading one input may add
 
 
 class Verdict(Enum):
-    """How a reader took an input."""
+    """The outcome of reading an input."""
 
     READ = "read"
     REFUSED = "refused"
@@ -39,7 +39,7 @@ FAULTS = (Verdict.CRASH, Verdict.HANG, Verdict.MEMORY, Verdict.SILENT)
 
 @dataclass
 class Tally:
-    """What came of many inputs."""
+    """The verdicts on many inputs."""
 
     counts: Counter[Verdict] = field(default_factory=Counter)
     faults: list[str] = field(default_factory=list)
@@ -47,7 +47,7 @@ class Tally:
 
     @property
     def tried(self) -> int:
-        """How many inputs there were."""
+        """Number of inputs."""
         return self.counts.total()
 
     def add(self, number: int, verdict: Verdict, cause: str) -> None:
@@ -105,7 +105,7 @@ def _by_child(
 def _read_all(
     read: Callable[[bytes], Any], inputs: list[bytes], first: int, expected: object, answers: Connection
 ) -> None:
-    """In the child: read the inputs and answer, then end."""
+    """In the child: read the inputs, send the verdicts, exit."""
     try:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         signal.signal(signal.SIGALRM, _time_is_up)

@@ -21,7 +21,7 @@ COUNT = 2
 
 @cache
 def garments() -> tuple[Sample, ...]:
-    """Garments of the sampler, with the box mesh in the place of a drape, which would take minutes."""
+    """Garments of the sampler with the box mesh as drape; draping would take minutes."""
     return tuple(_with_drape(make(3, index, CONFIG)) for index in range(COUNT))
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gcd_dataset.hub import patience
+from gcd_dataset.hub import retry
 from tests.hub.server import Hub, running_hub
 from tests.shards.folders import fill
 
@@ -14,9 +14,9 @@ COUNT = 10
 
 @pytest.fixture(autouse=True)
 def no_long_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Half a minute's patience in a few milliseconds; no token and no cache but those of the test."""
+    """Patience of milliseconds; no token and no cache of the user."""
     for name, seconds in (("FIRST_WAIT", 0.001), ("LAST_WAIT", 0.001), ("PATIENCE", 0.006)):
-        monkeypatch.setattr(patience, name, seconds)
+        monkeypatch.setattr(retry, name, seconds)
     monkeypatch.setattr("huggingface_hub.constants.HF_TOKEN_PATH", str(tmp_path / "no-token"))
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_DISABLE_XET", True)
     monkeypatch.setattr(Path, "home", lambda: tmp_path / "home")

@@ -1,4 +1,4 @@
-"""A server on loopback that behaves like the Hugging Face Hub: what ``huggingface_hub`` asks of it, and how it fails.
+"""A loopback server with the part of the Hugging Face Hub's API that ``huggingface_hub`` uses, and with faults.
 
 Large files are redirected to another address (``localhost`` for ``127.0.0.1``), as the Hub sends them to its storage.
 """
@@ -37,7 +37,7 @@ class Request:
 
 @dataclass
 class Fault:
-    """What goes wrong with requests whose path matches, ``times`` times."""
+    """A fault of requests with a matching path, ``times`` times."""
 
     pattern: str
     times: int = 1
@@ -106,13 +106,13 @@ class Hub:
         return f"http://127.0.0.1:{self._port}"
 
     def publish(self, name: str, files: Mapping[str, bytes] | Path, *, private: bool = False) -> str:
-        """Put files, or those of a folder, into a repository; the commit."""
+        """Commit files, given as a mapping or a folder, to a repository; the commit's hash."""
         content = read_folder(files) if isinstance(files, Path) else dict(files)
         repo = self.repos.setdefault(name, Repo(private=private))
         return repo.commit(content)
 
     def asked(self, pattern: str = "", *, method: str = "GET") -> list[Request]:
-        """The requests whose path matches."""
+        """The requests with a matching path."""
         return [request for request in list(self.log) if request.method == method and re.search(pattern, request.path)]
 
     def start(self) -> None:
@@ -123,7 +123,7 @@ class Hub:
         threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True).start()
 
     def stop(self) -> None:
-        """Be gone."""
+        """Stop listening."""
         if self._server is not None:
             self._server.shutdown()
             self._server.server_close()
@@ -152,13 +152,13 @@ class _Server(ThreadingHTTPServer):
         super().process_request(request, client_address)
 
     def hang_up(self) -> None:
-        """Break the lines that are open."""
+        """Break open connections."""
         for line in self._lines:
             with contextlib.suppress(OSError):
                 line.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that hangs up is no news."""
+        """Ignore clients that disconnect."""
 
 
 def read_folder(folder: Path) -> dict[str, bytes]:
@@ -180,7 +180,7 @@ class _Handler(BaseHTTPRequestHandler):
     hub: Hub
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
-        """Silence."""
+        """Log nothing."""
 
     def do_GET(self) -> None:
         self._serve()
@@ -258,21 +258,23 @@ class _Handler(BaseHTTPRequestHandler):
         self.hub.log.append(Request(self.command, self.path, span, status, size, authorization))
 
     def _file(self, data: bytes, headers: Mapping[str, str]) -> None:
-        """A file, or the part of it that is asked for."""
+        """Send a file, or the requested range."""
         if self.fault is not None and self.fault.flip is not None and self.command == "GET":
             data = _flipped(data, self.fault.flip)
         whole = self.fault is not None and self.fault.whole
         match = None if whole else re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
         if match is None:
-            told = dict(self.fault.headers) if self.fault is not None else {}
-            self._answer(200, self._spoilt(data), {"Accept-Ranges": "none" if whole else "bytes", **told, **headers})
+            headers_sent = dict(self.fault.headers) if self.fault is not None else {}
+            self._answer(
+                200, self._spoilt(data), {"Accept-Ranges": "none" if whole else "bytes", **headers_sent, **headers}
+            )
             return
         start, end = int(match[1]), min(int(match[2]) + 1 if match[2] else len(data), len(data))
         if start >= len(data):
             self._answer(416, b"", {"Content-Range": f"bytes */{len(data)}"})
             return
-        told = {"Content-Range": f"bytes {start}-{end - 1}/{len(data)}", "Accept-Ranges": "bytes"}
-        self._answer(206, self._spoilt(data[start:end]), told | dict(headers))
+        headers_sent = {"Content-Range": f"bytes {start}-{end - 1}/{len(data)}", "Accept-Ranges": "bytes"}
+        self._answer(206, self._spoilt(data[start:end]), headers_sent | dict(headers))
 
     def _spoilt(self, data: bytes) -> bytes:
         if self.fault is None or self.fault.flip_share is None:
@@ -282,7 +284,7 @@ class _Handler(BaseHTTPRequestHandler):
     # ------------------------------------------------------------------------------------------------------ reading
 
     def _repo_at(self, name: str, revision: str) -> tuple[str, dict[str, bytes]] | None:
-        """Commit and files; answers itself where there are none."""
+        """Commit and files; ``None``, with an error response sent, for a missing one."""
         repo = self.hub.repos.get(name)
         allowed = repo is not None and (
             not repo.private or self.headers.get("Authorization") == f"Bearer {self.hub.token}"

@@ -1,4 +1,4 @@
-"""An S3 store on loopback: moto's, and how it fails."""
+"""A loopback S3 store by moto, with faults."""
 
 import contextlib
 import functools
@@ -19,7 +19,7 @@ ERROR = "<?xml version='1.0'?><Error><Code>{code}</Code><Message>{code} by this 
 
 @dataclass
 class Fault:
-    """What goes wrong with requests whose method and path match, ``times`` times."""
+    """A fault of requests with a matching method and path, ``times`` times."""
 
     pattern: str
     times: int = 999
@@ -49,7 +49,7 @@ class Store:
         return {}
 
     def put(self, url: str, files: Mapping[str, bytes] | Path) -> str:
-        """Put objects, or the files of a folder, below a URL, which comes back."""
+        """Store objects, or the files of a folder, below a URL; the URL."""
         if isinstance(files, Path):
             files = {path.name: path.read_bytes() for path in files.iterdir() if not path.name.startswith(".")}
         store, path = self._files(url)
@@ -86,7 +86,7 @@ class Store:
 
 @contextlib.contextmanager
 def running_store() -> Iterator[Store]:
-    """A store with one bucket, ``bucket``; the environment leads to it while the block runs."""
+    """A store with one bucket, ``bucket``; environment variables point to it during the block."""
     from werkzeug.serving import make_server
 
     store = Store("")

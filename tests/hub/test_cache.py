@@ -1,4 +1,4 @@
-"""What is kept of a server: never more than the limit, never wrong, whoever else uses the folder."""
+"""The member cache never exceeds its limit and never yields wrong bytes, for any number of processes."""
 
 import errno
 import multiprocessing
@@ -40,7 +40,7 @@ def disk_use(folder: Path) -> int:
     return sum(path.stat().st_blocks * 512 for path in (folder / "shards").glob("*.tar"))
 
 
-def test_what_is_kept_comes_back(tmp_path: Path) -> None:
+def test_cached_members_are_read_back(tmp_path: Path) -> None:
     Cache(tmp_path).keep("a", MEMBERS, [piece(3), piece(1)])
     kept = Cache(tmp_path).read("a", MEMBERS, parts(range(MEMBERS)))
     assert kept == {1: piece(1).data, 3: piece(3).data}
@@ -48,7 +48,7 @@ def test_what_is_kept_comes_back(tmp_path: Path) -> None:
     assert Cache(tmp_path).used == 2 * SIZE
 
 
-def test_a_cache_that_may_only_be_read_is_read(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_read_only_cache_is_read(caplog: pytest.LogCaptureFixture) -> None:
     with public_folder() as folder:
         Cache(folder / "cache").keep("a", MEMBERS, [piece(0)])
         with forbidden(folder / "cache", 0o755):
@@ -56,10 +56,10 @@ def test_a_cache_that_may_only_be_read_is_read(caplog: pytest.LogCaptureFixture)
             assert reader.read("a", MEMBERS, parts([0])) == {0: piece(0).data}
             reader.keep("a", MEMBERS, [piece(1)])
             assert reader.read("a", MEMBERS, parts([0, 1])) == {0: piece(0).data}
-    assert "going on without keeping what is read" in caplog.text
+    assert "continuing without caching" in caplog.text
 
 
-def test_it_never_holds_more_than_its_limit(tmp_path: Path) -> None:
+def test_the_cache_never_exceeds_its_limit(tmp_path: Path) -> None:
     cache = Cache(tmp_path, 5 * SIZE + 10)
     for shard in range(4):
         for flag in range(4):
@@ -71,7 +71,7 @@ def test_it_never_holds_more_than_its_limit(tmp_path: Path) -> None:
     assert not Cache(tmp_path).read("0", MEMBERS, parts(range(4)))
 
 
-def test_the_shard_not_asked_for_the_longest_goes_first(tmp_path: Path) -> None:
+def test_the_least_recently_used_shard_is_evicted_first(tmp_path: Path) -> None:
     cache = Cache(tmp_path, 4 * SIZE)
     for order, key in enumerate("abcd"):
         cache.keep(key, MEMBERS, [piece(0)])
@@ -81,7 +81,7 @@ def test_the_shard_not_asked_for_the_longest_goes_first(tmp_path: Path) -> None:
     assert [key for key in "abcde" if Cache(tmp_path).read(key, MEMBERS, parts([0]))] == ["a", "c", "d", "e"]
 
 
-def test_a_shard_that_is_read_all_the_time_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_shard_in_constant_use_is_not_evicted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache_module, "TOUCHED_EVERY", 0.0)
     reader, writer = Cache(tmp_path), Cache(tmp_path, 2 * SIZE)
     writer.keep("a", MEMBERS, [piece(0)])
@@ -94,7 +94,7 @@ def test_a_shard_that_is_read_all_the_time_stays(tmp_path: Path, monkeypatch: py
     assert [key for key in "abc" if Cache(tmp_path).read(key, MEMBERS, parts([0]))] == ["a", "c"]
 
 
-def test_a_shard_that_makes_way_frees_its_bytes_though_others_hold_it_open(tmp_path: Path) -> None:
+def test_eviction_frees_the_bytes_of_a_shard_held_open(tmp_path: Path) -> None:
     reader, writer = Cache(tmp_path, 2 * SIZE), Cache(tmp_path, 2 * SIZE)
     writer.keep("a", MEMBERS, [piece(0), piece(1)])
     assert reader.read("a", MEMBERS, parts([0, 1]))
@@ -107,14 +107,14 @@ def test_a_shard_that_makes_way_frees_its_bytes_though_others_hold_it_open(tmp_p
     assert reader.used == 2 * SIZE
 
 
-def test_what_does_not_fit_at_all_is_not_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_members_over_the_limit_are_not_cached(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     cache = Cache(tmp_path, SIZE - 1)
     cache.keep("a", MEMBERS, [piece(0)])
     assert cache.used == 0
     assert "raise max_cache_size" in caplog.text
 
 
-def test_a_full_disk_keeps_nothing_and_loses_nothing(
+def test_a_full_disk_loses_no_cached_member(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     cache = Cache(tmp_path)
@@ -133,7 +133,7 @@ def test_a_full_disk_keeps_nothing_and_loses_nothing(
     assert "No space left on device): make room there" in caplog.text
 
 
-def test_a_kill_leaves_nothing_that_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kill_leaves_no_flag_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = Cache(tmp_path, 10 * SIZE)
     cache.keep("a", MEMBERS, [piece(0)])
 
@@ -152,7 +152,7 @@ def test_a_kill_leaves_nothing_that_counts(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("step", ["_set", "Cache._write_down"])
-def test_a_kill_while_bytes_are_counted_makes_no_room_beyond_the_limit(
+def test_a_kill_during_counting_does_not_exceed_the_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     cache = Cache(tmp_path, 2 * SIZE)
@@ -171,9 +171,7 @@ def test_a_kill_while_bytes_are_counted_makes_no_room_beyond_the_limit(
     assert after.used <= 2 * SIZE
 
 
-def test_a_kill_while_a_shard_makes_way_gives_nobody_wrong_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kill_during_eviction_yields_no_wrong_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     reader, writer = Cache(tmp_path, 2 * SIZE), Cache(tmp_path, 2 * SIZE)
     writer.keep("a", MEMBERS, [piece(0), piece(1)])
     assert reader.read("a", MEMBERS, parts([0, 1]))
@@ -191,10 +189,10 @@ def test_a_kill_while_a_shard_makes_way_gives_nobody_wrong_bytes(
     assert reader.read("a", MEMBERS, parts([0, 1])) == {1: piece(1).data}
 
 
-def test_a_shard_made_anew_while_it_is_opened_gives_nobody_wrong_bytes(
+def test_a_shard_replaced_while_it_is_opened_yields_no_wrong_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Between the opening of its two files it makes way and comes again, with other members."""
+    """Between the opening of its two files the shard is evicted and created again, with other members."""
     writer, reader = Cache(tmp_path, 2 * SIZE), Cache(tmp_path, 2 * SIZE)
     writer.keep("a", MEMBERS, [piece(0), piece(1)])
     real = np.memmap
@@ -212,7 +210,7 @@ def test_a_shard_made_anew_while_it_is_opened_gives_nobody_wrong_bytes(
 
 
 def fill_at_random(folder: Path, limit: int | None, seed: int, count: int) -> int:
-    """Keep and read members in some order; how many came back wrong."""
+    """Cache and read members in random order; the number of wrong results."""
     cache, wrong = Cache(folder, limit), 0
     for shard, flag in np.random.default_rng(seed).integers((6, MEMBERS), size=(count, 2)).tolist():
         found = cache.read(f"{shard}", MEMBERS, parts([flag]))
@@ -224,7 +222,7 @@ def fill_at_random(folder: Path, limit: int | None, seed: int, count: int) -> in
 
 
 @pytest.mark.parametrize("limit", [None, 20 * SIZE])
-def test_processes_that_fill_one_cache_agree(tmp_path: Path, limit: int | None) -> None:
+def test_processes_share_a_cache(tmp_path: Path, limit: int | None) -> None:
     with multiprocessing.get_context("fork").Pool(2) as pool:
         wrong = pool.starmap(fill_at_random, [(tmp_path, limit, seed, 300) for seed in (1, 2)])
     assert wrong == [0, 0]
@@ -234,7 +232,7 @@ def test_processes_that_fill_one_cache_agree(tmp_path: Path, limit: int | None) 
     assert limit is None or Cache(tmp_path).used <= limit
 
 
-def test_processes_that_are_killed_leave_a_cache_in_order(tmp_path: Path) -> None:
+def test_killed_processes_leave_a_consistent_cache(tmp_path: Path) -> None:
     for seed in range(8):
         child = multiprocessing.get_context("fork").Process(
             target=fill_at_random, args=(tmp_path, 20 * SIZE, seed, 100_000)
@@ -257,7 +255,7 @@ def test_processes_that_are_killed_leave_a_cache_in_order(tmp_path: Path) -> Non
         assert cache.used <= 20 * SIZE
 
 
-def test_threads_that_fill_one_cache_agree(tmp_path: Path) -> None:
+def test_threads_share_a_cache(tmp_path: Path) -> None:
     with ThreadPoolExecutor(4) as pool:
         assert not sum(pool.map(lambda seed: fill_at_random(tmp_path, 20 * SIZE, seed, 100), range(4)))
     assert Cache(tmp_path).used == int((tmp_path / "used").read_text()) <= 20 * SIZE
@@ -267,7 +265,7 @@ def test_threads_that_fill_one_cache_agree(tmp_path: Path) -> None:
 
 
 def read_all(endpoint: str, cache_dir: Path, limit: int | None) -> list[float]:
-    """The sums of all vertices, read of a server."""
+    """The sums of all vertices, read from a server."""
     ds = GarmentDataset("org/garments", fields=["verts"], endpoint=endpoint, cache_dir=cache_dir, max_cache_size=limit)
     return [float(ds[i]["verts"].sum()) for i in [*range(len(ds)), *reversed(range(len(ds)))]]
 
@@ -284,14 +282,14 @@ def test_two_processes_fill_one_cache(hub: Hub, commit: str, folder: Path, tmp_p
         assert Cache(tmp_path).used == int(read_index(folder).table.size[:, column].sum())
 
 
-def test_a_cache_that_is_full_goes_on_serving(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_a_full_cache_is_still_read(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     for limit in ("1B", "7kB", "1GB"):
         ds = GarmentDataset("org/garments", endpoint=hub.endpoint, cache_dir=tmp_path, max_cache_size=limit)
         assert_all_same(ds, GarmentDataset(folder))
         assert_all_same(ds[::-1], GarmentDataset(folder)[::-1])
 
 
-def test_a_cache_that_cannot_be_written_goes_on_serving(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_an_unwritable_cache_is_still_read(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     ds = GarmentDataset("org/garments", endpoint=hub.endpoint, cache_dir=tmp_path / "file", fields=["verts"])
     assert_all_same(ds, GarmentDataset(folder, fields=["verts"]))

@@ -1,4 +1,4 @@
-"""Data sets brought here: whole, in part, and in spite of everything."""
+"""Downloads: whole, of some fields, and after interruptions."""
 
 import errno
 import hashlib
@@ -14,14 +14,14 @@ import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.errors import ConfigError, OutputError, RemoteError, ShardError
-from gcd_dataset.hub.checked import CheckedShards
+from gcd_dataset.hub.checked_shards import CheckedShards
 from gcd_dataset.hub.download import download, remote_splits
 from gcd_dataset.hub.site import Remote
 from gcd_dataset.hub.source import Repo, Url
 from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardReader, read_index, rebuild_index
-from gcd_dataset.shards.download_file import Fetched, read_fetched
+from gcd_dataset.shards.download_file import DownloadRecord, read_download_record
 from gcd_dataset.shards.index import scan_shard
 from gcd_dataset.shards.layout import GARMENTS, MEMBERS
 from gcd_dataset.shards.manifest import RecipeRecord, keep_recipe, read_manifest
@@ -39,23 +39,23 @@ def bring(hub: Hub, tmp_path: Path, place: Repo | Url = REPO, **options: Any) ->
 
 
 @pytest.mark.parametrize("from_url", [False, True])
-def test_a_download_is_the_folder_that_was_published(
+def test_a_download_equals_the_published_folder(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, from_url: bool
 ) -> None:
-    told: list[tuple[int, int]] = []
+    reports: list[tuple[int, int]] = []
     place = Url(f"{hub.endpoint}/files/garments") if from_url else REPO
-    data = bring(hub, tmp_path, place, told=lambda come, total: told.append((come, total)))
+    data = bring(hub, tmp_path, place, on_progress=lambda come, total: reports.append((come, total)))
     there, published = read_folder(data), read_folder(folder)
     assert there.keys() == published.keys() | {"download.json"}
     assert all(there[name] == published[name] for name in published if not name.endswith(".npz"))
-    assert told[-1] == (total := sum(len(data) for name, data in published.items() if name.endswith(".tar")), total)
+    assert reports[-1] == (total := sum(len(data) for name, data in published.items() if name.endswith(".tar")), total)
     assert len(ShardReader(data, verify="full")) == COUNT
     hub.log.clear()
     bring(hub, tmp_path, place)
     assert not hub.log
 
 
-def test_the_name_of_a_data_set_comes_with_it(hub: Hub, tmp_path: Path) -> None:
+def test_the_published_recipe_is_downloaded(hub: Hub, tmp_path: Path) -> None:
     named, record = fill(tmp_path / "named", range(3)), RecipeRecord("tiny", "ab" * 32, "cd" * 32)
     keep_recipe(named, record)
     hub.publish("org/named", named)
@@ -103,21 +103,21 @@ def test_a_tag_is_downloaded_once(
     hub.repos["org/garments"].tags["v1"] = commit
     options: dict[str, Any] = {"endpoint": hub.endpoint, "cache_dir": tmp_path / "cache", "revision": "v1"}
     GarmentDataset("org/garments", root=tmp_path / "data", **options)
-    monkeypatch.setattr(Fetched, "write", lambda self, folder: pytest.fail("begun once more"))
+    monkeypatch.setattr(DownloadRecord, "write", lambda self, folder: pytest.fail("begun once more"))
     for download_ in (True, False):
         ds = GarmentDataset("org/garments", root=tmp_path / "data", download=download_, **options)
         assert_all_same(ds, GarmentDataset(folder))
 
 
-def test_a_download_that_broke_off_goes_on(
+def test_an_interrupted_download_continues(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.retry.PATIENCE", 0.001)
     hub.faults = [Fault(r"storage/.*train-00000", cut=20000), Fault(r"storage/.*train-00000", drop=True, times=99)]
-    with pytest.raises(RemoteError, match="what has come is kept"):
+    with pytest.raises(RemoteError, match="received data are kept"):
         bring(hub, tmp_path)
     assert (tmp_path / "data" / "train-00000.tar.part").stat().st_size == 20000
-    with pytest.raises(ShardError, match="the download of split train has not ended: run gcd download again"):
+    with pytest.raises(ShardError, match="the download of split train is incomplete: run gcd download again"):
         GarmentDataset(tmp_path / "data")
     hub.faults.clear()
     hub.log.clear()
@@ -126,9 +126,7 @@ def test_a_download_that_broke_off_goes_on(
     assert rest.span == "bytes=20000-" + str((folder / "train-00000.tar").stat().st_size - 1)
 
 
-def test_a_download_goes_on_though_the_server_sends_whole_files_only(
-    hub: Hub, commit: str, folder: Path, tmp_path: Path
-) -> None:
+def test_a_download_continues_from_a_server_without_ranges(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     hub.faults = [
         Fault(r"train-00001\.tar", whole=True, cut=20000),
         Fault(r"\.tar", whole=True, times=99),
@@ -138,10 +136,10 @@ def test_a_download_goes_on_though_the_server_sends_whole_files_only(
         bring(hub, tmp_path / "part", fields=["verts"])
 
 
-def test_a_download_of_fields_that_broke_off_goes_on(
+def test_an_interrupted_download_of_fields_continues(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.retry.PATIENCE", 0.001)
     monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
     hub.faults = [
         Fault(r"storage/.*train-00001.*", times=1, cut=10**9),
@@ -157,13 +155,13 @@ def test_a_download_of_fields_that_broke_off_goes_on(
 
 
 @pytest.mark.parametrize(("first", "then"), [(["verts"], None), (None, ["verts"]), (["verts"], ["faces"])])
-def test_a_download_that_broke_off_may_be_one_of_other_fields_next(
+def test_an_interrupted_download_may_be_restarted_with_other_fields(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: Any, then: Any
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.retry.PATIENCE", 0.001)
     monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)
     hub.faults = [Fault(r"storage/.*train-0000[12]", drop=True, times=99)]
-    with pytest.raises(RemoteError, match="what has come is kept"):
+    with pytest.raises(RemoteError, match="received data are kept"):
         bring(hub, tmp_path, fields=first)
     assert list((tmp_path / "data").glob("*.tar"))
     hub.faults.clear()
@@ -173,7 +171,7 @@ def test_a_download_that_broke_off_may_be_one_of_other_fields_next(
 
 
 @pytest.mark.parametrize("fields", [None, ["verts"]])
-def test_one_flipped_byte_does_not_stay(
+def test_a_flipped_byte_is_discarded(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
 ) -> None:
     monkeypatch.setattr("gcd_dataset.hub.remote.GAP", 0)  # a byte that nobody wants may well be wrong
@@ -182,7 +180,7 @@ def test_one_flipped_byte_does_not_stay(
         GarmentDataset(bring(hub, tmp_path, fields=fields)), GarmentDataset(folder, fields=_with_meta(fields))
     )
     hub.faults = [Fault(r"storage/.*train-00001", flip_share=0.4, times=99)]
-    with pytest.raises(RemoteError, match=r"train-00001\.tar.*other bytes come than were published"):
+    with pytest.raises(RemoteError, match=r"train-00001\.tar.*received bytes do not match the published"):
         bring(hub, tmp_path / "elsewhere", fields=fields)
     assert not (tmp_path / "elsewhere" / "data" / "train-00001.tar").exists()
     hub.faults.clear()
@@ -193,16 +191,16 @@ def _with_meta(fields: list[str] | None) -> list[str] | None:
     return None if fields is None else ["meta", *fields]
 
 
-def test_a_shard_cut_off_on_the_server_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_a_shard_truncated_on_the_server_is_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
     name = "garments/train-00002.tar"
     hub.static[name] = hub.static[name][:3000]
-    with pytest.raises(RemoteError, match=r"train-00002\.tar: shorter than its index tells"):
+    with pytest.raises(RemoteError, match=r"train-00002\.tar: shorter than in its index"):
         bring(hub, tmp_path, Url(f"{hub.endpoint}/files/garments"))
-    with pytest.raises(ShardError, match="has not ended"):
+    with pytest.raises(ShardError, match="is incomplete"):
         GarmentDataset(tmp_path / "data")
 
 
-def test_a_full_disk_is_told_and_gone_on_with(
+def test_a_download_continues_after_a_full_disk(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(fd: int, data: Any, place: int) -> int:
@@ -217,7 +215,7 @@ def test_a_full_disk_is_told_and_gone_on_with(
 
 
 def refreshed(hub: Hub, tmp_path: Path, fields: Any = None) -> Path:
-    """As ``gcd download`` brings a URL: at the revision that is there."""
+    """Download a URL at its current revision, as ``gcd download`` does."""
     remote = Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "cache")
     place, splits = remote_splits(Url(f"{hub.endpoint}/files/garments"), remote)
     for split in splits:
@@ -230,7 +228,7 @@ def put_up(hub: Hub, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("fields", [None, ["verts"]])
-def test_what_has_grown_on_a_server_grows_here(hub: Hub, tmp_path: Path, fields: Any) -> None:
+def test_a_grown_data_set_is_updated(hub: Hub, tmp_path: Path, fields: Any) -> None:
     theirs = fill(tmp_path / "theirs", range(COUNT))
     put_up(hub, theirs)
     refreshed(hub, tmp_path, fields)
@@ -244,16 +242,16 @@ def test_what_has_grown_on_a_server_grows_here(hub: Hub, tmp_path: Path, fields:
     assert not hub.asked(r"\.tar")
 
 
-def test_another_data_set_under_the_same_url_is_told(hub: Hub, tmp_path: Path) -> None:
+def test_another_data_set_under_the_same_url_is_reported(hub: Hub, tmp_path: Path) -> None:
     put_up(hub, fill(tmp_path / "one", range(3)))
     before = read_folder(refreshed(hub, tmp_path))
     put_up(hub, fill(tmp_path / "two", range(3), seed=1))
-    with pytest.raises(ConfigError, match="by now another data set is there, with another seed, recipe or split"):
+    with pytest.raises(ConfigError, match="the URL now has another data set, with another seed, recipe or split"):
         refreshed(hub, tmp_path)
     assert read_folder(tmp_path / "data") == before
 
 
-def test_a_set_that_has_shrunk_leaves_no_shards_behind(hub: Hub, tmp_path: Path) -> None:
+def test_a_shrunk_data_set_leaves_no_stale_shards(hub: Hub, tmp_path: Path) -> None:
     put_up(hub, fill(tmp_path / "more", range(COUNT)))
     refreshed(hub, tmp_path)
     put_up(hub, fill(tmp_path / "less", range(4)))
@@ -261,12 +259,12 @@ def test_a_set_that_has_shrunk_leaves_no_shards_behind(hub: Hub, tmp_path: Path)
 
 
 @pytest.mark.parametrize("fields", [None, ["verts"]])
-def test_a_shard_of_the_right_length_is_not_believed(
+def test_a_shard_of_the_right_length_is_still_hashed(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
 ) -> None:
-    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 0.001)
+    monkeypatch.setattr("gcd_dataset.hub.retry.PATIENCE", 0.001)
     hub.faults = [Fault(r"storage/.*train-00002", drop=True, times=99)]
-    with pytest.raises(RemoteError, match="what has come is kept"):
+    with pytest.raises(RemoteError, match="received data are kept"):
         bring(hub, tmp_path, fields=fields)
     hub.faults.clear()
     path = tmp_path / "data" / "train-00000.tar"
@@ -297,7 +295,7 @@ def test_a_shard_is_hashed_once(folder: Path, tmp_path: Path, monkeypatch: pytes
         CheckedShards(tmp_path, "train").holds(shard)
 
 
-def test_a_shard_that_was_deleted_comes_again(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_a_deleted_shard_is_downloaded_again(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     (bring(hub, tmp_path) / "train-00001.tar").unlink()
     with pytest.raises(ShardError, match=r"train-00001\.tar: 0 of the .*: delete it, and run gcd download again"):
         GarmentDataset(tmp_path / "data")
@@ -306,19 +304,19 @@ def test_a_shard_that_was_deleted_comes_again(hub: Hub, commit: str, folder: Pat
     assert not hub.asked(r"storage/.*train-0000[02]")
 
 
-def test_splits_that_come_side_by_side_are_both_there(hub: Hub, tmp_path: Path) -> None:
+def test_splits_downloaded_in_parallel_are_both_recorded(hub: Hub, tmp_path: Path) -> None:
     theirs = fill(tmp_path / "theirs", range(4))
     with open_writer(theirs, split="test") as writer:
         writer.write(fake_sample(0, 50))
     hub.publish("org/garments", theirs)
-    bring(hub, tmp_path, told=lambda come, total: bring(hub, tmp_path, split="test") and None)
+    bring(hub, tmp_path, on_progress=lambda come, total: bring(hub, tmp_path, split="test") and None)
     assert [len(GarmentDataset(tmp_path / "data", split)) for split in ("train", "test")] == [4, 1]
-    note = read_fetched(tmp_path / "data")
+    note = read_download_record(tmp_path / "data")
     assert note is not None
     assert {name: split.whole for name, split in note.splits.items()} == {"train": True, "test": True}
 
 
-def test_a_folder_that_holds_something_else_is_left_alone(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_a_folder_with_another_data_set_is_refused(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     remote = Remote(endpoint=hub.endpoint, cache_dir=tmp_path / "cache")
     before = read_folder(folder)
     with pytest.raises(ConfigError, match="holds a data set that was not downloaded"):
@@ -338,7 +336,7 @@ def test_a_folder_that_holds_something_else_is_left_alone(hub: Hub, commit: str,
 
 @pytest.mark.parametrize("fields", [None, ["verts"]])
 @pytest.mark.parametrize("name", ["../escaped.tar", "escaped"])
-def test_a_name_cannot_lead_outside(
+def test_a_shard_name_cannot_point_outside(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, fields: Any, name: str
 ) -> None:
     index = read_index(folder)
@@ -346,13 +344,13 @@ def test_a_name_cannot_lead_outside(
     text = hub.static["garments/manifest.json"].decode().replace("train-00000.tar", name)
     hub.static |= {"evil/manifest.json": text.encode(), "evil/index-train.npz": evil.to_bytes()}
     hub.static |= {f"evil/{shard}": hub.static[f"garments/{shard}"] for shard in index.shards}
-    with pytest.raises(ShardError, match=r"cannot be a file's name|tells of a shard"):
+    with pytest.raises(ShardError, match=r"cannot be a file's name|lists a shard"):
         bring(hub, tmp_path, Url(f"{hub.endpoint}/files/evil"), fields=fields)
     assert not list(tmp_path.rglob("*escaped*"))
 
 
 def brought(endpoint: str, folder: Path) -> int:
-    """Garments in a folder that may have to be downloaded first."""
+    """Garments of a folder, downloaded first if needed."""
     cache = folder.with_name("cache")
     return len(GarmentDataset("org/garments", root=folder, endpoint=endpoint, cache_dir=cache, verify="full"))
 
@@ -366,7 +364,7 @@ def test_processes_that_download_into_one_folder_wait_for_each_other(hub: Hub, c
 
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 @pytest.mark.parametrize("fields", [None, ["verts"]])
-def test_a_download_that_was_killed_goes_on(
+def test_a_killed_download_continues(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fields: Any
 ) -> None:
     monkeypatch.setattr("gcd_dataset.shards.copying.BATCH", 1)

@@ -1,4 +1,4 @@
-"""What a server may make a reader allocate, follow and wait for."""
+"""Limits on memory, redirects and waits that a server can cause."""
 
 import json
 import math
@@ -35,28 +35,28 @@ def opened(hub: Hub, tmp_path: Path, name: str = "garments", **options: Any) -> 
 @pytest.mark.parametrize(
     ("path", "most"), [("manifest.json", site.LARGEST_MANIFEST), ("index-train.npz", site.LARGEST_INDEX)]
 )
-def test_a_file_that_is_declared_too_long_is_not_read(
+def test_a_file_declared_over_the_limit_is_not_read(
     hub: Hub, commit: str, tmp_path: Path, path: str, most: int
 ) -> None:
     hub.faults = [Fault(path, status=200, headers={"Content-Length": str(10**13)}, times=99)]
     with pytest.raises(
-        RemoteError, match=rf"garments/{path}: has {10**13} bytes, and up to {most} are read.*publisher"
+        RemoteError, match=rf"garments/{path}: has {10**13} bytes, over the limit of {most} .*publisher"
     ):
         opened(hub, tmp_path)
     assert len(hub.asked(path)) == 1
 
 
-def test_a_list_of_files_that_is_declared_too_long_is_not_read(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_a_file_list_declared_over_the_limit_is_not_read(hub: Hub, commit: str, tmp_path: Path) -> None:
     hub.faults = [Fault("/api/", status=200, headers={"Content-Length": str(10**13)}, times=99)]
-    with pytest.raises(RemoteError, match=rf"api/.*: has {10**13} bytes, and up to {site.LARGEST_LISTING} are read"):
+    with pytest.raises(RemoteError, match=rf"api/.*: has {10**13} bytes, over the limit of {site.LARGEST_LISTING} "):
         GarmentDataset("org/garments", endpoint=hub.endpoint, cache_dir=tmp_path)
 
 
 @pytest.mark.parametrize("answer", [b"[" * 100_000, b'{"sha": 3}', b"[]", b"null"])
-def test_a_list_of_files_that_is_none_is_told(hub: Hub, tmp_path: Path, answer: bytes) -> None:
+def test_an_invalid_file_list_is_reported(hub: Hub, tmp_path: Path, answer: bytes) -> None:
     with (
         served(answer) as url,
-        pytest.raises(RemoteError, match=r"is no commit|none of the Hub's: check"),
+        pytest.raises(RemoteError, match=r"is not a commit|none of the Hub's: check"),
     ):
         GarmentDataset("org/garments", endpoint=url, cache_dir=tmp_path)
 
@@ -64,7 +64,9 @@ def test_a_list_of_files_that_is_none_is_told(hub: Hub, tmp_path: Path, answer: 
 def test_an_endless_file_is_read_up_to_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     with served(None) as url:
         tracemalloc.start()
-        with pytest.raises(RemoteError, match=r"manifest\.json: has more than 1000000 bytes, and up to 1000000 are"):
+        with pytest.raises(
+            RemoteError, match=r"manifest\.json: has more than 1000000 bytes, over the limit of 1000000 "
+        ):
             Web(url).get("manifest.json", 1_000_000)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
@@ -76,7 +78,7 @@ def served(answer: bytes | None) -> "_Served":
 
 
 class _Served:
-    """A server that answers everything with the same bytes, without their number; without end for ``None``."""
+    """A server that sends the same bytes for every request, without Content-Length; endless for ``None``."""
 
     def __init__(self, answer: bytes | None) -> None:
         self._answer, self._socket = answer, socket.create_server(("127.0.0.1", 0))
@@ -104,7 +106,7 @@ class _Served:
                     pass
 
 
-def test_a_member_that_the_index_declares_too_long_is_not_asked_for(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_a_member_declared_over_the_limit_is_not_requested(hub: Hub, commit: str, tmp_path: Path) -> None:
     url = f"{hub.endpoint}/files/evil"
     hub.static |= {f"evil/{name.partition('/')[2]}": data for name, data in hub.static.items()}
     index = ShardIndex.parse(hub.static["evil/index-train.npz"], "index")
@@ -121,7 +123,7 @@ def test_a_member_that_the_index_declares_too_long_is_not_asked_for(hub: Hub, co
     hub.static["evil/manifest.json"] = json.dumps(manifest).encode()
     told = (
         rf"{url}@.*/train-00000\.tar: sample gcd_000000000, member back\.jpg: has {remote.LARGEST_MEMBER + 1} bytes by "
-        rf"its index, and members of up to {remote.LARGEST_MEMBER} are read"
+        rf"its index, over the limit of {remote.LARGEST_MEMBER} for servers"
     )
     with pytest.raises(RemoteError, match=told):
         opened(hub, tmp_path, "evil", fields=["back"])[0]
@@ -129,7 +131,7 @@ def test_a_member_that_the_index_declares_too_long_is_not_asked_for(hub: Hub, co
     assert main(["download", url, "--out", str(tmp_path / "out"), "--fields", "back", "--quiet"]) == 1
 
 
-def test_nothing_is_allocated_for_bytes_that_do_not_come(hub: Hub, commit: str) -> None:
+def test_declared_sizes_allocate_nothing(hub: Hub, commit: str) -> None:
     hub.faults = [Fault("body.bin", drop=True, times=99)]
     tracemalloc.start()
     with pytest.raises(RemoteError):
@@ -148,12 +150,14 @@ def test_a_redirect_to_another_protocol_is_refused_at_once(
 ) -> None:
     monkeypatch.setattr(time, "sleep", lambda seconds: pytest.fail("waited for"))
     hub.faults = [Fault("manifest", status=302, headers={"Location": to}, times=99)]
-    with pytest.raises(RemoteError, match=rf"garments/manifest\.json: leads to {to[:4]}.* redirects to http and https"):
+    with pytest.raises(
+        RemoteError, match=rf"garments/manifest\.json: redirects to {to[:4]}.* redirects to http and https"
+    ):
         opened(hub, tmp_path)
     assert len(hub.asked("manifest")) == 1
 
 
-def test_redirects_that_go_round_are_left(hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_circular_redirects_are_given_up(hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "sleep", lambda seconds: pytest.fail("waited for"))
     round_ = f"{hub.endpoint}/files/garments/manifest.json"
     hub.faults = [Fault("manifest", status=302, headers={"Location": round_}, times=99)]
@@ -167,17 +171,17 @@ def test_redirects_that_go_round_are_left(hub: Hub, tmp_path: Path, monkeypatch:
 
 @pytest.fixture
 def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Seconds that would have been slept."""
-    monkeypatch.setattr("gcd_dataset.hub.patience.FIRST_WAIT", 0.5)
-    monkeypatch.setattr("gcd_dataset.hub.patience.LAST_WAIT", 60.0)
-    monkeypatch.setattr("gcd_dataset.hub.patience.PATIENCE", 30.0)
+    """Seconds of all calls of ``sleep``."""
+    monkeypatch.setattr("gcd_dataset.hub.retry.FIRST_WAIT", 0.5)
+    monkeypatch.setattr("gcd_dataset.hub.retry.LAST_WAIT", 60.0)
+    monkeypatch.setattr("gcd_dataset.hub.retry.PATIENCE", 30.0)
     seconds: list[float] = []
-    monkeypatch.setattr("gcd_dataset.hub.patience.time.sleep", seconds.append)
+    monkeypatch.setattr("gcd_dataset.hub.retry.time.sleep", seconds.append)
     return seconds
 
 
 @pytest.mark.parametrize(("patience", "total"), [(None, 30.0), (0.0, 0.0), (7.0, 7.0), (600.0, 600.0)])
-def test_patience_is_what_is_waited(
+def test_patience_is_the_time_waited(
     hub: Hub, commit: str, tmp_path: Path, slept: list[float], patience: Any, total: float
 ) -> None:
     ds = opened(hub, tmp_path, fields=["body"], patience=patience)
@@ -188,9 +192,7 @@ def test_patience_is_what_is_waited(
     assert max(slept, default=0.0) <= 60.0
 
 
-def test_endless_patience_rides_out_an_outage_of_hours(
-    hub: Hub, commit: str, tmp_path: Path, slept: list[float]
-) -> None:
+def test_infinite_patience_waits_out_hours(hub: Hub, commit: str, tmp_path: Path, slept: list[float]) -> None:
     ds = opened(hub, tmp_path, fields=["body"], patience=math.inf)
     hub.faults = [Fault(r"\.tar", drop=True, times=200)]
     assert ds[0]["body"].shape
@@ -198,13 +200,13 @@ def test_endless_patience_rides_out_an_outage_of_hours(
 
 
 @pytest.mark.parametrize("patience", [-1, math.nan])
-def test_patience_is_a_time(hub: Hub, tmp_path: Path, patience: float) -> None:
+def test_an_invalid_patience_is_refused(hub: Hub, tmp_path: Path, patience: float) -> None:
     with pytest.raises(ConfigError, match=r"patience=.*: give seconds, 0 or more"):
         opened(hub, tmp_path, patience=patience)
     assert main(["download", f"{hub.endpoint}/files/garments", f"--patience={patience}"]) == 2
 
 
-def test_a_folder_needs_no_patience(folder: Path) -> None:
+def test_patience_with_a_folder_is_refused(folder: Path) -> None:
     with pytest.raises(ConfigError, match=r"patience=3.* is for URLs and the Hub"):
         GarmentDataset(folder, patience=3.0)
 
@@ -212,7 +214,7 @@ def test_a_folder_needs_no_patience(folder: Path) -> None:
 # ------------------------------------------------------------------------------------------------------------- the end
 
 
-def test_a_program_that_has_read_ends_in_silence(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_a_program_exits_without_warnings(hub: Hub, commit: str, tmp_path: Path) -> None:
     url = f"{hub.endpoint}/files/garments"
     program = f"""
 import json
@@ -230,6 +232,6 @@ json.kept = reader  # longer than the modules that were imported later
 
 
 @pytest.mark.parametrize("url", ["http://[bad/x", "http://host:99999999/x", "https:///x", "https://exa mple/x"])
-def test_a_url_that_names_no_server_is_refused_at_once(url: str) -> None:
+def test_a_url_without_a_server_is_refused_at_once(url: str) -> None:
     with pytest.raises(ConfigError, match="no address of a server"):
         GarmentDataset(url)

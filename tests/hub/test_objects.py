@@ -1,4 +1,4 @@
-"""Data sets made at the URL of an object store, and read from there."""
+"""Data sets generated into an object store, and read from it."""
 
 import pickle
 import signal
@@ -47,7 +47,7 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def make(out: Path | str, count: int = COUNT, **options: Any) -> int:
-    """The samples that it took to have so many there."""
+    """Generate a data set; the indices of the samples made."""
     return generate(out, count, config=CONFIG, workers=0, **options).made
 
 
@@ -74,7 +74,7 @@ def published(s3: Store, here: Path, request: pytest.FixtureRequest) -> str:
 
 
 class Stopped(Exception):  # noqa: N818 - what a user does
-    """A run is stopped."""
+    """Raised to stop a run."""
 
 
 def stopping(at: int) -> Any:
@@ -90,7 +90,7 @@ def stopping(at: int) -> Any:
 # ------------------------------------------------------------------------------------------------------------- reading
 
 
-def test_a_store_holds_what_its_folder_holds(published: str, here: Path, tmp_path: Path) -> None:
+def test_a_store_yields_the_items_of_its_folder(published: str, here: Path, tmp_path: Path) -> None:
     ds, expected = GarmentDataset(published, cache_dir=tmp_path), GarmentDataset(here)
     assert_all_same(ds, expected)
     assert ds.recipe(3) == {**expected.recipe(3), "source": f"{published}@{ds.revision}"}
@@ -98,7 +98,7 @@ def test_a_store_holds_what_its_folder_holds(published: str, here: Path, tmp_pat
     assert_all_same(GarmentDataset(published, streaming=True, cache_dir=tmp_path), expected)
 
 
-def test_members_come_by_their_ranges(s3: Store, published: str, here: Path, tmp_path: Path) -> None:
+def test_members_are_requested_by_range(s3: Store, published: str, here: Path, tmp_path: Path) -> None:
     ds = GarmentDataset(published, fields=["panels"], cache_dir=tmp_path)
     assert not s3.asked(r"\.tar")
     ds[1]
@@ -109,7 +109,7 @@ def test_members_come_by_their_ranges(s3: Store, published: str, here: Path, tmp
     assert len(s3.asked(r"\.tar")) == 1
 
 
-def test_what_was_read_is_there_without_the_store(s3: Store, published: str, tmp_path: Path) -> None:
+def test_cached_members_are_read_without_the_store(s3: Store, published: str, tmp_path: Path) -> None:
     items = list(GarmentDataset(published, cache_dir=tmp_path))
     s3.faults.append(Fault("."))
     assert_all_same(GarmentDataset(published, cache_dir=tmp_path), items)
@@ -129,34 +129,34 @@ def test_workers_read_too(published: str, here: Path, tmp_path: Path) -> None:
     assert_all_same(pickle.loads(pickle.dumps(ds)), expected)
 
 
-def test_a_busy_store_is_waited_for(s3: Store, published: str, here: Path, tmp_path: Path) -> None:
+def test_a_busy_store_is_retried(s3: Store, published: str, here: Path, tmp_path: Path) -> None:
     s3.faults += [Fault(r"GET .*\.tar", 2, "InternalError", "500 Error"), Fault(r"GET .*\.tar", 2)]
     ds = GarmentDataset(published, fields=["panels"], cache_dir=tmp_path, patience=1.0)
     assert_all_same(ds, GarmentDataset(here, fields=["panels"]))
 
 
-def test_other_bytes_than_were_published_are_told(s3: Store, published: str, here: Path, tmp_path: Path) -> None:
+def test_changed_bytes_are_reported(s3: Store, published: str, here: Path, tmp_path: Path) -> None:
     content = bytearray((here / "train-00000.tar").read_bytes())
     place = int(GarmentDataset(here)._parts[0].reader.index.table.offset[0, 3])
     content[place] ^= 1
     s3.put(published, {"train-00000.tar": bytes(content)})
-    with pytest.raises(RemoteError, match=r"gcd_000000000, member .*other bytes come than were published"):
+    with pytest.raises(RemoteError, match=r"gcd_000000000, member .*received bytes do not match the published"):
         GarmentDataset(published, cache_dir=tmp_path)[0]
     s3.put(published, {"train-00000.tar": bytes(content[:5000])})
-    with pytest.raises(RemoteError, match=r"train-00000\.tar: .*(shorter|does not take this)"):
+    with pytest.raises(RemoteError, match=r"train-00000\.tar: .*(shorter|rejects the request)"):
         GarmentDataset(published, cache_dir=tmp_path)[3]
 
 
-def test_a_long_object_is_refused_unread(
+def test_an_object_over_the_limit_is_refused_unread(
     s3: Store, published: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(site, "LARGEST_MANIFEST", 100)
-    with pytest.raises(RemoteError, match=r"manifest\.json: has \d+ bytes, and up to 100 are read"):
+    with pytest.raises(RemoteError, match=r"manifest\.json: has \d+ bytes, over the limit of 100 "):
         GarmentDataset(published, cache_dir=tmp_path)
     assert not s3.asked("^GET")
 
 
-def test_a_manifest_cannot_lead_elsewhere(s3: Store, published: str, here: Path, tmp_path: Path) -> None:
+def test_a_manifest_cannot_point_outside(s3: Store, published: str, here: Path, tmp_path: Path) -> None:
     evil = (here / "manifest.json").read_bytes().replace(b"train-00000.tar", b"../train-00000.tar")
     s3.put(published, {"manifest.json": evil})
     with pytest.raises(ShardError, match=r"cannot be a file's name"):
@@ -171,7 +171,7 @@ def test_a_manifest_cannot_lead_elsewhere(s3: Store, published: str, here: Path,
         (Fault("."), RemoteError, "try again later, or with more patience"),
     ],
 )
-def test_a_store_that_fails_is_told_in_a_line(
+def test_errors_of_a_failing_store_are_one_line(
     s3: Store, published: str, tmp_path: Path, fault: Fault, error: type[Exception], told: str
 ) -> None:
     s3.faults.append(fault)
@@ -181,15 +181,15 @@ def test_a_store_that_fails_is_told_in_a_line(
     assert published in str(caught.value)
 
 
-def test_what_is_not_there_is_told(s3: Store, tmp_path: Path) -> None:
+def test_a_missing_data_set_is_reported(s3: Store, tmp_path: Path) -> None:
     for url in ("s3://bucket/none", "s3://no-bucket/set"):
-        with pytest.raises(MissingError, match=f"{url}/manifest.json: not there"):
+        with pytest.raises(MissingError, match=f"{url}/manifest.json: not found"):
             GarmentDataset(url, cache_dir=tmp_path)
-    with pytest.raises(RemoteError, match="does not take this"):
+    with pytest.raises(RemoteError, match="rejects the request"):
         GarmentDataset("s3://No_Bucket!/set", cache_dir=tmp_path)
 
 
-def test_missing_credentials_are_told(published: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_credentials_are_reported(published: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     monkeypatch.setattr(objects, "_store", objects._store.__wrapped__)
     with pytest.raises(RefusedError, match=r"no credentials .*: set AWS_ACCESS_KEY_ID and .* public bucket FSSPEC_S3="):
@@ -255,7 +255,7 @@ def test_objects_are_the_files_of_a_folder(s3: Store, here: Path, tmp_path: Path
     assert not s3.asked("^(PUT|DELETE|POST)")
 
 
-def test_what_is_up_and_what_waits_is_gone_on_with(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_a_run_continues_from_store_and_spool(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/stopped"
     with pytest.raises(Stopped):
         make(url, spool=tmp_path, on_progress=stopping(5))
@@ -266,13 +266,13 @@ def test_what_is_up_and_what_waits_is_gone_on_with(s3: Store, here: Path, tmp_pa
         ".unfinished/00000/index-train.npz",
         ".unfinished/00000/rejects.jsonl",
     }
-    with pytest.raises(MissingError, match="a set that is being made shows when all of it is there"):
+    with pytest.raises(MissingError, match="a data set appears when all of it is uploaded"):
         GarmentDataset(url, cache_dir=tmp_path / "cache")
     assert make(url, spool=tmp_path) == 1
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_what_is_up_is_enough_to_go_on_elsewhere(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_a_run_continues_from_the_store_alone(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/elsewhere"
     with pytest.raises(Stopped):
         make(url, spool=tmp_path / "one", on_progress=stopping(5))
@@ -280,7 +280,7 @@ def test_what_is_up_is_enough_to_go_on_elsewhere(s3: Store, here: Path, tmp_path
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_objects_that_are_gone_are_made_again(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_removed_objects_are_written_again(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/gone"
     with pytest.raises(Stopped):
         make(url, spool=tmp_path, on_progress=stopping(5))
@@ -311,7 +311,7 @@ generate({url!r}, {count}, config=MakeConfig(stage="pattern"), workers=0, spool=
 """
 
 
-def test_a_killed_run_is_gone_on_with(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_a_killed_run_continues(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/killed"
     code = KILLED.format(shard=SHARD, url=url, count=COUNT, spool=str(tmp_path / "spool"))
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
@@ -337,7 +337,9 @@ def test_one_writer_at_a_time(s3: Store, here: Path, tmp_path: Path) -> None:
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_of_two_that_begin_at_once_one_writes(s3: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_two_simultaneous_writers_one_gets_the_lease(
+    s3: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     url = s3.put("s3://bucket/at-once", {".writing.json": b'{"run": "1", "host": "node7", "process": 12}'})
     monkeypatch.setattr("gcd_dataset.hub.uploading.require_free", lambda *_: None)  # it has come since
     with pytest.raises(OutputError, match=r"process 12 on node7"):
@@ -364,12 +366,16 @@ def test_another_recipe_is_refused(s3: Store, here: Path, tmp_path: Path) -> Non
             Fault(r"PUT .*\.tar", code="AccessDenied"),
             "refused .*: ask for the rights to read, write and list",
         ),
-        ("cut-off", Fault(r"PUT .*\.tar"), "no answer .* with more patience .--patience, patience=.; what has come is"),
+        (
+            "cut-off",
+            Fault(r"PUT .*\.tar"),
+            "no answer .* with more patience .--patience, patience=.; received data are",
+        ),
         ("no-index", Fault(r"PUT .*\d\.index|PUT .*index-train.npz", code="AccessDenied"), "refused"),
         ("no-manifest", Fault(r"PUT /bucket/no-manifest/manifest.json", code="AccessDenied"), "refused"),
     ],
 )
-def test_a_store_that_fails_costs_nothing(
+def test_a_failing_store_costs_no_sample(
     s3: Store, here: Path, tmp_path: Path, name: str, fault: Fault, told: str
 ) -> None:
     url = f"s3://bucket/{name}"
@@ -384,20 +390,20 @@ def test_a_store_that_fails_costs_nothing(
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_a_store_that_removes_nothing_is_filled_all_the_same(
+def test_a_store_without_deletion_is_filled(
     s3: Store, here: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     url = "s3://bucket/for-ever"
     s3.faults.append(Fault("^(DELETE|POST)", code="AccessDenied"))
     assert make(url, spool=tmp_path) == COUNT
-    assert "only this machine goes on" in caplog.text
+    assert "only this machine can continue" in caplog.text
     assert make(url, COUNT + 1, spool=tmp_path) == 1
     assert len(GarmentDataset(url, cache_dir=tmp_path / "cache")) == COUNT + 1
     with pytest.raises(OutputError, match=r"remove s3://bucket/for-ever/\.writing\.json"):
         make(url, COUNT + 2, spool=tmp_path / "other")
 
 
-def test_a_store_that_is_gone_at_the_end_lets_this_machine_go_on(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_an_unreleased_lease_lets_this_machine_continue(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/gone-for-good"
 
     def cut(progress: Progress) -> None:
@@ -414,17 +420,19 @@ def test_a_store_that_is_gone_at_the_end_lets_this_machine_go_on(s3: Store, here
 @pytest.mark.parametrize(
     ("url", "error", "told"),
     [
-        ("s3://no-bucket/set", MissingError, "not there .*: check bucket and name"),
+        ("s3://no-bucket/set", MissingError, "not found .*: check bucket and name"),
         ("http://localhost/set", ConfigError, "cannot be written to: give a folder, or a URL such as s3://"),
         ("nope://bucket/set", ConfigError, "cannot be written to"),
     ],
 )
-def test_where_nothing_can_be_written(s3: Store, tmp_path: Path, url: str, error: type[Exception], told: str) -> None:
+def test_an_unwritable_store_is_reported(
+    s3: Store, tmp_path: Path, url: str, error: type[Exception], told: str
+) -> None:
     with pytest.raises(error, match=told):
         make(url)
 
 
-def test_what_is_made_in_folders_alone_is_told(
+def test_options_that_need_a_folder_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -457,7 +465,7 @@ def test_a_folder_has_no_spool(tmp_path: Path) -> None:
     assert len(GarmentDataset(tmp_path / "set")) == 1
 
 
-def test_the_command_makes_and_tells(s3: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_generates_and_reports(s3: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--count=2", "--stage=pattern", "--workers=0", "--quiet", f"--spool={tmp_path}"]
     assert main(["generate", "s3://bucket/command", *words]) == 0
     assert "s3://bucket/command: 2 garments, 2 of them made now" in capsys.readouterr().out
@@ -468,7 +476,7 @@ def test_the_command_makes_and_tells(s3: Store, tmp_path: Path, capsys: pytest.C
     assert told.count("\n") == 1
 
 
-def test_memory_is_a_store_too(here: Path, tmp_path: Path) -> None:
+def test_the_memory_file_system_is_a_store(here: Path, tmp_path: Path) -> None:
     import fsspec
 
     url, store = "memory://bucket/set", fsspec.filesystem("memory")

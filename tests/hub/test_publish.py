@@ -1,4 +1,4 @@
-"""Publishing: what goes up, into which split, and what others make of it."""
+"""Publishing: division into splits, staging, card and upload."""
 
 import hashlib
 import json
@@ -48,7 +48,7 @@ def sample(index: int, *, design: int, body: int | None = None) -> Sample:
 
 @pytest.fixture(autouse=True)
 def hf_endpoint(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The only server that an old ``huggingface_hub`` publishes to."""
+    """Set ``HF_ENDPOINT``, the only server that an old ``huggingface_hub`` publishes to."""
     monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", hub.endpoint)
     template = f"{hub.endpoint}/{{repo_id}}/resolve/{{revision}}/{{filename}}"
     monkeypatch.setattr("huggingface_hub.constants.HUGGINGFACE_CO_URL_TEMPLATE", template)
@@ -80,7 +80,7 @@ def test_garments_that_share_a_body_stay_together(tmp_path: Path) -> None:
     assert families(ShardReader(tmp_path)).tolist() == [0, 0, 0, 1, 2, 3, 3, 3]
 
 
-def test_a_garment_stays_where_it_is_when_the_data_set_grows(both: Path, tmp_path: Path) -> None:
+def test_a_garment_keeps_its_split_when_the_data_set_grows(both: Path, tmp_path: Path) -> None:
     put(tmp_path, (sample(i, design=i // 2, body=None if i % 2 == 0 else i) for i in range(60)))
     before, after = partition(ShardReader(tmp_path), SHARES), partition(ShardReader(both), SHARES)
     for name, positions in before.items():
@@ -103,7 +103,7 @@ def staged(both: Path, tmp_path_factory: pytest.TempPathFactory) -> Staged:
     return stage(both, "org/new-set", folder, shares=SHARES, license="cc-by-4.0", endpoint="https://hub.example")
 
 
-def test_what_is_staged_is_the_same_garments(both: Path, staged: Staged) -> None:
+def test_staged_garments_equal_the_originals(both: Path, staged: Staged) -> None:
     whole, seen = GarmentDataset(both), []
     for name in SHARES:
         ds = GarmentDataset(staged.folder, name, verify="full")
@@ -130,7 +130,7 @@ def test_the_card_names_every_split(staged: Staged) -> None:
     assert 'GarmentDataset("org/new-set"' in text
 
 
-def test_croissant_tells_the_hash_of_every_file(staged: Staged) -> None:
+def test_croissant_lists_the_hash_of_every_file(staged: Staged) -> None:
     entry = json.loads((staged.folder / "croissant.json").read_text())
     assert entry["conformsTo"] == "http://mlcommons.org/croissant/1.0"
     objects = {thing["@id"]: thing for thing in entry["distribution"]}
@@ -145,7 +145,7 @@ def test_croissant_tells_the_hash_of_every_file(staged: Staged) -> None:
     assert all(objects[source]["@type"] == "cr:FileSet" for source in sources)
 
 
-def test_it_is_staged_again_only_where_it_changed(tmp_path: Path) -> None:
+def test_only_changed_shards_are_staged_again(tmp_path: Path) -> None:
     data = fill(tmp_path / "data", range(20))
     first = stage(data, "org/new", tmp_path / "up")
     before = {path: (tmp_path / "up" / path).stat().st_ino for path in first.files if path.endswith(".tar")}
@@ -157,7 +157,7 @@ def test_it_is_staged_again_only_where_it_changed(tmp_path: Path) -> None:
     assert sum(len(GarmentDataset(tmp_path / "up", name)) for name in grown.manifest.splits) == 40
 
 
-def test_a_data_set_made_anew_is_staged_anew(tmp_path: Path) -> None:
+def test_a_regenerated_data_set_is_staged_again(tmp_path: Path) -> None:
     shares = {"train": 1.0, "validation": 0.0, "test": 0.0}
     stage(fill(tmp_path / "data", range(6)), "org/new", tmp_path / "up", shares=shares)
     (tmp_path / "up" / "train-00001.tar").rename(tmp_path / "up" / "train-00001.tar.part")  # stopped in the middle
@@ -166,7 +166,7 @@ def test_a_data_set_made_anew_is_staged_anew(tmp_path: Path) -> None:
     assert_all_same(GarmentDataset(tmp_path / "up"), GarmentDataset(other))
 
 
-def test_a_damaged_copy_is_staged_anew(tmp_path: Path) -> None:
+def test_a_damaged_copy_is_staged_again(tmp_path: Path) -> None:
     data, shares = fill(tmp_path / "data", range(4)), {"train": 1.0, "validation": 0.0, "test": 0.0}
     stage(data, "org/new", tmp_path / "up", shares=shares)
     path = tmp_path / "up" / "train-00000.tar"
@@ -177,7 +177,7 @@ def test_a_damaged_copy_is_staged_anew(tmp_path: Path) -> None:
     assert_all_same(GarmentDataset(tmp_path / "up", verify="full"), GarmentDataset(data))
 
 
-def test_no_data_set_is_overwritten_by_what_goes_up(tmp_path: Path) -> None:
+def test_staging_overwrites_no_data_set(tmp_path: Path) -> None:
     data, other = fill(tmp_path / "data", range(20)), fill(tmp_path / "other", range(3))
     before = read_folder(data), read_folder(other)
     for folder in (data, other):
@@ -186,7 +186,7 @@ def test_no_data_set_is_overwritten_by_what_goes_up(tmp_path: Path) -> None:
     assert (read_folder(data), read_folder(other)) == before
 
 
-def test_splits_that_are_there_stay_as_they_are(tmp_path: Path) -> None:
+def test_existing_splits_are_kept(tmp_path: Path) -> None:
     put(tmp_path / "data", (sample(i, design=i) for i in range(5)))
     put(tmp_path / "data", (sample(i, design=i) for i in range(50, 53)), split="val")
     up = stage(tmp_path / "data", "org/new", tmp_path / "up")
@@ -196,7 +196,7 @@ def test_splits_that_are_there_stay_as_they_are(tmp_path: Path) -> None:
         stage(tmp_path / "data", "org/new", tmp_path / "up")
 
 
-def test_splits_that_get_nothing_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_empty_splits_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     put(tmp_path / "one", (sample(i, design=i, body=7) for i in range(4)))
     assert list(stage(tmp_path / "one", "org/new", tmp_path / "up").manifest.splits) == ["train"]
     assert "nothing for validation and test: garments that share a design or a body stay in one split" in caplog.text
@@ -205,7 +205,7 @@ def test_splits_that_get_nothing_are_told(tmp_path: Path, caplog: pytest.LogCapt
     assert not caplog.text
 
 
-def test_what_goes_up_comes_down(hub: Hub, both: Path, staged: Staged, tmp_path: Path) -> None:
+def test_an_upload_is_downloaded_unchanged(hub: Hub, both: Path, staged: Staged, tmp_path: Path) -> None:
     from huggingface_hub import HfApi, hf_hub_download, snapshot_download
 
     commit = upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)
@@ -224,7 +224,7 @@ def test_what_goes_up_comes_down(hub: Hub, both: Path, staged: Staged, tmp_path:
     assert_all_same(ds, GarmentDataset(staged.folder, "test", fields=["verts"]))
 
 
-def test_shards_of_an_older_release_go(hub: Hub, staged: Staged, tmp_path: Path) -> None:
+def test_stale_shards_are_removed_from_the_repository(hub: Hub, staged: Staged, tmp_path: Path) -> None:
     hub.publish(
         "org/new-set",
         {"train-00099.tar": b"old", "index-old.npz": b"old", "notes/a.tar": b"theirs", "a.tar": b"theirs"},
@@ -233,7 +233,7 @@ def test_shards_of_an_older_release_go(hub: Hub, staged: Staged, tmp_path: Path)
     assert hub.repos["org/new-set"].commits[-1][1].keys() == {*staged.files, "notes/a.tar", "a.tar"}
 
 
-def test_a_reader_finds_the_whole_of_one_release_or_of_the_other(
+def test_a_reader_sees_either_the_old_or_the_new_version(
     hub: Hub, staged: Staged, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = fill(tmp_path / "before", range(9))
@@ -248,27 +248,29 @@ def test_a_reader_finds_the_whole_of_one_release_or_of_the_other(
     assert staged.garments == 80
 
 
-def test_a_hub_that_refuses_is_told(hub: Hub, staged: Staged, tmp_path: Path) -> None:
+def test_a_refusal_of_the_hub_is_reported(hub: Hub, staged: Staged, tmp_path: Path) -> None:
     with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*hf auth login"):
         upload(staged, "org/new-set", endpoint=hub.endpoint, token="hf_wrong")
 
 
-def test_an_endpoint_that_an_old_client_cannot_publish_to_is_told(
+def test_an_endpoint_unsupported_by_an_old_client_is_reported(
     hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
-    told = rf"--endpoint {hub.endpoint}0: huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT alone: set that, or install"
-    with pytest.raises(ConfigError, match=told):
+    message = (
+        rf"--endpoint {hub.endpoint}0: huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT alone: set that, or install"
+    )
+    with pytest.raises(ConfigError, match=message):
         upload(staged, "org/new-set", endpoint=f"{hub.endpoint}0", token=hub.token)
 
 
 @pytest.mark.skipif(huggingface_hub.__version__.startswith(("0.", "1.0.")), reason="its client does not ask again")
-def test_a_hub_that_fails_once_is_asked_again(hub: Hub, staged: Staged) -> None:
+def test_a_failed_request_to_the_hub_is_repeated(hub: Hub, staged: Staged) -> None:
     hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]
     assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)  # sent once more
 
 
-def test_a_hub_that_is_gone_is_told(hub: Hub, staged: Staged) -> None:
+def test_an_unreachable_hub_is_reported(hub: Hub, staged: Staged) -> None:
     hub.stop()
     with pytest.raises(RemoteError, match=r"org/new-set: cannot be published .*refused.*HF_ENDPOINT"):
         upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)

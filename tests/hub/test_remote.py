@@ -1,4 +1,4 @@
-"""Garments from a server that behaves like the Hub: which bytes are asked for, and what is kept."""
+"""Garments read from a server: the requested bytes, and the cached ones."""
 
 import gzip
 import pickle
@@ -33,7 +33,7 @@ def wanted_bytes(folder: Path, samples: list[int], fields: list[str]) -> int:
     return int(index.table.size[samples][:, [MEMBERS.index(f"{field}.npy") for field in fields]].sum())
 
 
-def test_a_repository_holds_what_its_folder_holds(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_a_repository_yields_the_items_of_its_folder(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     ds = opened(hub, tmp_path)
     assert len(ds) == COUNT
     assert_all_same(ds, GarmentDataset(folder))
@@ -42,14 +42,14 @@ def test_a_repository_holds_what_its_folder_holds(hub: Hub, commit: str, folder:
 
 
 @pytest.mark.parametrize("source", ["{}/files/garments", "{}/files/garments/"])
-def test_a_url_holds_what_its_folder_holds(hub: Hub, commit: str, folder: Path, tmp_path: Path, source: str) -> None:
+def test_a_url_yields_the_items_of_its_folder(hub: Hub, commit: str, folder: Path, tmp_path: Path, source: str) -> None:
     ds = GarmentDataset(source.format(hub.endpoint), cache_dir=tmp_path)
     assert_all_same(ds, GarmentDataset(folder))
     ds.verify(4)
     assert GarmentDataset(folder.as_uri()).recipe(0) == GarmentDataset(folder).recipe(0)
 
 
-def test_only_the_fields_asked_for_come(
+def test_only_requested_fields_are_transferred(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(remote, "GAP", 0)
@@ -61,7 +61,7 @@ def test_only_the_fields_asked_for_come(
     assert (len(asked), sum(request.size for request in asked)) == (2, wanted_bytes(folder, [5], ["verts", "faces"]))
 
 
-def test_neighbouring_members_come_by_one_request(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_neighbouring_members_take_one_request(hub: Hub, commit: str, tmp_path: Path) -> None:
     ds = opened(hub, tmp_path, fields=["panels", "edges", "stitches", "body"])
     for index in (0, 1, 2):
         ds[index]
@@ -71,7 +71,7 @@ def test_neighbouring_members_come_by_one_request(hub: Hub, commit: str, tmp_pat
     assert len(hub.asked(r"resolve/.*tar")) == 1
 
 
-def test_a_batch_is_asked_for_at_once(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_a_batch_is_requested_in_parallel(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     ds = opened(hub, tmp_path, fields=["verts"])
     (batch,) = DataLoader(ds[:], batch_size=COUNT, collate_fn=collate_packed)
     answered = [request for request in hub.asked(SHARDS) if request.status == 206]
@@ -81,7 +81,7 @@ def test_a_batch_is_asked_for_at_once(hub: Hub, commit: str, folder: Path, tmp_p
     assert same(batch, expected)
 
 
-def test_every_item_is_its_own(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_items_do_not_share_memory(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     def doubled(item: Any) -> Any:
         item["verts"] *= 2
         return item
@@ -101,7 +101,7 @@ def test_a_data_set_may_be_sent_to_another_process(hub: Hub, commit: str, tmp_pa
     assert same(copy[7], ds[7])
 
 
-def test_nothing_is_asked_for_twice(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_nothing_is_requested_twice(hub: Hub, commit: str, tmp_path: Path) -> None:
     items = list(opened(hub, tmp_path, revision=commit))
     hub.log.clear()
     again = opened(hub, tmp_path, revision=commit)
@@ -120,7 +120,7 @@ def test_a_branch_is_looked_up_once(hub: Hub, commit: str, folder: Path, tmp_pat
         opened(hub, tmp_path)
 
 
-def test_what_was_read_is_there_without_a_server(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_cached_members_are_read_without_a_server(hub: Hub, commit: str, tmp_path: Path) -> None:
     items = [opened(hub, tmp_path, fields=["verts"])[i] for i in range(4)]
     hub.stop()
     for options in ({}, {"download": False}, {"revision": commit}):
@@ -134,7 +134,7 @@ def test_what_was_read_is_there_without_a_server(hub: Hub, commit: str, tmp_path
         GarmentDataset("org/other", endpoint=hub.endpoint, cache_dir=tmp_path, download=False)
 
 
-def test_a_url_is_there_without_a_server(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_a_cached_url_is_read_without_a_server(hub: Hub, commit: str, tmp_path: Path) -> None:
     url = f"{hub.endpoint}/files/garments"
     items = list(GarmentDataset(url, cache_dir=tmp_path, fields=["points"]))
     hub.stop()
@@ -150,10 +150,10 @@ def test_a_private_repository_asks_for_a_token(hub: Hub, folder: Path, tmp_path:
     assert all(not request.authorization for request in hub.asked("storage"))  # the token stays with the Hub
 
 
-def test_what_is_not_there_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_a_missing_data_set_is_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
     with pytest.raises(RefusedError, match=r"no folder org/nothing here"):
         GarmentDataset("org/nothing", endpoint=hub.endpoint, cache_dir=tmp_path)
-    with pytest.raises(MissingError, match="not there"):
+    with pytest.raises(MissingError, match="not found"):
         opened(hub, tmp_path, revision="v9")
     with pytest.raises(ShardError, match="no samples of split test: there is train"):
         opened(hub, tmp_path, split="test")
@@ -163,7 +163,7 @@ def test_what_is_not_there_is_told(hub: Hub, commit: str, tmp_path: Path) -> Non
         opened(hub, tmp_path, max_cache_size="lots")
 
 
-def test_a_file_is_no_repository(hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_path_of_a_file_is_no_repository(hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "train.h5").touch()
@@ -173,7 +173,7 @@ def test_a_file_is_no_repository(hub: Hub, tmp_path: Path, monkeypatch: pytest.M
     assert not hub.asked()
 
 
-def test_a_url_whose_files_come_one_after_the_other_is_read_in_the_end(
+def test_a_url_whose_files_appear_one_by_one_is_read_in_the_end(
     hub: Hub, commit: str, folder: Path, tmp_path: Path
 ) -> None:
     url, index = f"{hub.endpoint}/files/garments", hub.static.pop("garments/index-train.npz")
@@ -186,7 +186,7 @@ def test_a_url_whose_files_come_one_after_the_other_is_read_in_the_end(
 
 
 def other_index(folder: Path) -> bytes:
-    """The index as it was before the last shard came."""
+    """The index without the last shard."""
     index = read_index(folder)
     table = dict(list(index.tables().items())[:-1])
     return ShardIndex.of(folder, table).to_bytes()
@@ -213,11 +213,11 @@ def test_workers_share_a_server(hub: Hub, commit: str, folder: Path, tmp_path: P
 # ------------------------------------------------------------------------------------------------------------- faults
 
 
-def test_a_busy_server_is_given_the_time_it_asks_for(
+def test_a_busy_server_gets_the_wait_it_requests(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waits: list[float] = []
-    monkeypatch.setattr("gcd_dataset.hub.patience.time.sleep", waits.append)
+    monkeypatch.setattr("gcd_dataset.hub.retry.time.sleep", waits.append)
     hub.faults = [
         Fault("/api/", status=429, headers={"Retry-After": "7"}),
         Fault("storage", status=503, times=2),
@@ -227,16 +227,14 @@ def test_a_busy_server_is_given_the_time_it_asks_for(
     assert sorted(waits) == [0.0, 0.001, 0.001, 7.0]
 
 
-def test_a_server_that_asks_for_too_much_is_left(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_a_server_that_requests_too_long_a_wait_is_given_up(hub: Hub, commit: str, tmp_path: Path) -> None:
     hub.faults = [Fault("/api/", status=429, headers={"Retry-After": "86400"})]
     with pytest.raises(RemoteError, match="the server is busy"):
         opened(hub, tmp_path)
 
 
 @pytest.mark.parametrize("streaming", [False, True])
-def test_a_line_that_breaks_is_taken_up_where_it_broke(
-    hub: Hub, commit: str, folder: Path, tmp_path: Path, streaming: bool
-) -> None:
+def test_a_broken_connection_is_resumed(hub: Hub, commit: str, folder: Path, tmp_path: Path, streaming: bool) -> None:
     ds = opened(hub, tmp_path, streaming=streaming)
     hub.faults = [Fault(r"storage/.*tar", cut=5000), Fault(r"storage/.*tar", cut=600, times=3)]
     assert_all_same(ds, GarmentDataset(folder))
@@ -246,7 +244,7 @@ def test_a_line_that_breaks_is_taken_up_where_it_broke(
     assert sent == stored if streaming else sent < stored  # nothing came twice
 
 
-def test_a_server_that_is_gone_for_a_while(
+def test_an_outage_is_waited_out(
     hub: Hub, commit: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ds = opened(hub, tmp_path, fields=["verts"])
@@ -259,12 +257,12 @@ def test_a_server_that_is_gone_for_a_while(
         if len(waits) == 4:
             hub.start()
 
-    monkeypatch.setattr("gcd_dataset.hub.patience.time.sleep", sleep)
+    monkeypatch.setattr("gcd_dataset.hub.retry.time.sleep", sleep)
     assert_all_same([ds[9]], [GarmentDataset(folder, fields=["verts"])[9]])
     assert len(waits) == 4
 
 
-def test_an_address_that_expires_is_asked_for_again(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_an_expired_redirect_is_looked_up_again(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     ds = opened(hub, tmp_path, fields=["verts"])
     ds[0]
     hub.faults = [Fault("storage", status=403)]
@@ -273,25 +271,27 @@ def test_an_address_that_expires_is_asked_for_again(hub: Hub, commit: str, folde
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "index-train.npz"])
-def test_a_damaged_side_file_is_asked_for_again(hub: Hub, commit: str, folder: Path, tmp_path: Path, name: str) -> None:
+def test_a_damaged_small_file_is_requested_again(
+    hub: Hub, commit: str, folder: Path, tmp_path: Path, name: str
+) -> None:
     hub.faults = [Fault(rf"(storage|resolve)/.*{name}", flip=300, times=2)]
     if name == "manifest.json":
         hub.faults[0].times = 1
     assert len(opened(hub, tmp_path)) == COUNT
     hub.faults = [Fault(rf"(storage|resolve)/.*{name}", flip=300, times=99)]
-    with pytest.raises(RemoteError, match=rf"{name}: other bytes come than were published"):
+    with pytest.raises(RemoteError, match=rf"{name}: received bytes do not match"):
         opened(hub, tmp_path / "elsewhere")
 
 
 @pytest.mark.parametrize("verify", ["lazy", "off"])
-def test_wrong_bytes_are_never_kept(hub: Hub, commit: str, folder: Path, tmp_path: Path, verify: Any) -> None:
+def test_wrong_bytes_are_never_cached(hub: Hub, commit: str, folder: Path, tmp_path: Path, verify: Any) -> None:
     expected = GarmentDataset(folder, fields=["verts"])
     ds = opened(hub, tmp_path, fields=["verts"], verify=verify)
     hub.faults = [Fault(r"storage/.*tar", flip_share=0.5)]
     assert same(ds[6], expected[6])  # once: asked for again
     hub.faults = [Fault(r"storage/.*tar", flip_share=0.5, times=2)]
     with pytest.raises(
-        RemoteError, match=r"train-00001\.tar: sample gcd_000000007, member verts\.npy: other bytes come"
+        RemoteError, match=r"train-00001\.tar: sample gcd_000000007, member verts\.npy: received bytes do not match"
     ):
         ds[7]
     hub.stop()
@@ -301,20 +301,18 @@ def test_wrong_bytes_are_never_kept(hub: Hub, commit: str, folder: Path, tmp_pat
         offline[7]
 
 
-def test_a_shard_that_is_cut_off_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_a_truncated_shard_is_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
     content = hub.static["garments/train-00001.tar"]
     hub.static["garments/train-00001.tar"] = content[: len(content) // 2]
     ds = GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path, fields=["back"])
-    with pytest.raises(RemoteError, match=r"train-00001\.tar: shorter than its index tells"):
+    with pytest.raises(RemoteError, match=r"train-00001\.tar: shorter than in its index"):
         ds[7]
     stream = GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path, fields=["back"], streaming=True)
     with pytest.raises(ShardError, match=r"train-00001\.tar"):
         list(stream)
 
 
-def test_a_server_of_whole_files_is_not_asked_for_every_garment(
-    hub: Hub, commit: str, folder: Path, tmp_path: Path
-) -> None:
+def test_a_server_without_ranges_is_refused(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     hub.faults = [Fault(SHARDS, whole=True, times=999)]
     url = f"{hub.endpoint}/files/garments"
     ds = GarmentDataset(url, cache_dir=tmp_path / "cache", fields=["verts"])
@@ -326,21 +324,23 @@ def test_a_server_of_whole_files_is_not_asked_for_every_garment(
     assert_all_same(GarmentDataset(url, root=tmp_path / "data", cache_dir=tmp_path / "cache"), GarmentDataset(folder))
 
 
-def test_packed_files_are_told(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_compressed_responses_are_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
     hub.faults = [Fault(r"manifest\.json", headers={"Content-Encoding": "gzip"}, times=9)]
     hub.static["garments/manifest.json"] = gzip.compress(hub.static["garments/manifest.json"])
-    with pytest.raises(RemoteError, match=r"manifest\.json: comes packed \(gzip\), unasked"):
+    with pytest.raises(RemoteError, match=r"manifest\.json: sent compressed \(gzip\), unrequested"):
         GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
 
 
-def test_a_manifest_that_is_none_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_an_invalid_manifest_is_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
     hub.static["garments/manifest.json"] = b"<html>"
     with pytest.raises(ShardError, match=r"manifest\.json: not a manifest .*: try again later, or tell its publisher"):
         GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
 
 
 @pytest.mark.parametrize("content", [b"", b"not found", b"PK"], ids=["empty", "a page", "cut off"])
-def test_a_broken_index_is_told_to_whoever_can_mend_it(hub: Hub, commit: str, tmp_path: Path, content: bytes) -> None:
+def test_an_error_about_a_broken_index_addresses_its_publisher(
+    hub: Hub, commit: str, tmp_path: Path, content: bytes
+) -> None:
     hub.static["garments/index-train.npz"] = content
     with pytest.raises(
         ShardError, match=r"index-train\.npz: not an index \([^()]*\): ask its publisher to run gcd index"
@@ -348,7 +348,7 @@ def test_a_broken_index_is_told_to_whoever_can_mend_it(hub: Hub, commit: str, tm
         GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
 
 
-def test_an_index_of_other_shards_is_told(hub: Hub, commit: str, tmp_path: Path) -> None:
+def test_an_index_of_other_shards_is_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
     manifest = hub.static["garments/manifest.json"].decode()
     size = len(hub.static["garments/train-00001.tar"])
     hub.static["garments/manifest.json"] = manifest.replace(f'"size": {size}', '"size": 4711').encode()
@@ -356,7 +356,7 @@ def test_an_index_of_other_shards_is_told(hub: Hub, commit: str, tmp_path: Path)
         GarmentDataset(f"{hub.endpoint}/files/garments", cache_dir=tmp_path)
 
 
-def test_damage_in_the_cache_is_mended(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_damaged_cache_members_are_fetched_again(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     expected = opened(hub, tmp_path, fields=["verts"])[2]
     (cached,) = (tmp_path / "cache" / "shards").glob("*.tar")
     index = read_index(folder)
@@ -398,7 +398,7 @@ def test_foreign_tars_of_a_repository(hub: Hub, captions: str, tmp_path: Path) -
     assert [len(item["npy"]) for item in again] == [200 + i for i in range(6)]
 
 
-def test_foreign_tars_that_point_outside_are_refused(hub: Hub, captions: str, tmp_path: Path) -> None:
+def test_foreign_tars_with_paths_outside_are_refused(hub: Hub, captions: str, tmp_path: Path) -> None:
     files = hub.repos["org/foreign"].commits[-1][1]
     evil = files["data/train-000000.tar"].replace(b"k0.txt\0\0\0\0\0", b"../k0.txt\0\0")
     hub.publish("org/foreign", {"data/train-000000.tar": _signed_anew(evil)})
@@ -407,7 +407,7 @@ def test_foreign_tars_that_point_outside_are_refused(hub: Hub, captions: str, tm
 
 
 def _signed_anew(archive: bytes) -> bytes:
-    """The archive with a right checksum in the header of ``../k0.txt``."""
+    """The archive with a valid checksum in the header of ``../k0.txt``."""
     place = archive.index(b"../k0.txt")
     header = archive[place : place + 512]
     total = sum(header[:148] + 8 * b" " + header[156:])

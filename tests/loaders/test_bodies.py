@@ -212,7 +212,7 @@ def test_only_the_files_of_the_fields_are_read(ours: Path, few: Path) -> None:
 
 def test_a_missing_file_is_named(few: Path) -> None:
     (few / "meshes" / "00001_apart.obj").unlink()
-    with pytest.raises(ShardError, match=r"meshes/00001_apart\.obj: missing, as 1 of 8 files are: extract"):
+    with pytest.raises(ShardError, match=r"meshes/00001_apart\.obj: missing, with 1 of 8 files: extract"):
         PublishedBodies(few)
     assert len(PublishedBodies(few, names=["00000"])) == 1
     assert PublishedBodies(few, fields=["straight"])[1]["straight"].shape == (4, 3)
@@ -242,13 +242,13 @@ def edited(path: Path, pattern: str, put: str) -> None:
 @pytest.mark.parametrize(
     ("pattern", "put", "message"),
     [
-        (r"^v (\S+) ", "v nan ", "a position that is no number"),
+        (r"^v (\S+) ", "v nan ", "a position that is NaN or infinite"),
         (r"^v (\S+) \S+ \S+", r"v \1", "a vertex that is not three numbers"),
         (r"^f (.*)$", r"f \1 4", r"a face that is no triangle \(f 1 3 2 4\)"),
         (r"^f (.*)$", "f 1 2 9", "a face with a vertex that is not one of its 4"),
         (r"^f (.*)$", "f 1 2 x", "a face without vertex numbers"),
-        (r"^f (.*)$", "f 3 2 1", "not the mesh of 00000_straight.obj, on which everybody should be"),
-        (r"^v (\S+) (\S+) (\S+)$", r"v 0 0 0\nv \1 \2 \3", "not the mesh of"),
+        (r"^f (.*)$", "f 3 2 1", "another mesh than 00000_straight.obj: all people must be on one mesh"),
+        (r"^v (\S+) (\S+) (\S+)$", r"v 0 0 0\nv \1 \2 \3", "another mesh than"),
         (r"^v (\S+) (1\.\S+) ", r"v \1 \g<2>e3 ", "m tall: published meshes are in metres"),
     ],
 )
@@ -268,8 +268,8 @@ def test_faces_may_have_texture_indices(few: Path) -> None:
 @pytest.mark.parametrize(
     ("meta", "message"),
     [
-        ("{", "no map with pca_weights"),
-        ("[]", "no map with pca_weights"),
+        ("{", "no object with pca_weights"),
+        ("[]", "no object with pca_weights"),
         ('{"pca_weights": [1.0]}', "arm_inclination"),
         ('{"pca_weights": [], "arm_inclination": 1}', r"pca_weights \[\]"),
         ('{"pca_weights": [NaN], "arm_inclination": 1}', r"pca_weights \[nan\]"),

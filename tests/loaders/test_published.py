@@ -148,7 +148,7 @@ def test_failed_garments_are_left_out(own: Path) -> None:
 def test_without_properties_no_garment_counts_as_failed(own: Path, caplog: pytest.LogCaptureFixture) -> None:
     (own / BATCH / BODIES[1] / properties_name(BODIES[1])).unlink()
     published = PublishedGarmentCodeData(own, bodies="random", fields=("meta",))
-    assert "failed garments are not known" in caplog.text
+    assert "failed garments are not left out" in caplog.text
     assert published[0]["meta"]["drape"]["frames"] == -1
 
 
@@ -201,7 +201,7 @@ def test_verify_finds_files_that_disagree(own: Path) -> None:
     published = PublishedGarmentCodeData(own, fields=())
     published.verify(0)
     file_of(own, TRAIN[0], "box").write_bytes(file_of(own, TRAIN[1], "box").read_bytes())
-    with pytest.raises(ShardError, match=r"_boxmesh\.ply: not the mesh of"):
+    with pytest.raises(ShardError, match=r"_boxmesh\.ply: another mesh than"):
         published.verify(0)
     assert published.recipe(1)["index"] == 1
 
@@ -224,9 +224,9 @@ FAULTS: tuple[tuple[str, Callable[[bytes], bytes], str], ...] = (
     ("sim", swapped(b"double s", b"float s"), "_sim.ply: not a binary PLY"),
     ("segmentation", lambda content: content + b"front\n", "_sim_segmentation.txt: labels"),
     ("segmentation", swapped(b"front", b"sleeve"), "names sleeve, which is no panel"),
-    ("segmentation", swapped(b"stitch_1", b"stitch_7"), "names a stitch that is none of the 2"),
+    ("segmentation", swapped(b"stitch_1", b"stitch_7"), "names a stitch outside the 2"),
     ("vertex_labels", swapped(b"lower_interface", b"hem"), "_vertex_labels.yaml: hem is on no edge"),
-    ("vertex_labels", swapped(b"- ", b"- -"), "lower_interface is no list of the mesh's vertices"),
+    ("vertex_labels", swapped(b"- ", b"- -"), "lower_interface is no list of vertices of the mesh"),
     ("design", lambda content: b"[", "_design_params.yaml: not YAML"),
     ("measures", swapped(b"height", b"length"), "_body_measurements.yaml: body lacks height"),
     ("front", lambda content: content[:40], "_render_front.png: not a picture"),
@@ -256,7 +256,7 @@ def test_a_missing_file_is_named(own: Path, kind: str) -> None:
 def test_a_garment_of_the_split_without_files_is_logged(own: Path, caplog: pytest.LogCaptureFixture) -> None:
     remove(file_of(own, TRAIN[0], "spec").parent)
     assert numbers(PublishedGarmentCodeData(own)) == [1, 2, 3]
-    assert "1 garments of the split are neither there nor noted as failed" in caplog.text
+    assert "1 garments of the split are neither on disk nor listed as failed" in caplog.text
 
 
 def test_missing_batches_are_skipped(own: Path) -> None:
@@ -294,7 +294,7 @@ def test_a_folder_without_the_split_file_is_read_whole(own: Path) -> None:
     next(own.glob("*split*.json")).unlink()
     with pytest.raises(
         ShardError,
-        match=r"no official split .*: download it into this folder; PublishedGarmentCodeData does without for 'all'",
+        match=r"no official split .*: download it into this folder; split='all' does not need it",
     ):
         PublishedGarmentCodeData(own)
     assert len(PublishedGarmentCodeData(own, "all")) == 6

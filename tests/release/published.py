@@ -1,4 +1,4 @@
-"""A small data set in the published layout, made from fake garments by our own writer."""
+"""A small data set of fake garments in the published layout, by our own writer."""
 
 import json
 import tarfile
@@ -24,7 +24,7 @@ SIZE = Measurements(**{name: 1.0 if name.endswith("incl") else 50.0 + i for i, n
 
 
 def garment(name: str, number: int, body: str) -> Sample:
-    """A fake garment as one of a release."""
+    """A fake garment for a release."""
     made = fake_sample(7, 2 * number + BODIES.index(body))
     wearer = "mean_all" if body == BODIES[0] else f"{number:05d}_straight"
     source = f"{RELEASE}/{BATCH}/{body}/{name}"
@@ -57,7 +57,7 @@ def publish(folder: Path) -> Path:
 
 
 def pack(root: Path, *, packed: bool = True) -> Path:
-    """Put the garments of each batch into an archive, as they are downloaded."""
+    """Pack the garments of each batch into an archive, as in the download."""
     for data in root.glob("*/*/data"):
         archive = data.parent / ("data.tar.gz" if packed else "data.tar")
         with tarfile.open(archive, "w:gz" if packed else "w") as tar:
@@ -67,7 +67,7 @@ def pack(root: Path, *, packed: bool = True) -> Path:
 
 
 def remove(folder: Path) -> None:
-    """Delete a folder and what is in it."""
+    """Delete a folder with its contents."""
     for path in folder.iterdir():
         remove(path) if path.is_dir() else path.unlink()
     folder.rmdir()
@@ -79,7 +79,7 @@ def file_of(root: Path, name: str, kind: str, body: str = BODIES[0]) -> Path:
 
 
 def fail(root: Path, name: str, body: str) -> None:
-    """Note in the properties that a garment failed."""
+    """Add a failed garment to the properties."""
     path = root / BATCH / body / properties_name(body)
     tree = yaml.safe_load(path.read_text())
     tree["sim"]["stats"]["fails"]["static_equilibrium"].append(name)
@@ -95,7 +95,7 @@ def split_lists(root: Path) -> dict[str, list[str]]:
 
 
 def touch_vertex(sample: Sample) -> Sample:
-    """The garment with one vertex of its drape where another one is."""
+    """The garment with one vertex of its drape moved onto another."""
     assert sample.drape is not None
     vertices = np.array(sample.drape.vertices)
     vertices[-1] = vertices[-2]

@@ -1,4 +1,4 @@
-"""Archives as downloaded: each garment is found again, and what is kept of an archive is used while it holds."""
+"""Downloaded archives: every garment is read, and the cached index is used until the archive changes."""
 
 import gzip
 import io
@@ -28,20 +28,20 @@ def archive(folders: Path, tmp_path: Path) -> Path:
     return pack(Path(shutil.copytree(folders, tmp_path / "packed"))) / BATCH / BODIES[0] / "data.tar.gz"
 
 
-def test_every_file_reads_as_it_was_packed(folders: Path, archive: Path) -> None:
+def test_every_file_reads_as_packed(folders: Path, archive: Path) -> None:
     opened = Archive.opened(archive, None)
     for name in TRAIN:
         found = opened.read(name, list(ENDINGS))
         assert found == {kind: file_of(folders, name, kind).read_bytes() for kind in ENDINGS}
 
 
-def test_an_archive_that_is_not_packed_is_read_too(folders: Path, tmp_path: Path) -> None:
+def test_an_uncompressed_archive_is_read_too(folders: Path, tmp_path: Path) -> None:
     root = pack(Path(shutil.copytree(folders, tmp_path / "plain")), packed=False)
     opened = Archive.opened(root / BATCH / BODIES[0] / "data.tar", None)
     assert opened.read(TRAIN[1], ["sim"])["sim"] == file_of(folders, TRAIN[1], "sim").read_bytes()
 
 
-def test_an_archive_is_read_through_once(archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_archive_is_scanned_once(archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = tmp_path / "cache"
     Archive.opened(archive, cache)
     assert sorted(path.suffix for path in cache.iterdir()) == [".npz", ".windows"]
@@ -50,7 +50,7 @@ def test_an_archive_is_read_through_once(archive: Path, tmp_path: Path, monkeypa
     Archive.opened(archive, cache)
 
 
-def test_what_is_kept_of_another_archive_is_not_used(archive: Path) -> None:
+def test_the_index_of_another_archive_is_not_used(archive: Path) -> None:
     before = Archive.opened(archive, None)
     content = gzip.decompress(archive.read_bytes())
     archive.write_bytes(gzip.compress(content, 1))
@@ -60,7 +60,7 @@ def test_what_is_kept_of_another_archive_is_not_used(archive: Path) -> None:
     assert Archive.opened(archive, None).names == after.names
 
 
-def test_a_damaged_archive_is_named_with_the_way_out(archive: Path) -> None:
+def test_a_damaged_archive_is_named_with_a_remedy(archive: Path) -> None:
     whole = archive.read_bytes()
     archive.write_bytes(whole[:-2000])
     with pytest.raises(ShardError, match=r"data\.tar\.gz: a damaged archive .*: extract or download it again"):
@@ -75,7 +75,7 @@ def test_a_damaged_archive_is_named_with_the_way_out(archive: Path) -> None:
         Archive.opened(archive, None)
 
 
-def test_where_the_index_cannot_be_kept_another_place_is_asked_for(archive: Path) -> None:
+def test_an_unwritable_index_suggests_cache_dir(archive: Path) -> None:
     with public_folder() as folder:
         moved = Path(shutil.copy(archive, folder))
         with forbidden(folder, 0o555), pytest.raises(OutputError, match="or give another folder as cache_dir"):
@@ -86,7 +86,7 @@ def test_where_the_index_cannot_be_kept_another_place_is_asked_for(archive: Path
 
 
 def with_size(archive: Path, size: bytes, member: int = 0) -> None:
-    """Write the size field of a member anew, with a header checksum that holds."""
+    """Change the size field of a member, with a valid header checksum."""
     content = bytearray(gzip.decompress(archive.read_bytes()))
     place = content.index(b"ustar") - 257
     for _ in range(member):
@@ -100,14 +100,14 @@ def with_size(archive: Path, size: bytes, member: int = 0) -> None:
 @pytest.mark.parametrize(
     "size", [b"\xff" * 10 + b"\xfe\x00", b"\xff" * 12, b"\x80" + b"\x7f" * 11, b"\x80" + b"\xff" * 11]
 )
-def test_a_member_of_negative_or_endless_size_is_told(archive: Path, size: bytes) -> None:
-    """A size of -512 leads back to the header itself: the way through the archive would never end."""
+def test_a_member_of_negative_or_huge_size_is_reported(archive: Path, size: bytes) -> None:
+    """A size of -512 leads back to the same header: the scan would never end."""
     with_size(archive, size)
     with pytest.raises(ShardError, match=r"data\.tar\.gz: a damaged archive \(\S+ of -?\d+ bytes at byte 0"):
         Archive.opened(archive, None)
 
 
-def test_a_file_larger_than_any_garment_is_not_read(archive: Path) -> None:
+def test_a_file_over_the_limit_is_not_read(archive: Path) -> None:
     for member in range(20):
         with_size(archive, b"\x80" + (1 << 40).to_bytes(11, "big"), member)
         with pytest.raises(
@@ -117,7 +117,7 @@ def test_a_file_larger_than_any_garment_is_not_read(archive: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [gzip.compress(bytes(100_000_000)), gzip.compress(b"") * 20_000])
-def test_a_bomb_takes_little_memory_and_time(archive: Path, content: bytes) -> None:
+def test_a_decompression_bomb_takes_little_memory_and_time(archive: Path, content: bytes) -> None:
     archive.write_bytes(content)
     tracemalloc.start()
     with pytest.raises(ShardError, match="holds no garment of the published layout"):
@@ -126,9 +126,9 @@ def test_a_bomb_takes_little_memory_and_time(archive: Path, content: bytes) -> N
     tracemalloc.stop()
 
 
-def test_files_far_apart_are_read_one_by_one(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_distant_files_are_read_one_by_one(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = Archive.opened(archive, None).read(TRAIN[0], list(ENDINGS))
-    monkeypatch.setattr("gcd_dataset.release.archive.APART", 0)
+    monkeypatch.setattr("gcd_dataset.release.archive.GAP", 0)
     opened, block, read = Archive.opened(archive, None), Archive._block, []
 
     def noted(archive: Archive, first: int, size: int) -> bytes:
@@ -161,7 +161,7 @@ def kept_arrays(archive: Path) -> tuple[Path, dict[str, np.ndarray]]:
         {"names": np.array([1, 2, 3])},
     ],
 )
-def test_an_index_that_no_archive_gives_is_made_anew(archive: Path, change: dict[str, np.ndarray]) -> None:
+def test_an_impossible_index_is_rebuilt(archive: Path, change: dict[str, np.ndarray]) -> None:
     path, arrays = kept_arrays(archive)
     before = Archive.opened(archive, None).read(TRAIN[1], list(ENDINGS))
     with path.open("wb") as file:
@@ -169,7 +169,7 @@ def test_an_index_that_no_archive_gives_is_made_anew(archive: Path, change: dict
     assert Archive.opened(archive, None).read(TRAIN[1], list(ENDINGS)) == before
 
 
-def test_an_index_that_declares_a_terabyte_is_made_anew(archive: Path) -> None:
+def test_an_index_that_declares_a_terabyte_is_rebuilt(archive: Path) -> None:
     path, arrays = kept_arrays(archive)
     with zipfile.ZipFile(path, "w") as file:
         for name, array in arrays.items():
@@ -182,8 +182,8 @@ def test_an_index_that_declares_a_terabyte_is_made_anew(archive: Path) -> None:
     assert Archive.opened(archive, None).names == (*TRAIN, *TEST)
 
 
-def test_mutated_archives_are_told_or_read(archive: Path) -> None:
-    """Headers, names, sizes and checksums of the tar, wherever they are hit."""
+def test_mutated_archives_are_reported_or_read(archive: Path) -> None:
+    """Any byte of the tar: headers, names, sizes, checksums."""
     whole = gzip.decompress(archive.read_bytes())
     headers = [place for place in range(0, len(whole), 512) if whole[place + 257 : place + 262] == b"ustar"]
     random = np.random.default_rng(5)

@@ -1,4 +1,4 @@
-"""Files of published garments that were damaged, or written by other programs: each is told by its name."""
+"""Damaged or foreign files of published garments are reported by name."""
 
 import io
 import re
@@ -31,7 +31,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def own(folders: Path, tmp_path: Path) -> Path:
-    """A copy to be spoiled."""
+    """A copy to be damaged."""
     return Path(shutil.copytree(folders, tmp_path / "own"))
 
 
@@ -84,9 +84,9 @@ def doubling(name: str, times: int) -> bytes:
         ("box", without_elements, "not a binary PLY"),
         ("box", of_thousands_of_digits, "not a binary PLY"),
         ("sim", lambda content: b"", "not a binary PLY"),
-        ("sim", with_number(float("nan")), "a position beyond 1e\\+06, or that is no number"),
-        ("sim", with_number(3e38), "a position beyond 1e\\+06"),
-        ("box", with_number(float("inf")), "a position beyond 1e\\+06"),
+        ("sim", with_number(float("nan")), "a position coordinate that is over 1e\\+06, or NaN"),
+        ("sim", with_number(3e38), "a position coordinate that is over 1e\\+06"),
+        ("box", with_number(float("inf")), "a position coordinate that is over 1e\\+06"),
         ("front", with_broken_chunk, "not a picture"),
         ("front", of_many_pixels, "not a picture"),
         ("front", as_gif, "not a picture"),
@@ -99,7 +99,7 @@ def doubling(name: str, times: int) -> bytes:
         ("design", lambda content: b"design: {a: " + b"[" * 100 + b"]" * 100 + b"}", "more than 64 levels"),
         ("design", lambda content: b"design: !!bool maybe", "not YAML"),
         ("measures", lambda content: b"body: {height: " + b"9" * 5000 + b"}", "not YAML|height is"),
-        ("vertex_labels", lambda content: b"a: [99999999]", "is no list of the mesh's vertices"),
+        ("vertex_labels", lambda content: b"a: [99999999]", "is no list of vertices of the mesh"),
         ("segmentation", lambda content: b"stitch_" + b"9" * 5000 + b"\n" + content, "labels"),
         ("segmentation", lambda content: content.replace(b"stitch_0", b"stitch_" + b"9" * 5000), "names a stitch"),
     ],
@@ -113,10 +113,10 @@ def test_a_file_of_another_form_is_named(own: Path, kind: str, change: Callable[
     assert "\n" not in str(caught.value)
 
 
-def test_a_body_that_is_no_map_names_nobody(own: Path) -> None:
+def test_an_invalid_body_entry_is_reported(own: Path) -> None:
     path = file_of(own, TRAIN[0], "measures", BODIES[1])
     path.write_bytes(b"body: text")
-    with pytest.raises(ShardError, match="does not say who wears the garment") as caught:
+    with pytest.raises(ShardError, match="body_sample is missing") as caught:
         PublishedGarmentCodeData(own, bodies="random", fields=["meta"])[0]
     assert str(caught.value).startswith(f"{path}: ")
 
@@ -131,7 +131,7 @@ def test_a_body_that_is_no_map_names_nobody(own: Path) -> None:
         b'{"stamp": STAMP, "fails": ["rand_AAAAAAAAA0"], "facts": {}}',
     ],
 )
-def test_kept_properties_that_nobody_keeps_are_made_anew(own: Path, kept: bytes) -> None:
+def test_invalid_cached_properties_are_made_again(own: Path, kept: bytes) -> None:
     read_first(own)
     (path,) = (own / BATCH / BODIES[0]).glob(".*.gcd.json")
     stamp = re.search(rb"\[[\d, ]+\]", path.read_bytes())
@@ -140,7 +140,7 @@ def test_kept_properties_that_nobody_keeps_are_made_anew(own: Path, kept: bytes)
     read_first(own)
 
 
-def test_properties_of_many_kinds_are_told(own: Path) -> None:
+def test_invalid_properties_are_reported(own: Path) -> None:
     path = own / BATCH / BODIES[0] / properties_name(BODIES[0])
     for content in (
         b"[" * 3000,
@@ -155,7 +155,7 @@ def test_properties_of_many_kinds_are_told(own: Path) -> None:
         assert str(caught.value).startswith(f"{path}: ")
 
 
-def test_the_nearest_split_and_bodies_are_told(folders: Path) -> None:
+def test_the_nearest_split_and_bodies_are_suggested(folders: Path) -> None:
     with pytest.raises(ConfigError, match=r"split='trian': there is .*: did you mean train\?"):
         PublishedGarmentCodeData(folders, "trian")
     with pytest.raises(ConfigError, match=r"bodies='defualt': there is .*: did you mean default\?"):
@@ -163,8 +163,8 @@ def test_the_nearest_split_and_bodies_are_told(folders: Path) -> None:
 
 
 @pytest.mark.skipif(not EXAMPLES.exists(), reason="takes the published examples")
-def test_mutated_published_garments_are_told_or_read(tmp_path: Path) -> None:
-    """Every file of a garment that others have made, byte by byte."""
+def test_mutated_published_garments_are_reported_or_read(tmp_path: Path) -> None:
+    """Every file of a garment by the authors, byte by byte."""
     root = tmp_path / "root"
     source = next(path for path in EXAMPLES.glob("*/default_body/data/*") if path.is_dir())
     place = root / source.relative_to(EXAMPLES)
@@ -186,7 +186,7 @@ def test_mutated_published_garments_are_told_or_read(tmp_path: Path) -> None:
         path.write_bytes(whole)
 
 
-def test_a_side_of_no_flat_length_has_no_stretch(folders: Path) -> None:
+def test_an_edge_of_no_flat_length_has_no_stretch(folders: Path) -> None:
     sample = PublishedGarmentCodeData(folders, bodies="default").sample(0)
     assert sample.box_mesh is not None
     assert sample.drape is not None

@@ -1,4 +1,4 @@
-"""The authors' shape space, from a file that is written here in their format."""
+"""The authors' shape space, read from a file written by the test."""
 
 import struct
 from pathlib import Path
@@ -67,11 +67,11 @@ def test_a_body_is_dressed_on_the_published_mesh(shapes: PcaShapes) -> None:
         shapes.body(np.ones(3), BodyMesh(faces, np.zeros(4, np.uint8)))
     with pytest.raises(BodyError, match="without parts"):
         shapes.body(np.ones(3), BodyMesh(faces))
-    with pytest.raises(BodyError, match=r"weights of shape \(2,\), components are 3"):
+    with pytest.raises(BodyError, match=r"weights of shape \(2,\), for 3 components"):
         shapes.vertices(np.ones(2))
 
 
-def test_a_pointer_of_git_lfs_is_told(tmp_path: Path) -> None:
+def test_a_git_lfs_pointer_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "point.pca"
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 10000000\n")
     with pytest.raises(BodyError, match="git lfs pull"):
@@ -79,7 +79,7 @@ def test_a_pointer_of_git_lfs_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("length", [0, 7, 8, 200, 487])
-def test_a_file_that_is_cut_off_is_told(tmp_path: Path, length: int) -> None:
+def test_a_truncated_file_is_reported(tmp_path: Path, length: int) -> None:
     path = write_pca(tmp_path / "point.pca")
     whole = path.read_bytes()
     assert len(whole) == 8 + 8 * (45 + 15 + 3)
@@ -97,26 +97,26 @@ def nan_in(array: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"header": (3, 15)}, "beginning with 3 and 15: no point"),
+        ({"header": (3, 15)}, "beginning with 3 and 15: not a point"),
         ({"header": (14, 3)}, "beginning with 14 and 3"),
         ({"header": (0, 0)}, "beginning with 0 and 0"),
-        ({"mean": nan_in(MEAN)}, "no number"),
-        ({"components": nan_in(COMPONENTS)}, "no number"),
-        ({"components": COMPONENTS.T.copy()}, "not of length 1 and square"),  # row by row, not component by component
-        ({"components": 2 * COMPONENTS}, "not of length 1 and square"),
+        ({"mean": nan_in(MEAN)}, "NaN or infinity"),
+        ({"components": nan_in(COMPONENTS)}, "NaN or infinity"),
+        ({"components": COMPONENTS.T.copy()}, "not orthonormal"),  # row by row, not component by component
+        ({"components": 2 * COMPONENTS}, "not orthonormal"),
         ({"variance": VARIANCE[::-1]}, "do not fall to 0"),
         ({"variance": VARIANCE - 0.02}, "do not fall to 0"),
         ({"variance": 1e4 * VARIANCE}, "moves the skin by 894 cm"),
-        ({"components": 1e200 * COMPONENTS}, "not of length 1 and square"),
+        ({"components": 1e200 * COMPONENTS}, "not orthonormal"),
         ({"mean": 100 * MEAN}, "172 m tall"),
         ({"mean": MEAN[:, [1, 2, 0]]}, "m tall"),
     ],
 )
-def test_what_is_no_shape_space_is_told(tmp_path: Path, changed: dict[str, np.ndarray], told: str) -> None:
+def test_a_file_that_is_no_shape_space_is_reported(tmp_path: Path, changed: dict[str, np.ndarray], told: str) -> None:
     with pytest.raises(BodyError, match=told):
         read_pca(write_pca(tmp_path / "point.pca", **changed))  # type: ignore[arg-type]
 
 
-def test_no_file_is_told(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(BodyError, match="no such file"):
         read_pca(tmp_path / "point.pca")

@@ -1,4 +1,4 @@
-"""Folders of fake garments, and what lies in them."""
+"""Folders of fake garments, and hashes of their contents."""
 
 import contextlib
 import hashlib
@@ -15,7 +15,7 @@ SHARD_SIZE = 4
 
 
 def fill(folder: Path, indices: Iterable[int], *, seed: int = 0) -> Path:
-    """Put samples into a folder, in one sitting."""
+    """Write samples to a folder with one writer."""
     with open_writer(folder, seed=seed) as writer:
         for index in indices:
             writer.write(fake_sample(seed, index))
@@ -28,7 +28,7 @@ def open_writer(folder: Path, *, seed: int = 0, split: str = "train") -> ShardWr
 
 @contextlib.contextmanager
 def public_folder() -> Iterator[Path]:
-    """A folder that everybody can reach, other than those of pytest."""
+    """A folder that all users can enter, unlike pytest's."""
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o755)
         yield Path(name)
@@ -36,7 +36,7 @@ def public_folder() -> Iterator[Path]:
 
 @contextlib.contextmanager
 def forbidden(path: Path, mode: int) -> Iterator[None]:
-    """Let ``path`` have these permissions, and let us be somebody to whom they apply: nothing is closed to root."""
+    """Set the permissions of ``path``; as root, also switch to an unprivileged user, since root may read anything."""
     before = path.stat().st_mode
     path.chmod(mode)
     root = os.geteuid() == 0
@@ -51,5 +51,5 @@ def forbidden(path: Path, mode: int) -> Iterator[None]:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """File name to a hash of the content, hidden files too."""
+    """File name to hash of its content, hidden files included."""
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}

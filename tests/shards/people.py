@@ -1,4 +1,4 @@
-"""People of a few vertices, sets of them, and the folder in which they would have been published."""
+"""People of a few vertices, as body sets and in the published layout."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -23,7 +23,7 @@ MESH = BodyMesh(
 
 
 def fake_person(index: int) -> Person:
-    """A tetrahedron that stands with its left and its right foot apart or not."""
+    """A tetrahedron whose two lower corners are the feet."""
     random = np.random.default_rng(index)
     height = random.uniform(150.0, 190.0)
     straight = np.array([[10, 0, 10], [-10, 0, 10], [0, 0, -10], [0, height, 0]], np.float32)
@@ -39,7 +39,7 @@ def fake_person(index: int) -> Person:
 
 
 def fill(folder: Path, indices: Iterable[int], *, seed: int = 0, mesh: BodyMesh = MESH) -> Path:
-    """Put people into a folder, in one sitting."""
+    """Write people to a folder with one writer."""
     with open_writer(folder, seed=seed, mesh=mesh) as writer:
         for index in indices:
             writer.write(index, fake_person(index))

@@ -1,4 +1,4 @@
-"""Real garments: sewing patterns made on the spot, and what an earlier version of this package has written."""
+"""Real garments: sewing patterns generated for the tests, and data sets written by an earlier version."""
 
 import tarfile
 from functools import cache

@@ -1,4 +1,4 @@
-"""The lock that writers hold: whoever waits for it gets it."""
+"""The writer lock: a waiting process gets it."""
 
 import fcntl
 import os
@@ -9,8 +9,8 @@ import pytest
 from gcd_dataset.shards.access import locked
 
 
-def test_a_process_forked_under_the_lock_keeps_it_from_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a worker of a ``DataLoader`` is, while a thread of its parent writes the cache and another process waits."""
+def test_a_process_forked_under_the_lock_does_not_keep_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers forked by a parent that holds the cache lock; another process waits for the lock."""
     first, real = locked(tmp_path / ".lock", "writing", wait=True), fcntl.flock
     ended, end = os.pipe()
     first.__enter__()
@@ -21,7 +21,7 @@ def test_a_process_forked_under_the_lock_keeps_it_from_nobody(tmp_path: Path, mo
         os._exit(0)
 
     def waited_for(file: int, operation: int) -> None:
-        """The second has opened the file when the first lets go of it."""
+        """The second process has opened the lock file when the first releases it."""
         monkeypatch.undo()
         with pytest.raises(BlockingIOError):
             real(file, operation | fcntl.LOCK_NB)

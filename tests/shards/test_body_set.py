@@ -1,4 +1,4 @@
-"""Body sets: what comes out is what was put in, in the same bytes however it came about."""
+"""Body sets: people are read back unchanged, and the bytes do not depend on the way of writing."""
 
 import random
 from dataclasses import replace
@@ -24,11 +24,11 @@ ORIGIN = {"index": 3, "seed": 0, "recipe": RECIPE, "versions": {"gcd_dataset": "
 
 @pytest.fixture
 def whole(tmp_path: Path) -> Path:
-    """Ten people in shards of four, written in one go."""
+    """Ten people in shards of four, by one writer."""
     return fill(tmp_path / "whole", range(10))
 
 
-def test_a_person_comes_back_to_the_last_bit() -> None:
+def test_encoding_a_person_is_lossless() -> None:
     person = fake_person(3)
     again = decode_person(encode_person(person, ORIGIN))
     assert replace(again, measurements=person.measurements) == person
@@ -37,7 +37,7 @@ def test_a_person_comes_back_to_the_last_bit() -> None:
         assert getattr(again.measurements, name) == pytest.approx(getattr(person.measurements, name), rel=1e-15)
 
 
-def test_measures_nobody_took_stay_unknown() -> None:
+def test_missing_measures_stay_missing() -> None:
     person = fake_person(3)
     person = replace(person, measurements=replace(person.measurements, underbust=np.nan))
     members = encode_person(person, ORIGIN)
@@ -46,24 +46,24 @@ def test_measures_nobody_took_stay_unknown() -> None:
     assert [MEASURES[i] for i in np.flatnonzero(np.isnan(row))] == ["underbust"]
 
 
-def test_positions_that_are_no_numbers_are_not_stored() -> None:
+def test_nan_positions_are_not_stored() -> None:
     broken = np.array(fake_person(3).apart)
     broken[1, 2] = np.nan
-    with pytest.raises(ShardError, match="person fake:3 cannot be stored: apart holds what is no number"):
+    with pytest.raises(ShardError, match="person fake:3 cannot be stored: apart holds NaN or infinity"):
         encode_person(replace(fake_person(3), apart=broken), ORIGIN)
     shape = replace(fake_person(3).shape, arm_angle=np.inf)
     with pytest.raises(ShardError, match="person fake:3 cannot be stored"):
         encode_person(replace(fake_person(3), shape=shape), ORIGIN)
 
 
-def test_the_order_of_writing_leaves_no_trace(whole: Path, tmp_path: Path) -> None:
+def test_bytes_do_not_depend_on_the_order_of_writing(whole: Path, tmp_path: Path) -> None:
     indices = list(range(10))
     random.Random(3).shuffle(indices)
     assert contents(fill(tmp_path / "shuffled", indices)) == contents(whole)
 
 
 @pytest.mark.parametrize("stop", [0, 3, 4, 9])
-def test_an_interrupted_run_goes_on_to_the_same_bytes(whole: Path, tmp_path: Path, stop: int) -> None:
+def test_an_interrupted_run_continues_to_the_same_bytes(whole: Path, tmp_path: Path, stop: int) -> None:
     folder = tmp_path / "interrupted"
     with pytest.raises(KeyboardInterrupt), open_writer(folder) as writer:
         for index in range(stop):
@@ -74,7 +74,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(whole: Path, tmp_path: Pat
     assert contents(fill(folder, range(stop, 10))) == contents(whole)
 
 
-def test_what_a_kill_left_is_taken_up(whole: Path, tmp_path: Path) -> None:
+def test_a_part_file_of_a_killed_run_is_recovered(whole: Path, tmp_path: Path) -> None:
     folder = fill(tmp_path / "killed", range(4))
     torn = (whole / "train-00001.tar").read_bytes()
     (folder / "train-00001.tar.part").write_bytes(torn[: len(torn) // 2])
@@ -84,7 +84,7 @@ def test_what_a_kill_left_is_taken_up(whole: Path, tmp_path: Path) -> None:
     assert contents(fill(folder, sorted(set(range(10)) - done))) == contents(whole)
 
 
-def test_index_and_mesh_are_made_again(whole: Path, tmp_path: Path) -> None:
+def test_deleted_index_and_mesh_are_written_again(whole: Path, tmp_path: Path) -> None:
     for name in ("index-train.npz", mesh_name("train")):
         (whole / name).unlink()
     with open_writer(whole) as writer:
@@ -103,7 +103,7 @@ def test_webdataset_reads_them(whole: Path) -> None:
         assert sample["measures.json"] == fake_person(index).measurements.to_file_values()
 
 
-def test_the_manifest_tells_what_is_in_the_shards(whole: Path) -> None:
+def test_the_manifest_lists_the_shards(whole: Path) -> None:
     manifest = read_manifest(whole)
     assert manifest is not None
     split = manifest.splits["train"]
@@ -112,7 +112,7 @@ def test_the_manifest_tells_what_is_in_the_shards(whole: Path) -> None:
     assert [shard.count for shard in split.shards] == [4, 4, 2]
 
 
-def test_a_set_is_not_gone_on_with_on_another_mesh(whole: Path) -> None:
+def test_a_set_is_not_continued_on_another_mesh(whole: Path) -> None:
     turned = replace(MESH, faces=MESH.faces[::-1])
     with pytest.raises(ConfigError, match=f"mesh='{MESH.sha256}', asked for mesh='{turned.sha256}'"):
         open_writer(whole, mesh=turned)
@@ -131,7 +131,7 @@ def test_people_on_another_mesh_are_not_stored(tmp_path: Path) -> None:
     assert contents(tmp_path) == contents(fill(tmp_path / "nobody", []))
 
 
-def test_garments_and_bodies_are_told_apart(whole: Path, tmp_path: Path) -> None:
+def test_garments_and_bodies_are_distinguished(whole: Path, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="an index of bodies, not of garments: read them with BodyDataset"):
         ShardReader(whole)
     with pytest.raises(ShardError, match="an index of bodies"):

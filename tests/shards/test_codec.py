@@ -1,4 +1,4 @@
-"""A sample as files, and back."""
+"""Encoding and decoding of samples."""
 
 import io
 import json
@@ -28,7 +28,7 @@ def sample() -> Sample:
 
 
 def stages(sample: Sample) -> Iterator[Sample]:
-    """The sample as ``--stage`` drape, mesh and pattern leave it."""
+    """The sample after ``--stage`` drape, mesh and pattern."""
     yield sample
     yield replace(sample, drape=None, front=None, back=None)
     yield replace(sample, shape=None, box_mesh=None, drape=None, points=None, front=None, back=None)
@@ -73,7 +73,7 @@ def test_a_second_round_trip_changes_no_byte(sample: Sample) -> None:
         assert encode_sample(decode_sample(members)) == members
 
 
-def test_a_drape_that_flew_apart_is_kept(sample: Sample) -> None:
+def test_a_diverged_drape_is_stored(sample: Sample) -> None:
     assert sample.drape is not None
     wrecked = replace(sample.drape, vertices=np.full((3, 3), np.nan), outcome=Outcome.DIVERGED, stretch_p99=np.nan)
     again = decode_sample(encode_sample(replace(sample, drape=wrecked))).drape
@@ -88,7 +88,7 @@ def test_meta_names_the_hash_of_every_other_member(sample: Sample) -> None:
     assert crc == {name: zlib.crc32(members[name]) for name in MEMBERS[1:]}
 
 
-def test_points_of_a_real_garment_are_kept_to_a_twentieth_of_a_millimetre(tmp_path: Path) -> None:
+def test_points_of_a_real_garment_are_stored_to_a_twentieth_of_a_millimetre(tmp_path: Path) -> None:
     drape = ShardReader(first_schema(tmp_path) / "drapes").sample(0)
     assert drape.box_mesh is not None
     assert drape.drape is not None
@@ -104,14 +104,14 @@ def test_points_of_a_real_garment_are_kept_to_a_twentieth_of_a_millimetre(tmp_pa
 
 
 @pytest.mark.parametrize("count", [1, 127, 128, 129, 400])
-def test_any_number_of_points_comes_back(sample: Sample, count: int) -> None:
+def test_any_number_of_points_is_decoded(sample: Sample, count: int) -> None:
     points = np.random.default_rng(count).normal(size=(count, 6)) * [30, 30, 30, 0.5, 0.5, 0.5] + [0, 90, 0, 0, 0, 0]
     read = decode_fields(encode_sample(replace(sample, points=points)), ["points"])["points"]
     assert np.abs(read[:, :3] - points[:, :3]).max() < 0.005
     assert np.allclose(read[:, 3:], np.clip(points[:, 3:], -1, 1), atol=1e-4)
 
 
-def test_points_that_are_no_numbers_stay_so(sample: Sample) -> None:
+def test_nan_points_stay_nan(sample: Sample) -> None:
     assert sample.points is not None
     points = sample.points.copy()
     points[3, 1], points[5, 4] = np.nan, np.inf
@@ -124,7 +124,7 @@ def test_points_that_are_no_numbers_stay_so(sample: Sample) -> None:
 
 
 def full(sample: Sample) -> Sample:
-    """The sample with all that later steps fill."""
+    """The sample with caption, views and all other optional values."""
     assert sample.drape is not None
     assert sample.front is not None
     return replace(
@@ -140,7 +140,7 @@ def full(sample: Sample) -> Sample:
     )
 
 
-def test_what_later_steps_fill_comes_back(sample: Sample) -> None:
+def test_members_of_later_steps_are_decoded(sample: Sample) -> None:
     members = encode_sample(full(sample))
     assert tuple(members) == garments_layout(caption=True, views=2).members
     again = decode_sample(members)
@@ -156,7 +156,7 @@ def test_what_later_steps_fill_comes_back(sample: Sample) -> None:
 
 
 def form(value: object) -> object:
-    """The types of a value, through and through; of a list that of its entries."""
+    """The nested types of a value; of a list, the type of its entries."""
     if isinstance(value, dict):
         return {name: form(entry) for name, entry in value.items()}
     if isinstance(value, list):
@@ -180,13 +180,13 @@ def test_meta_and_measures_have_the_same_keys_and_types_in_every_sample(sample: 
         assert all(one == forms[0] for one in forms)
 
 
-def test_measures_that_nobody_took_are_left_out_of_items(sample: Sample) -> None:
+def test_missing_measures_are_left_out_of_items(sample: Sample) -> None:
     members = encode_sample(sample)
     assert len(json.loads(members["measures.json"])) == len(MEASURES)
     assert decode_fields(members, ["measures"])["measures"] == sample.measurements.to_file_values()
 
 
-def test_arrays_are_what_numpy_reads(sample: Sample) -> None:
+def test_numpy_reads_the_arrays(sample: Sample) -> None:
     members = encode_sample(sample)
     loaded = decode_fields(members)
     for field, member in FIELDS.items():
@@ -239,7 +239,7 @@ def test_pictures_are_channels_first(sample: Sample) -> None:
     assert front[0].mean() > 240 > 20 > front[1].mean()
 
 
-def test_unknown_fields_are_told_with_those_there_are(sample: Sample) -> None:
+def test_an_unknown_field_is_reported_with_the_known_ones(sample: Sample) -> None:
     with pytest.raises(ConfigError, match=r"no field verst: there are meta, .*verts"):
         decode_fields(encode_sample(sample), ["verst"])
 
@@ -254,7 +254,7 @@ def test_npy_round_trip(dtype: str, shape: tuple[int, ...]) -> None:
     assert (len(file) - array.nbytes) % 64 == 0
 
 
-def test_npy_refuses_what_needs_pickle_and_what_is_cut_off() -> None:
+def test_npy_refuses_object_arrays_and_truncated_files() -> None:
     with pytest.raises(ShardError, match="only numbers"):
         write_npy(np.array([{}]))
     with pytest.raises(ShardError, match="bytes for float64 of shape"):

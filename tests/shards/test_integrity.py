@@ -1,4 +1,4 @@
-"""Edited, damaged and enormous files: told in one line that names the file, before anything large is allocated."""
+"""Edited, damaged and huge files are reported in one line that names the file, before anything large is allocated."""
 
 import io
 import json
@@ -21,11 +21,11 @@ from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import MEMBERS, ShardReader, decode_sample, encode_sample, read_index
 from gcd_dataset.shards.arrays import Column, read_arrays
 from gcd_dataset.shards.codec import decode_field
+from gcd_dataset.shards.foreign_member import decode_member
 from gcd_dataset.shards.index import ShardIndex
 from gcd_dataset.shards.layout import shard_number
 from gcd_dataset.shards.meta import read_meta, sealed
 from gcd_dataset.shards.npy import read_any_npy, read_npy, write_npy
-from gcd_dataset.shards.plain import decode_member
 from gcd_dataset.shards.tar import BLOCK, END, tar_entry
 from tests.shards.folders import fill
 
@@ -51,14 +51,14 @@ def shard_of(folder: Path, *samples: dict[str, bytes]) -> Path:
 
 
 def resealed(members: dict[str, bytes], **entries: Any) -> dict[str, bytes]:
-    """The sample with other entries in its ``meta.json``, and the checksums that belong to its members."""
+    """The sample with changed entries in its ``meta.json``, and matching checksums."""
     meta = json.loads(members["meta.json"]) | {"crc32": {m: zlib.crc32(members[m]) for m in MEMBERS[1:]}} | entries
     del meta["crc32_before"]
     return {**members, "meta.json": sealed(meta)}
 
 
 def edited(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> Path:
-    """The folder with another index."""
+    """The folder with an edited index."""
     path = folder / "index-train.npz"
     arrays = dict(np.load(path))
     change(arrays)
@@ -70,7 +70,7 @@ def edited(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> P
 
 
 def test_a_flipped_bit_in_meta_is_found_by_every_reader(folder: Path) -> None:
-    """Whichever byte it is in."""
+    """In any byte."""
     path = folder / "train-00000.tar"
     whole = path.read_bytes()
     size = int(whole[124:135], 8)
@@ -87,16 +87,16 @@ def test_a_flipped_bit_in_meta_is_found_by_every_reader(folder: Path) -> None:
         (folder / "kept").rename(folder / "index-train.npz")
 
 
-def test_samples_that_were_swapped_in_the_index_are_told(folder: Path) -> None:
+def test_samples_swapped_in_the_index_are_reported(folder: Path) -> None:
     def swap(arrays: dict[str, np.ndarray]) -> None:
         arrays["sample"][[0, 1]] = arrays["sample"][[1, 0]]
 
-    with pytest.raises(ShardError, match=r"index-train\.npz: .*not those that were written.*: delete it"):
+    with pytest.raises(ShardError, match=r"index-train\.npz: .*its digest does not match.*: delete it"):
         GarmentDataset(edited(folder, swap))
 
 
 @pytest.mark.parametrize("name", ["sample", "offset", "size", "crc", "settled", "length"])
-def test_every_edited_column_is_told(folder: Path, name: str) -> None:
+def test_every_edited_column_is_reported(folder: Path, name: str) -> None:
     def change(arrays: dict[str, np.ndarray]) -> None:
         arrays[name].reshape(-1)[-1] ^= 1
 
@@ -104,20 +104,20 @@ def test_every_edited_column_is_told(folder: Path, name: str) -> None:
         GarmentDataset(edited(folder, change))
 
 
-def test_a_sample_under_another_number_is_told(folder: Path) -> None:
-    """Where the index is whole, and wrong: made of other shards, or in schema 1."""
+def test_a_sample_under_another_number_is_reported(folder: Path) -> None:
+    """The index is valid but of other shards, or of schema 1."""
     index = read_index(folder)
     sample = index.table.sample.copy()
     sample[[0, 1]] = sample[[1, 0]]
     object.__setattr__(index.table, "sample", sample)
     index.write(folder / "index-train.npz")
-    with pytest.raises(ShardError, match=r"train-00000\.tar: sample 1 where the index has gcd_000000000: delete the"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: holds sample 1 where the index has gcd_000000000: delete"):
         GarmentDataset(folder, fields=["meta"])[0]
     with pytest.raises(ShardError, match="sample 0 where the index has gcd_000000001"):
         GarmentDataset(folder, verify="off").verify(1)
 
 
-def test_points_of_damaged_meta_are_not_given(folder: Path) -> None:
+def test_points_of_a_damaged_meta_are_not_decoded(folder: Path) -> None:
     content = bytearray((folder / "train-00000.tar").read_bytes())
     place = content.index(b'"centre":[') + len(b'"centre":[') + 1
     content[place] = ord("9")
@@ -154,7 +154,9 @@ BROKEN_INDICES: dict[str, Callable[[dict[str, np.ndarray]], object]] = {
 
 
 @pytest.mark.parametrize("change", BROKEN_INDICES.values(), ids=BROKEN_INDICES)
-def test_a_broken_index_is_one_line(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> None:
+def test_errors_about_a_broken_index_are_one_line(
+    folder: Path, change: Callable[[dict[str, np.ndarray]], object]
+) -> None:
     with pytest.raises(ShardError, match=r"index-train\.npz: not an index") as error:
         GarmentDataset(edited(folder, change))
     assert "\n" not in str(error.value)
@@ -164,8 +166,8 @@ def test_a_broken_index_is_one_line(folder: Path, change: Callable[[dict[str, np
     ("name", "value"),
     [("offset", 2**63 - 1), ("offset", -5), ("size", 2**32 - 1), ("sample", -1), ("shard", 9), ("length", -1)],
 )
-def test_a_place_outside_the_shard_is_told(folder: Path, name: str, value: int) -> None:
-    """In schema 1 too, whose index has no digest."""
+def test_an_offset_outside_the_shard_is_reported(folder: Path, name: str, value: int) -> None:
+    """Also in schema 1, where the index has no digest."""
     arrays = dict(np.load(folder / "index-train.npz"))
     changed = arrays[name].copy()
     changed.reshape(-1)[-1] = value
@@ -199,18 +201,18 @@ def test_an_index_that_declares_gigabytes_is_refused(folder: Path) -> None:
         GarmentDataset(folder)
     path.write_bytes(b"")
     os.truncate(path, 8 << 30)
-    with pytest.raises(ShardError, match=r"index-train\.npz: 8589934592 bytes, where \d+ are read"):
+    with pytest.raises(ShardError, match=r"index-train\.npz: 8589934592 bytes, over the limit of \d+"):
         GarmentDataset(folder)
 
 
-def test_archives_of_arrays_that_are_none() -> None:
+def test_broken_npz_archives_are_reported() -> None:
     file = io.BytesIO()
     np.savez(file, a=np.zeros(3))
     assert read_arrays(file.getvalue(), {"a": Column("f", 1)})["a"].tolist() == [0, 0, 0]
     for content in (b"", b"PK", file.getvalue()[:-30], file.getvalue()[:50] + bytes(40) + file.getvalue()[90:]):
         with pytest.raises(ShardError):
             read_arrays(content, {"a": Column("f", 1)})
-    with pytest.raises(ShardError, match="no column b"):
+    with pytest.raises(ShardError, match="column b is missing"):
         read_arrays(file.getvalue(), {"b": Column("f", 1)})
 
 
@@ -239,13 +241,13 @@ BROKEN_MANIFESTS: dict[str, Callable[[dict[str, Any]], object]] = {
     "kind": changed_split(kind=None),
     "split": lambda manifest: manifest["splits"].update({"../evil": manifest["splits"]["train"]}),
     "splits": lambda manifest: manifest.update(splits=3),
-    "no schema": lambda manifest: manifest.pop("schema"),
+    "schema is missing": lambda manifest: manifest.pop("schema"),
     "true schema": lambda manifest: manifest.update(schema=True),
 }
 
 
 @pytest.mark.parametrize("change", BROKEN_MANIFESTS.values(), ids=BROKEN_MANIFESTS)
-def test_a_broken_manifest_is_one_line(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
+def test_errors_about_a_broken_manifest_are_one_line(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
     manifest = json.loads((folder / "manifest.json").read_text())
     change(manifest)
     (folder / "manifest.json").write_text(json.dumps(manifest))
@@ -257,7 +259,7 @@ def test_a_broken_manifest_is_one_line(folder: Path, change: Callable[[dict[str,
     "content", [DEEP, HUGE, b"[]", b"\xff", b"NaN"], ids=["deep", "digits", "list", "bytes", "NaN"]
 )
 @pytest.mark.parametrize("name", ["manifest.json", "download.json"])
-def test_side_files_of_strange_json_are_one_line(folder: Path, name: str, content: bytes) -> None:
+def test_errors_about_strange_json_are_one_line(folder: Path, name: str, content: bytes) -> None:
     (folder / name).write_bytes(content)
     with pytest.raises(ShardError, match=rf"{name}: not "):
         GarmentDataset(folder)
@@ -278,7 +280,7 @@ def test_side_files_of_strange_json_are_one_line(folder: Path, name: str, conten
     ids=str,
 )  # fmt: skip
 @pytest.mark.parametrize("streaming", [False, True])
-def test_strange_meta_is_one_line(tmp_path: Path, entries: dict[str, Any], streaming: bool) -> None:
+def test_errors_about_strange_meta_are_one_line(tmp_path: Path, entries: dict[str, Any], streaming: bool) -> None:
     folder = shard_of(tmp_path / "data", resealed(encode_sample(fake_sample(0, 0)), **entries))
     with pytest.raises(ShardError, match=r"train-00000\.tar: sample gcd_000000000"):
         list(GarmentDataset(folder, streaming=streaming))
@@ -296,7 +298,7 @@ def test_strange_meta_is_one_line(tmp_path: Path, entries: dict[str, Any], strea
         ("front.jpg", b"\xff\xd8"), ("front.jpg", b""),
     ],
 )  # fmt: skip
-def test_strange_members_are_told_with_shard_and_sample(tmp_path: Path, member: str, content: bytes) -> None:
+def test_errors_about_strange_members_name_shard_and_sample(tmp_path: Path, member: str, content: bytes) -> None:
     members = resealed({**encode_sample(fake_sample(0, 0)), member: content})
     # Beside a sample that holds every field.
     ds = GarmentDataset(shard_of(tmp_path / "data", members, encode_sample(fake_sample(0, 1))))
@@ -306,16 +308,16 @@ def test_strange_members_are_told_with_shard_and_sample(tmp_path: Path, member: 
         ShardReader(tmp_path / "data").sample(0) if member != "front.jpg" else ds[0]
 
 
-def test_a_sample_whose_members_do_not_fit_is_one_line() -> None:
+def test_errors_about_contradictory_members_are_one_line() -> None:
     members = encode_sample(fake_sample(0, 0))
     with pytest.raises(ShardError, match="outcome 'FLEW'"):
         drape = {**json.loads(members["meta.json"])["drape"], "outcome": "FLEW"}
         decode_sample(resealed(members, drape=drape))
-    with pytest.raises(ShardError, match=r"gcd_000000000: .*do not fit together"):
+    with pytest.raises(ShardError, match=r"gcd_000000000: .*contradict each other"):
         decode_sample(resealed(members, vertex_labels=["nobody"]))
-    with pytest.raises(ShardError, match=r"gcd_000000000: .*do not fit together"):
+    with pytest.raises(ShardError, match=r"gcd_000000000: .*contradict each other"):
         decode_sample(resealed(members, grade="good"))
-    with pytest.raises(ShardError, match=r"member meta\.json: no pattern"):
+    with pytest.raises(ShardError, match=r"member meta\.json: pattern is missing"):
         meta = json.loads(members["meta.json"])
         del meta["pattern"], meta["crc32_before"]
         decode_sample({**members, "meta.json": sealed(meta)})
@@ -340,7 +342,7 @@ def test_pictures_of_a_hundred_million_pixels_are_not_decoded() -> None:
     with pytest.raises(ShardError, match=r"member front\.jpg: not a picture"):
         decode_field("front", {"front.jpg": png_of(16)})
     for side in (9_000, 13_000, 60_000):
-        with pytest.raises(ShardError, match=r"member seg\.png: not what its name says"):
+        with pytest.raises(ShardError, match=r"member seg\.png: does not match its ending"):
             decode_member("seg.png", png_of(side))
 
 
@@ -359,7 +361,7 @@ def test_foreign_numbers_are_compared_with_their_bytes() -> None:
     assert np.array_equal(read_any_npy(file.getvalue(), "i"), array)
     assert decode_member("a.json", b'{"n": NaN}')["n"] != 0  # Python writes it
     for member, content in (("a.json", DEEP), ("a.json", HUGE), ("a.cls", b"9" * 5000)):
-        with pytest.raises(ShardError, match=rf"member {member}: not what its name says"):
+        with pytest.raises(ShardError, match=rf"member {member}: does not match its ending"):
             decode_member(member, content)
 
 
@@ -375,11 +377,11 @@ def test_a_meta_of_gigabytes_is_refused_before_it_is_read(tmp_path: Path) -> Non
         GarmentDataset(tmp_path)
 
 
-def test_brackets_in_words_are_no_depth() -> None:
+def test_brackets_in_strings_do_not_count_as_nesting() -> None:
     members = encode_sample(fake_sample(0, 0))
     recipe = json.dumps({"note": "[" * 3 * DEEPEST})
     assert read_meta(resealed(members, recipe=recipe)["meta.json"])["recipe"]["note"] == "[" * 3 * DEEPEST
 
 
-def test_a_shard_of_a_number_without_end_is_none() -> None:
+def test_a_shard_number_with_too_many_digits_is_ignored() -> None:
     assert shard_number(f"train-{'9' * 5004}.tar", "train") is None

@@ -1,4 +1,4 @@
-"""Reading shards: random access, and every flipped byte found."""
+"""Reading shards: random access, and detection of every flipped byte."""
 
 import json
 import multiprocessing
@@ -44,14 +44,14 @@ def test_members_come_back_in_any_order(folder: Path) -> None:
     assert shards.read(3, ["verts.npy", "faces.npy"]).keys() == {"faces.npy", "verts.npy"}
 
 
-def test_far_members_are_read_apart(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_distant_members_are_read_by_separate_calls(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folders, "GAP", 0)
     expected = encode_sample(fake_sample(0, 4))
     read = ShardReader(folder).read(4, ["back.jpg", "meta.json", "verts.npy"])
     assert read == {name: expected[name] for name in ("meta.json", "verts.npy", "back.jpg")}
 
 
-def test_what_the_system_gives_piece_by_piece_is_put_together(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_short_reads_are_continued(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = os.preadv
 
     def some(fd: int, buffers: Sequence[memoryview], place: int) -> int:
@@ -64,22 +64,22 @@ def test_what_the_system_gives_piece_by_piece_is_put_together(folder: Path, monk
 @pytest.mark.parametrize("member", ["meta.json", "verts.npy", "back.jpg"])
 def test_a_flipped_bit_is_named(folder: Path, member: str) -> None:
     flip(folder, 5, member)
-    told = f"train-00001.tar: sample gcd_000000005, member {member}"
+    message = f"train-00001.tar: sample gcd_000000005, member {member}"
     lazy = ShardReader(folder)
     lazy.read(4, MEMBERS)
     lazy.read(5, [name for name in MEMBERS if name != member])
-    with pytest.raises(ShardError, match=told):
+    with pytest.raises(ShardError, match=message):
         lazy.read(5, [member])
-    with pytest.raises(ShardError, match=told):
+    with pytest.raises(ShardError, match=message):
         ShardReader(folder, verify="full")
     blind = ShardReader(folder, verify="off")
     blind.read(5, MEMBERS)
-    with pytest.raises(ShardError, match=told):
+    with pytest.raises(ShardError, match=message):
         blind.check(5)
 
 
-def test_of_a_sample_asked_for_twice_both_copies_are_looked_at(folder: Path) -> None:
-    """As a store gives them that reads all at once, and mends what is damaged there."""
+def test_both_copies_of_a_sample_requested_twice_are_checked(folder: Path) -> None:
+    """With a store that reads all samples before the first check, and fetches damaged members again."""
 
     class Mended(FolderStore):
         def read_many(
@@ -87,7 +87,7 @@ def test_of_a_sample_asked_for_twice_both_copies_are_looked_at(folder: Path) -> 
         ) -> Iterable[dict[int, memoryview]]:
             return list(super().read_many(wanted))
 
-        def mend(self, shard: str, number: int, part: MemberLocation) -> memoryview:
+        def refetch(self, shard: str, number: int, part: MemberLocation) -> memoryview:
             return memoryview(encode_sample(fake_sample(0, 5))["verts.npy"])
 
     flip(folder, 5, "verts.npy")
@@ -106,7 +106,7 @@ def test_a_flipped_bit_is_found_without_an_index(folder: Path) -> None:
         ShardReader(folder).read(5, MEMBERS)
 
 
-def test_an_unknown_schema_is_told_with_both_versions(folder: Path) -> None:
+def test_an_unknown_schema_is_reported_with_both_versions(folder: Path) -> None:
     path = folder / "manifest.json"
     manifest = json.loads(path.read_text())
     path.write_text(json.dumps({**manifest, "schema": 99, "generator": "7.2.0"}))
@@ -125,7 +125,7 @@ def test_a_cut_or_missing_shard_is_named(folder: Path) -> None:
         ShardReader(folder)
 
 
-def test_shards_alone_are_enough(folder: Path) -> None:
+def test_shards_are_read_without_index_and_manifest(folder: Path) -> None:
     (folder / "index-train.npz").unlink()
     (folder / "manifest.json").unlink()
     assert len(ShardReader(folder, verify="full")) == 10
@@ -138,16 +138,16 @@ def test_a_broken_side_file_is_named(folder: Path, name: str) -> None:
         ShardReader(folder)
 
 
-def test_a_split_that_is_not_there(folder: Path, tmp_path: Path) -> None:
+def test_a_missing_split_is_reported(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="no samples of split test: there is train"):
         ShardReader(folder, "test")
-    with pytest.raises(ShardError, match="give a folder that gcd generate"):
+    with pytest.raises(ShardError, match="give a folder made by gcd generate"):
         ShardReader(tmp_path)
     with pytest.raises(ConfigError, match="verify='sometimes'"):
         ShardReader(folder, verify="sometimes")  # type: ignore[arg-type]
 
 
-def test_a_run_that_was_killed_early_is_told_as_such(folder: Path) -> None:
+def test_a_run_killed_in_its_first_shard_is_reported(folder: Path) -> None:
     for shard in folder.glob("*.tar"):
         shard.unlink()
     (folder / "manifest.json").unlink()
@@ -157,28 +157,28 @@ def test_a_run_that_was_killed_early_is_told_as_such(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("mode", [0o000, 0o444, 0o111])
-def test_a_folder_that_may_not_be_read_is_named(mode: int) -> None:
-    told = r"data.*cannot be read \(Permission denied\): have yourself allowed"
+def test_an_unreadable_folder_is_named(mode: int) -> None:
+    message = r"data.*cannot be read \(Permission denied\): ask for the right to read it"
     with public_folder() as place:
         folder = fill(place / "data", range(3))
-        with forbidden(folder, mode), pytest.raises(ShardError, match=told):
+        with forbidden(folder, mode), pytest.raises(ShardError, match=message):
             ShardReader(folder)
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "index-train.npz", "train-00000.tar"])
-def test_a_file_that_may_not_be_read_is_named(name: str) -> None:
-    told = rf"{name}: cannot be read \(Permission denied"
+def test_an_unreadable_file_is_named(name: str) -> None:
+    message = rf"{name}: cannot be read \(Permission denied"
     with public_folder() as place:
         folder = fill(place / "data", range(3))
-        with forbidden(folder / name, 0o000), pytest.raises(ShardError, match=told):
+        with forbidden(folder / name, 0o000), pytest.raises(ShardError, match=message):
             ShardReader(folder).read(0, MEMBERS)
 
 
 def test_only_remedies_that_exist_are_named(folder: Path) -> None:
     (folder / "manifest.json").write_text("{")
-    with pytest.raises(ShardError, match=r"not a manifest.*: delete it") as told:
+    with pytest.raises(ShardError, match=r"not a manifest.*: delete it") as message:
         ShardReader(folder)
-    assert "download" not in str(told.value)
+    assert "download" not in str(message.value)
     (folder / "manifest.json").unlink()
     assert len(ShardReader(folder)) == 10
 
@@ -190,10 +190,10 @@ def test_missing_samples_leave_positions_dense(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("verify", ["lazy", "off"])
-def test_a_shard_whose_samples_have_moved_is_told(
+def test_a_shard_whose_samples_have_moved_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verify: Verify
 ) -> None:
-    """What was missing in it has been put between them, after one of them was read and looked at."""
+    """Missing samples were inserted after the index was read."""
     monkeypatch.setattr(folders, "OPEN_FILES", 1)
     folder = fill(tmp_path, [0, 2, 4])
     reader = ShardReader(folder, verify=verify)
@@ -201,7 +201,7 @@ def test_a_shard_whose_samples_have_moved_is_told(
         reader.read(position, MEMBERS)
     fill(folder, [1, 5])
     for _ in range(2):
-        with pytest.raises(ShardError, match=r"train-00000\.tar: .*samples were added.*: open the data set again"):
+        with pytest.raises(ShardError, match=r"train-00000\.tar: .*samples were inserted.*: open the data set again"):
             reader.read(1, MEMBERS)
     assert reader.read(2, MEMBERS) == encode_sample(fake_sample(0, 4))  # of a shard that has grown at its end
     assert pickle.loads(pickle.dumps(reader)).read(2, MEMBERS) == encode_sample(fake_sample(0, 4))

@@ -1,4 +1,4 @@
-"""Samples that many processes keep as they are made: a data set, whatever happens to them."""
+"""The sample cache of several processes is a valid data set at any time, also after kills."""
 
 import multiprocessing
 import os
@@ -16,14 +16,14 @@ from gcd_dataset.loaders import GarmentDataset
 from gcd_dataset.loaders.fake import fake_sample
 from gcd_dataset.shards import ShardWriter, encode_sample
 from gcd_dataset.shards.layout import MEMBERS
-from gcd_dataset.shards.sample_cache import KeptSamples
+from gcd_dataset.shards.sample_cache import SampleCache
 from tests.shards.folders import RECIPE, SHARD_SIZE, fill
 
 CONTEXT = multiprocessing.get_context("fork")
 
 
-def kept(folder: Path, count: int = 10) -> KeptSamples:
-    return KeptSamples(folder, count, seed=0, recipe=RECIPE, shard_size=SHARD_SIZE)
+def kept(folder: Path, count: int = 10) -> SampleCache:
+    return SampleCache(folder, count, seed=0, recipe=RECIPE, shard_size=SHARD_SIZE)
 
 
 def members(index: int) -> dict[str, bytes]:
@@ -43,7 +43,7 @@ def content(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
-def test_a_shard_is_written_with_the_last_of_its_samples(tmp_path: Path) -> None:
+def test_the_last_sample_of_a_shard_triggers_its_writing(tmp_path: Path) -> None:
     samples = kept(tmp_path)
     for index in (9, 2, 0, 3):
         samples.keep(index, members(index))
@@ -60,14 +60,14 @@ def test_a_shard_is_written_with_the_last_of_its_samples(tmp_path: Path) -> None
     assert set(samples.read(2, ("box.npy",)) or ()) >= {"box.npy"}
 
 
-def test_the_folder_is_the_data_set_of_one_writer(tmp_path: Path) -> None:
+def test_the_folder_equals_that_of_a_writer(tmp_path: Path) -> None:
     keep(tmp_path / "kept", [7, 1, 5, 3, 9, 0, 2, 8, 6, 4])
     written = fill(tmp_path / "written", range(10))
     assert content(tmp_path / "kept") == content(written)
     GarmentDataset(tmp_path / "kept", verify="full")
 
 
-def test_several_processes_bring_each_sample_once(tmp_path: Path) -> None:
+def test_several_processes_add_each_sample_once(tmp_path: Path) -> None:
     workers = [CONTEXT.Process(target=keep, args=(tmp_path, range(part, 10, 3))) for part in range(3)]
     for worker in workers:
         worker.start()
@@ -78,7 +78,7 @@ def test_several_processes_bring_each_sample_once(tmp_path: Path) -> None:
     assert [dataset[i]["meta"]["index"] for i in range(len(dataset))] == list(range(10))
 
 
-def test_what_another_process_has_packed_is_found(tmp_path: Path) -> None:
+def test_samples_packed_by_another_process_are_found(tmp_path: Path) -> None:
     early = kept(tmp_path)
     keep(tmp_path, [0, 1, 2])
     assert early.read(1) == members(1)
@@ -89,7 +89,7 @@ def test_what_another_process_has_packed_is_found(tmp_path: Path) -> None:
     assert early.read(6) == members(6)
 
 
-def test_a_thread_may_read_while_another_looks_for_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_thread_may_read_during_a_refresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     samples = kept(tmp_path)
     keep(tmp_path, range(4, 8))
     assert samples.read(5) == members(5)
@@ -106,7 +106,7 @@ def test_a_thread_may_read_while_another_looks_for_more(tmp_path: Path, monkeypa
     assert meanwhile == [members(5)]
 
 
-def test_a_killed_process_loses_nothing_that_was_kept(tmp_path: Path) -> None:
+def test_a_killed_process_loses_no_cached_sample(tmp_path: Path) -> None:
     def fsync(fd: Any) -> None:
         if "train-" in str(Path(f"/proc/self/fd/{fd}").readlink()):
             os.kill(os.getpid(), signal.SIGKILL)
@@ -127,8 +127,8 @@ def test_a_killed_process_loses_nothing_that_was_kept(tmp_path: Path) -> None:
     assert not (tmp_path / ".waiting" / "00000").exists()
 
 
-def test_a_sample_that_two_processes_make_is_kept_by_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Between the making of its folder and that of its file the other packs the shard, and removes the folder."""
+def test_two_processes_may_add_the_same_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the creation of folder and file, the other process packs the shard and removes the folder."""
     keep(tmp_path, [0, 1, 2])
 
     def late(path: Path) -> Path:
@@ -144,7 +144,7 @@ def test_a_sample_that_two_processes_make_is_kept_by_both(tmp_path: Path, monkey
     assert not list((tmp_path / ".waiting").iterdir())
 
 
-def test_what_waits_can_be_packed_and_added_to(tmp_path: Path) -> None:
+def test_packed_samples_can_be_added_to(tmp_path: Path) -> None:
     keep(tmp_path, [0, 2, 5])
     kept(tmp_path).pack()
     assert names(tmp_path) == ["train-00000.tar", "train-00001.tar"]
@@ -153,14 +153,14 @@ def test_what_waits_can_be_packed_and_added_to(tmp_path: Path) -> None:
     assert len(GarmentDataset(tmp_path, verify="full")) == 5
 
 
-def test_a_greater_number_lets_the_last_shard_grow(tmp_path: Path) -> None:
+def test_a_larger_count_lets_the_last_shard_grow(tmp_path: Path) -> None:
     keep(tmp_path, [0, 1], count=2)
     assert len(GarmentDataset(tmp_path)) == 2
     keep(tmp_path, [2, 3], count=10)
     assert len(GarmentDataset(tmp_path, verify="full")) == 4
 
 
-def test_a_damaged_sample_is_told_and_replaced(tmp_path: Path) -> None:
+def test_a_damaged_sample_is_reported_and_replaced(tmp_path: Path) -> None:
     keep(tmp_path, range(4))
     whole = content(tmp_path)
     shard = tmp_path / "train-00000.tar"
@@ -177,18 +177,18 @@ def test_a_damaged_sample_is_told_and_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("there", [10, 4])  # the shard that goes is one of several, or the only one
-def test_a_shard_that_was_deleted_is_made_again(tmp_path: Path, there: int) -> None:
+def test_a_deleted_shard_is_written_again(tmp_path: Path, there: int) -> None:
     keep(tmp_path, range(there))
     before = content(tmp_path)
     (tmp_path / "train-00000.tar").unlink()
-    worker = CONTEXT.Process(target=keep, args=(tmp_path, range(4)), daemon=True)  # it could wait for itself for ever
+    worker = CONTEXT.Process(target=keep, args=(tmp_path, range(4)), daemon=True)  # it could wait for itself forever
     worker.start()
     worker.join(60)
     assert worker.exitcode == 0
     assert content(tmp_path) == before
 
 
-def test_a_shard_that_is_deleted_beside_a_run_is_made_again(tmp_path: Path) -> None:
+def test_a_shard_deleted_during_a_run_is_written_again(tmp_path: Path) -> None:
     keep(tmp_path, range(10))
     before, samples = content(tmp_path), kept(tmp_path)
     assert samples.read(4) == members(4)
@@ -199,7 +199,7 @@ def test_a_shard_that_is_deleted_beside_a_run_is_made_again(tmp_path: Path) -> N
     assert all(samples.read(index) == members(index) for index in range(10))
 
 
-def test_a_kill_while_a_shard_is_mended_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kill_during_the_repair_of_a_shard_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keep(tmp_path, range(10))
     before = content(tmp_path)
     shard = tmp_path / "train-00001.tar"
@@ -207,10 +207,10 @@ def test_a_kill_while_a_shard_is_mended_loses_nothing(tmp_path: Path, monkeypatc
     damaged[damaged.find(members(6)["box.npy"]) + 200] ^= 1
     shard.write_bytes(damaged)
 
-    def killed(self: KeptSamples) -> ShardWriter:
+    def killed(self: SampleCache) -> ShardWriter:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(KeptSamples, "_writer", killed)
+    monkeypatch.setattr(SampleCache, "_writer", killed)
     with pytest.raises(KeyboardInterrupt):
         keep(tmp_path, [6])
     monkeypatch.undo()

@@ -1,4 +1,4 @@
-"""What an earlier version of this package has written is read; what a later one has written is refused."""
+"""Data sets of an earlier schema are read; those of a later one are refused."""
 
 import io
 import json
@@ -39,8 +39,8 @@ def first(tmp_path: Path) -> Path:
     return first_schema(tmp_path)
 
 
-def told(folder: Path) -> list[dict[str, bytes]]:
-    """The members of each sample, read by Python alone."""
+def stored_members(folder: Path) -> list[dict[str, bytes]]:
+    """The members of each sample, read with ``tarfile``."""
     samples: dict[str, dict[str, bytes]] = {}
     with tarfile.open(folder / "train-00000.tar") as archive:
         for entry in archive:
@@ -77,7 +77,7 @@ def test_schema_1_is_read(first: Path, name: str, streaming: bool, alone: bool) 
     if alone:
         (folder / "index-train.npz").unlink()
         (folder / "manifest.json").unlink()
-    assert_same(list(GarmentDataset(folder, streaming=streaming)), told(folder))
+    assert_same(list(GarmentDataset(folder, streaming=streaming)), stored_members(folder))
     field = "points" if name == "drapes" else "panels"
     items = list(GarmentDataset(folder, fields=[field], streaming=streaming))
     assert [set(item) for item in items] == [{field}] * len(items)
@@ -102,30 +102,30 @@ def test_schema_1_is_verified_and_indexed(first: Path, capsys: pytest.CaptureFix
         GarmentDataset(folder)[0]
 
 
-def test_a_sample_of_schema_1_becomes_one_of_today(first: Path) -> None:
+def test_a_sample_of_schema_1_is_encoded_in_the_current_schema(first: Path) -> None:
     sample = ShardReader(first / "drapes").sample(0)
     assert sample.drape is not None
     assert sample.drape.outcome is Outcome.SETTLED
     members = encode_sample(sample)
-    assert json.loads(members["spec.txt"]) == json.loads(told(first / "drapes")[0]["spec.json"])
-    assert members["verts.npy"] == told(first / "drapes")[0]["verts.npy"]
+    assert json.loads(members["spec.txt"]) == json.loads(stored_members(first / "drapes")[0]["spec.json"])
+    assert members["verts.npy"] == stored_members(first / "drapes")[0]["verts.npy"]
 
 
 def test_schema_1_is_exported(first: Path, tmp_path: Path) -> None:
     list(write_hdf5(ShardReader(first / "drapes"), tmp_path / "drapes.h5"))
-    assert_same(list(Hdf5Garments(tmp_path / "drapes.h5")), told(first / "drapes"))
+    assert_same(list(Hdf5Garments(tmp_path / "drapes.h5")), stored_members(first / "drapes"))
     Hdf5Garments(tmp_path / "drapes.h5").verify(0)
-    assert_same(list(Hdf5Garments(first / "patterns.h5")), told(first / "patterns"))
+    assert_same(list(Hdf5Garments(first / "patterns.h5")), stored_members(first / "patterns"))
 
 
-def test_schema_1_is_published_as_it_is(first: Path, tmp_path: Path) -> None:
+def test_schema_1_is_published_unchanged(first: Path, tmp_path: Path) -> None:
     stage(
         first / "patterns", "org/garments", tmp_path / "staged", shares={"train": 1.0, "validation": 0.0, "test": 0.0}
     )
     manifest = read_manifest(tmp_path / "staged")
     assert manifest is not None
     assert manifest.schema == 1
-    assert_same(list(GarmentDataset(tmp_path / "staged")), told(first / "patterns"))
+    assert_same(list(GarmentDataset(tmp_path / "staged")), stored_members(first / "patterns"))
     assert "`spec.json`" in (tmp_path / "staged" / "README.md").read_text()
 
 
@@ -136,7 +136,7 @@ def test_nothing_is_added_to_schema_1(first: Path, alone: bool) -> None:
         (folder / "index-train.npz").unlink()
         (folder / "manifest.json").unlink()
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    with pytest.raises(ConfigError, match=r"of schema 1, and gcd_dataset 0\.\S+ writes schema 2: what is there can be"):
+    with pytest.raises(ConfigError, match=r"of schema 1, and gcd_dataset 0\.\S+ writes schema 2: its samples can be"):
         ShardWriter(folder, seed=5, recipe=recipe_of(PATTERNS))
     assert main(["generate", str(folder), "--count", "5", "--seed", "5", "--stage", "pattern", "--quiet"]) == 2
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
@@ -173,7 +173,7 @@ def test_a_later_schema_is_refused_with_both_versions(tmp_path: Path) -> None:
             list(GarmentDataset(folder, streaming=streaming))
 
 
-def test_both_schemas_in_one_split_are_told(first: Path) -> None:
+def test_both_schemas_in_one_split_are_reported(first: Path) -> None:
     folder = fill(first / "new", range(2))
     (first / "patterns" / "train-00000.tar").rename(folder / "train-00001.tar")
     (folder / "index-train.npz").unlink()
@@ -184,5 +184,5 @@ def test_both_schemas_in_one_split_are_told(first: Path) -> None:
 
 def test_specifications_of_schema_1_are_patterns(first: Path) -> None:
     reader = ShardReader(first / "patterns")
-    for position, sample in enumerate(told(first / "patterns")):
+    for position, sample in enumerate(stored_members(first / "patterns")):
         assert spec_from_pattern(reader.sample(position).pattern) == json.loads(sample["spec.json"])

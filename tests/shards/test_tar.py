@@ -1,4 +1,4 @@
-"""Our archives, read by others and by ourselves."""
+"""Our archives, read by other programs and by this package."""
 
 import io
 import json
@@ -84,7 +84,7 @@ def test_webdataset_reads_it_with_its_security_on(shard: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 100_000])
-def test_entries_of_any_size_come_back(tmp_path: Path, size: int) -> None:
+def test_entries_of_any_size_are_read_back(tmp_path: Path, size: int) -> None:
     archive = tar_entry("first", b"x" * size) + tar_entry("second", b"yy") + bytes(END)
     (tmp_path / "a.tar").write_bytes(archive)
     with (tmp_path / "a.tar").open("rb") as file:
@@ -95,7 +95,7 @@ def test_entries_of_any_size_come_back(tmp_path: Path, size: int) -> None:
         assert [member.size for member in read] == [size, 2]
 
 
-def test_damage_is_told_with_the_byte(tmp_path: Path) -> None:
+def test_damage_is_reported_with_its_offset(tmp_path: Path) -> None:
     archive = bytearray(tar_entry("first", b"x") + tar_entry("second", b"yy"))
     archive[BLOCK * 2 + 3] ^= 1
     (tmp_path / "a.tar").write_bytes(archive)
@@ -106,13 +106,13 @@ def test_damage_is_told_with_the_byte(tmp_path: Path) -> None:
         list(tar_entries(file.fileno()))
 
 
-def test_names_that_no_header_holds_are_refused() -> None:
+def test_names_too_long_for_a_header_are_refused() -> None:
     with pytest.raises(ShardError, match="do not fit into a tar header"):
         tar_entry("x" * 101, b"")
 
 
 def barest_first() -> list[Sample]:
-    """Real garments, the first five with as little to tell as there can be, those behind them with everything."""
+    """Real garments: the first five with as many missing values as possible, the others with all values."""
     bare = sorted(patterns(16), key=lambda sample: len(sample.pattern.panels))
     rich = [
         replace(
@@ -168,8 +168,8 @@ def test_datasets_reads_real_garments_of_every_kind(tmp_path: Path, streaming: b
 
 
 @pytest.mark.parametrize("streaming", [False, True])
-def test_datasets_reads_words_of_patterns_and_then_of_drapes(tmp_path: Path, streaming: bool) -> None:
-    """What is text or JSON has one type at every stage; arrays without rows have none to these readers."""
+def test_datasets_reads_texts_of_patterns_followed_by_drapes(tmp_path: Path, streaming: bool) -> None:
+    """Texts and JSON have one type at every stage; ``datasets`` infers none for arrays without rows."""
     drape = ShardReader(first_schema(tmp_path) / "drapes").sample(0)
     members = [encode_sample(sample) for sample in (*patterns(16)[:6], drape)]
     entries = [
@@ -200,7 +200,7 @@ def test_datasets_reads_drapes(tmp_path: Path, streaming: bool) -> None:
     assert np.abs(there - drape.points[:, :3]).max() < 0.005
 
 
-def test_a_member_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+def test_a_duplicate_member_is_refused(tmp_path: Path) -> None:
     folder = fill(tmp_path, range(2))
     content = bytearray((folder / "train-00000.tar").read_bytes())
     size = int(content[124:135], 8)
@@ -215,7 +215,7 @@ def test_a_member_that_is_there_twice_is_refused(tmp_path: Path) -> None:
         list(GarmentDataset(folder, streaming=True))
 
 
-def test_a_sample_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+def test_a_duplicate_sample_is_refused(tmp_path: Path) -> None:
     folder = fill(tmp_path, range(2))
     content = (folder / "train-00000.tar").read_bytes()
     first = content[: int(scan_shard(folder / "train-00000.tar").offset[1, 0]) - BLOCK]
@@ -226,8 +226,8 @@ def test_a_sample_that_is_there_twice_is_refused(tmp_path: Path) -> None:
         list(GarmentDataset(folder, streaming=True))
 
 
-def test_a_header_that_was_wiped_out_is_no_end(tmp_path: Path) -> None:
-    """Without index and manifest nothing else tells that samples are missing."""
+def test_a_zeroed_header_is_not_taken_for_the_end(tmp_path: Path) -> None:
+    """Without index and manifest, nothing else shows that samples are missing."""
     shard = fill(tmp_path, range(2)) / "train-00000.tar"
     content, second = bytearray(shard.read_bytes()), int(scan_shard(shard).offset[1, 0]) - BLOCK
     content[second : second + BLOCK] = bytes(BLOCK)
@@ -238,7 +238,7 @@ def test_a_header_that_was_wiped_out_is_no_end(tmp_path: Path) -> None:
     assert len(scan_shard(shard)) == 1
 
 
-def test_an_archive_of_zeros_from_a_sample_on_has_fewer_than_the_manifest_lists(tmp_path: Path) -> None:
+def test_an_archive_with_zeroed_samples_contradicts_the_manifest(tmp_path: Path) -> None:
     shard = fill(tmp_path, range(2)) / "train-00000.tar"
     second = int(scan_shard(shard).offset[1, 0]) - BLOCK
     shard.write_bytes(shard.read_bytes()[:second].ljust(shard.stat().st_size, b"\0"))
@@ -248,15 +248,15 @@ def test_an_archive_of_zeros_from_a_sample_on_has_fewer_than_the_manifest_lists(
 
 
 @pytest.mark.parametrize("field", [b"-0000000777", b"0000000-777", b"00000000_77", b"           ", b"7777777777x"])
-def test_a_size_that_is_no_number_is_told(tmp_path: Path, field: bytes) -> None:
+def test_a_size_that_is_no_number_is_reported(tmp_path: Path, field: bytes) -> None:
     header = bytearray(tar_entry("first", b"x"))
     header[124:135] = field
     header[148:156] = 8 * b" "
     header[148:156] = b"%06o\0 " % sum(header[:BLOCK])
     (tmp_path / "a.tar").write_bytes(header)
-    with (tmp_path / "a.tar").open("rb") as file, pytest.raises(ShardError, match="no tar header of ours at byte 0"):
+    with (tmp_path / "a.tar").open("rb") as file, pytest.raises(ShardError, match="another program at byte 0"):
         list(tar_entries(file.fileno()))
-    with pytest.raises(ShardError, match="no tar header of ours at byte 0"):
+    with pytest.raises(ShardError, match="tar header of another program at byte 0"):
         list(stream_samples(io.BytesIO(header), ()))
 
 
@@ -265,5 +265,5 @@ def test_a_member_of_gigabytes_is_refused_before_it_is_read() -> None:
     header[124:135] = b"%011o" % (8**11 - 1)
     header[148:156] = 8 * b" "
     header[148:156] = b"%06o\0 " % sum(header[:BLOCK])
-    with pytest.raises(ShardError, match=r"meta\.json has 8589934591 bytes, where 536870912 are read"):
+    with pytest.raises(ShardError, match=r"meta\.json has 8589934591 bytes, over the limit of 536870912"):
         list(stream_samples(io.BytesIO(header), ("meta.json",)))

@@ -1,4 +1,4 @@
-"""Shards: the same bytes however they came about, and nothing finished is lost."""
+"""The bytes of shards do not depend on interruptions, and no finished sample is lost."""
 
 import errno
 import fcntl
@@ -38,7 +38,7 @@ from tests.shards.folders import RECIPE, SHARD_SIZE, contents, fill, forbidden, 
 
 @pytest.fixture
 def whole(tmp_path: Path) -> Path:
-    """Ten samples in shards of four, written in one go."""
+    """Ten samples in shards of four, by one writer."""
     return fill(tmp_path / "whole", range(10))
 
 
@@ -53,14 +53,14 @@ def test_same_samples_same_bytes(whole: Path, tmp_path: Path) -> None:
     assert contents(fill(tmp_path / "again", range(10))) == contents(whole)
 
 
-def test_the_order_of_writing_leaves_no_trace(whole: Path, tmp_path: Path) -> None:
+def test_bytes_do_not_depend_on_the_order_of_writing(whole: Path, tmp_path: Path) -> None:
     indices = list(range(10))
     random.Random(3).shuffle(indices)
     assert contents(fill(tmp_path / "shuffled", indices)) == contents(whole)
 
 
 @pytest.mark.parametrize("stop", [1, 4, 6, 9])
-def test_an_interrupted_run_goes_on_to_the_same_bytes(whole: Path, tmp_path: Path, stop: int) -> None:
+def test_an_interrupted_run_continues_to_the_same_bytes(whole: Path, tmp_path: Path, stop: int) -> None:
     folder = tmp_path / "interrupted"
     with pytest.raises(KeyboardInterrupt), open_writer(folder) as writer:
         for index in range(stop):
@@ -73,7 +73,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(whole: Path, tmp_path: Pat
     assert contents(folder) == contents(whole)
 
 
-def test_a_killed_run_loses_only_the_sample_in_work(whole: Path, tmp_path: Path) -> None:
+def test_a_killed_run_loses_only_the_sample_being_written(whole: Path, tmp_path: Path) -> None:
     folder = tmp_path / "killed"
     writer = open_writer(folder)
     for index in range(7):
@@ -84,7 +84,7 @@ def test_a_killed_run_loses_only_the_sample_in_work(whole: Path, tmp_path: Path)
     assert list(ShardReader(folder).index.table.sample) == [0, 1, 2, 3]
 
 
-def test_what_a_kill_left_is_taken_up(whole: Path, tmp_path: Path) -> None:
+def test_a_part_file_of_a_killed_run_is_recovered(whole: Path, tmp_path: Path) -> None:
     folder = fill(tmp_path / "killed", range(4))
     torn = (whole / "train-00001.tar").read_bytes()
     second = int(read_index(whole).table.offset[5, 0])
@@ -95,7 +95,7 @@ def test_what_a_kill_left_is_taken_up(whole: Path, tmp_path: Path) -> None:
     assert contents(folder) == contents(whole)
 
 
-def test_a_broken_sample_in_what_a_kill_left_is_made_again(whole: Path, tmp_path: Path) -> None:
+def test_a_broken_sample_in_a_part_file_is_written_again(whole: Path, tmp_path: Path) -> None:
     folder = fill(tmp_path / "killed", range(4))
     torn = bytearray((whole / "train-00001.tar").read_bytes())
     torn[int(read_index(whole).table.offset[6, MEMBERS.index("verts.npy")]) + 200] ^= 1
@@ -105,7 +105,7 @@ def test_a_broken_sample_in_what_a_kill_left_is_made_again(whole: Path, tmp_path
 
 
 def full_disk(monkeypatch: pytest.MonkeyPatch, *, room: int) -> None:
-    """Let ``os.pwrite`` take ``room`` more bytes and then no more."""
+    """Let ``os.pwrite`` write ``room`` more bytes, then fail."""
     left, pwrite = [room], os.pwrite
 
     def write(file: int, data: memoryview, offset: int) -> int:
@@ -132,7 +132,7 @@ def test_a_full_disk_costs_no_finished_sample(whole: Path, tmp_path: Path, monke
     assert contents(folder) == contents(whole)
 
 
-def test_a_disk_too_full_for_the_manifest_costs_nothing_either(
+def test_a_disk_too_full_for_the_manifest_costs_no_sample(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = fill(tmp_path / "full", range(4))
@@ -150,7 +150,7 @@ def test_a_disk_too_full_for_the_manifest_costs_nothing_either(
 
 
 @pytest.mark.parametrize("room", [100, 40_000])
-def test_a_disk_too_full_to_go_on_costs_nothing(
+def test_a_disk_too_full_to_continue_costs_no_sample(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
 ) -> None:
     folder = fill(tmp_path / "full", range(7))
@@ -167,23 +167,23 @@ def refuse(file: int) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def test_a_grown_data_set_is_that_of_the_larger_count(whole: Path, tmp_path: Path) -> None:
+def test_a_grown_data_set_equals_one_of_the_larger_count(whole: Path, tmp_path: Path) -> None:
     folder = fill(tmp_path / "grown", range(3))
     fill(folder, range(3, 10))
     assert contents(folder) == contents(whole)
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"seed": 1}, "seed=0.*seed=1"),
         ({"recipe": {"fake": False}}, "fake=True.*fake=False"),
         ({"shard_size": 8}, "shard_size=4.*shard_size=8"),
     ],
 )
-def test_another_recipe_is_refused_with_both(whole: Path, changed: dict[str, object], told: str) -> None:
+def test_another_recipe_is_refused_naming_both(whole: Path, changed: dict[str, object], message: str) -> None:
     options: dict[str, object] = {"seed": 0, "recipe": RECIPE, "shard_size": SHARD_SIZE, **changed}
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         ShardWriter(whole, **options)  # type: ignore[arg-type]
 
 
@@ -197,7 +197,7 @@ def test_a_sample_is_written_once(whole: Path) -> None:
             writer.write(fake_sample(0, 10))
 
 
-def test_two_writers_keep_out_of_each_others_way(tmp_path: Path) -> None:
+def test_two_writers_of_a_split_exclude_each_other(tmp_path: Path) -> None:
     with open_writer(tmp_path) as writer:
         for _ in range(2):  # before the first sample, and after it
             with pytest.raises(OutputError, match="another process is writing split train"):
@@ -229,7 +229,7 @@ def test_a_writer_in_another_process_is_waited_for(tmp_path: Path) -> None:
     writer.close()
 
 
-def test_what_a_kill_left_locked_is_free(tmp_path: Path) -> None:
+def test_a_kill_frees_the_lock(tmp_path: Path) -> None:
     child = os.fork()
     if child == 0:
         open_writer(tmp_path).write(fake_sample(0, 0))
@@ -259,7 +259,7 @@ def test_splits_may_be_written_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("code", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
-def test_a_file_system_without_locks_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+def test_a_file_system_without_locks_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
     def flock(file: int, operation: int) -> None:
         raise OSError(code, os.strerror(code))
 
@@ -268,27 +268,27 @@ def test_a_file_system_without_locks_is_told(tmp_path: Path, monkeypatch: pytest
         open_writer(tmp_path)
 
 
-def test_a_read_only_folder_is_told_as_such() -> None:
-    told = r"cannot be written \(Permission denied\): what is there can be read; to add to it, .*allow writing"
+def test_a_read_only_folder_is_reported() -> None:
+    message = r"cannot be written \(Permission denied\): its samples can be read; to add some, .*allow writing"
     with public_folder() as folder:
         before = contents(fill(folder, range(3)))
-        with forbidden(folder, 0o555), pytest.raises(OutputError, match=told):
+        with forbidden(folder, 0o555), pytest.raises(OutputError, match=message):
             open_writer(folder)
         assert contents(folder) == before
 
 
-def test_another_version_is_refused_with_both(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_version_is_refused_naming_both(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gcd_dataset.__version__", "99.1")
-    told = rf"made by gcd_dataset {re.escape(__version__)}, and this is 99\.1: .*another folder"
-    with pytest.raises(ConfigError, match=told):
+    message = rf"made by gcd_dataset {re.escape(__version__)}, and this is 99\.1: .*another folder"
+    with pytest.raises(ConfigError, match=message):
         open_writer(whole)
     (whole / "manifest.json").unlink()
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         open_writer(whole)
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"seed": 1}, "seed=0.*seed=1"),
         ({"recipe": {"fake": False}}, "fake=True.*fake=False"),
@@ -296,8 +296,8 @@ def test_another_version_is_refused_with_both(whole: Path, monkeypatch: pytest.M
     ],
 )
 @pytest.mark.parametrize("half_written", [False, True])
-def test_samples_tell_their_recipe_where_no_manifest_does(
-    tmp_path: Path, changed: dict[str, object], told: str, half_written: bool
+def test_without_a_manifest_the_recipe_comes_from_the_samples(
+    tmp_path: Path, changed: dict[str, object], message: str, half_written: bool
 ) -> None:
     folder = fill(tmp_path, range(7))
     (folder / "manifest.json").unlink()
@@ -306,19 +306,19 @@ def test_samples_tell_their_recipe_where_no_manifest_does(
         (folder / "train-00001.tar").rename(folder / "train-00001.tar.part")
     options: dict[str, object] = {"seed": 0, "recipe": RECIPE, "shard_size": SHARD_SIZE, **changed}
     before = contents(folder)
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         ShardWriter(folder, **options)  # type: ignore[arg-type]
     assert contents(folder) == before
 
 
-def test_a_lost_manifest_comes_back(whole: Path) -> None:
+def test_a_lost_manifest_is_written_again(whole: Path) -> None:
     before = contents(whole)
     (whole / "manifest.json").unlink()
     open_writer(whole).close()
     assert contents(whole) == before
 
 
-def test_shards_of_another_kind_are_told(tmp_path: Path) -> None:
+def test_shards_of_another_kind_are_reported(tmp_path: Path) -> None:
     folder = fill(tmp_path, [0])
     members = encode_sample(fake_sample(0, 0))
     meta = json.loads(members["meta.json"])
@@ -326,11 +326,11 @@ def test_shards_of_another_kind_are_told(tmp_path: Path) -> None:
     write_single(folder / "train-00000.tar", 0, {**members, "meta.json": sealed(meta)})
     for name in ("manifest.json", "index-train.npz"):
         (folder / name).unlink()
-    with pytest.raises(ShardError, match=r"train-00000\.tar: .*no seed"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: .*seed is missing"):
         open_writer(folder)
 
 
-def test_a_number_is_the_same_however_it_is_written(tmp_path: Path) -> None:
+def test_recipes_with_4_and_4_0_are_equal(tmp_path: Path) -> None:
     for spacing in (4, 4.0):
         ShardWriter(tmp_path, seed=0, recipe={"spacing": spacing, "nested": {"list": [spacing]}}).close()
     with pytest.raises(ConfigError, match=r"nested=.*True"):
@@ -339,7 +339,7 @@ def test_a_number_is_the_same_however_it_is_written(tmp_path: Path) -> None:
     assert recipe_hash({"n": 1}) != recipe_hash({"n": 1.5})
 
 
-def test_a_damaged_shard_is_made_again_once_it_is_deleted(whole: Path) -> None:
+def test_a_deleted_damaged_shard_is_written_again(whole: Path) -> None:
     before = contents(whole)
     shard = whole / "train-00001.tar"
     os.truncate(shard, 5000)
@@ -350,7 +350,7 @@ def test_a_damaged_shard_is_made_again_once_it_is_deleted(whole: Path) -> None:
     assert contents(whole) == before
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_an_unwritable_path_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="file/out: cannot be written"):
         open_writer(tmp_path / "file" / "out")
@@ -373,7 +373,7 @@ def test_splits_share_a_folder(tmp_path: Path) -> None:
     assert (len(ShardReader(tmp_path)), len(ShardReader(tmp_path, "test"))) == (3, 1)
 
 
-def test_the_index_comes_back_from_the_shards(whole: Path) -> None:
+def test_the_index_is_rebuilt_from_the_shards(whole: Path) -> None:
     index = read_index(whole)
     path = whole / "index-train.npz"
     kept = path.read_bytes()
@@ -385,10 +385,10 @@ def test_the_index_comes_back_from_the_shards(whole: Path) -> None:
 
 
 @pytest.mark.parametrize("made", [rebuild_index, read_index])
-def test_an_index_that_is_made_while_a_shard_is_replaced_is_right(
+def test_an_index_built_while_a_shard_is_replaced_is_correct(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Any
 ) -> None:
-    """A run that goes on fills a gap in a shard that has just been read through."""
+    """Another run fills a gap in a shard that has just been scanned."""
     folder = fill(tmp_path, [0, 2])
     (folder / "index-train.npz").unlink()
 
@@ -403,7 +403,7 @@ def test_an_index_that_is_made_while_a_shard_is_replaced_is_right(
     assert len(ShardReader(folder, verify="full")) == 5
 
 
-def test_the_manifest_counts_why_designs_were_turned_down(tmp_path: Path) -> None:
+def test_the_manifest_counts_rejects_by_rule(tmp_path: Path) -> None:
     reasons = [(), ("too_long: 180 cm", "too_long: 190 cm"), ("self_crossing: panel a",), ("too_long: 170 cm",)]
     with open_writer(tmp_path) as writer:
         for index, rejects in enumerate(reasons):
@@ -426,7 +426,9 @@ def test_captions_and_views_are_in_every_sample_or_in_none(tmp_path: Path) -> No
         with ShardWriter(tmp_path, seed=0, recipe=RECIPE, shard_size=4, layout=layout) as writer:
             for index in indices:
                 writer.write(captioned(index))
-            with pytest.raises(ShardError, match=r"gcd_000000009 has no caption\.txt, as all samples of this data set"):
+            with pytest.raises(
+                ShardError, match=r"gcd_000000009 has no caption\.txt, which all samples of this data set"
+            ):
                 writer.write(fake_sample(0, 9))
     for streaming in (False, True):
         for index, item in enumerate(GarmentDataset(tmp_path, streaming=streaming)):
@@ -443,7 +445,7 @@ def test_captions_and_views_are_in_every_sample_or_in_none(tmp_path: Path) -> No
     plain = tmp_path / "plain"
     with ShardWriter(plain, seed=0, recipe=RECIPE) as writer:
         writer.write(fake_sample(0, 0))
-        with pytest.raises(ShardError, match=r"gcd_000000001 has caption\.txt, as no other sample"):
+        with pytest.raises(ShardError, match=r"gcd_000000001 has caption\.txt, which no other sample"):
             writer.write(captioned(1))
     with pytest.raises(ConfigError, match="no field caption"):
         GarmentDataset(plain, fields=["caption"])

@@ -375,7 +375,7 @@ def test_a_folder_that_holds_a_copy_of_another_part_is_refused(tmp_path: Path) -
     shutil.rmtree(part_folder(tmp_path, 1, 2))
     shutil.copytree(part_folder(tmp_path, 0, 2), part_folder(tmp_path, 1, 2))
     with pytest.raises(
-        ConfigError, match=r"00001-of-00002/part\.json: of part 0, where part 1 is read: delete .* and run"
+        ConfigError, match=r"00001-of-00002/part\.json: record of part 0, expected part 1: delete .* and run"
     ):
         merge(tmp_path)
     assert contents(part_folder(tmp_path, 0, 2)) == before  # no shard was moved
@@ -449,7 +449,7 @@ def test_shards_beside_the_parts_are_not_replaced(tmp_path: Path, whole: dict[st
 def test_a_broken_plan_or_record_is_reported(name: str, content: bytes, tmp_path: Path) -> None:
     parts_in(tmp_path, 2)
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(GcdError, match=rf"{re.escape(name)}: .*(run this part again|make the parts anew)"):
+    with pytest.raises(GcdError, match=rf"{re.escape(name)}: .*(run this part again|make the parts again)"):
         merge(tmp_path)
 
 

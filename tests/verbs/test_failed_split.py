@@ -207,7 +207,7 @@ def test_publishing_divides_train_and_keeps_failed(out: Path, failed: list[int],
     assert staged.garments == COUNT
     assert set(staged.manifest.splits) > {"failed", "train"}
     card = (staged.folder / "README.md").read_text()
-    assert "but the neutral one, is in two splits; `failed` holds drapes that failed" in card
+    assert "but the neutral one, is in two splits; `failed` holds failed drapes" in card
 
 
 def test_a_rejected_drape_is_reported_with_its_figures(

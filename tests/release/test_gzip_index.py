@@ -1,4 +1,4 @@
-"""Gzip files are read from anywhere, and give what unpacking from the beginning gives."""
+"""Gzip content read from any offset equals the content unpacked from the beginning."""
 
 import gzip
 import os
@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gcd_dataset.release import gzips
-from gcd_dataset.release.gzips import SeekPoint, Unpacking, read_from
+from gcd_dataset.release import gzip_index
+from gcd_dataset.release.gzip_index import GzipScanner, SeekPoint, read_from
 
 SIZE = 2_000_000
 
 
 @pytest.fixture(autouse=True)
 def close_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """a point every quarter of a megabyte of content, so that small files have several."""
-    monkeypatch.setattr(gzips, "EVERY", 1 << 18)
+    """Seek points every 256 kB of content, so that small files have several."""
+    monkeypatch.setattr(gzip_index, "EVERY", 1 << 18)
 
 
 @pytest.fixture(scope="module")
 def content() -> bytes:
-    """What packs well, what does not, and what is alike for long: numbers as text, noise, zeros."""
+    """Content of three compression ratios: numbers as text, noise, zeros."""
     random = np.random.default_rng(3)
     numbers = b"".join(b"%d\n" % n for n in random.integers(0, 4000, SIZE // 8))
     return numbers + random.bytes(SIZE // 4) + bytes(SIZE // 4) + numbers[::-1]
@@ -34,17 +34,17 @@ def packed_at(level: int) -> Callable[[bytes], bytes]:
 
 
 def in_streams(content: bytes) -> bytes:
-    """Several streams one behind the other, as parallel packers write them."""
+    """Several concatenated streams, as written by parallel packers."""
     third = len(content) // 3
     return b"".join(gzip.compress(content[i : i + third]) for i in range(0, len(content), third))
 
 
 @pytest.mark.parametrize("pack", [packed_at(0), packed_at(1), packed_at(6), in_streams])
-def test_any_place_reads_as_it_was_packed(pack: Callable[[bytes], bytes], content: bytes, tmp_path: Path) -> None:
+def test_any_offset_reads_as_packed(pack: Callable[[bytes], bytes], content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "file.gz"
     path.write_bytes(pack(content))
     with path.open("rb") as file:
-        flow = Unpacking(file.fileno())
+        flow = GzipScanner(file.fileno())
         assert flow.read(len(content) + 1) == content
         points = flow.points
         for offset in np.random.default_rng(0).integers(0, len(content) - 70_000, 24).tolist():
@@ -53,33 +53,33 @@ def test_any_place_reads_as_it_was_packed(pack: Callable[[bytes], bytes], conten
         assert read_from(file.fileno(), points[-1], len(content) - 9, 9) == content[-9:]
 
 
-def test_points_are_found_inside_a_stream(content: bytes, tmp_path: Path) -> None:
+def test_seek_points_are_found_inside_a_stream(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "file.gz"
     path.write_bytes(gzip.compress(content))
     with path.open("rb") as file:
-        flow = Unpacking(file.fileno())
+        flow = GzipScanner(file.fileno())
         flow.skip(len(content))
     inside = [point for point in flow.points if point.window is not None]
     assert len(inside) >= 2
     for point in inside:
-        assert point.window == content[point.start - gzips.WINDOW : point.start]
+        assert point.window == content[point.start - gzip_index.WINDOW : point.start]
 
 
-def test_a_cut_file_says_so(content: bytes, tmp_path: Path) -> None:
+def test_a_truncated_file_is_reported(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "file.gz"
     packed = gzip.compress(content)
     path.write_bytes(packed[: len(packed) // 2])
     with path.open("rb") as file:
         with pytest.raises(EOFError):
-            Unpacking(file.fileno()).skip(len(content))
+            GzipScanner(file.fileno()).skip(len(content))
         with pytest.raises(EOFError):
             read_from(file.fileno(), SeekPoint(0, 0, None), len(content) - 5, 5)
 
 
-def test_a_changed_byte_is_noticed(content: bytes, tmp_path: Path) -> None:
+def test_a_changed_byte_is_reported(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "file.gz"
     packed = bytearray(gzip.compress(content))
     packed[len(packed) // 2] ^= 1
     path.write_bytes(packed)
     with path.open("rb") as file, pytest.raises(zlib.error):
-        Unpacking(os.dup(file.fileno())).skip(2 * len(content))
+        GzipScanner(os.dup(file.fileno())).skip(2 * len(content))

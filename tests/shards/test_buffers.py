@@ -1,4 +1,4 @@
-"""Memory is used again, and never while somebody holds a part of it."""
+"""Read buffers are reused, but never while an array refers to them."""
 
 import multiprocessing
 import random
@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 import torch
 
-from gcd_dataset.shards import room
-from gcd_dataset.shards.room import room_for
+from gcd_dataset.shards import buffers
+from gcd_dataset.shards.buffers import read_buffer
 
 LARGE = 100_000
 
 
 def marked(number: int, size: int) -> np.ndarray:
-    memory = room_for(size)
+    memory = read_buffer(size)
     memory[:] = number % 251
     return memory
 
 
-def test_what_is_held_is_nobody_elses() -> None:
+def test_buffers_in_use_are_not_shared() -> None:
     chance, held = random.Random(0), dict[int, np.ndarray]()
     for number in range(2000):
         held[number] = marked(number, chance.choice([100, LARGE, 3 * LARGE]))
@@ -31,27 +31,27 @@ def test_what_is_held_is_nobody_elses() -> None:
     assert all((memory == number % 251).all() for number, memory in held.items())
 
 
-def test_a_view_holds_its_memory() -> None:
-    tensor = torch.from_numpy(room_for(LARGE)).view(torch.float32)[5:9]
+def test_a_view_keeps_its_buffer() -> None:
+    tensor = torch.from_numpy(read_buffer(LARGE)).view(torch.float32)[5:9]
     tensor.fill_(7.0)
     others = [marked(0, LARGE) for _ in range(10)]
     assert tensor.tolist() == 4 * [7.0]
     assert len({memory.ctypes.data for memory in others}) == 10
 
 
-def test_memory_is_used_again() -> None:
-    first, second = room_for(LARGE), room_for(LARGE)
+def test_free_buffers_are_reused() -> None:
+    first, second = read_buffer(LARGE), read_buffer(LARGE)
     places = {first.ctypes.data, second.ctypes.data}
     del first, second
-    again = [room_for(LARGE + 1), room_for(LARGE - 1)]
+    again = [read_buffer(LARGE + 1), read_buffer(LARGE - 1)]
     assert {memory.ctypes.data for memory in again} == places
 
 
-def test_no_more_than_so_much_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    pool = room._Pool()
-    monkeypatch.setattr(room, "_pool", pool)
-    monkeypatch.setattr(room, "KEPT", 3 << 17)
-    memories = [room_for(LARGE) for _ in range(9)]
+def test_the_pool_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    pool = buffers._Pool()
+    monkeypatch.setattr(buffers, "_pool", pool)
+    monkeypatch.setattr(buffers, "MOST_FREE", 3 << 17)
+    memories = [read_buffer(LARGE) for _ in range(9)]
     del memories
     assert [len(free) for free in pool._free.values()] == [3]
     assert not pool._lent
@@ -61,7 +61,7 @@ def _sums(sizes: Sequence[int]) -> list[int]:
     return [int(marked(number, size).sum(dtype=np.int64)) for number, size in enumerate(sizes)]
 
 
-def test_threads_and_forked_processes_have_their_own() -> None:
+def test_threads_and_forked_processes_do_not_share_buffers() -> None:
     sizes = [LARGE + number for number in range(60)]
     expected = [number % 251 * size for number, size in enumerate(sizes)]
     with ThreadPoolExecutor(4) as threads:

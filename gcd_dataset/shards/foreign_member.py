@@ -1,4 +1,4 @@
-"""Members of foreign samples as values: by the ending of their names, and never as code."""
+"""Decodes members of foreign samples by the ending of their names; never executes pickles."""
 
 from typing import Any
 
@@ -14,18 +14,18 @@ from gcd_dataset.shards.picture import opened_picture
 __all__ = ["decode_member"]
 
 PICTURES = ("jpg", "jpeg", "png", "webp", "ppm", "pgm", "tif", "tiff", "bmp")
-FORMATS = ("JPEG", "PNG", "WEBP", "PPM", "TIFF", "BMP")  # as Pillow calls those
-LONGEST_NUMBER = 20  # characters of a class
-NUMBERS = "biufc"  # NumPy's letters
-DEEP_GREY = {"I": np.int32, "F": np.float32}  # Pillow's modes, up to a semicolon, and what holds their values
+FORMATS = ("JPEG", "PNG", "WEBP", "PPM", "TIFF", "BMP")  # Pillow's names
+LONGEST_NUMBER = 20  # digits of a class label
+NUMBERS = "biufc"  # dtype.kind
+DEEP_GREY = {"I": np.int32, "F": np.float32}  # Pillow's mode, up to a semicolon, to the type of its values
 PICKLES = ("pkl", "pickle", "pyd", "pth", "pt", "joblib", "dill")
 
 
 def decode_member(member: str, data: Bytes) -> Any:
     """A number array, parsed JSON, text, a class number, a picture as u8 [3, height, width]; anything else as bytes.
 
-    A grey picture of more than 8 bits, such as a depth map, comes with its values, as int32 or f32 [1, height, width].
-    Raises ``ShardError`` for content that is not what its name says, for colours of more than 8 bits a channel, and for
+    A grey picture of more than 8 bits, such as a depth map, keeps its values, as int32 or f32 [1, height, width].
+    Raises ``ShardError`` for content that does not match the ending, for colours of more than 8 bits a channel, and for
     a pickle, which could run code.
 
     >>> decode_member("caption.txt", b"a shirt"), decode_member("cls", b"3")
@@ -48,30 +48,30 @@ def decode_member(member: str, data: Bytes) -> Any:
                 return _pixels(image)
     except (ShardError, ValueError) as error:
         name = shown(member)
-        raise ShardError(f"member {name}: not what its name says ({error}): get it anew from its maker") from error
+        raise ShardError(f"member {name}: does not match its ending ({error}): get it again from its maker") from error
     return bytes(data)
 
 
 def _class(data: Bytes) -> int:
     if len(data) > LONGEST_NUMBER:
-        raise ShardError(f"{len(data)} bytes, where a number is read")
+        raise ShardError(f"{len(data)} bytes, expected a number")
     return int(bytes(data))
 
 
 def _pixels(image: ImageFile.ImageFile) -> np.ndarray:
-    """The picture, no value changed. Raises ``ShardError`` for one that would come with fewer bits than it has."""
+    """The pixels, unchanged. Raises ``ShardError`` where Pillow would reduce their bits."""
     deep = DEEP_GREY.get(image.mode.partition(";")[0])
     if _is_scaled(image, deep is not None):
-        raise ShardError("a picture of more than 8 bits a channel, which would be lost: store it as .npy")
+        raise ShardError("a picture of more than 8 bits a channel, which would be reduced: store it as .npy")
     if deep is not None:
         return np.asarray(image).astype(deep)[None]
     return np.ascontiguousarray(np.asarray(image.convert("RGB")).transpose(2, 0, 1))
 
 
 def _is_scaled(image: ImageFile.ImageFile, is_grey: bool) -> bool:
-    """Whether Pillow reads other values than are in the file: those of 16 bits in colour, and odd numbers of levels."""
-    arguments = [tile[3] for tile in image.tile]  # of the decoder: the bits in the file, or the number of levels
+    """Whether Pillow rescales the values in the file: 16-bit colours, and PPM with unusual numbers of levels."""
+    arguments = [tile[3] for tile in image.tile]  # decoder arguments: bits a channel, or number of levels
     if image.format == "PPM":
-        levels = [given[-1] for given in arguments if isinstance(given, tuple)]
-        return any(most > 255 and not (is_grey and most == 65535) for most in levels)
-    return not is_grey and any(";16" in str(given) for given in arguments)
+        levels = [argument[-1] for argument in arguments if isinstance(argument, tuple)]
+        return any(level > 255 and not (is_grey and level == 65535) for level in levels)
+    return not is_grey and any(";16" in str(argument) for argument in arguments)

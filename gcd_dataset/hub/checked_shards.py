@@ -1,4 +1,4 @@
-"""Shards that have been found to have the hash that was published: remembered, so that none is read twice for it."""
+"""A record of shards with verified hashes, so that no shard is hashed twice."""
 
 import contextlib
 import hashlib
@@ -16,19 +16,16 @@ __all__ = ["CheckedShards"]
 
 
 class CheckedShards:
-    """Of a split in ``folder``: hash, bytes and time of change of each, kept in ``.checked-SPLIT.json``.
-
-    May be used by several threads of the process that brings the split.
-    """
+    """SHA-256, size and mtime of the verified shards of a split, stored in ``.checked-SPLIT.json``. Thread-safe."""
 
     def __init__(self, folder: Path, split: str) -> None:
         self._folder, self._path = folder, folder / f".checked-{require_name(split, 'split')}.json"
         self._known, self._lock = _read(self._path), threading.Lock()
 
     def holds(self, shard: ShardRecord) -> bool:
-        """Whether the shard is there with the bytes that were published: hashed unless it is as it was when it was.
+        """Whether the shard is on disk with the published hash. Hashes it unless size and mtime match the record.
 
-        Raises ``ShardError`` for one that cannot be read.
+        Raises ``ShardError`` for a file that cannot be read.
         """
         path = self._folder / shard.name
         with reading(path):
@@ -43,19 +40,19 @@ class CheckedShards:
         return True
 
     def remember(self, shard: ShardRecord) -> None:
-        """Note that the file has been found to have the hash in ``shard``. Raises ``OutputError``."""
+        """Record the file as verified. Raises ``OutputError``."""
         with self._lock:
             self._known[shard.name] = _state(self._folder / shard.name, shard.sha256)
             write_whole(self._path, json.dumps(self._known, indent=0).encode())
 
 
 def _state(path: Path, sha256: str) -> list[Any]:
-    there = path.stat()
-    return [sha256, there.st_size, there.st_mtime_ns]
+    status = path.stat()
+    return [sha256, status.st_size, status.st_mtime_ns]
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """What is remembered; nothing where that cannot be read: all is hashed again then."""
+    """The stored record; empty where it cannot be read, so that all shards are hashed again."""
     with contextlib.suppress(OSError, ValueError):
         if isinstance(known := json.loads(path.read_bytes()), dict):
             return known

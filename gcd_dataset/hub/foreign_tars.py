@@ -1,4 +1,4 @@
-"""Foreign tars in a repository: found by name, and read through once to see what lies in them."""
+"""The index of foreign tars in a repository: found by name, then scanned once."""
 
 import io
 import json
@@ -12,31 +12,34 @@ from gcd_dataset.names import safe_name
 from gcd_dataset.shards.foreign import ForeignSample, foreign_index, foreign_shards, samples_of
 from gcd_dataset.shards.index import ShardIndex
 
-__all__ = ["foreign_site_index"]
+__all__ = ["read_foreign_index"]
 
 log = logging.getLogger(__name__)
 
 
-def foreign_site_index(site: Site, split: str) -> ShardIndex:
-    """The index of foreign tars of a split; kept with the small files of the site.
+def read_foreign_index(site: Site, split: str) -> ShardIndex:
+    """The index of the foreign tars of a split; cached with the small files of the site.
 
-    Raises ``ShardError`` for a site without any, or with a damaged one.
+    Raises ``ShardError`` for a site without tars of the split, or with a damaged one.
     """
     names = foreign_shards(site.names, split)
     if not names:
         raise ShardError(f"{site.source}: no tars of split {split}: give a repository of shards")
-    log.info("%s: no index: all of its %d tars are read through, once", site.source, len(names))
+    log.info("%s: no index: scanning all of its %d tars, once", site.source, len(names))
     archives, lengths = {}, []
     for name in names:
-        scanned = json.loads(site.kept(safe_name(f"{name}.json"), partial(_scan, site, name)))
-        archives[name] = [ForeignSample(key, {m: tuple(p) for m, p in content.items()}) for key, content in scanned[1:]]
+        scanned = json.loads(site.cached(safe_name(f"{name}.json"), partial(_scan, site, name)))
+        archives[name] = [
+            ForeignSample(key, {member: tuple(location) for member, location in members.items()})
+            for key, members in scanned[1:]
+        ]
         lengths.append(scanned[0])
     return foreign_index(archives, lengths)
 
 
 def _scan(site: Site, name: str) -> bytes:
-    """Length and samples of a tar, as JSON."""
-    counted = _Counted(site, name)
+    """Length [bytes] and samples of a tar, as JSON. Raises ``ShardError``."""
+    counted = _CountingReader(site, name)
     try:
         samples = [[sample.key, dict(sample.members)] for sample in samples_of(cast(BinaryIO, counted))]
         counted.read_all()
@@ -45,8 +48,8 @@ def _scan(site: Site, name: str) -> bytes:
     return json.dumps([counted.length, *samples]).encode()
 
 
-class _Counted:
-    """A file of a site that is read from its beginning, and how much of it has been read."""
+class _CountingReader:
+    """A file of a site, read from its first byte on; ``length`` counts the bytes read."""
 
     def __init__(self, site: Site, name: str) -> None:
         self._pieces, self._rest = site.web.pieces(name), io.BytesIO()
