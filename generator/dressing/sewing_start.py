@@ -33,7 +33,7 @@ ARMPIT = 22.0  # cm below the top of the arm's skin, above which an armhole surr
 SLICE = 2.0  # cm of height in which widths are compared
 SECTION = 2.0  # cm of distance from the armhole that make a cross section of a sleeve
 SLEEVE_ROOT = 10.0  # cm from the armhole, where a sleeve may lie beside the arm's axis
-ARM_RADIUS = 4.0  # cm that a cross section of a sleeve must reach beyond the arm's axis on either side
+SLEEVE_GAP = 1.0  # cm that a cross section of a sleeve must reach beyond the arm or hand on either side
 
 
 def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
@@ -59,7 +59,7 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     if sleeves:
         for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
             if part in limbs:
-                _put_on_arm(mesh, roles, limbs[part], side, placed)
+                _put_on_arm(mesh, roles, body, limbs[part], side, placed)
     return placed
 
 
@@ -230,42 +230,39 @@ def _fit_between_arms(
 # -------------------------------------------------------------------------------------------------------------- sleeve
 
 
-def _put_on_arm(mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]) -> None:
-    """Shift the cross sections of a sleeve that hangs beside the arm, in ``placed``, so that each surrounds it.
+def _put_on_arm(
+    mesh: BoxMesh, roles: np.ndarray, body: Body, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]
+) -> None:
+    """Shift and widen the cross sections of a sleeve, in ``placed``, so that each surrounds the arm and the hand.
 
     A section is the vertices at one distance from the armhole along the cloth. Its middle, in the frontal plane, moves
-    to the point of the arm's axis that is as far from the armhole.
+    to the point of the arm's axis that is as far from the armhole. Sleeves that surround the arm stay as they are.
     """
     own = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
     faces = mesh.faces[own]
     armhole = np.intersect1d(faces, mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
-    if not len(faces) or not len(armhole):
+    if not len(armhole):
         return
-    rows = np.unique(faces)
-    ends, length = _flat_sides(faces, mesh.uv[mesh.corners[own]], len(mesh.vertices))
-    away = _distance_from(armhole, ends, length, len(mesh.vertices))[rows]
+    rows, n = np.unique(faces), len(mesh.vertices)
+    away = _distance_from(armhole, *_flat_sides(faces, mesh.uv[mesh.corners[own]], n), n)[rows]
     axis = arm.axis[:2] / np.linalg.norm(arm.axis[:2])
-    across = np.array([-axis[1], axis[0]])
-    points = mesh.vertices[rows, :2]
-    offset = (points - arm.origin[:2]) @ across
-    along = (points - arm.origin[:2]) @ axis
+    frame = np.stack([axis, [-axis[1], axis[0]]], axis=1)
+    along, across = ((mesh.vertices[rows, :2] - arm.origin[:2]) @ frame).T
+    skin = body.vertices[np.isin(body.parts, [BodyPart.HANDS.value]) & (side * body.vertices[:, 0] > 0.0)]
+    skin_along, skin_across = ((np.concatenate([arm.skin, skin])[:, :2] - arm.origin[:2]) @ frame).T
     root = float(along[away <= SECTION].mean())
-    tip = float(((arm.skin[:, :2] - arm.origin[:2]) @ axis).max())
-    middles, targets, fits = [], [], True
     numbers = np.floor(away / SECTION).astype(int)
+    moved, surrounds = np.zeros((len(rows), 2)), True
     for number in np.unique(numbers):
-        here = numbers == number
-        target = root + (number + 0.5) * SECTION
-        low, high = offset[here].min(), offset[here].max()
-        if (number + 0.5) * SECTION > SLEEVE_ROOT and target < tip:
-            fits &= bool(low < -ARM_RADIUS and high > ARM_RADIUS)
-        middles.append((number, 0.5 * (low + high), float(along[here].mean())))
-        targets.append(target)
-    if fits:
-        return
-    shift = np.zeros((len(rows), 2))
-    for (number, middle, here_along), target in zip(middles, targets, strict=True):
-        here = numbers == number
-        share = min(1.0, (number + 0.5) * SECTION / SLEEVE_ROOT)
-        shift[here] = share * (-middle * across + (target - here_along) * axis)
-    placed[rows, :2] += shift
+        here, distance = numbers == number, (number + 0.5) * SECTION
+        beside = np.abs(skin_along - root - distance) < SECTION
+        need = float(np.abs(skin_across[beside]).max(initial=0.0)) + SLEEVE_GAP if beside.any() else 0.0
+        low, high = float(across[here].min()), float(across[here].max())
+        if distance > SLEEVE_ROOT:
+            surrounds &= low <= -need and high >= need
+        middle, share = 0.5 * (low + high), min(1.0, distance / SLEEVE_ROOT)
+        wider = max(1.0, 2.0 * need / max(high - low, SECTION))
+        moved[here, 0] = share * (root + distance - along[here].mean())
+        moved[here, 1] = share * (wider * (across[here] - middle) - across[here])
+    if not surrounds:
+        placed[rows, :2] += moved @ frame.T
