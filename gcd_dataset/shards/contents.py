@@ -1,4 +1,4 @@
-"""The index and the splits of a folder: of our shards, or of tars by other programs."""
+"""The index and the splits of a folder with our shards, or with tars by other programs."""
 
 import logging
 from pathlib import Path
@@ -106,7 +106,7 @@ def _own_and_foreign(folder: Path) -> tuple[set[str], list[str]]:
 
 
 def _first_layout(folder: Path, split: str, layout: Layout) -> Layout:
-    """The layout of the first shard of a split."""
+    """The layout of the first shard of a split; ``layout`` for a split without shards or of an unknown schema."""
     with reading(folder):
         shards = shards_in(folder, split)
     first = first_sample_format(shards[0]) if shards else None
@@ -127,7 +127,7 @@ def _own_index(folder: Path, split: str, layout: Layout, stored: ShardIndex | No
 
 
 def _require_listed(folder: Path, split: str, index: ShardIndex) -> None:
-    """Raise ``ShardError`` for a shard with fewer samples than the manifest lists: a cut archive may look whole."""
+    """Raise ``ShardError`` for a shard with fewer samples than the manifest lists: a truncated archive may look whole."""
     manifest = read_manifest(folder)
     record = None if manifest is None else manifest.splits.get(split)
     counts = {name: len(table) for name, table in index.tables().items()}

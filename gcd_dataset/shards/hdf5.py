@@ -11,7 +11,7 @@ attributes                  ``format``, ``schema``, ``split``, ``count``, ``reci
 ==========================  ==========================================================================================
 
 Arrays are contiguous and uncompressed: a sample takes one seek and one read a field. Measured: chunked files are read
-at two thirds of the speed, compressed ones at half of it or less and are a third smaller.
+at two thirds of this speed; compressed ones at half of it or less, and they are a third smaller.
 
 Files are not trusted. libhdf5 loops forever on some damaged files, so it runs in a child process, which returns the
 offsets of the columns: see ``gcd_dataset.shards.hdf5_layout``. The texts lie in the global heap, where the loops occur;
@@ -90,7 +90,7 @@ MOST_SAMPLES = 1 << 28
 LARGEST = 1 << 29
 """Bytes of a member."""
 LARGEST_OFFSET = 1 << 62
-"""Offset in a file that the system can address."""
+"""Limit of the file offsets that are read: the system cannot address larger ones."""
 
 
 def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, None]:
@@ -132,7 +132,7 @@ class Hdf5Reader:
     def __init__(self, path: Path | str) -> None:
         self.path = user_path(path)
         self._file: _Descriptor | None = None
-        self._stamp: tuple[int, int] | None = None  # size and mtime: another file has others
+        self._stamp: tuple[int, int] | None = None  # size and mtime, which tell a replaced file
         if self._bytes(self._opened(), 0, len(SIGNATURE)) != SIGNATURE:
             raise self._broken("no HDF5 signature")
         attributes, self._columns = self._layout()
@@ -283,7 +283,7 @@ class Hdf5Reader:
         return buffer
 
     def _fill(self, file: "_Descriptor", offset: int, buffer: memoryview) -> None:
-        """Read the file from ``offset`` on."""
+        """Fill ``buffer`` from the file, from ``offset`` on."""
         # preadv: threads and forked processes share the file's position.
         with reading(self.path):
             while len(buffer):  # network file systems may return fewer bytes

@@ -1,7 +1,7 @@
 """Shard indices: the offset, size and CRC-32 of every member, for random access to tars.
 
-``index-train.npz`` can be rebuilt from the shards. A shard that is missing in it, or has another length there, is
-scanned again.
+``index-train.npz`` can be rebuilt from the shards. A shard that it does not list, or lists with another length, is
+scanned.
 """
 
 import contextlib

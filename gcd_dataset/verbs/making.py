@@ -39,7 +39,7 @@ __all__ = [
 Engine = Literal["local", "ray"]
 
 STARTUP = 4.0  # s for a worker to start
-CPU_SECONDS = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # of a worker for one garment, by stage, without the drape
+CPU_SECONDS = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # of a worker for a garment, by stage; draping excluded
 
 
 @dataclass(frozen=True)

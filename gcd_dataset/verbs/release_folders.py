@@ -71,7 +71,7 @@ class _Batch:
 
 
 def exported_splits(folder: Path | str) -> dict[str, ShardReader]:
-    """The splits of a data set that exist in the published layout, with a warning about others.
+    """Split to reader, for the splits that the published layout has; logs a warning about others.
 
     Raises ``ShardError`` if there is none.
     """
