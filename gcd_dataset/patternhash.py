@@ -7,9 +7,9 @@ expected once for every 150 pairs of machines in the 230,000 patterns of a large
 1,000 patterns. ``PatternHash`` records the ties and their effect on the hash; ``agrees`` accepts the hash of a machine
 that rounded a tie the other way.
 
-Hashed of a pattern: its index; names and labels of panels, labels of edges; each panel's centroid in space, rotation,
-centroid in its own coordinates and number of edges; each edge's panel, start, kind and control points, for an arc its
-midpoint, side and large flag; the stitches. Two sets of ``PatternTensor`` columns are left out, since they follow from
+The hash of a pattern covers: its index; names and labels of panels, labels of edges; each panel's centroid in space,
+rotation, centroid in its own coordinates and number of edges; each edge's panel, start, kind and control points, for an
+arc its midpoint, side and large flag; the stitches. Two sets of ``PatternTensor`` columns are left out, since they follow from
 the others and magnify their last digits: a rotation's Euler angles, which are not unique, and the radius of an arc,
 which is unbounded for a nearly straight one.
 
@@ -123,7 +123,7 @@ def hash_pattern(index: int, tensor: PatternTensor) -> PatternHash:
 
 
 def _with_leading_sign(quaternion: Float[np.ndarray, "p 4"]) -> Float[np.ndarray, "p 4"]:
-    """Quaternions with a positive first component that is not 0 when rounded.
+    """Quaternions with a positive sign of the first component that does not round to 0.
 
     For a rotation by 180 degrees W is 0 up to rounding, so machines may disagree on the sign.
     """

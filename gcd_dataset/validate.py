@@ -35,8 +35,8 @@ TINY = 10.0  # cm: the largest panel of a garment, even of a belt, is larger
 USUAL = 90.0  # cm: the largest panel of a typical garment, to guess the unit
 USUAL_TOP = 130.0  # cm: the top of a typical garment, a better guess if the panels are placed
 UNITS = {"millimetres": 1000, "centimetres": 100, "inches": 39.37, "metres": 1}  # in a metre
-CROSSWISE = 0.85  # a seam is crosswise if joining its other ends takes less than this share of the distance …
-APART = 2.0  # cm … and is shorter by this much; no published or sampled seam comes under a share of 0.9
+CROSSWISE = 0.85  # a seam is crosswise if pairing its ends the other way shortens their distance to this share …
+APART = 2.0  # … and by this much [cm]; published and sampled seams all keep a share of 0.9 or more
 GATHER = 1.05  # ratio of two lengths sewn together, above which cloth gathers visibly
 SLACK = 0.5  # cm: a difference of two lengths that any seam absorbs
 

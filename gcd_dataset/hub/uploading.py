@@ -216,7 +216,7 @@ class StoreWriter:
         return self._open[number]
 
     def _open_range(self, number: int) -> RangeWriter:
-        """A writer of a range; continues the spool, or the stored shards where the spool lacks some of their samples."""
+        """A writer of a range; continues the spool, or the stored shards if the spool lacks some of their samples."""
         stored = self._stored.get(number)
         writer = self._spool.writer(number)
         if stored is None or writer.done >= stored.samples:

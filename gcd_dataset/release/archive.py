@@ -53,7 +53,7 @@ class Archive(Record):
     size: Int[np.ndarray, "n m"]
     """Bytes."""
     points: Int[np.ndarray, "k 3"]
-    """Seek points: byte of the packed file, byte of the content, and 1 if unpacking needs the preceding window."""
+    """Seek points: offset in the packed file, offset in the content, and 1 if unpacking needs the window before it."""
     windows: Path
     """File with the concatenated windows of all seek points."""
 

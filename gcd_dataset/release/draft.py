@@ -1,7 +1,7 @@
 """Writes a release garment by garment; an interrupted run is continued.
 
 Unfinished garments lie in a hidden folder, with a note that identifies their source; the folder is removed at the end.
-Each garment outside that folder is complete.
+Garments outside that folder are complete.
 """
 
 import shutil

@@ -1,7 +1,7 @@
 """Reads ``dataset_properties_default_body.yaml``: failures and simulation counts of the garments of a batch.
 
-Failed garments are left out, even if their folders exist. Parsing a file of 5,000 garments takes seconds, so an extract
-is cached.
+``PublishedGarments`` leaves failed garments out, even if their folders exist. Parsing a file of 5,000 garments takes
+seconds, so an extract is cached.
 """
 
 import json

@@ -127,7 +127,7 @@ def _own_index(folder: Path, split: str, layout: Layout, stored: ShardIndex | No
 
 
 def _require_listed(folder: Path, split: str, index: ShardIndex) -> None:
-    """Raise ``ShardError`` for a shard with fewer samples than the manifest lists: a truncated archive may look whole."""
+    """Raise ``ShardError`` for a shard with fewer samples than the manifest lists: a truncated tar may look whole."""
     manifest = read_manifest(folder)
     record = None if manifest is None else manifest.splits.get(split)
     counts = {name: len(table) for name, table in index.tables().items()}

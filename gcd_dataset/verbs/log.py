@@ -6,9 +6,10 @@ begin
     ``options`` (of the call), ``versions`` (of the packages that determine the samples), ``recipe`` (its SHA-256),
     ``machine`` (``host``, ``pid``, ``cores``, ``gpus``: device to name).
 progress
-    Every 100 samples, and at the first sample 10 s after the last line or later: ``count`` (samples in the finished data set),
-    ``there`` (from earlier runs), ``made`` (by this run), ``rate`` (samples a second over the last minute, or null),
-    ``left_s`` (seconds left at that rate, or null), ``outcomes`` and ``rejects`` (of this run, by name and by rule),
+    Every 100 samples, and at the first sample 10 s after the last line or later: ``count`` (samples in the finished
+    data set), ``there`` (from earlier runs), ``made`` (by this run), ``rate`` (samples a second over the last minute,
+    or null), ``left_s`` (seconds left at that rate, or null), ``outcomes`` and ``rejects`` (of this run, by name and by
+    rule),
     ``waits`` (idle share of the last minute: each GPU's draping processes, ``makers``, ``writer``), ``rss_mb``
     (resident memory of this process, MB).
 end, stopped, failed
