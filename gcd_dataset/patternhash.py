@@ -9,9 +9,9 @@ that rounded a tie the other way.
 
 The hash of a pattern covers: its index; names and labels of panels, labels of edges; each panel's centroid in space,
 rotation, centroid in its own coordinates and number of edges; each edge's panel, start, kind and control points, for an
-arc its midpoint, side and large flag; the stitches. Two sets of ``PatternTensor`` columns are left out, since they follow from
-the others and magnify their last digits: a rotation's Euler angles, which are not unique, and the radius of an arc,
-which is unbounded for a nearly straight one.
+arc its midpoint, side and large flag; the stitches. Two sets of ``PatternTensor`` columns are left out, since they
+follow from the others and magnify their last digits: a rotation's Euler angles, which are not unique, and the radius of
+an arc, which is unbounded for a nearly straight one.
 
 The hash of many patterns is the sum of their hashes modulo 2^256 (AdHash; Bellare and Micciancio, 1997), so it does not
 depend on their order. It identifies a data set; it is not secure against forgery.

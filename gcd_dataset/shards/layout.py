@@ -96,7 +96,7 @@ class Layout:
     kind: str
     """``garments``, ``bodies`` or ``foreign``."""
     members: tuple[str, ...]
-    """The files of a sample in order. The first, except in foreign tars, is ``meta.json``: it holds the others' CRC-32."""
+    """The files of a sample in order. The first, except in foreign tars, is ``meta.json``, with their CRC-32."""
     reader: str
     """The class in ``gcd_dataset.loaders`` that reads such samples, for messages."""
     schema: int = SCHEMA

@@ -205,7 +205,7 @@ class SampleCache:
         return self._shards.between(number * self._shard_size, (number + 1) * self._shard_size)
 
     def _refresh(self, *, holds_lock: bool = False) -> bool:
-        """Reload the index if its file has changed; returns whether it had. ``holds_lock``: the caller has ``_lock``."""
+        """Reload the index if its file has changed; returns whether it had. ``holds_lock``: ``_lock`` is held."""
         try:
             stat = (self.folder / index_name(SPLIT)).stat()
         except FileNotFoundError:
