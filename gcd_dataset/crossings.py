@@ -19,7 +19,7 @@ from gcd_dataset.records import Panel
 __all__ = ["Crossing", "edge_hulls", "find_crossings"]
 
 TOUCH = 0.01  # cm: two edges may touch this far from their shared corner; further off they cross
-SAMPLING = 0.15  # cm: mean distance of the points that sample a curve
+SAMPLING = 0.15  # cm: mean spacing of the points that sample a curve
 FEW = 64  # edges: panels with more are swept; for fewer, comparing all pairs is fastest
 AT_ONCE = 1 << 19  # pairs of edges compared at once: 30 MB
 MOST_CROSSINGS = 100  # reported for one panel

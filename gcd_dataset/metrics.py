@@ -238,7 +238,7 @@ def _matches(predicted: Sequence[PanelShape | None], true: Sequence[PanelShape])
 
 
 def _angle(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> float:
-    """Angle of the rotation from one to the other [rad]; by atan2, since arccos loses all digits near 0."""
+    """Angle between two rotations [rad]; by atan2, since arccos loses all digits near 0."""
     rotation = one.T @ other
     axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     return float(np.arctan2(np.linalg.norm(axis), np.trace(rotation) - 1))

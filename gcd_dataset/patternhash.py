@@ -66,7 +66,7 @@ class PatternHash:
 
     value: int = 0
     ties: tuple[int, ...] = ()
-    """Changes of ``value`` if a machine rounds one or more ties of one pattern the other way."""
+    """Differences to ``value`` on machines that round one or more ties of one pattern the other way."""
     count: int = 0
     """Number of patterns."""
 

@@ -248,7 +248,7 @@ class Seam:
     By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
     starts meet, and one of the panels is sewn in wrong side out. Unequal lengths are gathered. An edge has the
     direction of its panel's loop. Only this rule decides which ends meet; the placement of the panels does not
-    (``validate`` warns if the joined ends hang far apart and the others near each other).
+    (``validate`` warns if the ends would be nearer when joined the other way).
     """
 
     left: EdgeRef

@@ -164,7 +164,7 @@ def _name_faults(panels: Sequence[Panel]) -> Iterator[Fault]:
 
 
 def _loop_faults(panel: Panel) -> Iterator[Fault]:
-    """Faults for which the outline is no closed curve."""
+    """Faults that keep the outline from being a closed curve."""
     count, corners, points = len(panel.edges), len(panel.vertices), panel.vertices.tolist()
     straight = all(edge.curve == LINE for edge in panel.edges)
     if count < (3 if straight else 2):
@@ -345,7 +345,7 @@ def _unlike_sides(
 def _crosswise(
     number: int, seam: Seam, panels: Mapping[str, Panel], corners: Mapping[str, list[list[float]]]
 ) -> Iterator[Fault]:
-    """A fault if the ends that a stitch joins hang far apart and the other ends near each other.
+    """A fault if the ends that a stitch joins hang far apart, and would be nearer when joined the other way.
 
     ``corners``: panel name to the panel's vertices in space [cm].
     """

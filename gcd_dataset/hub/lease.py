@@ -30,7 +30,7 @@ def leased(files: Objects, local: Path) -> Iterator[None]:
 
     ``local``: file with a copy of the lease, which identifies this run after a kill. Raises ``OutputError`` where
     another run holds the lease. On S3 exactly one writer gets it. In a store without conditional writes two writers
-    that start at the same instant may both get it, unless the check after writing sees the lease of the other.
+    that start at the same instant may both get it, unless the check after writing reads the other lease.
     """
     if not local.exists():
         lease = {"run": secrets.token_hex(16), "host": socket.gethostname(), "process": os.getpid()}

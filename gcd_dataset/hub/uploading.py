@@ -70,7 +70,7 @@ class StoreTarget:
 
     @contextlib.contextmanager
     def filling(self, count: int) -> Iterator["StoreWriter | FinishedWriter"]:
-        """A writer of the missing ones of ``count`` samples. The data set becomes visible at the end of the block.
+        """A writer of the missing samples below ``count``. The data set becomes visible at the end of the block.
 
         After an error, store and spool keep their samples, and the same call continues. A complete data set is not
         written again.

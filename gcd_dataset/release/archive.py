@@ -117,7 +117,7 @@ class Archive(Record):
 
     @classmethod
     def _read_cache(cls, path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Self | None:
-        """The cached index; ``None`` for a broken one, or one of another archive."""
+        """The cached index; ``None`` if it is broken, or describes another archive."""
         try:
             arrays = _read_arrays(index)
             if arrays["stamp"].tolist() != [SCHEMA, *stamp] or arrays["kinds"].tolist() != list(ENDINGS):

@@ -137,8 +137,8 @@ INT16_MAX, UNDEFINED = 32767, -32768
 def encode_sample(sample: Sample) -> dict[str, bytes]:
     """Member name to bytes; equal samples give equal bytes.
 
-    The names are those of ``MEMBERS``, and those of the caption and the views where the sample has them. Raises
-    ``ShardError`` with the sample's key for content that the format cannot hold.
+    The members are ``MEMBERS``, and caption and views where the sample has them. Raises ``ShardError`` with the
+    sample's key for content that the format cannot hold.
     """
     with _storing(sample):
         tensor = encode_pattern(sample.pattern)

@@ -32,8 +32,8 @@ log = logging.getLogger(__name__)
 def read_index(folder: Path | str, split: str = "train", layout: Layout = GARMENTS) -> ShardIndex:
     """The index of a split, brought up to date with the shards in the folder; nothing is written.
 
-    Its layout lists the members present: all of ``layout``, fewer after a download of some fields, or any others in
-    tars that another program wrote for ``webdataset``. Raises ``ShardError`` for a broken index or shard.
+    Its layout lists the members present: all of ``layout``; fewer after a download of some fields; any members in tars
+    that another program wrote for ``webdataset``. Raises ``ShardError`` for a broken index or shard.
     """
     folder = user_path(folder)
     stored = read_stored_index(folder, split, layout, partial=True)

@@ -6,7 +6,7 @@
 ``/ptr/verts``, …           int64 [n+1]: sample i holds the rows from ``ptr[i]`` to ``ptr[i + 1]``
 ``/bytes/faces``, …         u1 [n]: bytes of a number in the shard's member
 ``/spec``, ``/meta``, …     a JSON field: one text a sample
-``/crc32``                  u4 [n]: CRC-32 of each ``meta``, which holds those of the sample's other members
+``/crc32``                  u4 [n]: CRC-32 of each ``meta``, which holds the CRC-32 of the sample's other members
 attributes                  ``format``, ``schema``, ``split``, ``count``, ``recipe`` as JSON
 ==========================  ==========================================================================================
 
@@ -64,7 +64,7 @@ TEXTS = tuple(field for field in FIELDS if field not in RAGGED)
 
 ATTRIBUTES = ("format", "schema", "split", "count")
 NAMES = (*FIELDS, META_CRC, *(f"{kind}/{field}" for kind in ("ptr", "bytes") for field in RAGGED))
-"""The data sets of a file; ``crc32`` is missing in early ones."""
+"""The HDF5 data sets of a file; files of early versions lack ``crc32``."""
 MEMBER_NUMBER = {member: number for number, member in enumerate(MEMBERS)}
 
 PAIR = struct.Struct("<qq")

@@ -68,7 +68,7 @@ class ShardReader:
         self.manifest = self.store.manifest()
         self.index = self.store.index(split, layout)
         self.layout = self.index.layout
-        # Shards filled out of order, and foreign ones, may not be sorted by index.
+        # Samples of shards filled out of order, and of foreign tars, may not be sorted by index.
         order = np.argsort(self.index.table.sample, kind="stable")
         self._row = order[self.index.table.settled[order]] if settled_only else order
         if not len(self._row):

@@ -1,6 +1,6 @@
 """A cache of generated samples, shared by processes, stored as the shards of a data set.
 
-Each sample is first written to a tar of its own in ``.waiting``. The process that adds the last sample of a shard
+Each sample is first written to its own tar in ``.waiting``. The process that adds the last sample of a shard
 writes the shard. At any moment the folder is a valid data set of its finished shards, and no sample is lost by a kill.
 """
 

@@ -81,7 +81,7 @@ def run_log(
 
 
 class _Run:
-    """Forwards progress to a callback, and writes some of it to the log."""
+    """Forwards progress to a callback, and logs it at intervals."""
 
     def __init__(self, lines: "_Lines", on_progress: ProgressCallback, clock: Callable[[], float]) -> None:
         self._lines, self._on_progress, self._clock = lines, on_progress, clock

@@ -56,7 +56,7 @@ class PublishedName:
 
     @property
     def listed(self) -> str:
-        """The garment's entry in the split file: always under the default body, as the file lists designs."""
+        """The garment's entry in the split file, which lists designs: always under the default body."""
         return f"{self.batch}/{BODY_FOLDERS['default']}/{self.name}"
 
 
