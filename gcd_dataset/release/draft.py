@@ -27,7 +27,7 @@ class ReleaseDraft:
         self._visited: set[Path] = set()
 
     def begin(self, garments: str) -> None:
-        """Start the export, or continue it. Raises ``ConfigError`` for a folder with other ``garments``, or other files."""
+        """Start or continue the export. Raises ``ConfigError`` for a folder with other ``garments`` or files."""
         note = self._unfinished / NOTE
         with reading(self.folder):
             begun = note.read_text() if note.exists() else None

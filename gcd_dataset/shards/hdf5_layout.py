@@ -1,9 +1,9 @@
 """Finds the columns of an HDF5 file: ``python hdf5_layout.py FILE CPU_SECONDS``, with their names as JSON on stdin.
 
 libhdf5 hangs on some damaged files, and allocates without bound for others. Therefore only this program, a child
-process with limits on time and memory, calls it for reading. It prints one JSON object: ``attributes``, and ``columns``, each with
-``type`` (NumPy's, or ``text``), ``shape`` and ``offset`` [bytes] in the file; or ``problem``, a sentence. It reads no
-sample, so a large file takes as long as a small one.
+process with limits on time and memory, calls it for reading. It prints one JSON object: ``attributes``, and
+``columns``, each with ``type`` (NumPy's, or ``text``), ``shape`` and ``offset`` [bytes] in the file; or ``problem``, a
+sentence. It reads no sample, so a large file takes as long as a small one.
 """
 
 import json
