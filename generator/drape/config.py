@@ -114,7 +114,7 @@ class DrapeJob:
     measurements: Measurements
     fabric: Fabric = USUAL_FABRIC
     coarse: CoarseMesh | None = None
-    """The coarse mesh of ``coarse_start``. Without it the drape makes one, which takes as long as two drapes on a GPU."""
+    """The coarse mesh of ``coarse_start``. Without it the drape makes one, in the time of two drapes on a GPU."""
     start: Float[np.ndarray, "v 3"] | None = None
-    """Positions of ``sewing_start`` for ``coarse``, or for ``box_mesh`` without ``coarse`` [cm]; None: the drape computes
-    them."""
+    """Positions of ``sewing_start`` for ``coarse``, or for ``box_mesh`` without ``coarse`` [cm]; None: computed in the
+    drape."""
