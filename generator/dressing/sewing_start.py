@@ -35,9 +35,9 @@ WAVE, WAVES = 0.4, 17.0  # cm, amplitude; periods round the cone: small waves th
 ARM_GAP = 1.5  # cm between a bodice and the inside of an arm
 ARMPIT = 22.0  # cm below the top of the arm's skin: the armhole surrounds the arm above this height
 SLICE = 2.0  # cm, height of the slices in which the widths of bodice and room are compared
-SECTION = 2.0  # cm along the sleeve: length of a cross section
-SLEEVE_ROOT = 10.0  # cm from the armhole: nearer sections of a sleeve need not surround the arm, and are shifted less
-ARM_RADIUS = 4.0  # cm: a cross section of a sleeve surrounds the arm if it reaches further on both sides of the axis
+SECTION = 2.0  # cm of distance from the armhole that make a cross section of a sleeve
+SLEEVE_ROOT = 10.0  # cm from the armhole, where a sleeve may lie beside the arm's axis
+ARM_RADIUS = 4.0  # cm that a cross section of a sleeve must reach beyond the arm's axis on either side
 
 
 def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
@@ -244,11 +244,10 @@ def _fit_between_arms(
 
 
 def _put_on_arm(mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]) -> None:
-    """Shift the cross sections of a sleeve, in ``placed``, so that each surrounds the arm.
+    """Shift the cross sections of a sleeve that hangs beside the arm, in ``placed``, so that each surrounds it.
 
-    A cross section is the vertices at about one distance from the armhole along the cloth. In the frontal plane its
-    middle moves to the point of the arm's axis at the same distance from the armhole. A sleeve that surrounds the arm
-    already stays where it is.
+    A section is the vertices at one distance from the armhole along the cloth. Its middle, in the frontal plane, moves
+    to the point of the arm's axis that is as far from the armhole.
     """
     own = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
     faces = mesh.faces[own]
