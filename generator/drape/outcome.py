@@ -22,18 +22,20 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
     if not worlds:
         return []
     state, topology = solver.state, solver.model.topology
-    with launch_lock:
-        chosen = np.isin(np.arange(solver.model.n_worlds), worlds)
-        if solver.config.untangling_steps:
+    overfull = state.contacts.overfull.numpy()  # of the drape: the searches below may overflow lists that end with them
+    chosen = np.isin(np.arange(solver.model.n_worlds), worlds)
+    if solver.config.untangling_steps:
+        with launch_lock:
             crossing = (solver.self_crossings(chosen) > 0) & (state.status.numpy() == DONE)
-            if crossing.any():
-                untangle(solver, crossing)
+        if crossing.any():
+            untangle(solver, crossing)
+    with launch_lock:
         if solver.config.exact_finish:
             solver.leave_skin(chosen)
         self_crossings, body_crossings = solver.self_crossings(chosen), solver.body_crossings(chosen)
         body_through = solver.body_through(chosen)
         stretches = solver.stretches()
-    x, status, frames, overfull = (a.numpy() for a in (state.x, state.status, state.frames, state.contacts.overfull))
+    x, status, frames = (array.numpy() for array in (state.x, state.status, state.frames))
     drapes = []
     for job, w in zip(jobs, worlds, strict=True):
         vertices = np.array(x[topology.vertex_offset[w] : topology.vertex_offset[w + 1]], np.float32)

@@ -45,7 +45,8 @@ def untangle(solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
         wp.capture_launch(step)
         if number % POLL_EVERY == 0 and not phase.active.numpy().any():
             break
-    phase.end()
+    with launch_lock:
+        phase.end()
 
 
 class _Phase:

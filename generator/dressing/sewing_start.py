@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array, diags_array
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import spsolve
 
 from gcd_dataset.errors import BodyError
@@ -190,10 +190,12 @@ class _Skirt:
             weight += 2 * [np.maximum((a * b).sum(axis=1) / np.maximum(twice_area, 1e-9), 0.01)]
         i, j, w = (np.concatenate(part) for part in (start, end, weight))
         weights = coo_array((w, (i, j)), shape=(n, n)).tocsr()
+        _, piece = connected_components(weights, directed=False)
+        bounded = np.isin(piece[self._vertices], piece[self.side])
         laplacian = diags_array(np.asarray(weights.sum(axis=1)).ravel()).tocsr() - weights
         turn = np.zeros(n)
         turn[self.side] = 0.5 * np.pi * self._aside
-        free = np.setdiff1d(self._vertices, self.side)
+        free = np.setdiff1d(self._vertices[bounded], self.side)
         turn[free] = spsolve(laplacian[free][:, free].tocsc(), -(laplacian[free][:, self.side] @ turn[self.side]))
         return turn
 
@@ -225,6 +227,7 @@ def _fit_between_arms(
     bodice = np.unique(mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
     bodice = bodice[side * mesh.vertices[bodice, 0] > 0.0]
     bodice = np.setdiff1d(bodice, mesh.faces[(roles == PanelRole.ARM)[mesh.panel_id]])
+    bodice = bodice[(placed[bodice] == mesh.vertices[bodice]).all(axis=1)]  # without the top of a skirt on a cone
     height, reach = mesh.vertices[bodice, 1], side * mesh.vertices[bodice, 0]
     slices, arm_slices = (np.floor(y / SLICE).astype(int) for y in (height, arm.skin[:, 1]))
     armhole = mesh.labels.get(EdgeRole.LEFT_ARMHOLE if side > 0.0 else EdgeRole.RIGHT_ARMHOLE)
