@@ -115,7 +115,7 @@ class PublishedGarmentCodeData(Garments):
         return str(self._garments.entries[self._position(index)])
 
     def number(self, index: int) -> int:
-        """The number of garment ``index`` in converted shards; it does not depend on other files. Raises ``IndexError``."""
+        """The number of garment ``index`` in converted shards, independent of other files. Raises ``IndexError``."""
         return self._garments.entries[self._position(index)].index
 
     @property
