@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         nargs="+",
         default=[SHARD_SIZE * n for n in PARTS],
-        help="part sizes to simulate [garments]",
+        help="part sizes to try [garments]",
     )
     parser.add_argument(
         "--begin", type=float, default=Fleet.begin, help="time from a part's start to its first garment [s]"
