@@ -51,7 +51,7 @@ class Person(Record):
     """Measured with the legs straight; valid for both poses."""
 
     def body(self, mesh: BodyMesh, *, legs_apart: bool = False) -> Body:
-        """The body in one of the poses, ready for draping. Raises ``BodyError`` if the mesh has no part labels."""
+        """The body in one pose of the legs, for draping. Raises ``BodyError`` if the mesh has no part labels."""
         if mesh.parts is None:
             raise BodyError(f"{self.name}: the mesh has no labels for arms and legs: give a part segmentation")
         vertices = self.apart if legs_apart else self.straight

@@ -19,8 +19,8 @@ from gcd_dataset.records import Panel
 __all__ = ["Crossing", "edge_hulls", "find_crossings"]
 
 TOUCH = 0.01  # cm: two edges may touch this far from their shared corner; further off they cross
-SAMPLING = 0.15  # cm: mean distance of the points that sample a curve
-FEW = 64  # edges: up to here all pairs of a panel are compared, which is fastest; larger panels are swept
+SAMPLING = 0.15  # cm: mean spacing of the points that sample a curve
+FEW = 64  # edges: panels with more are swept; for fewer, comparing all pairs is fastest
 AT_ONCE = 1 << 19  # pairs of edges compared at once: 30 MB
 MOST_CROSSINGS = 100  # reported for one panel
 APART = 1e-6  # cm between two boxes, rad between two sectors: more than rounding
@@ -180,7 +180,7 @@ def _cuts(counts: Int[np.ndarray, " e"]) -> Int[np.ndarray, " c"]:
 
 
 def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
-    """Edges that advance along their chord throughout, by their hulls, and so cannot meet themselves."""
+    """Whether each edge advances along its chord throughout, by its hull, and so cannot meet itself."""
     legs = np.diff(hulls, axis=1)
     return ((legs * (hulls[:, -1:] - hulls[:, :1]).conj()).real >= 0).all(axis=1)
 
@@ -188,7 +188,7 @@ def _monotone(hulls: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
 def _boxes_apart(
     hulls: Complex[np.ndarray, "e 4"], one: Int[np.ndarray, " n"], other: Int[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Pairs of edges with disjoint bounding boxes."""
+    """Whether the bounding boxes of each pair of edges are disjoint."""
     apart = np.zeros(len(one), bool)
     for part in (hulls.real, hulls.imag):
         low, high = part.min(axis=1), part.max(axis=1)
@@ -197,7 +197,7 @@ def _boxes_apart(
 
 
 def _sectors_apart(before: Complex[np.ndarray, "e 4"], after: Complex[np.ndarray, "e 4"]) -> Bool[np.ndarray, " e"]:
-    """Pairs of consecutive edges in disjoint sectors round their common corner: they meet in that corner only."""
+    """Whether consecutive edges lie in disjoint sectors round their common corner, so that they meet only there."""
     with np.errstate(all="ignore"):  # a chord of almost no length gives NaN, which compares as not apart
         middle_before, half_before = _sector(before[:, ::-1])
         middle_after, half_after = _sector(after)

@@ -41,7 +41,7 @@ __all__ = [
 Point: TypeAlias = tuple[float, float]
 
 QUADRATURE_NODES, QUADRATURE_WEIGHTS = np.polynomial.legendre.leggauss(24)
-ARC_TOLERANCE = 1e-6  # relative shortfall of a radius against half the chord that counts as rounding
+ARC_TOLERANCE = 1e-6  # a radius may be shorter than half the chord by this share: rounding
 
 
 @dataclass(frozen=True, slots=True)

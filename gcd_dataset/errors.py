@@ -11,7 +11,7 @@
     │   └── RemoteError      a server that does not answer, refuses, or sends something else
     │       ├── MissingError a file or repository that the server does not have
     │       └── RefusedError a file or repository that the server denies access to
-    ├── ConfigError         options that do not fit together, or that this machine cannot serve
+    ├── ConfigError         options that contradict each other, or need what this machine lacks
     ├── TransformError      a transform that failed on a garment; its own error is the cause
     └── OutputError         a file or folder that cannot be written
 
@@ -120,7 +120,7 @@ class RefusedError(RemoteError):
 
 
 class ConfigError(GcdError):
-    """Options that do not fit together, or that this machine cannot serve."""
+    """Options that contradict each other, or need what this machine lacks."""
 
 
 class TransformError(GcdError):

@@ -162,7 +162,7 @@ DECODER = json.JSONDecoder(object_pairs_hook=_unique, parse_float=_finite, parse
 
 
 def _surely_flat(content: bytes) -> bool:
-    """Whether the brackets alone prove at most ``DEEPEST`` levels; fast. Brackets in strings may hide a flat value."""
+    """Whether the brackets alone prove at most ``DEEPEST`` levels; fast. May be false where strings hold brackets."""
     if content.count(b"[") + content.count(b"{") <= DEEPEST:
         return True
     brackets = content.translate(None, NOT_BRACKETS)

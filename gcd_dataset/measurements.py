@@ -219,5 +219,5 @@ class Measurements:
 MEASURE: Mapping[str, Measure] = {entry.name: Measure(entry.name, **entry.metadata) for entry in fields(Measurements)}
 """Name, unit and formula of each measure, by name."""
 MEASURES: tuple[str, ...] = tuple(MEASURE)
-"""The keys of a GarmentCode measurement file, 26, and those of further measures: cm; inclinations in degrees."""
+"""The keys of a measurement file: the 26 of GarmentCode, then added fields. Values in cm; inclinations in degrees."""
 ANGLES = frozenset(name for name, known in MEASURE.items() if known.unit == "degrees")

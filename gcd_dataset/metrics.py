@@ -24,11 +24,11 @@ from gcd_dataset.validate import Severity, check_pattern
 
 __all__ = ["PanelShape", "PatternScore", "bootstrap_interval", "mean_scores", "resample_loop", "score_pattern"]
 
-CURVE_SAMPLES = 33  # points of a curved edge: off by 1e-4 r for a quarter circle
+CURVE_SAMPLES = 33  # points of a curved edge: an error of 1e-4 r for a quarter circle
 CONTOUR_POINTS = 256
-SHIFTS = 64  # initial guesses for the start of the other contour, beside its corners
+SHIFTS = 64  # starts of the predicted contour that are tried, besides its corners
 DISTANCE_SCALE = 20.0  # cm: a distance that costs as much as outlines without overlap
-ANGLE_SCALE = np.pi / 2  # a rotation that costs as much
+ANGLE_SCALE = np.pi / 2  # rad: a rotation that costs as much as outlines without overlap
 FAR = 40.0  # cm: panels further apart match only if their outlines are alike
 ALIKE = 0.5  # least intersection over union of outlines that are alike
 SMALLEST_AREA = 1.0  # cm²: a panel to sew is larger
@@ -49,7 +49,7 @@ class PatternScore:
     panel_l2: float
     """Mean distance of matched outlines, centroids aligned, at equal shares of their length [cm]."""
     panel_l2_pen: float
-    """The same over all true panels; an unmatched panel counts with its mean radius [cm]."""
+    """``panel_l2`` over all true panels; an unmatched panel counts with its mean radius [cm]."""
     transl_cm: float
     """Distance between the centroids of matched panels in space [cm]."""
     rot_deg: float
@@ -238,7 +238,7 @@ def _matches(predicted: Sequence[PanelShape | None], true: Sequence[PanelShape])
 
 
 def _angle(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> float:
-    """Angle of the rotation from one to the other [rad]; by atan2, since arccos loses all digits near 0."""
+    """Angle between two rotations [rad]; by atan2, since arccos loses all digits near 0."""
     rotation = one.T @ other
     axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     return float(np.arctan2(np.linalg.norm(axis), np.trace(rotation) - 1))

@@ -7,11 +7,11 @@ expected once for every 150 pairs of machines in the 230,000 patterns of a large
 1,000 patterns. ``PatternHash`` records the ties and their effect on the hash; ``agrees`` accepts the hash of a machine
 that rounded a tie the other way.
 
-Hashed of a pattern: its index; names and labels of panels, labels of edges; each panel's centroid in space, rotation,
-centroid in its own coordinates and number of edges; each edge's panel, start, kind and control points, for an arc its
-midpoint, side and large flag; the stitches. Two sets of ``PatternTensor`` columns are left out, since they follow from
-the others and magnify their last digits: a rotation's Euler angles, which are not unique, and the radius of an arc,
-which is unbounded for a nearly straight one.
+The hash of a pattern covers: its index; names and labels of panels, labels of edges; each panel's centroid in space,
+rotation, centroid in its own coordinates and number of edges; each edge's panel, start, kind and control points, for an
+arc its midpoint, side and large flag; the stitches. Two sets of ``PatternTensor`` columns are left out, since they
+follow from the others and magnify their last digits: a rotation's Euler angles, which are not unique, and the radius of
+an arc, which is unbounded for a nearly straight one.
 
 The hash of many patterns is the sum of their hashes modulo 2^256 (AdHash; Bellare and Micciancio, 1997), so it does not
 depend on their order. It identifies a data set; it is not secure against forgery.
@@ -66,7 +66,7 @@ class PatternHash:
 
     value: int = 0
     ties: tuple[int, ...] = ()
-    """Changes of ``value`` if a machine rounds one or more ties of one pattern the other way."""
+    """Differences to ``value`` on machines that round one or more ties of one pattern the other way."""
     count: int = 0
     """Number of patterns."""
 
@@ -123,7 +123,7 @@ def hash_pattern(index: int, tensor: PatternTensor) -> PatternHash:
 
 
 def _with_leading_sign(quaternion: Float[np.ndarray, "p 4"]) -> Float[np.ndarray, "p 4"]:
-    """Quaternions with a positive first component that is not 0 when rounded.
+    """Quaternions with a positive sign of the first component that does not round to 0.
 
     For a rotation by 180 degrees W is 0 up to rounding, so machines may disagree on the sign.
     """

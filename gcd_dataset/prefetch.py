@@ -25,8 +25,9 @@ def prefetch(
     """The same items, up to ``count`` of them made ahead by a daemon thread.
 
     ``begin`` is called first, in the thread. When the generator is closed, or the interpreter exits, the thread ends
-    after the item in work; ``wait`` joins it. An error of ``items`` is raised after the items before it. With ``name``,
-    the time that the thread is blocked by a full buffer is recorded under that name (``gcd_dataset.waits``).
+    after the item it is making; ``wait`` joins it. An error of ``items`` is raised after the items before it. With
+    ``name``, the time that the thread is blocked by a full buffer is recorded under that name
+    (``gcd_dataset.waits``).
     """
     room = threading.Semaphore(count)
     ready = SimpleQueue[tuple[Item | None, BaseException | None]]()

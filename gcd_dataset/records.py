@@ -126,7 +126,7 @@ class PanelRole(StrEnum):
 
     BODY = "body"
     LEG = "leg"
-    """Skirts, too."""
+    """Trouser legs and skirts."""
     ARM = "arm"
 
 
@@ -174,7 +174,7 @@ class Edge:
     end: int
     curve: Curve = LINE
     label: EdgeRole | str = ""
-    """Role of the edge in the drape; empty for none, any other text as in its file."""
+    """Role of the edge in the drape, empty for none; a label of a file that names no role stays text."""
     name: str = ""
     """Name of the edge in its garment's program; not part of a specification file."""
 
@@ -219,7 +219,7 @@ class Panel(Record):
     edges: tuple[Edge, ...]
     placement: Placement
     label: PanelRole | str = ""
-    """The part of the body it covers; empty if unknown, any other text as in its file."""
+    """The part of the body that it covers, empty if unknown; a label of a file that names no role stays text."""
 
     def edge_ends(self, index: int) -> tuple[Point, Point]:
         """Start and end point of edge ``index`` [cm]."""
@@ -248,7 +248,7 @@ class Seam:
     By default the right sides meet, so the start of ``left`` meets the end of ``right``; with ``right_wrong`` the
     starts meet, and one of the panels is sewn in wrong side out. Unequal lengths are gathered. An edge has the
     direction of its panel's loop. Only this rule decides which ends meet; the placement of the panels does not
-    (``validate`` warns if the joined ends hang far apart and the others near each other).
+    (``validate`` warns if the ends would be nearer when joined the other way).
     """
 
     left: EdgeRef
@@ -357,7 +357,7 @@ class Strain:
 
 @dataclass(frozen=True, eq=False)
 class Drape(Record):
-    """A garment at rest on a body."""
+    """A garment after the simulation on a body: at rest if ``outcome`` is ``SETTLED``."""
 
     vertices: Float[np.ndarray, "v 3"]
     """Positions [cm], in the order of the box mesh."""
@@ -365,17 +365,17 @@ class Drape(Record):
     frames: int
     """Frames simulated until the cloth came to rest, or the limit; frames of the coarse mesh included."""
     self_crossings: int
-    """Cloth edges that cross a cloth triangle."""
+    """Number of cloth edges that cross a cloth triangle."""
     body_crossings: int
-    """Cloth edges that cross the body."""
+    """Number of cloth edges that cross the body."""
     stretch_median: float
-    """Median over the edges of length against flat length; 1 is unstretched."""
+    """Median of length / flat length over the mesh edges; 1 is unstretched."""
     stretch_p99: float
-    """99th percentile of the same."""
+    """99th percentile of length / flat length."""
     strain: Strain | None = None
     """Principal stretches; ``None`` if not measured."""
     body_through: int = 0
-    """Body edges that cross the cloth; -1 in samples of older versions, which did not count them."""
+    """Number of body edges that cross the cloth; -1 in samples of older versions, which did not count them."""
 
 
 # -------------------------------------------------------------------------------------------------------------- sample
@@ -405,10 +405,11 @@ class Provenance(Record):
     seed: int
     index: int
     attempts: int = 1
+    """Designs tried for this sample, the accepted one included."""
     rejects: tuple[str, ...] = ()
     """Rules and reasons of the rejected attempts at this index, in order."""
     redraws: Mapping[str, int] = field(default_factory=dict)
-    """Rule to the number of times that it made a part of the design be drawn again."""
+    """Rule to the number of redraws that it caused, each of one part of the design."""
     versions: Mapping[str, str] = field(default_factory=dict)
     recipe: Mapping[str, Any] = field(default_factory=dict)
     """The options it was made with."""
@@ -421,7 +422,7 @@ class Provenance(Record):
 
 @dataclass(frozen=True)
 class NamedFabric:
-    """The cloth a garment is made of."""
+    """The fabric of a garment."""
 
     name: str
     parameters: Mapping[str, Any] = field(default_factory=dict)

@@ -37,10 +37,10 @@ __all__ = [
     "write_pattern",
 ]
 
-UNITS_IN_METER = 100  # ours: centimetres
+UNITS_IN_METER = 100  # of written files: centimetres
 NEIGHBOURS = 10.0  # cm: panels this close in x form a column of the panel order, in y a row (pattern-format)
 UNPLACED = [0.0, 0.0, 0.0]  # default translation and rotation of a panel
-LARGEST_UNIT = 1e6  # units in a metre, and metres in a unit
+LARGEST_UNIT = 1e6  # units_in_meter lies between its inverse and this
 MOST_NAMES = 40  # in a message
 NAMES = {
     PanelRole.LEG: ("pant", "skirt", "leg", "trouser", "short"),
@@ -267,7 +267,7 @@ def _given_order(body: Mapping[str, Any], panels: Mapping[str, Panel], at: JsonP
 
 
 def _extra(spec: Mapping[str, Any], form: _Form) -> dict[str, Any]:
-    """The file's content beside the pattern; the original unit is recorded as the reference system does."""
+    """The file's content beside the pattern; a converted unit is recorded in ``original_units_in_meter``."""
     extra = {key: value for key, value in spec.items() if key != "pattern"}
     if form.scale != 1.0:
         units = spec["properties"]["units_in_meter"]

@@ -12,9 +12,9 @@ One row for each panel, edge and seam, in the order of the pattern; edges are so
 >>> decode_pattern(tensor).panels == (square,)
 True
 
-Rows do not depend on a panel's local origin: points are relative to the centroid of the panel's area, and the placement
-is the position of the centroid. Numbers are float64: a small error in the ends of a nearly closed arc rotates the
-circle about them, and float32 would move its far side by millimetres.
+Only the columns ``CENTROID_X`` and ``CENTROID_Y`` depend on a panel's local origin: points are relative to the centroid
+of the panel's area, and the placement is the position of the centroid. Numbers are float64: a small error in the ends
+of a nearly closed arc rotates the circle about them, and float32 would move its far side by millimetres.
 """
 
 from collections.abc import Iterable, Sequence

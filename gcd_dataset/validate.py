@@ -35,8 +35,8 @@ TINY = 10.0  # cm: the largest panel of a garment, even of a belt, is larger
 USUAL = 90.0  # cm: the largest panel of a typical garment, to guess the unit
 USUAL_TOP = 130.0  # cm: the top of a typical garment, a better guess if the panels are placed
 UNITS = {"millimetres": 1000, "centimetres": 100, "inches": 39.37, "metres": 1}  # in a metre
-CROSSWISE = 0.85  # a seam is crosswise if joining its other ends takes less than this share of the distance …
-APART = 2.0  # cm … and is shorter by this much; no published or sampled seam comes under a share of 0.9
+CROSSWISE = 0.85  # a seam is crosswise if pairing its ends the other way shortens their distance to this share …
+APART = 2.0  # … and by this much [cm]; published and sampled seams all keep a share of 0.9 or more
 GATHER = 1.05  # ratio of two lengths sewn together, above which cloth gathers visibly
 SLACK = 0.5  # cm: a difference of two lengths that any seam absorbs
 
@@ -164,7 +164,7 @@ def _name_faults(panels: Sequence[Panel]) -> Iterator[Fault]:
 
 
 def _loop_faults(panel: Panel) -> Iterator[Fault]:
-    """Faults for which the outline is no closed curve."""
+    """Faults that keep the outline from being a closed curve."""
     count, corners, points = len(panel.edges), len(panel.vertices), panel.vertices.tolist()
     straight = all(edge.curve == LINE for edge in panel.edges)
     if count < (3 if straight else 2):
@@ -345,7 +345,7 @@ def _unlike_sides(
 def _crosswise(
     number: int, seam: Seam, panels: Mapping[str, Panel], corners: Mapping[str, list[list[float]]]
 ) -> Iterator[Fault]:
-    """A fault if the ends that a stitch joins hang far apart and the other ends near each other.
+    """A fault if the ends that a stitch joins hang far apart, and would be nearer when joined the other way.
 
     ``corners``: panel name to the panel's vertices in space [cm].
     """

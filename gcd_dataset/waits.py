@@ -1,4 +1,4 @@
-"""Accounts of waiting: the share of its time that each stage of generation is idle.
+"""Accounts of waiting: the share of time for which each stage of generation is idle.
 
 Every process keeps one account. Its stages add their waits with ``record_wait``; ``take_waits`` reads the account and
 empties it. Worker processes send their accounts along with their results, and the receiver adds them up.

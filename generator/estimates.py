@@ -1,4 +1,4 @@
-"""Estimates of draping time, from measured figures; told to the user before a long wait."""
+"""Estimates of draping time, from measured figures; logged before a long wait."""
 
 __all__ = ["core_seconds"]
 

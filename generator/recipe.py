@@ -1,4 +1,4 @@
-"""``MakeConfig``: the options samples are made with, and the recipe, all that decides their bytes."""
+"""``MakeConfig``: the options of samples; and the recipe: the options that decide the samples' bytes."""
 
 import re
 from collections.abc import Sequence
@@ -152,7 +152,7 @@ def recipe_of(config: MakeConfig) -> dict[str, Any]:
     recipe = {entry.name: getattr(config, entry.name) for entry in fields(config)}
     recipe["design"] = config.design.to_dict()
     for name, usual in {"fabric": USUAL_FABRIC, "bodies_each": 1, "arms": 0.0}.items():
-        if recipe[name] == usual:  # left out: recipes from before these options keep their hash
+        if recipe[name] == usual:  # omitted, so that the hash of recipes older than these options stays the same
             del recipe[name]
     recipe["device"] = device_kind(config) if config.stage == "drape" else "cpu"
     return recipe

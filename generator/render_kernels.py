@@ -9,7 +9,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 FAR = 1.0e6  # cm; length of a camera ray
-LIFT = 0.6  # cm from the surface to the start of a sky ray: clears cloth on it, or hems would show as dark dots
+LIFT = 0.6  # cm from the surface to the start of a sky ray: without it cloth on cloth shows as dark dots at hems
 REACH = 16.0  # cm; surfaces further away do not occlude
 SKY_RAYS = 24
 GOLDEN_ANGLE = 2.39996323

@@ -8,17 +8,17 @@ from benchmarks.cases.figures import Figure
 from gcd_dataset.generator.drape import DrapeConfig
 from gcd_dataset.records import Drape, Outcome
 
-__all__ = ["pass_paper", "quality"]
+__all__ = ["is_clean", "pass_paper", "quality"]
 
-SHARES = (50, 80, 95)
+SHARES = (50, 80, 95, 99)
 LIMITS = DrapeConfig()
 
 
 def quality(drapes: Sequence[Drape]) -> list[Figure]:
     """Pass rates, and percentiles of crossing edges: cloth through cloth, cloth through body, and body through cloth.
 
-    ``passed``: the share with ``Outcome.SETTLED``; ``passed_paper``: the share that passes the checks of Korosteleva et
-    al. (ECCV 2024) alone.
+    ``clean``: the share with ``Outcome.SETTLED`` and no crossing edge of any kind; ``passed``: the share with
+    ``Outcome.SETTLED``; ``passed_paper``: the share that passes the checks of Korosteleva et al. (ECCV 2024) alone.
     """
     crossings = {
         "self": [d.self_crossings for d in drapes],
@@ -26,6 +26,7 @@ def quality(drapes: Sequence[Drape]) -> list[Figure]:
         "through": [d.body_through for d in drapes],
     }
     return [
+        Figure("clean", float(np.mean([is_clean(d) for d in drapes])), "share"),
         Figure("passed", float(np.mean([d.outcome is Outcome.SETTLED for d in drapes])), "share"),
         Figure("passed_paper", float(np.mean([pass_paper(d) for d in drapes])), "share"),
         *(
@@ -34,6 +35,11 @@ def quality(drapes: Sequence[Drape]) -> list[Figure]:
             for share in SHARES
         ),
     ]
+
+
+def is_clean(drape: Drape) -> bool:
+    """Whether the drape settled without an edge of cloth or skin through the other, or of cloth through cloth."""
+    return drape.outcome is Outcome.SETTLED and drape.self_crossings + drape.body_crossings + drape.body_through == 0
 
 
 def pass_paper(drape: Drape) -> bool:

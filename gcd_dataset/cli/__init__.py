@@ -293,7 +293,7 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
         "out", metavar="OUT", help="folder for the shards, created if missing; or a URL such as s3://BUCKET/PREFIX"
     )
     generate.add_argument("--count", type=natural_number, help="number of garments, or of bodies")
-    generate.add_argument("--seed", type=natural_number, help="names the data set (default: 0)")
+    generate.add_argument("--seed", type=natural_number, help="seed of all random numbers (default: 0)")
     generate.add_argument(
         "--recipe",
         metavar="NAME|FILE.toml",
@@ -320,7 +320,7 @@ def _parser() -> tuple[Parser, Mapping[str, Parser]]:
     )
     merge.add_shard(generate)
     generate.add_argument(
-        "--log", type=Path, metavar="FILE", help="append a line of JSON now and then: progress, rate, waits, memory"
+        "--log", type=Path, metavar="FILE", help="append progress, rate, waits and memory as lines of JSON"
     )
     generate.add_argument(
         "--spool",

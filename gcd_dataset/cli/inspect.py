@@ -76,7 +76,7 @@ def _recipe_lines(record: SplitRecord) -> Iterator[str]:
 
 
 def _reject_lines(store: Store, record: SplitRecord) -> Iterator[str]:
-    """The path of the reject log, if there is one."""
+    """A line with the path of the reject log, if there is one."""
     if record.rejects and isinstance(store, FolderStore) and (store.folder / REJECTS).exists():
         yield f"    each of them, with its figures: {store.folder / REJECTS}"
 

@@ -82,7 +82,7 @@ class Cache:
         return sum(_counted_bytes(path) for path in self._haves())
 
     def read(self, key: str, count: int, wanted: Sequence[tuple[int, MemberLocation]]) -> dict[int, memoryview]:
-        """Flag to content, for the cached ones of ``wanted`` (flag, location). ``count``: members of the shard."""
+        """Flag to content of the cached members among ``wanted`` (flag, location). ``count``: members of the shard."""
         shard = self._shard(key, count)
         cached = [(flag, part) for flag, part in wanted if shard is not None and shard.have[COUNTER + flag]]
         if shard is None or not cached:
@@ -119,7 +119,7 @@ class Cache:
         size = sum(len(piece.data) for piece in new)
         if not new or not self._make_room(size, key):
             return
-        self._create(key, count)  # again: it may have been evicted
+        self._create(key, count)  # again: making room may have evicted the shard
         _write(self._have(key).with_suffix(".tar"), new)
         # Count before setting flags: after a kill the size is overcounted, never undercounted.
         self._count(key, size)

@@ -92,7 +92,7 @@ class Release:
     """Members of each garment."""
     license: str
     divided: bool
-    """Whether neither designs nor bodies are shared: the splits were divided from one, or drawn by a recipe."""
+    """Whether no two splits share a design or a body: one split was divided, or a recipe drew the splits."""
     endpoint: str
 
     @property

@@ -60,7 +60,7 @@ def begin_split(folder: Path, source: str, split: str, layout: Layout, manifest:
 
 
 def finish_split(folder: Path, source: str, split: str, layout: Layout) -> DownloadRecord:
-    """Record a split as complete, unless the folder has moved on to a later revision; the record."""
+    """Record a split as complete, unless the folder is now at another revision; returns the record."""
     with download_record_lock(folder):
         record = read_download_record(folder) or DownloadRecord(source)
         if record.source == source:
@@ -132,7 +132,7 @@ def _without_shards(record: SplitRecord) -> SplitRecord:
 
 
 def _remove_shards(folder: Path, split: str) -> None:
-    """Remove all shards of a split: those of an incomplete download of other fields."""
+    """Remove all shards of a split, left by an incomplete download of other fields."""
     for path in folder.iterdir():
         if shard_number(path.name.removesuffix(".part"), split) is not None:
             with writing(path):

@@ -30,14 +30,14 @@ def leased(files: Objects, local: Path) -> Iterator[None]:
 
     ``local``: file with a copy of the lease, which identifies this run after a kill. Raises ``OutputError`` where
     another run holds the lease. On S3 exactly one writer gets it. In a store without conditional writes two writers
-    that start at the same instant may both get it, unless the check after writing sees the other's.
+    that start at the same instant may both get it, unless the check after writing reads the other lease.
     """
     if not local.exists():
         lease = {"run": secrets.token_hex(16), "host": socket.gethostname(), "process": os.getpid()}
         write_whole(local, json.dumps(lease).encode())
     with reading(local):
         content = local.read_bytes()
-    files.put_new(LEASE, content)  # False is fine if it is ours: of a killed run, or of a lost reply
+    files.put_new(LEASE, content)  # false also for our own lease: of a killed run, or stored without a reply
     require_free(files, local)
     try:
         yield

@@ -27,7 +27,7 @@ S3 = ("s3://", "s3a://")
 PIECE = 1 << 24  # bytes of one request of a stream
 TIMEOUT = 30  # s without a byte
 NO_CREDENTIALS = re.compile("Credential|NoAuth")
-"""In the names of errors about missing credentials: botocore, google.auth, azure.identity."""
+"""Matches the class names of errors about missing credentials in botocore, google.auth and azure.identity."""
 INVALID = (ValueError, TypeError, NotImplementedError, FileExistsError, NotADirectoryError, IsADirectoryError)
 PERMANENT = frozenset({errno.EINVAL, errno.ENOSYS, errno.EPERM, errno.ENAMETOOLONG, errno.EREMCHG, errno.EMSGSIZE})
 """``errno`` of errors that a retry does not cure: s3fs sets them for status 400, 301, 405, 416, 501."""
@@ -61,7 +61,7 @@ class Objects:
         self.base, self.patience = base.rstrip("/"), patience
         self._retry_unreachable, self._sleep = retry_unreachable, sleep
         self.etags: dict[str, str] = {}
-        """Always empty: the ETags of object stores are no hashes that could be checked."""
+        """Always empty: the ETags of object stores are not hashes of the content."""
 
     def address(self, path: str) -> str:
         """The URL of an object."""

@@ -35,7 +35,7 @@ def partition(reader: ShardReader, shares: Mapping[str, float] = SHARES) -> dict
     number = np.minimum(np.searchsorted(ends, chance, side="right"), len(ends) - 1)
     wanted = [split for split, share in enumerate(shares.values()) if share > 0]
     for split in wanted:
-        # A data set of few designs shall have all splits too: move the nearest family into an empty one.
+        # In a data set of few designs: fill an empty split with the family nearest to the end of its interval.
         if not (number == split).any() and len(np.unique(number)) < len(chance) >= len(wanted):
             movable = np.flatnonzero(np.bincount(number, minlength=len(ends))[number] > 1)
             number[movable[np.argmin(np.abs(chance[movable] - ends[split]))]] = split
@@ -66,7 +66,7 @@ def families(reader: ShardReader) -> Int[np.ndarray, " n"]:
 def leaks(readers: Mapping[str, ShardReader]) -> list[str]:
     """One line for each pair of splits that share designs; empty if none do.
 
-    Split ``failed`` is left out: its failed drapes are of designs of any split.
+    Split ``failed`` is left out: its designs may be in any other split too.
     """
     problems, names = [], [name for name in readers if name != FAILED]
     for number, first in enumerate(names):

@@ -50,7 +50,7 @@ class Backoff:
     ) -> None:
         """Sleep before the next attempt. Raises ``RemoteError`` with ``address`` when the patience is exhausted.
 
-        ``retry_unreachable=False``: also for an unreachable server. ``sleep`` returns true to give up.
+        ``retry_unreachable=False``: raise it at once for an unreachable server. ``sleep`` returns true to give up.
         """
         seconds = self.next_wait(error.wait)
         if error.is_unreachable and not retry_unreachable:

@@ -50,7 +50,7 @@ class UploadedRange:
     shards: Mapping[str, UploadedShard]
     """Split to shard."""
     rejects: bytes = b""
-    """Lines of ``rejects.jsonl`` in the note; empty for a published range, whose lines are in the file itself."""
+    """Lines of ``rejects.jsonl`` in the note; empty for a published range: the published file has its lines."""
 
     @property
     def samples(self) -> frozenset[int]:
@@ -92,7 +92,7 @@ class UploadedDataset:
         return range(-(-count // self.range_size))
 
     def ranges(self, count: int) -> dict[int, UploadedRange]:
-        """Number to range, for the ranges whose shards are in the store with their sizes.
+        """Number to range, for the ranges whose shards are in the store with their recorded sizes.
 
         During an upload the notes of the ranges of ``count`` samples are read too.
         """

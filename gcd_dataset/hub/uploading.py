@@ -70,7 +70,7 @@ class StoreTarget:
 
     @contextlib.contextmanager
     def filling(self, count: int) -> Iterator["StoreWriter | FinishedWriter"]:
-        """A writer of the missing ones of ``count`` samples. The data set becomes visible at the end of the block.
+        """A writer of the missing samples below ``count``. The data set becomes visible at the end of the block.
 
         After an error, store and spool keep their samples, and the same call continues. A complete data set is not
         written again.
@@ -216,7 +216,7 @@ class StoreWriter:
         return self._open[number]
 
     def _open_range(self, number: int) -> RangeWriter:
-        """A writer of a range: of the spool, or of the stored shards where the spool lacks some of their samples."""
+        """A writer of a range; continues the spool, or the stored shards if the spool lacks some of their samples."""
         stored = self._stored.get(number)
         writer = self._spool.writer(number)
         if stored is None or writer.done >= stored.samples:

@@ -53,7 +53,7 @@ class Archive(Record):
     size: Int[np.ndarray, "n m"]
     """Bytes."""
     points: Int[np.ndarray, "k 3"]
-    """Seek points: byte of the packed file, byte of the content, and 1 if unpacking needs the preceding window."""
+    """Seek points: offset in the packed file, offset in the content, and 1 if unpacking needs the window before it."""
     windows: Path
     """File with the concatenated windows of all seek points."""
 
@@ -117,7 +117,7 @@ class Archive(Record):
 
     @classmethod
     def _read_cache(cls, path: Path, index: Path, windows: Path, stamp: tuple[int, int]) -> Self | None:
-        """The cached index; ``None`` for a broken one, or one of another archive."""
+        """The cached index; ``None`` if it is broken, or describes another archive."""
         try:
             arrays = _read_arrays(index)
             if arrays["stamp"].tolist() != [SCHEMA, *stamp] or arrays["kinds"].tolist() != list(ENDINGS):

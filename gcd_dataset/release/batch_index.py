@@ -18,7 +18,7 @@ logger = logging.getLogger("gcd_dataset")
 
 
 class PublishedBatches:
-    """The batches of a release, each with its garments on the default body, on random ones, or both.
+    """The batches of a release, each with its garments on the default body, on random bodies, or both.
 
     ``root``: the folder with ``garments_5000_0`` and further batches, or its parent. ``bodies``: ``default``,
     ``random`` or ``both``. ``cache_dir``: folder for the indices of archives and the extracts of properties files; by

@@ -1,7 +1,7 @@
 """Writes a release garment by garment; an interrupted run is continued.
 
 Unfinished garments lie in a hidden folder, with a note that identifies their source; the folder is removed at the end.
-Each garment outside that folder is complete.
+Garments outside that folder are complete.
 """
 
 import shutil
@@ -27,7 +27,7 @@ class ReleaseDraft:
         self._visited: set[Path] = set()
 
     def begin(self, garments: str) -> None:
-        """Start the export, or continue one of the same ``garments``. Raises ``ConfigError`` for others."""
+        """Start or continue the export. Raises ``ConfigError`` for a folder with other ``garments`` or files."""
         note = self._unfinished / NOTE
         with reading(self.folder):
             begun = note.read_text() if note.exists() else None

@@ -6,10 +6,10 @@ content before it: the window. ``GzipScanner`` reads a file once from end to end
 
 zlib does not report block starts, so they are found by trial: a byte is a candidate if the following bits parse as a
 block header. Since this happens by chance too, a candidate is accepted only if unpacking from it gives, byte for byte,
-the content unpacked from the beginning. Only blocks that start at a byte boundary, one in eight, are used: a stored
-block further on is aligned to bytes.
+the content unpacked from the beginning. Only blocks that start at a byte boundary, one in eight, are used: shifting the
+bits of others would misalign later stored blocks, which start at byte boundaries.
 
-No library serves: neither indexed_gzip 1.10 nor rapidgzip 0.16 reports a truncated file. Measured with an archive of
+Why no library: neither indexed_gzip 1.10 nor rapidgzip 0.16 reports a truncated file. Measured with an archive of
 200 MB, 396 published garments, on two cores: CPU time and growth of memory for indexing, size of the index, CPU time
 for reading a garment of 0.8 MB.
 
@@ -184,7 +184,7 @@ def _block_start(chunk: bytes, content: bytes) -> tuple[int, int] | None:
     ``content``: the window before the chunk, and the content of the chunk.
     """
     for first in _header_like(chunk):
-        # Without the last byte, which may hold the start of a code.
+        # Omit the last byte, which may end inside a code.
         start = _matching_start(chunk[first:-1], content)
         if start is not None:
             return first, start - WINDOW

@@ -28,7 +28,7 @@ __all__ = ["PcaShapes", "read_pca"]
 
 HEADER = struct.Struct("<II")
 METRE = 100.0  # cm
-UNIT_TOLERANCE = 1e-6  # of the components' products with each other; rounding leaves 1e-12
+UNIT_TOLERANCE = 1e-6  # error of the components' dot products; rounding leaves 1e-12
 SHORTEST, TALLEST = 30.0, 300.0  # cm
 LARGEST_SWAY = 100.0  # cm: RMS displacement of the skin by one standard deviation; people are far below
 LFS_POINTER = b"version https://git-lfs"

@@ -1,7 +1,7 @@
 """Reads ``dataset_properties_default_body.yaml``: failures and simulation counts of the garments of a batch.
 
-Failed garments are left out, even if their folders exist. Parsing a file of 5,000 garments takes seconds, so an extract
-is cached.
+``PublishedGarments`` leaves failed garments out, even if their folders exist. Parsing a file of 5,000 garments takes
+seconds, so an extract is cached.
 """
 
 import json
@@ -55,7 +55,7 @@ def read_properties(path: Path, cache_dir: Path | None) -> Properties:
 
 
 def _read_cache(path: Path, stamp: list[int]) -> Properties | None:
-    """The cached extract; ``None`` for a missing or broken one, or one of another file."""
+    """The cached extract; ``None`` if it is missing or broken, or describes another file."""
     try:
         entry = json.loads(path.read_bytes())
         if entry["stamp"] != stamp:

@@ -44,7 +44,7 @@ ENDINGS: Mapping[str, str] = {
     "front": "_render_front.png",
     "back": "_render_back.png",
 }
-"""The files of a garment, each named after the garment and with one of these endings."""
+"""Kind of file to the ending of its name, which begins with the name of the garment."""
 
 DEFAULT_BODY = "mean_all"
 """Name of the body in ``default_body``; the published files do not hold it."""

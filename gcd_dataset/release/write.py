@@ -1,4 +1,4 @@
-"""Writes our garments as the files of the published layout, for code written for it.
+"""Writes our garments as the files of the published layout, for code that reads GarmentCodeData.
 
 The layout loses some information: PLY files split vertices at seams, and texture coordinates lose their scale. The rest
 lengths of seams are a pickle, of plain numbers only.
@@ -40,7 +40,7 @@ FAIL_CLASSES: Mapping[Outcome, str] = {
     Outcome.OVERFULL: "crashes",
     Outcome.DIVERGED: "crashes",
 }
-"""Outcome to the failure class in the properties of a batch; ``crashes`` for failures without a class."""
+"""Outcome to the failure class in the properties of a batch; ``crashes`` where the layout has no class."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ REMEDY = "copy it again, or delete it and run gcd generate again"
 class reading:  # noqa: N801 -- a context manager, named as functions are
     """Context that turns ``OSError`` into ``ShardError`` with the file and a remedy."""
 
-    # A class: it is entered for every garment, and a generator would take several times as long.
+    # A class, since it is entered for every garment: ``contextlib.contextmanager`` takes several times as long.
     __slots__ = ("_path",)
 
     def __init__(self, path: Path) -> None:

@@ -23,14 +23,15 @@ class Column(NamedTuple):
     kinds: str
     """NumPy's letters (``dtype.kind``) of the allowed types."""
     axes: int
+    """Number of axes."""
     needed: bool = True
 
 
 def read_arrays(content: bytes, columns: Mapping[str, Column]) -> dict[str, np.ndarray]:
-    """Name to array, of the columns named; other arrays in the file are skipped.
+    """Column name to array, for the names in ``columns``; other arrays in the file are skipped.
 
-    Raises ``ShardError`` for a file that is no ``.npz``, lacks a column, has one of another type or shape, or unpacks
-    to more than ``LARGEST_INDEX`` times its own size.
+    Raises ``ShardError`` for a file that is no ``.npz``, lacks a needed column, has one of another type or number of
+    axes, or unpacks to more than ``SMALL`` bytes and more than ``LARGEST_INDEX`` times its own size.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as file:

@@ -14,8 +14,8 @@
 ``mesh-train.npz`` holds faces, u16 or u32 [f, 3], and body parts, u8 [v], or u8 [0] without a segmentation. Its hash is
 part of the recipe, so a set cannot be continued on another mesh.
 
-Vertices are stored, 600 kB a person, not rebuilt from the weights by the reader: rebuilding costs 8 ms of CPU time
-against 0.3 ms, and needs the body model of the version that wrote the shards.
+Vertices are stored (600 kB a person), since rebuilding them from the weights takes 8 ms of CPU time, reading them
+0.3 ms, and needs the body model of the version that wrote the shards.
 """
 
 import contextlib
@@ -114,7 +114,7 @@ class BodyWriter:
 
 
 def encode_person(person: Person, origin: Mapping[str, Any]) -> dict[str, bytes]:
-    """Member name to bytes; equal people give equal bytes. ``origin``: index, seed, recipe and versions for the meta.
+    """Member name to bytes; equal people give equal bytes. ``origin``: the entries index, seed, recipe, versions.
 
     Raises ``ShardError`` for NaN or infinity.
     """

@@ -31,8 +31,8 @@
 ===================  ===================================================================================================
 
 An array of a skipped step has no rows. An id is u16 up to 65 536 rows, else u32 (``panel_id``: u8 up to 256 panels);
-loaded fields hold ids as int32. Readers that infer types from the first samples need one type throughout a data set:
-ids have one as long as no garment has more than 65 536 vertices.
+loaded fields hold ids as int32. Readers that infer types from the first samples need one type throughout a data set,
+which ids have unless some garments have more than 65 536 vertices, or more than 256 panels.
 
 Samples of schema 1 are decoded too: there specification and design were ``.json`` members, ``measures.json`` held only
 the measures taken, and ``points.npy`` was f16 in cm.
@@ -137,8 +137,8 @@ INT16_MAX, UNDEFINED = 32767, -32768
 def encode_sample(sample: Sample) -> dict[str, bytes]:
     """Member name to bytes; equal samples give equal bytes.
 
-    The names are those of ``MEMBERS``, and those of the caption and the views where the sample has them. Raises
-    ``ShardError`` with the sample's key for content that the format cannot hold.
+    The members are ``MEMBERS``, and caption and views where the sample has them. Raises ``ShardError`` with the
+    sample's key for content that the format cannot hold.
     """
     with _storing(sample):
         tensor = encode_pattern(sample.pattern)
@@ -224,7 +224,7 @@ def _points(points: Float32[np.ndarray, "n 6"] | None) -> tuple[bytes, Quantizat
 
 
 def _quantization(positions: Float32[np.ndarray, "n 3"]) -> Quantization:
-    """Centroid and step of the points. The step is a power of two: multiplying by it when decoding rounds nothing."""
+    """Centroid and step of the points. The step is a power of two, so that decoding multiplies without rounding."""
     centre = np.rint(positions.mean(axis=0)) if len(positions) else np.zeros(3)
     reach = max(float(np.abs(positions - centre).max(initial=0.0)), 1e-3)
     x, y, z = centre.tolist()
@@ -263,7 +263,7 @@ def _floats(array: np.ndarray | None, *shape: int) -> np.ndarray:
 def _ids(rows: Int[np.ndarray, "*n"], count: int, name: str, *, smallest: int = 2) -> np.ndarray:
     """Row numbers below ``count`` in the smallest unsigned type of at least ``smallest`` bytes."""
     rows = np.asarray(rows)
-    # The second column of labels and seams counts labels and seams: never more than there are vertices.
+    # The second column of labels and seams is a row of edge labels or stitches: no more than vertices.
     if rows.size and not 0 <= rows.min() <= rows.max() < count:
         raise ShardError(f"{name} holds row {rows.max() if rows.min() >= 0 else rows.min()} of {count}")
     size = next(n for n in (1, 2, 4) if n >= smallest and count <= 256**n)
@@ -408,7 +408,7 @@ def _has_type(field: str, array: np.ndarray) -> bool:
 def _read_points(data: Bytes, meta: Bytes) -> Float32[np.ndarray, "n 6"]:
     """Surface points [cm] and unit normals, f32."""
     stored = _read_array("points", data)
-    if stored.dtype.kind == "f":  # of schema 1
+    if stored.dtype.kind == "f":  # schema 1
         return stored.astype(np.float32)
     quantization = read_quantization(meta)
     points = read_buffer(4 * stored.size).view(np.float32)

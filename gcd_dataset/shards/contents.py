@@ -1,4 +1,4 @@
-"""The index and the splits of a folder: of our shards, or of tars by other programs."""
+"""The index and the splits of a folder with our shards, or with tars by other programs."""
 
 import logging
 from pathlib import Path
@@ -32,8 +32,8 @@ log = logging.getLogger(__name__)
 def read_index(folder: Path | str, split: str = "train", layout: Layout = GARMENTS) -> ShardIndex:
     """The index of a split, brought up to date with the shards in the folder; nothing is written.
 
-    Its layout lists the members present: all of ``layout``, fewer after a download of some fields, or any others in
-    tars that another program wrote for ``webdataset``. Raises ``ShardError`` for a broken index or shard.
+    Its layout lists the members present: all of ``layout``; fewer after a download of some fields; any members in tars
+    that another program wrote for ``webdataset``. Raises ``ShardError`` for a broken index or shard.
     """
     folder = user_path(folder)
     stored = read_stored_index(folder, split, layout, partial=True)
@@ -106,7 +106,7 @@ def _own_and_foreign(folder: Path) -> tuple[set[str], list[str]]:
 
 
 def _first_layout(folder: Path, split: str, layout: Layout) -> Layout:
-    """The layout of the first shard of a split."""
+    """The layout of the first shard of a split; ``layout`` for a split without shards or of an unknown schema."""
     with reading(folder):
         shards = shards_in(folder, split)
     first = first_sample_format(shards[0]) if shards else None
@@ -127,7 +127,7 @@ def _own_index(folder: Path, split: str, layout: Layout, stored: ShardIndex | No
 
 
 def _require_listed(folder: Path, split: str, index: ShardIndex) -> None:
-    """Raise ``ShardError`` for a shard with fewer samples than the manifest lists: a cut archive may look whole."""
+    """Raise ``ShardError`` for a shard with fewer samples than the manifest lists: a truncated tar may look whole."""
     manifest = read_manifest(folder)
     record = None if manifest is None else manifest.splits.get(split)
     counts = {name: len(table) for name, table in index.tables().items()}

@@ -22,7 +22,7 @@ from gcd_dataset.shards.tar import BLOCK, padded, require_header
 __all__ = ["SPLITS", "ForeignSample", "foreign_index", "foreign_shards", "samples_of", "scan_foreign"]
 
 CHUNK = 1 << 20  # bytes of a read
-LONGEST_HEADER = 1 << 20  # bytes of a long name or of extended attributes; honest ones are far shorter
+LONGEST_HEADER = 1 << 20  # bytes of a long name or of extended attributes; valid ones are far shorter
 LARGEST = (1 << 32) - 1  # bytes of a member: sizes in an index are u32
 REMEDY = "get it again from its maker, or leave it out"
 

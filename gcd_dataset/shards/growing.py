@@ -27,7 +27,7 @@ META = 0  # every layout begins with meta.json
 
 
 class GrowingShard:
-    """An open shard under its temporary name: the samples of an earlier writer, then those appended.
+    """An open shard under its temporary name: samples of an earlier writer, then appended samples.
 
     A sample counts only once its row is added to ``rows``: an interrupt or error while it is written leaves no trace.
     ``existing``: table of the finished shard at ``path`` that this one will replace.
@@ -42,7 +42,7 @@ class GrowingShard:
             on_error.pop_all()
 
     def _resume(self, existing: ShardTable) -> None:
-        """Start with the whole samples of the ``.part`` file, then copy the others of the finished shard."""
+        """Keep the whole samples of the ``.part`` file, then copy samples that it lacks from the finished shard."""
         recovered = whole_samples(self.part, self._layout)
         self.rows = [recovered[i : i + 1] for i in range(len(recovered))]
         with writing(self.part):
@@ -78,7 +78,7 @@ class GrowingShard:
         self.rows.append(row)
 
     def copy(self, source: Path, samples: ShardTable) -> None:
-        """Append those samples of another shard that this one lacks. Raises ``ShardError``, ``OutputError``."""
+        """Append ``samples`` of the shard ``source`` that this shard lacks. Raises ``ShardError``, ``OutputError``."""
         present = {int(row.sample[0]) for row in self.rows}
         for i in range(len(samples)):
             if int(samples.sample[i]) not in present:

@@ -6,12 +6,12 @@
 ``/ptr/verts``, …           int64 [n+1]: sample i holds the rows from ``ptr[i]`` to ``ptr[i + 1]``
 ``/bytes/faces``, …         u1 [n]: bytes of a number in the shard's member
 ``/spec``, ``/meta``, …     a JSON field: one text a sample
-``/crc32``                  u4 [n]: CRC-32 of each ``meta``, which holds those of the sample's other members
+``/crc32``                  u4 [n]: CRC-32 of each ``meta``, which holds the CRC-32 of the sample's other members
 attributes                  ``format``, ``schema``, ``split``, ``count``, ``recipe`` as JSON
 ==========================  ==========================================================================================
 
 Arrays are contiguous and uncompressed: a sample takes one seek and one read a field. Measured: chunked files are read
-at two thirds of the speed, compressed ones at half of it or less and are a third smaller.
+at two thirds of this speed; compressed ones at half of it or less, and they are a third smaller.
 
 Files are not trusted. libhdf5 loops forever on some damaged files, so it runs in a child process, which returns the
 offsets of the columns: see ``gcd_dataset.shards.hdf5_layout``. The texts lie in the global heap, where the loops occur;
@@ -64,7 +64,7 @@ TEXTS = tuple(field for field in FIELDS if field not in RAGGED)
 
 ATTRIBUTES = ("format", "schema", "split", "count")
 NAMES = (*FIELDS, META_CRC, *(f"{kind}/{field}" for kind in ("ptr", "bytes") for field in RAGGED))
-"""The data sets of a file; ``crc32`` is missing in early ones."""
+"""The HDF5 data sets of a file; files of early versions lack ``crc32``."""
 MEMBER_NUMBER = {member: number for number, member in enumerate(MEMBERS)}
 
 PAIR = struct.Struct("<qq")
@@ -90,7 +90,7 @@ MOST_SAMPLES = 1 << 28
 LARGEST = 1 << 29
 """Bytes of a member."""
 LARGEST_OFFSET = 1 << 62
-"""Offset in a file that the system can address."""
+"""Limit of the file offsets that are read: the system cannot address larger ones."""
 
 
 def write_hdf5(reader: ShardReader, path: Path | str) -> Generator[int, None, None]:
@@ -132,7 +132,7 @@ class Hdf5Reader:
     def __init__(self, path: Path | str) -> None:
         self.path = user_path(path)
         self._file: _Descriptor | None = None
-        self._stamp: tuple[int, int] | None = None  # size and mtime: another file has others
+        self._stamp: tuple[int, int] | None = None  # size and mtime, which tell a replaced file
         if self._bytes(self._opened(), 0, len(SIGNATURE)) != SIGNATURE:
             raise self._broken("no HDF5 signature")
         attributes, self._columns = self._layout()
@@ -283,7 +283,7 @@ class Hdf5Reader:
         return buffer
 
     def _fill(self, file: "_Descriptor", offset: int, buffer: memoryview) -> None:
-        """Read the file from ``offset`` on."""
+        """Fill ``buffer`` from the file, from ``offset`` on."""
         # preadv: threads and forked processes share the file's position.
         with reading(self.path):
             while len(buffer):  # network file systems may return fewer bytes

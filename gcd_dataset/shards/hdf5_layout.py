@@ -1,9 +1,9 @@
 """Finds the columns of an HDF5 file: ``python hdf5_layout.py FILE CPU_SECONDS``, with their names as JSON on stdin.
 
-libhdf5 hangs on some damaged files, and allocates without bound for others, so only this program, a child process with
-limits on time and memory, reads headers with it. It prints one JSON object: ``attributes``, and ``columns``, each with
-``type`` (NumPy's, or ``text``), ``shape`` and ``offset`` [bytes] in the file; or ``problem``, a sentence. It reads no
-sample, so a large file takes as long as a small one.
+libhdf5 hangs on some damaged files, and allocates without bound for others. Therefore only this program, a child
+process with limits on time and memory, calls it for reading. It prints one JSON object: ``attributes``, and
+``columns``, each with ``type`` (NumPy's, or ``text``), ``shape`` and ``offset`` [bytes] in the file; or ``problem``, a
+sentence. It reads no sample, so a large file takes as long as a small one.
 """
 
 import json
@@ -15,7 +15,7 @@ import h5py
 
 __all__: list[str] = []
 
-MEMORY = 1 << 31  # bytes of address space; h5py and its libraries take a quarter of them
+MEMORY = 1 << 31  # bytes of address space, of which h5py and its libraries take a quarter
 NUMBERS = "biuf"  # dtype.kind
 ADDRESS = 8  # bytes of an address in the file, and of a length
 

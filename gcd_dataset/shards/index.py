@@ -1,7 +1,7 @@
 """Shard indices: the offset, size and CRC-32 of every member, for random access to tars.
 
-``index-train.npz`` can be rebuilt from the shards. A shard that is missing in it, or has another length there, is
-scanned again.
+``index-train.npz`` can be rebuilt from the shards. A shard that it does not list, or lists with another length, is
+scanned.
 """
 
 import contextlib
@@ -258,7 +258,7 @@ def _require_consistent(arrays: Mapping[str, np.ndarray], layout: Layout) -> Non
         most = {"shard": max(k - 1, 0), "size": LARGEST_SAMPLE, "crc": 2**32 - 1}.get(name, LONGEST)
         if low < 0 or high > most:
             raise ShardError(f"column {name} from {low} to {high}, outside 0 to {most}")
-    # Only our own names are joined to a path; foreign ones are compared with the names in the folder.
+    # Only names of our shards are joined to a path; names of foreign tars are compared with those in the folder.
     is_own = "keys" not in arrays
     if any("/" in n or n in ("", ".", "..") or (is_own and safe_name(n) != n) for n in arrays["shards"].tolist()):
         raise ShardError("a shard outside the folder")

@@ -4,6 +4,7 @@
     .parts/00002-of-00008/             shards, index and manifest of a part, as of any data set; its lock
     .parts/00002-of-00008/part.json    of a finished part: its range, seed, recipe hash, versions, and its shards
     .parts/merging                     exists during ``gcd merge``, and after an interrupted one
+    .parts-merged/                     ``.parts`` after its shards are merged, until the merge is complete
 
 Shards of a part have the numbers of the merged data set. A shard at the border of two parts is in both, with the
 samples of each.
@@ -116,11 +117,13 @@ class FinishedPart:
     """The record of a finished part, ``part.json``."""
 
     part: int
+    """Counted from 0."""
     of: int
+    """Number of parts."""
     first: int
-    """Its first sample."""
+    """Index of its first sample."""
     stop: int
-    """One past its last sample."""
+    """One past the index of its last sample."""
     count: int
     """Samples of all parts together."""
     seed: int
@@ -164,7 +167,7 @@ def part_folder(out: Path, part: int, of: int) -> Path:
 
 
 def finished_path(folder: Path) -> Path:
-    """The record ``part.json`` of the part in ``folder``."""
+    """The path of the record ``part.json`` of the part in ``folder``."""
     return folder / FINISHED
 
 

@@ -96,9 +96,9 @@ class Layout:
     kind: str
     """``garments``, ``bodies`` or ``foreign``."""
     members: tuple[str, ...]
-    """The files of a sample in order; the first is ``meta.json``, which holds the CRC-32 of the others."""
+    """The files of a sample in order. The first, except in foreign tars, is ``meta.json``, with their CRC-32."""
     reader: str
-    """The class in ``gcd_dataset.loaders`` that reads them, for messages."""
+    """The class in ``gcd_dataset.loaders`` that reads such samples, for messages."""
     schema: int = SCHEMA
     """The version of the format."""
 
@@ -200,7 +200,7 @@ def member_name(index: int, member: str) -> str:
 def shard_name(split: str, number: int) -> str:
     """The file name of a shard. It does not hold the number of shards, so that a data set can grow.
 
-    Raises ``ShardError``, as the functions below do, for a split that is no safe file name.
+    Raises ``ShardError``, as the next three functions do, for a split that is no safe file name.
     """
     return f"{require_name(split, 'split')}-{number:05d}.tar"
 

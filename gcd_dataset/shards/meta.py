@@ -2,7 +2,8 @@
 
 In the file every key has one type in all samples, since readers such as ``datasets`` infer types from the first ones.
 Values of free structure are JSON text. A missing value is stored as a neutral one: ``""``, ``-1``, ``-1.0``, or a list
-with one such entry. Items hold ``None`` or an empty list instead, and parsed JSON.
+with one such entry. Items hold ``None`` or an empty list instead (but ``grade``, ``source`` and the counts of ``drape``
+as stored), and parsed JSON.
 
 ====================  =========  ===============================================================  =====================
 garments              JSON type  holds                                                            if missing
@@ -43,7 +44,7 @@ garments              JSON type  holds                                          
 
 (*) missing unless a later step of the generator has filled it.
 
-A person (``people``) has ``schema``, ``key``, ``index``, ``seed``, ``versions``, ``recipe``, ``recipe_sha256``,
+In a body set a person has ``schema``, ``key``, ``index``, ``seed``, ``versions``, ``recipe``, ``recipe_sha256``,
 ``crc32``, ``crc32_before`` as above, ``name`` (text) and ``arm_angle`` [rad] (float). In schema 1 there was no
 ``crc32_before``, and missing values were null or left out.
 """

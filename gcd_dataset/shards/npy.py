@@ -1,6 +1,6 @@
 """Arrays as ``.npy`` files of version 1.0 (NEP 1): plain numbers, C order, little-endian, data aligned to 64 bytes.
 
-NumPy's own writer pads headers differently from version to version; the bytes of shards must not change with it.
+NumPy's own writer pads headers differently from version to version; the bytes of shards must not depend on its version.
 
 >>> read_npy(write_npy(np.array([[1, 2], [3, 4]], np.uint16)))
 array([[1, 2],

@@ -26,9 +26,9 @@ Request: TypeAlias = tuple[str, int, list[MemberLocation]]
 
 
 class naming_sample:  # noqa: N801 -- a context manager, named as functions are
-    """Context that prefixes errors about a member with its shard and sample; ``name`` returns them."""
+    """Context that prefixes errors about a member with its shard and sample; ``name`` returns that prefix."""
 
-    # A class: it is entered for every garment, and a generator would take several times as long.
+    # A class, since it is entered for every garment: ``contextlib.contextmanager`` takes several times as long.
     __slots__ = ("_name",)
 
     def __init__(self, name: Callable[[], str]) -> None:
@@ -68,7 +68,7 @@ class ShardReader:
         self.manifest = self.store.manifest()
         self.index = self.store.index(split, layout)
         self.layout = self.index.layout
-        # Shards filled out of order, and foreign ones, may not be sorted by index.
+        # Samples of shards filled out of order, and of foreign tars, may not be sorted by index.
         order = np.argsort(self.index.table.sample, kind="stable")
         self._row = order[self.index.table.settled[order]] if settled_only else order
         if not len(self._row):

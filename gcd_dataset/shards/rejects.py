@@ -86,7 +86,7 @@ class RejectLog:
             self._lines.setdefault(design, {})[attempt] = line
 
     def close(self) -> None:
-        """Write ``rejects.jsonl`` and remove the journal. Raises ``OutputError``, and keeps the journal."""
+        """Write ``rejects.jsonl`` and remove the journal. After an ``OutputError`` the journal is still there."""
         if self._journal is not None:
             os.close(self._journal)
             self._journal = None
@@ -133,7 +133,7 @@ class RejectLog:
         return lines
 
     def _add_missing(self) -> None:
-        """Add lines from the samples of shards whose counts of rejects differ from the manifest's."""
+        """Add lines from samples, in shards with other counts of rejects in the manifest than in the lines."""
         manifest = read_manifest(self._folder)
         for split, record in manifest.splits.items() if manifest is not None else ():
             counted = {shard.name: shard.rejects for shard in record.shards}
@@ -142,7 +142,7 @@ class RejectLog:
                     self._add_from(self._folder / name, table)
 
     def _counts(self, table: ShardTable) -> Counter[str]:
-        """Rule to number of lines, counted once a sample as in ``manifest.json``."""
+        """Rule to count, as in ``manifest.json``: a line counts once for each sample of its design in the shard."""
         designs = Counter(index // self._wearers for index in table.sample.tolist())
         counts: Counter[str] = Counter()
         for design in designs.keys() & self._lines.keys():

@@ -1,6 +1,6 @@
 """A cache of generated samples, shared by processes, stored as the shards of a data set.
 
-Each sample is first written to a tar of its own in ``.waiting``. The process that adds the last sample of a shard
+Each sample is first written to its own tar in ``.waiting``. The process that adds the last sample of a shard
 writes the shard. At any moment the folder is a valid data set of its finished shards, and no sample is lost by a kill.
 """
 
@@ -44,6 +44,7 @@ class _Shards:
 
     @classmethod
     def of(cls, reader: ShardReader | None, index_file: tuple[int, int, int]) -> Self:
+        """The snapshot of the shards that ``reader`` has opened."""
         if reader is None:
             return cls(index_file=index_file)
         return cls(reader, np.sort(reader.index.table.sample), index_file)
@@ -204,7 +205,7 @@ class SampleCache:
         return self._shards.between(number * self._shard_size, (number + 1) * self._shard_size)
 
     def _refresh(self, *, holds_lock: bool = False) -> bool:
-        """Reload the index if its file has changed; whether it had. ``holds_lock``: this process holds ``_lock``."""
+        """Reload the index if its file has changed; returns whether it had. ``holds_lock``: ``_lock`` is held."""
         try:
             stat = (self.folder / index_name(SPLIT)).stat()
         except FileNotFoundError:

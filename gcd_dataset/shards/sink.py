@@ -9,7 +9,7 @@ __all__ = ["Sink"]
 
 
 class Sink(io.RawIOBase):
-    """The file at ``path``, open for writing. After a failed write it discards all others; ``check`` raises the error.
+    """The file at ``path``, open for writing. After a failed write it discards later ones; ``check`` raises the error.
 
     On a full disk libhdf5 aborts the process: it cannot close a file that it failed to write.
     """

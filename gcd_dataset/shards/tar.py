@@ -73,7 +73,7 @@ def tar_entries(file: int) -> Iterator[TarMember]:
 
 
 def _require_zeros(file: int, position: int, end: int) -> None:
-    """Raise ``ShardError`` for anything but zeros from ``position`` to ``end``: a header was overwritten by zeros."""
+    """Raise ``ShardError`` for content between ``position`` and ``end``: then zeros have overwritten a header."""
     while position < end:
         chunk = os.pread(file, CHUNK, position)
         if not chunk or chunk.strip(b"\0"):

@@ -78,7 +78,7 @@ class JobPart:
 
 @dataclass(frozen=True)
 class PartFolder:
-    """The folder of a part, with the record that the part is finished."""
+    """The folder of a part. Writes and deletes the completion record, ``part.json``."""
 
     out: Path
     """Folder of the data set."""
@@ -94,11 +94,11 @@ class PartFolder:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the part is recorded as finished, or merged. Raises ``ShardError``."""
+        """Whether the part is merged, or has a completion record. Raises ``ShardError``."""
         return self.is_merged or read_finished(self.path) is not None
 
     def begin(self) -> None:
-        """Delete the record that the part is finished; called before it is made (again), with its writer open.
+        """Delete the completion record. Called before samples are added, with the writer open.
 
         Raises ``ConfigError`` while the parts are merged.
         """
@@ -107,7 +107,7 @@ class PartFolder:
             finished_path(self.path).unlink(missing_ok=True)
 
     def finish(self) -> None:
-        """Record that the part is finished. Raises ``OutputError``."""
+        """Write the completion record. Raises ``OutputError``."""
         manifest = read_manifest(self.path)
         assert manifest is not None
         plan = read_plan(self.out / PARTS)
@@ -174,7 +174,7 @@ def _require_not_merging(out: Path, folder: Path) -> None:
 
 
 def _is_wanted(out: Path, folder: Path) -> bool:
-    """Whether a part lacks a shard that was not merged yet: the user deleted a damaged one."""
+    """Whether a part is unfinished, or lacks a shard that is not merged: the user has deleted a damaged one."""
     finished = read_finished(folder)
     if finished is None:
         return True

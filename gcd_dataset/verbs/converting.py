@@ -57,9 +57,10 @@ def plan_conversion(
 ) -> tuple[ConversionPlan, ...]:
     """Plans for the published garments under ``root`` in shards in ``out``: one for each split with any garment.
 
-    A garment's number does not depend on the other garments on disk, so batches that are downloaded later, or the other
-    bodies, are added to the same shards. Raises ``ShardError`` for a folder that is not in the published layout or has
-    no garment of any split, ``ConfigError`` if ``out`` holds another data set, ``OutputError`` if it cannot be written.
+    A garment's number does not depend on the other garments on disk, so a later call adds batches downloaded since, or
+    garments on the other bodies, to the same shards. Raises ``ShardError`` for a folder that is not in the published
+    layout or has no garment of any split, ``ConfigError`` if ``out`` holds another data set, ``OutputError`` if it
+    cannot be written.
     """
     require_merged(user_path(out), ConfigError)
     cache = None if cache_dir is None else Path(cache_dir)

@@ -6,10 +6,10 @@ begin
     ``options`` (of the call), ``versions`` (of the packages that determine the samples), ``recipe`` (its SHA-256),
     ``machine`` (``host``, ``pid``, ``cores``, ``gpus``: device to name).
 progress
-    After every 100 samples, and with the first sample after 10 s: ``count`` (samples in the finished data set),
-    ``there`` (from earlier runs), ``made`` (by this run), ``rate`` (samples a second over the last minute, or null),
-    ``left_s`` (seconds left at that rate, or null), ``outcomes`` and ``rejects`` (of this run, by name and by rule),
-    ``waits`` (idle share of the last minute: each GPU's draping processes, ``makers``, ``writer``), ``rss_mb``
+    Every 100 samples, and at the first sample 10 s after the last line or later: ``count`` (samples in the finished
+    data set), ``there`` (from earlier runs), ``made`` (by this run), ``rate`` (samples a second over the last minute,
+    or null), ``left_s`` (seconds left at that rate, or null), ``outcomes`` and ``rejects`` (of this run, by name and by
+    rule), ``waits`` (idle share of the last minute: each GPU's draping processes, ``makers``, ``writer``), ``rss_mb``
     (resident memory of this process, MB).
 end, stopped, failed
     The keys of ``progress``, and ``seconds`` (since ``begin``). ``stopped``: by Ctrl-C; ``failed``: also ``error``, the
@@ -81,7 +81,7 @@ def run_log(
 
 
 class _Run:
-    """Forwards progress to a callback, and writes some of it to the log."""
+    """Forwards progress to a callback, and logs it at intervals."""
 
     def __init__(self, lines: "_Lines", on_progress: ProgressCallback, clock: Callable[[], float]) -> None:
         self._lines, self._on_progress, self._clock = lines, on_progress, clock

@@ -39,7 +39,7 @@ __all__ = [
 Engine = Literal["local", "ray"]
 
 STARTUP = 4.0  # s for a worker to start
-CPU_SECONDS = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # of a worker for one garment, by stage, without the drape
+CPU_SECONDS = {"pattern": 0.03, "mesh": 0.1, "drape": 0.22}  # of a worker for a garment, by stage; draping excluded
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class StoredSample:
     outcome: Outcome | None
     """Outcome of the drape; ``None`` at an earlier stage."""
     waits: Waits = field(default_factory=dict)
-    """Waits of its worker and of the draping processes since the sample before."""
+    """Waits of its worker, and of the draping processes, since the previous sample."""
 
     @property
     def rejects(self) -> tuple[str, ...]:
@@ -129,7 +129,7 @@ def generate(
         A folder, or the URL of a store: ``s3://BUCKET/PREFIX`` or any other of ``fsspec``. Shards of a store are filled
         in the folder ``spool`` and uploaded when full; readers see the data set when it is complete.
     recipe
-        Divides the samples into splits (``generate_recipe`` also takes the other options from it).
+        Divides the samples into splits; its other options are not applied (``generate_recipe`` applies them).
     part
         Make one part only, such as ``JobPart(2, 8)``, in its own subfolder of ``out``. Parts may be made by any number
         of processes at the same time; ``merge`` joins them.

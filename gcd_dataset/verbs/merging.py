@@ -72,9 +72,9 @@ def merge(out: Path | str, *, on_progress: ProgressCallback = ignore_progress) -
 
 
 def _complete(out: Path) -> None:
-    """Seal the data set of a recipe, then remove the rest of the parts.
+    """Seal the data set of a recipe, then remove ``.parts-merged``.
 
-    The order matters: after a kill in between, the rest makes the next call resume here.
+    In this order: after a kill in between, the next call finds the folder and resumes here.
     """
     if has_plan(out / MERGED) and (named := read_plan(out / MERGED).named) is not None:
         seal(out, named)
@@ -117,7 +117,7 @@ def _merge(out: Path, on_progress: ProgressCallback) -> None:
 
 
 def _begin(out: Path) -> None:
-    """Mark the parts as being merged, so that none is made meanwhile.
+    """Mark the parts as being merged, so that no process makes one meanwhile.
 
     Raises ``ConfigError`` for shards beside the parts.
     """
@@ -155,7 +155,7 @@ def _finished_parts(out: Path, plan: PartsPlan) -> list[FinishedPart]:
 
 
 def _finished(folder: Path, plan: PartsPlan) -> FinishedPart | None:
-    """The completion record of a part. Raises ``OutputError`` while the part is made."""
+    """The completion record of a part. Raises ``OutputError`` while another process makes the part."""
     with locked(folder / lock_name(plan.splits[0]), "making this part"):
         return read_finished(folder)
 
@@ -171,7 +171,7 @@ def _require_none(parts: Sequence[int], fault: str, out: Path, plan: PartsPlan) 
 
 
 def _sources(out: Path, plan: PartsPlan, parts: Sequence[FinishedPart]) -> dict[tuple[str, str], list[_Source]]:
-    """(split, name) of each shard of the data set to the parts' shards that it is made of, in order.
+    """(split, file name) of each merged shard to the shards of parts that it joins, in order.
 
     Raises ``ShardError`` if one of them is missing or damaged.
     """
@@ -193,7 +193,7 @@ def _sources(out: Path, plan: PartsPlan, parts: Sequence[FinishedPart]) -> dict[
 
 
 def _fault(source: _Source, *, is_shared: bool) -> str | None:
-    """The fault of a part's shard, if any; a shard that is only renamed is checked by its length alone."""
+    """The fault of a part's shard, if any. The samples are checked only where the shard will be concatenated."""
     with reading(source.path):
         size = source.path.stat().st_size if source.path.exists() else 0
     if size != source.record.size:
@@ -207,7 +207,7 @@ def _fault(source: _Source, *, is_shared: bool) -> str | None:
 
 
 def _join(target: Path, sources: Sequence[_Source]) -> tuple[ShardRecord, ShardTable]:
-    """Make a shard of the data set from the parts' shards, which are removed."""
+    """Rename or concatenate shards of parts to the merged shard ``target``, and remove them; its record and table."""
     count = sum(source.record.count for source in sources)
     with reading(target):
         exists = target.exists()

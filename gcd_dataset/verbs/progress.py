@@ -25,7 +25,7 @@ class Progress:
     made: int = 0
     """Samples finished by this call."""
     split: str = "train"
-    """The split in work."""
+    """The split being written."""
     rejects: Counter[str] = field(default_factory=Counter)
     """Rejected attempts of this call, by the rule they broke."""
     outcomes: Counter[str] = field(default_factory=Counter)
@@ -65,6 +65,8 @@ class Progress:
 
 
 class _Mark(NamedTuple):
+    """Samples made, and waits, at a time."""
+
     time: float
     made: int
     waits: Waits
@@ -74,7 +76,7 @@ class _Mark(NamedTuple):
 class Pace:
     """Rate and waits over a sliding window of a minute.
 
-    ``clock``: seconds since any time; ``every``: seconds between the marks from which the window begins.
+    ``clock``: time [s] from any origin; ``every``: seconds between two marks. The window begins at a mark.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic, *, every: float = 1.0) -> None:
@@ -83,7 +85,7 @@ class Pace:
         self._marks = deque([_Mark(clock(), 0, {})])
 
     def of(self, progress: Progress, waits: Waits) -> Progress:
-        """``progress`` with rate and waits; ``waits``: accounts since the last call."""
+        """``progress`` with rate and waits; ``waits``: the waits since the last call."""
         now, marks = self._clock(), self._marks
         self._waits = sum_waits(self._waits, waits)
         while len(marks) > 1 and now - marks[1].time >= WINDOW:

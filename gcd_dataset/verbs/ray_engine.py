@@ -5,8 +5,8 @@
                                    ▼  │
                                  draping actors, two for each GPU; without GPUs each task drapes on its CPU
 
-Ray schedules the tasks and retries a task that is lost with its worker or node. A sample depends on seed and index
-only, and only this process writes, so a retried task makes the same bytes and no sample is stored twice.
+Ray schedules the tasks, and retries a task whose worker or node is lost. A sample depends only on seed and index, so a
+retried task makes the same bytes; only this process writes, so no sample is stored twice.
 """
 
 import contextlib
@@ -111,8 +111,8 @@ class RayCluster:
     ) -> Iterator[Any]:
         """The results of ``finished`` for the samples of ``indices``, in order.
 
-        ``seconds``: CPU time of one sample. Errors of ``generator.maker.produce`` are raised after the results before
-        them. Raises ``GcdError`` for a task that Ray has lost too often.
+        ``seconds``: CPU time of one sample. An error of ``generator.maker.produce`` is raised after all results that
+        precede it. Raises ``GcdError`` for a task that Ray has lost too often.
         """
         import ray
 
@@ -156,7 +156,7 @@ def ranges(indices: Iterable[int], wearers: int, size: int) -> Iterator[tuple[in
 
 
 def samples_of_range(count: int, seconds: float, slots: int) -> int:
-    """The number of samples that take ``RANGE`` CPU-seconds, or fewer if all slots would not be busy otherwise.
+    """The number of samples that take ``RANGE`` CPU-seconds, or fewer where some slots would stay idle otherwise.
 
     >>> samples_of_range(100_000, 0.1, 64), samples_of_range(64, 0.1, 2), samples_of_range(3, 30.0, 2)
     (50, 8, 1)
@@ -255,7 +255,7 @@ def _draper(actors: Sequence[Actor], number: int) -> Draper:
 
 @contextmanager
 def _captured_log() -> Iterator[list[tuple[int, str]]]:
-    """Level and message of this package's warnings and errors in the block."""
+    """Level and message of the warnings and errors that this package logs in the block."""
     logged: list[tuple[int, str]] = []
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: logged.append((record.levelno, record.getMessage()))  # type: ignore[method-assign]
@@ -276,7 +276,7 @@ def _node() -> str:
 def code_versions() -> dict[str, str]:
     """Versions of the packages that determine the samples, and a hash of this package's source files.
 
-    The hash is needed since a checkout changes without its version.
+    The hash tells checkouts of one version apart.
     """
     root = Path(__file__).resolve().parents[1]
     sources = hashlib.sha256()

@@ -120,7 +120,7 @@ def _split_faults(folder: Path, manifest: Manifest, recipe: Recipe) -> Iterator[
 
 
 def _sampled_faults(folder: Path, readers: Iterable[ShardReader], recipe: Recipe) -> Iterator[str]:
-    """Compare the stored patterns of some designs with the patterns when made again; one line for each difference."""
+    """Make the patterns of some designs again and compare them with the stored ones; one line for each difference."""
     designs = np.unique(np.linspace(0, recipe.designs - 1, min(recipe.designs, SAMPLED)).astype(int)).tolist()
     log.info("%s has no hash of all its patterns: %d designs are made again", recipe.name, len(designs))
     made = dict(made_patterns(recipe, designs))
@@ -208,7 +208,7 @@ def _lock_folder(folder: Path, recipe: Recipe) -> Iterator[None]:
 def _is_importing_main() -> bool:
     """Whether this is a spawned worker that imports the main module again.
 
-    Its parent may hold the lock and wait for it, so waiting here would deadlock. The flag is the one by which
-    multiprocessing forbids such a process to start processes.
+    The parent may hold the lock and wait for this worker, so waiting here would deadlock. By the same flag
+    multiprocessing forbids such a worker to start processes.
     """
     return bool(getattr(multiprocessing.current_process(), "_inheriting", False))

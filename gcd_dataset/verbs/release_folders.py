@@ -56,7 +56,7 @@ class PublishedName:
 
     @property
     def listed(self) -> str:
-        """The garment's entry in the split file: always under the default body, as the file lists designs."""
+        """The garment's entry in the split file, which lists designs: always under the default body."""
         return f"{self.batch}/{BODY_FOLDERS['default']}/{self.name}"
 
 
@@ -71,7 +71,7 @@ class _Batch:
 
 
 def exported_splits(folder: Path | str) -> dict[str, ShardReader]:
-    """The splits of a data set that exist in the published layout, with a warning about others.
+    """Split to reader, for the splits that the published layout has; logs a warning about others.
 
     Raises ``ShardError`` if there is none.
     """

@@ -41,7 +41,7 @@ class Target(Protocol):
 
     @property
     def indices(self) -> range:
-        """Indices of the samples that belong here."""
+        """Indices of the samples of this target."""
 
     def done(self) -> frozenset[int]:
         """Indices of the stored samples; repairs shards that a killed run left unfinished."""
@@ -117,7 +117,7 @@ class _FolderWriter:
 
 @dataclass(frozen=True)
 class _OpenWriter(_FolderWriter):
-    """A folder writer that is closed by a call."""
+    """A folder writer with a method ``close``, for callers without a ``with`` block."""
 
     stack: contextlib.ExitStack
 

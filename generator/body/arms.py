@@ -1,4 +1,4 @@
-"""Moves the arms of a body to the A-pose, the pose for measuring shoulders and arms, and back."""
+"""Moves the arms of a body to the A-pose, in which shoulders and arms are measured, and back."""
 
 from dataclasses import dataclass
 from typing import Self

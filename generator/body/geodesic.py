@@ -65,7 +65,7 @@ class GeodesicGraph(Record):
         return cls(corners, edges, shares, links, _row_starts(links, count), weights, (int(ends[0]), int(ends[1])))
 
     def without_detours(self, vertices: Float[np.ndarray, "v 3"], *, least: float) -> Self:
-        """The graph without links at an angle to the straight line between the ends: of a cosine below ``least``."""
+        """The graph without links whose angle to the straight line between the ends has a cosine below ``least``."""
         nodes = self._nodes(vertices)
         ahead = nodes[self.ends[1]] - nodes[self.ends[0]]
         along = nodes[self.links[:, 1]] - nodes[self.links[:, 0]]

@@ -1,4 +1,4 @@
-"""Approximate inside test for points and a body, by the nearest face centre: fast, exact enough to place panels."""
+"""Approximate test whether points are inside a body, by the nearest face centre: exact enough to place panels."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,7 +13,7 @@ EVERY = 4  # test every fourth face
 
 
 class InsideTest:
-    """Tests points: inside are those behind the nearest sampled face, or within ``SKIN`` of its centre."""
+    """Tests points. A point behind the nearest sampled face, or within ``SKIN`` of its centre, counts as inside."""
 
     def __init__(self, body: Body) -> None:
         corners = np.asarray(body.vertices, float)[body.faces[::EVERY]]

@@ -26,12 +26,12 @@ log = logging.getLogger(__name__)
 
 ADULT = (120.0, 230.0)  # cm; beyond these heights the unit may be another one, such as inches
 UNUSUAL_MISFIT = 0.6  # cm; more is reported as an unusual body; GarmentCode's mean bodies have 0.3 to 0.4
-SURE_SHOULDER = 0.96  # confidence of the shoulders above which moving the arms costs no accuracy; mostly 0.99
+SURE_SHOULDER = 0.96  # confidence of the shoulders above which moving the arms costs no accuracy; usually 0.99
 ARM_LANDMARKS = ("shoulder_left", "shoulder_right", "underarm_right")
 ARM_MEASURES = tuple(name for name, known in MEASURE.items() if known.on_arms)
 UNDERBUST_ERROR = 0.5  # cm; a larger possible error is reported
 COARSE_ERROR = 0.8  # cm; a larger possible error of girths is reported; a mesh of 6,890 vertices has 0.7
-GIRTH_ERROR = 18.0  # times the sagitta; a tape over flat triangles is 2 pi sagittas short, a decimated mesh loses more
+GIRTH_ERROR = 18.0  # sagittas: a tape over flat triangles is 2 pi sagittas short, on a decimated mesh even shorter
 WRIST_ERROR = 3 * GIRTH_ERROR  # the wrist is more curved than the rest of the skin
 ANGLE_ERROR = 1.0  # degrees for each centimetre of edge length, for the slope of the shoulder
 UNSURE = 0.5  # confidence below which a landmark is reported

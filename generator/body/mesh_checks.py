@@ -17,7 +17,7 @@ from gcd_dataset.records import BodyPart
 __all__ = ["require_body_alone", "require_free_limbs", "require_skin", "underbust_uncertainty"]
 
 MISSING = 3.0  # cm; a part with a larger median distance from the skin is missing
-STRAY = 8.0  # cm from the model beyond which a surface is not of the body
+STRAY = 8.0  # cm: a surface further from the model is not part of the body
 STRAY_SHARE = 0.02  # of the mesh's area that may be stray: a bun, a heel, a scrap
 STICKS_OUT = 6.0  # cm over the model's head or under its soles
 MAX_BRIDGED = 3.0  # cm of one patch that a tape may cross: straight over it, the tape is at most 0.1 cm short

@@ -35,7 +35,7 @@ class Scan(Record):
     source: Int[np.ndarray, " u"]
     """The vertex of the skin for each vertex of the input mesh."""
     loose: Bool[np.ndarray, " u"]
-    """Whether each vertex of the input mesh is of a dropped piece: an eye, a scrap."""
+    """Whether each vertex of the input mesh belongs to a dropped piece, such as an eye."""
     holes: Float[np.ndarray, " h"]
     """Distance across each patched hole [unit of the input]."""
     mean_edge: float

@@ -13,7 +13,7 @@ __all__ = ["clipped", "contour_length", "girth", "loops", "rough_girths", "secti
 CROSSED = np.array(
     [[-1, -1, -1], [0, 1, 2], [1, 2, 0], [2, 1, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [-1, -1, -1]], np.int8
 )
-"""By the bits of the corners above the plane: the corner cut off, then the other two in the section's direction."""
+"""Row: bit set of the corners above the plane. Entries: the corner cut off, then the others, in section order."""
 DIRECTIONS = 48  # over which a rough girth averages widths; its best level is within 0.01 cm of the best tape
 
 

@@ -335,7 +335,7 @@ def _between_legs(
 ) -> tuple[float, float]:
     """The x of the sagittal plane between the legs, and the lowest height above the last level where it cuts skin.
 
-    Planes beside the crotch point are tried too; the first without skin at all ``levels`` wins, else the best.
+    Planes beside the crotch point are tried too: the first that cuts no skin at any of the ``levels``, else the best.
     """
     best = (float(marks.points["crotch_point"][X]), -np.inf)
     for middle in best[0] + MIDDLES * scale:

@@ -1,9 +1,8 @@
 """Removes folds and self-intersections from the skin of drawn bodies.
 
 A body far from the mean may have inverted patches of skin: a nipple pushed in, the fold between the thighs, an armpit
-under a lowered arm. Their normals oppose those of the mean body; such patches are smoothed until they no longer do.
-Skin in a crease so sharp that its sides intersect, as beside the crotch, is smoothed until they no longer do. Other
-bodies are unchanged.
+under a lowered arm. Such patches, whose normals oppose those of the mean body, are smoothed until the normals agree.
+Creases whose sides intersect, as beside the crotch, are smoothed until the sides are apart. Other bodies are unchanged.
 """
 
 from dataclasses import dataclass

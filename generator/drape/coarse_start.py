@@ -1,4 +1,4 @@
-"""CoarseMesh to fine: start a garment from the drape of its coarse mesh."""
+"""From coarse to fine: start the drape of a garment's fine mesh from the drape of its coarse mesh."""
 
 from collections.abc import Sequence
 
@@ -19,8 +19,8 @@ def start_from_coarse(coarse: Solver, fine: Solver, worlds: Sequence[tuple[int, 
     """Start garments of ``fine`` from the end of their coarse drapes.
 
     ``worlds``: world index in ``coarse``, world index in ``fine``, and the coarse mesh that interpolates between them.
-    A garment whose coarse drape diverged starts from its placed panels. An overfull contact list of the coarse drape
-    marks the fine drape too, since which contacts were dropped is not deterministic.
+    A garment whose coarse drape diverged starts from its placed panels. A garment whose coarse drape overran a contact
+    list is marked as overfull in ``fine`` too, since it is not deterministic which contacts were dropped.
     """
     status, time, held = (array.numpy() for array in (coarse.state.status, coarse.state.time, coarse.state.held))
     overfull, new_overfull = coarse.state.contacts.overfull.numpy(), fine.state.contacts.overfull.numpy().copy()

@@ -46,21 +46,21 @@ class DrapeConfig:
     part_filters: bool = True
     """Collision filter: skirts and trousers pass through the arms, bodices above them through the forearms."""
     untangling_steps: int = 60
-    """Implicit steps at most for a garment that crosses itself at rest; 0 leaves it as it is."""
+    """Limit of the implicit steps that remove the self-crossings of a garment at rest; 0: no such steps."""
     exact_finish: bool = True
     """Finally move cloth off the skin's triangles themselves, where the distance field is too coarse."""
     coarse_start: bool = True
     """Drape a mesh of twice the spacing first and continue from its shape: faster, with fewer crossings."""
     sewing_start: bool = True
-    """Start wide skirts on a cone round the legs and wide bodices between the arms, not flat before and behind."""
+    """Start wide skirts on a cone round the legs, wide bodices between the arms and sleeves round them, not flat."""
     sewing_time: float = 0.2
     """The seams close over this time [s]."""
     held_time: float = 0.25
     """Shortest hold of waist and collar after sewing [s]."""
     longest_hold: float = 1.2
-    """Longest hold after sewing, though the garment has not fallen into place [s]."""
+    """Longest hold after sewing, for a garment that does not fall into place [s]."""
     falling_share: float = 0.1
-    """A garment has fallen into place when at most this share of its vertices is faster than ``calm_speed``."""
+    """A garment has fallen into place once at most this share of its vertices is faster than ``calm_speed``."""
     damping: float = 6.0
     """Drag on the cloth [1/s]: close to critical damping for a swinging skirt."""
     sewing_damping: float = 12.0
@@ -97,7 +97,7 @@ class DrapeConfig:
     """Limit of the 99th percentile of length over flat length of the edges."""
 
     def __post_init__(self) -> None:
-        # Two buffers swap in every substep, and a frame repeats one recorded graph of ``search_every`` substeps.
+        # Two buffers swap after each substep, and a frame replays one graph of ``search_every`` substeps.
         if self.search_every < 2 or self.search_every % 2 or self.substeps % self.search_every or self.substeps < 1:
             raise ConfigError(
                 f"DrapeConfig: substeps={self.substeps}, search_every={self.search_every}: search_every must be even "
@@ -114,6 +114,7 @@ class DrapeJob:
     measurements: Measurements
     fabric: Fabric = USUAL_FABRIC
     coarse: CoarseMesh | None = None
-    """The coarse mesh of ``coarse_start``. Without it the drape makes one, in the time a GPU takes for two drapes."""
+    """The coarse mesh of ``coarse_start``. Without it the drape makes one, in the time of two drapes on a GPU."""
     start: Float[np.ndarray, "v 3"] | None = None
-    """Positions of ``sewing_start`` for ``coarse``, or for ``box_mesh`` without it [cm]; computed where left out."""
+    """Positions of ``sewing_start`` for ``coarse``, or for ``box_mesh`` without ``coarse`` [cm]; None: computed in the
+    drape."""

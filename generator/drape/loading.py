@@ -62,7 +62,7 @@ def kernels_compiled(device: str = "auto") -> bool:
 
 
 def seconds_per_garment(device: str = "auto", spacing: float = 1.0) -> float:
-    """Estimated mean time to drape a garment at a mesh spacing [cm]: on one CPU core, or its share of a full GPU batch.
+    """Estimated mean time [s] to drape a garment at a mesh spacing [cm]: on one CPU core, or as a share of a GPU batch.
 
     Measured on other machines; single garments take up to ten times as long. Raises ``ConfigError`` for an unknown
     device.

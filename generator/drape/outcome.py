@@ -54,7 +54,7 @@ def collect(solver: Solver, jobs: Sequence[DrapeJob], worlds: Sequence[int]) -> 
 
 
 def _judge(job: DrapeJob, drape: Drape, config: DrapeConfig, status: int, *, overfull: bool) -> Outcome:
-    """The gravest failure that applies, else settled."""
+    """The most serious failure that applies; ``SETTLED`` without any."""
     if status == DIVERGED or not np.isfinite(drape.vertices).all():
         return Outcome.DIVERGED
     if overfull:

@@ -49,7 +49,7 @@ class PreparedJob:
 
 
 def none_arrived() -> int:
-    """For jobs that are all present from the start."""
+    """The default for ``arrived``: all jobs are present from the start."""
     return 0
 
 
@@ -64,9 +64,9 @@ def drape_unordered(
 ) -> Iterator[tuple[int, Drape]]:
     """Yield the number and drape of each job in the order in which they come to rest; up to ``at_once`` share a batch.
 
-    ``jobs`` may be fed while others drape: it yields ``None``, which takes no number, if no job is present at the
-    moment. ``arrived`` returns how many jobs ``jobs`` could yield now. The generator ends when all garments are draped
-    and no job is present. ``between`` is called between substeps; an exception that it raises ends the drapes.
+    ``jobs`` may receive jobs while others drape. It yields ``None`` whenever it has no job; ``None`` counts for no
+    number. ``arrived`` returns how many jobs ``jobs`` could yield now. The generator ends when all garments are draped
+    and ``jobs`` has none. ``between`` is called between substeps; an exception that it raises ends the drapes.
     """
     pending = _Pending(jobs, config)
     passes = pending.take(at_once)
@@ -212,10 +212,10 @@ def _run(
     arrived: Callable[[], int],
     between: Callable[[], None],
 ) -> Bool[np.ndarray, " w"]:
-    """Step until all worlds rest, or so many are idle that a new batch pays; returns which worlds still move.
+    """Step until no world runs, or until so many are idle that a new batch pays; returns the worlds that still run.
 
-    Idle are worlds at rest that a pending job or the garment's own fine pass could use, and free worlds for jobs that
-    have arrived.
+    Idle worlds: those at rest that a pending job or the garment's own fine pass could use, and free worlds for the jobs
+    that have arrived.
     """
     refining = np.array([each.coarse is not None for each in passes])
     while True:

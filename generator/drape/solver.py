@@ -24,7 +24,7 @@ GPU_THREADS = 128 * 1024  # enough to fill the largest GPU; kernels walk longer 
 
 
 def nothing() -> None:
-    """The default callback between substeps."""
+    """The default for ``between`` in ``Solver.frame``."""
 
 
 class Solver:
@@ -238,15 +238,15 @@ class Solver:
         self.launch(contacts.scan_work, m.n_worlds + 1, [m.worlds, s.status], [s.contacts])
 
     def find_contacts_of(self, active: wp.array) -> None:
-        """Find the contacts of the worlds marked in ``active`` (w), but for pairs where the cloth crosses."""
+        """Find the contacts of the worlds marked in ``active`` (w), without contacts where cloth crosses cloth."""
         wp.copy(self.state.search.searching, active)
         self._find_contacts(self._none, self._every, self._none)
 
     def _find_contacts(self, listed: wp.array, exempt: wp.array, passed: wp.array) -> None:
-        """Broad and narrow phase in the worlds that are searched.
+        """Broad and narrow phase in the worlds marked in ``search.searching``.
 
-        ``listed`` (v) marks vertices that belong to a list already, ``exempt`` (v) those that may be where cloth
-        crosses, ``passed`` (v) those that have passed through cloth.
+        Each argument marks vertices: ``listed`` those already in a contact list, ``exempt`` those where cloth may cross
+        cloth, ``passed`` those that have passed through cloth.
         """
         m, s = self.model, self.state
         threads = self._threads
@@ -289,7 +289,7 @@ class Solver:
         self.launch(crossing.find_roots, self.model.n_worlds, [self._bvh.id], [self._roots])
 
     def refitted_bvh(self) -> tuple[int, wp.array]:
-        """The BVH of all faces at their current positions, and the root of each world in it."""
+        """The identifier of the BVH, refitted to the current positions, and the root of each world's subtree in it."""
         self._refit_bvh()
         return self._bvh.id, self._roots
 

@@ -39,9 +39,9 @@ class Topology:
     vertex_offset: np.ndarray
     """(w + 1) first vertex of each garment, and the number of vertices."""
     face_offset: np.ndarray
-    """(w + 1) the same for faces."""
+    """(w + 1) first face of each garment, and the number of faces."""
     edge_offset: np.ndarray
-    """(w + 1) the same for edges."""
+    """(w + 1) first edge of each garment, and the number of edges."""
 
 
 def build_topology(jobs: Sequence[DrapeJob], keepers: Sequence[np.ndarray], device: str) -> Topology:

@@ -1,9 +1,9 @@
-"""The untangling phase: garments at rest that cross themselves continue in implicit steps until no edge crosses.
+"""The untangling phase: implicit steps that remove the self-crossings of garments at rest.
 
-The explicit substeps move one vertex at a time, so a vertex that is pushed back through a layer is held there by its
-neighbours. An implicit step moves the layer: crossing edges and faces are pushed along the gradient of the intersection
-contour (Volino and Magnenat-Thalmann, SIGGRAPH 2006), and a conjugate gradient spreads the displacement over the cloth.
-Garments without crossings keep their bytes.
+An explicit substep moves each vertex on its own, and the neighbours of a vertex that crosses a layer pull it back. An
+implicit step moves whole layers: crossing edges and faces are pushed along the gradient of the intersection contour
+(Volino and Magnenat-Thalmann, SIGGRAPH 2006), and the conjugate gradient method solves for the displacement of all
+vertices. Garments without self-crossings keep their bytes.
 """
 
 import numpy as np
@@ -17,12 +17,13 @@ from gcd_dataset.generator.drape.solver import Solver
 __all__ = ["untangle"]
 
 STEP = 1.0 / 120.0  # s
-ITERATIONS = 10  # of the conjugate gradient in a step; with 20 no more garments become clean
-POLL_EVERY = 10  # steps between two questions to the device whether any garment still crosses
-UNCOUNTED = 2**31 - 1
+ITERATIONS = 10  # of the conjugate gradient method in each step; 20 clean no more garments
+POLL_EVERY = 10  # steps between two reads of ``active`` from the device, each of which waits for it
+UNCOUNTED = 2**31 - 1  # crossings: more than any count
 
-# Tried on 25 crossing garments of 128: a stiff, short move (1.0, 0.6 cm, 0.5 cm at most) cleans 13 in 20 steps, a soft,
-# long one (0.1, 3 cm, 1 cm at most) 22 in 60.
+# See ``kernels.untangling.Untangling``. Tried on the 25 of 128 garments that crossed themselves at rest: crossing
+# stiffness 1.0, crossing move 0.6 cm and largest move 0.5 cm clean 13 of them in 20 steps; 0.1, 3 cm and 1 cm clean 22
+# in 60 steps.
 CROSSING_STIFFNESS = 0.1
 CROSSING_MOVE = 3.0  # cm
 POINT_STIFFNESS = 0.5
@@ -33,9 +34,9 @@ MAX_MOVE = 1.0  # cm
 
 
 def untangle(solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
-    """Move the cloth of the given worlds until no edge crosses it, or ``config.untangling_steps`` are used up.
+    """Move the cloth of each given world until it has no self-crossings, at most ``config.untangling_steps`` steps.
 
-    A world ends in the state of its fewest crossings, the state it began in included.
+    Each world ends in the state with the fewest crossings, which may be its first.
     """
     with launch_lock:
         phase = _Phase(solver, worlds)
@@ -48,13 +49,13 @@ def untangle(solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
 
 
 class _Phase:
-    """The buffers of the phase, and its step as a sequence of launches."""
+    """The buffers of the phase, and the launches of one step."""
 
     def __init__(self, solver: Solver, worlds: Bool[np.ndarray, " w"]) -> None:
         model, device = solver.model, solver.model.device
         self._solver, self._parameters = solver, _parameters()
         self.active = wp.array(worlds.astype(np.int32), dtype=int, device=device)
-        """(w) 1 where a world still crosses itself."""
+        """(w) 1 where the cloth of a given world still has self-crossings."""
         self._crossings, self._improved = (wp.zeros(model.n_worlds, dtype=int, device=device) for _ in range(2))
         self._least = wp.full(model.n_worlds, UNCOUNTED, dtype=int, device=device)
         self._best = wp.clone(solver.state.x)
@@ -62,7 +63,7 @@ class _Phase:
         solver.state.push.zero_()
 
     def step(self) -> None:
-        """Count the crossings, then move the worlds that have any."""
+        """Count the self-crossings, then move the cloth of the worlds that have any."""
         self._count_crossings()
         solver, solve = self._solver, self._solve
         m, s = solver.model, solver.state
@@ -86,7 +87,7 @@ class _Phase:
         solver.launch(kernels.move_cloth, m.n_vertices, inputs, [s.x])
 
     def end(self) -> None:
-        """Count once more and restore the positions of the fewest crossings."""
+        """Count the crossings of the last step's result, and restore the positions with the fewest crossings."""
         self._count_crossings()
         wp.copy(self._solver.state.x, self._best)
 

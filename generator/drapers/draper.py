@@ -52,7 +52,7 @@ class Draper(Protocol):
     """
 
     at_once: int
-    """Requests worth sending ahead; more would only wait."""
+    """Requests to send before the first reply; more would wait in the draper's queue."""
 
     def send(self, request: DrapeRequest) -> None:
         """Send a request. Raises ``DrapeError`` for a mesh without faces."""

@@ -1,4 +1,4 @@
-"""Work with drapes, returned in order: the next pieces are prepared while earlier ones are draped."""
+"""Run work that needs drapes and yield its results in order: later pieces are prepared while earlier ones drape."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -22,7 +22,7 @@ class Work(Generic[Made]):
 
     jobs: Sequence["DrapeJob"]
     finish: Callable[[Sequence[DrapeReply]], Union[Made, "Work[Made]"]]
-    """From the replies, in the order of ``jobs``, to the result, or to the work of another attempt."""
+    """Makes the result, or the work of another attempt, from the replies in the order of ``jobs``."""
     picture: int = 0
     """Side of the pictures [pixels]; 0 for none."""
 
@@ -47,7 +47,7 @@ def in_order(work: Iterable[Work[Made]], draper: Draper | None, *, ahead: int, a
             try:
                 tasks.append(dispatcher.begin(next(upcoming)))
                 begun = True
-            except Exception as error:  # noqa: BLE001 -- the end of the work, or an error: raised after those before it
+            except Exception as error:  # noqa: BLE001 -- StopIteration, or an error: raised after the results before it
                 ended = error
         if tasks and tasks[0].results:
             yield tasks.popleft().results.pop()
@@ -67,14 +67,14 @@ class _Task(Generic[Made]):
 
     work: Work[Made]
     replies: dict[int, DrapeReply] = field(default_factory=dict)
-    """By index of the job."""
+    """Replies by index of the job."""
     results: list[Made] = field(default_factory=list)
-    """Empty, or the result."""
+    """The result in a list of one; empty before the piece is finished."""
     error: Exception | None = None
 
 
 class _Dispatcher:
-    """Sends the jobs of tasks to the draper, and assigns the replies."""
+    """Sends the jobs of tasks to the draper, and assigns each reply to its task."""
 
     def __init__(self, draper: Draper | None) -> None:
         self._draper = draper

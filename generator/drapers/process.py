@@ -2,8 +2,8 @@
 
     python -m gcd_dataset.generator.drapers.process FOLDER DEVICE
 
-The garments of all clients share one batch. The process ends when the owner of ``FOLDER`` ends. The package's docstring
-tells how requests travel.
+The garments of all clients share one batch. The process ends when the owner of ``FOLDER`` ends. See the package's
+docstring for how requests travel.
 """
 
 import contextlib
@@ -67,7 +67,7 @@ def main(folder: Path, device: str) -> None:
 
 
 class Client(Protocol):
-    """The origin of a request."""
+    """The sender of a request."""
 
     connected: bool
     """Whether the client still waits for replies."""

@@ -16,7 +16,7 @@ from gcd_dataset.generator.drapers.shared import AT_ONCE
 
 __all__ = ["DrapingActor", "RayDraper", "start_actor"]
 
-MAX_LOSSES = 4  # actors that may die with a garment before the client gives up
+MAX_LOSSES = 4  # actors that die with the same garment: then the client gives up
 RESTART_TIME = 120.0  # s within which an actor must reply again
 EXIT_DELAY = 1.0  # s for the last replies of an actor to be sent
 

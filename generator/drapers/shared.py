@@ -54,7 +54,7 @@ class SharedDraper:
         self._connection.close()
 
     def _closed(self) -> DrapeError:
-        """The last error that the draping process sent; without one, that it has ended."""
+        """A ``DrapeError`` with the last error that the draping process sent; if it sent none: that it has ended."""
         with contextlib.suppress(EOFError, OSError):
             while self._connection.poll():
                 if isinstance(last := self._connection.recv(), str):

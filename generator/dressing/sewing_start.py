@@ -1,9 +1,13 @@
-"""Start positions from which seams close without tangles: wide skirts on a cone, wide bodices between the arms.
+"""Start positions of sewing that avoid tangles: wide skirts on a cone, wide bodices between the arms, sleeves on them.
 
-Panels hang flat before and behind the wearer. A skirt cut from large discs, or from rings under rings, then reaches
-above its own top and lies before the arms; a bodice wider than the room between the arms is sewn round them. Both would
-be drawn into folds and crossings that no later step undoes. Here the cloth of such parts starts compressed in the right
-place, and the springs, whose rest lengths grow from those of the start to the flat ones while seams close, spread it.
+A pattern places panels flat before and behind the wearer. Closing seams from there tangles three kinds of cloth:
+
+- A skirt of large discs, or of several rings one below the other, reaches above its own top and lies before the arms.
+- A bodice wider than the room between the arms is sewn round the arms.
+- A sleeve placed beside its arm is not sewn round it.
+
+Here such skirts and bodices start compressed where they belong, and such sleeves start round the arms. The rest lengths
+of the springs grow from the start lengths to the flat lengths while the seams close, which spreads the cloth.
 """
 
 from dataclasses import dataclass
@@ -22,22 +26,22 @@ from gcd_dataset.spec import is_trouser_leg
 
 __all__ = ["sewing_start"]
 
-RISE = 5.0  # cm above its top to which a skirt may reach before it starts as a cone
-HALF_WIDTH = 60.0  # cm from the middle to which it may
-CLEARANCE = 2.0  # cm from an ellipse round the body to the top of the cone
-HIPS = 30.0  # cm below the top within which the ellipse holds the body
+RISE = 5.0  # cm above its top: a skirt that reaches higher starts on a cone
+HALF_WIDTH = 60.0  # cm from the middle: a skirt that reaches further to a side starts on a cone
+CLEARANCE = 2.0  # cm from the ellipse round the trunk to the top of the cone
+HIPS = 30.0  # cm below the skirt's top: the ellipse contains the trunk down to here, the waves reach full amplitude
 SINES = (0.15, 0.6)  # least and largest sine of the angle between the cone and its axis
-WAVE, WAVES = 0.4, 17.0  # cm; radians of wave per radian of turn: a small wave decides where folds form
+WAVE, WAVES = 0.4, 17.0  # cm, amplitude; periods round the cone: small waves that determine where folds form
 ARM_GAP = 1.5  # cm between a bodice and the inside of an arm
-ARMPIT = 22.0  # cm below the top of the arm's skin, above which an armhole surrounds the arm
-SLICE = 2.0  # cm of height in which widths are compared
+ARMPIT = 22.0  # cm below the top of the arm's skin: the armhole surrounds the arm above this height
+SLICE = 2.0  # cm, height of the slices in which the widths of bodice and room are compared
 SECTION = 2.0  # cm of distance from the armhole that make a cross section of a sleeve
 SLEEVE_ROOT = 10.0  # cm from the armhole, where a sleeve may lie beside the arm's axis
-ARM_RADIUS = 4.0  # cm that a cross section of a sleeve must reach beyond the arm's axis on either side
+SLEEVE_GAP = 1.0  # cm that a cross section of a sleeve must reach beyond the arm or hand on either side
 
 
 def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
-    """The start positions of a garment's vertices on a body [cm]: ``mesh.vertices`` where panels may start flat."""
+    """The start positions of a garment's vertices on a body [cm]: ``mesh.vertices`` but for the cases above."""
     roles = np.array([str(role) for role in mesh.panel_labels])
     skirts = (roles == PanelRole.LEG) & ~np.array([is_trouser_leg(name) for name in mesh.panel_names])
     skirt = _Skirt.of(mesh, skirts) if skirts.any() else None
@@ -47,7 +51,7 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
         return mesh.vertices
     try:
         limbs = limbs_of(body)
-    except BodyError:  # a body without a trunk, as a ball
+    except BodyError:  # a body without a trunk, such as a ball
         return mesh.vertices
     placed = np.array(mesh.vertices, float)
     if skirt is not None and on_cone:
@@ -59,14 +63,14 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     if sleeves:
         for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
             if part in limbs:
-                _put_on_arm(mesh, roles, limbs[part], side, placed)
+                _put_on_arm(mesh, roles, body, limbs[part], side, placed)
     return placed
 
 
 def _flat_sides(
     faces: Int[np.ndarray, "f 3"], uv: Float[np.ndarray, "f 3 2"], vertices: int
 ) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:
-    """The ends of the faces' sides and their flat lengths [cm]; the shorter length where two panels differ."""
+    """The ends of each edge of the faces, and its flat length [cm]: the shorter one where two panels differ."""
     ends = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
     length = np.concatenate([np.linalg.norm(uv[:, (k + 1) % 3] - uv[:, k], axis=1) for k in range(3)])
     low, high = np.sort(ends, axis=1).T
@@ -78,7 +82,7 @@ def _flat_sides(
 def _distance_from(
     start: Int[np.ndarray, " s"], ends: Int[np.ndarray, "e 2"], length: Float[np.ndarray, " e"], vertices: int
 ) -> Float[np.ndarray, " v"]:
-    """(v) distance of each vertex from ``start`` along the sides of faces [cm]; 0 for pieces apart from it."""
+    """(v) distance of each vertex from the ``start`` vertices along edges [cm]; 0 where no edges lead there."""
     graph = csr_array((length, (ends[:, 0], ends[:, 1])), shape=(vertices, vertices))
     distance = dijkstra(graph, directed=False, indices=start, min_only=True)
     return np.where(np.isfinite(distance), distance, 0.0)
@@ -89,7 +93,7 @@ def _distance_from(
 
 @dataclass(frozen=True, eq=False)
 class _Skirt:
-    """The faces of a skirt and the vertices of its top."""
+    """The faces of a skirt, its top, front and side seams."""
 
     mesh: BoxMesh
     faces: Int[np.ndarray, "f 3"]
@@ -98,9 +102,9 @@ class _Skirt:
     top: Int[np.ndarray, " t"]
     """Vertices sewn to a bodice or waistband, or held at the waist."""
     front: Bool[np.ndarray, " v"]
-    """Vertices of panels before the wearer alone."""
+    """Marks vertices that belong to front panels only."""
     side: Int[np.ndarray, " s"]
-    """Vertices sewn between a front and a back panel."""
+    """Vertices of the side seams, which join front panels and back panels."""
 
     @staticmethod
     def of(mesh: BoxMesh, skirts: Bool[np.ndarray, " p"]) -> "_Skirt | None":
@@ -127,15 +131,15 @@ class _Skirt:
 
     @property
     def is_wide(self) -> bool:
-        """Whether it reaches above its top or far to the sides."""
+        """Whether the skirt reaches further above its top than ``RISE``, or further to a side than ``HALF_WIDTH``."""
         points = self.mesh.vertices[self._vertices]
         return bool(points[:, 1].max() > self._level + RISE or np.abs(points[:, 0]).max() > HALF_WIDTH)
 
     def place_on_cone(self, trunk: Limb, placed: Float[np.ndarray, "v 3"]) -> None:
-        """Move its rows of ``placed`` to a cone round the trunk [cm]; not at all without a seam on either side.
+        """Set the skirt's rows of ``placed`` to positions on a cone round the trunk [cm].
 
-        A vertex lies as far down the cone as it is from the top along the cloth, and as far round as it is between the
-        side seams.
+        The distance of a vertex from the top, along the cloth, becomes its distance down the cone. Its position between
+        the side seams becomes its angle round the cone. A skirt without side seams on both sides stays flat.
         """
         if not ((self._aside > 0.0).any() and (self._aside < 0.0).any()):
             return
@@ -171,9 +175,10 @@ class _Skirt:
         return _distance_from(self.top, *self._sides, len(self.mesh.vertices))
 
     def _turns(self) -> Float[np.ndarray, " v"]:
-        """(v) angle from the middle of front or back, harmonic in the flat cloth between the side seams [rad].
+        """(v) angle of each vertex from the middle of the front or back [rad].
 
-        Cotangent weights, none of them below a small positive one, so that no angle leaves the range of the seams'.
+        π/2 on the left side seam, -π/2 on the right; harmonic in the flat cloth between the side seams. The lower limit
+        of the cotangent weights is positive, so that no angle exceeds those of the seams.
         """
         n = len(self.mesh.vertices)
         start, end, weight = [], [], []
@@ -193,7 +198,11 @@ class _Skirt:
         return turn
 
     def _sine(self, length: float) -> float:
-        """Sine of the cone's angle, by how much wider than its top the skirt is in the mean over its length [cm]."""
+        """Sine of the angle between cone and axis, for a skirt of the given length [cm].
+
+        The mean girth of the skirt is its area over its length. The girth grows twice as much from top to hem as from
+        top to mean.
+        """
         a, b = self.uv[:, 1] - self.uv[:, 0], self.uv[:, 2] - self.uv[:, 0]
         area = 0.5 * float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
         ends, flat = self._sides
@@ -208,7 +217,11 @@ class _Skirt:
 def _fit_between_arms(
     mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]
 ) -> None:
-    """Compress one side of a bodice below the armhole, in ``placed``, to the room inside the arm."""
+    """Compress one side of a bodice below the armhole, in ``placed``, to the room inside the arm.
+
+    The room is the distance from the body's middle to the arm's skin, less ``ARM_GAP``, at the height of each slice.
+    ``side``: 1 for the left side, -1 for the right.
+    """
     bodice = np.unique(mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
     bodice = bodice[side * mesh.vertices[bodice, 0] > 0.0]
     bodice = np.setdiff1d(bodice, mesh.faces[(roles == PanelRole.ARM)[mesh.panel_id]])
@@ -230,42 +243,39 @@ def _fit_between_arms(
 # -------------------------------------------------------------------------------------------------------------- sleeve
 
 
-def _put_on_arm(mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]) -> None:
-    """Shift the cross sections of a sleeve that hangs beside the arm, in ``placed``, so that each surrounds it.
+def _put_on_arm(
+    mesh: BoxMesh, roles: np.ndarray, body: Body, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]
+) -> None:
+    """Shift and widen the cross sections of a sleeve, in ``placed``, so that each surrounds the arm and the hand.
 
     A section is the vertices at one distance from the armhole along the cloth. Its middle, in the frontal plane, moves
-    to the point of the arm's axis that is as far from the armhole.
+    to the point of the arm's axis that is as far from the armhole. Sleeves that surround the arm stay as they are.
     """
     own = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
     faces = mesh.faces[own]
     armhole = np.intersect1d(faces, mesh.faces[(roles == PanelRole.BODY)[mesh.panel_id]])
-    if not len(faces) or not len(armhole):
+    if not len(armhole):
         return
-    rows = np.unique(faces)
-    ends, length = _flat_sides(faces, mesh.uv[mesh.corners[own]], len(mesh.vertices))
-    away = _distance_from(armhole, ends, length, len(mesh.vertices))[rows]
+    rows, n = np.unique(faces), len(mesh.vertices)
+    away = _distance_from(armhole, *_flat_sides(faces, mesh.uv[mesh.corners[own]], n), n)[rows]
     axis = arm.axis[:2] / np.linalg.norm(arm.axis[:2])
-    across = np.array([-axis[1], axis[0]])
-    points = mesh.vertices[rows, :2]
-    offset = (points - arm.origin[:2]) @ across
-    along = (points - arm.origin[:2]) @ axis
+    frame = np.stack([axis, [-axis[1], axis[0]]], axis=1)
+    along, across = ((mesh.vertices[rows, :2] - arm.origin[:2]) @ frame).T
+    skin = body.vertices[np.isin(body.parts, [BodyPart.HANDS.value]) & (side * body.vertices[:, 0] > 0.0)]
+    skin_along, skin_across = ((np.concatenate([arm.skin, skin])[:, :2] - arm.origin[:2]) @ frame).T
     root = float(along[away <= SECTION].mean())
-    tip = float(((arm.skin[:, :2] - arm.origin[:2]) @ axis).max())
-    middles, targets, fits = [], [], True
     numbers = np.floor(away / SECTION).astype(int)
+    moved, surrounds = np.zeros((len(rows), 2)), True
     for number in np.unique(numbers):
-        here = numbers == number
-        target = root + (number + 0.5) * SECTION
-        low, high = offset[here].min(), offset[here].max()
-        if (number + 0.5) * SECTION > SLEEVE_ROOT and target < tip:
-            fits &= bool(low < -ARM_RADIUS and high > ARM_RADIUS)
-        middles.append((number, 0.5 * (low + high), float(along[here].mean())))
-        targets.append(target)
-    if fits:
-        return
-    shift = np.zeros((len(rows), 2))
-    for (number, middle, here_along), target in zip(middles, targets, strict=True):
-        here = numbers == number
-        share = min(1.0, (number + 0.5) * SECTION / SLEEVE_ROOT)
-        shift[here] = share * (-middle * across + (target - here_along) * axis)
-    placed[rows, :2] += shift
+        here, distance = numbers == number, (number + 0.5) * SECTION
+        beside = np.abs(skin_along - root - distance) < SECTION
+        need = float(np.abs(skin_across[beside]).max(initial=0.0)) + SLEEVE_GAP if beside.any() else 0.0
+        low, high = float(across[here].min()), float(across[here].max())
+        if distance > SLEEVE_ROOT:
+            surrounds &= low <= -need and high >= need
+        middle, share = 0.5 * (low + high), min(1.0, distance / SLEEVE_ROOT)
+        wider = max(1.0, 2.0 * need / max(high - low, SECTION))
+        moved[here, 0] = share * (root + distance - along[here].mean())
+        moved[here, 1] = share * (wider * (across[here] - middle) - across[here])
+    if not surrounds:
+        placed[rows, :2] += moved @ frame.T

@@ -94,7 +94,7 @@ def arm_girth_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
 
 
 class CuffedSleeve(Protocol):
-    """A sleeve's design as its cuff needs it."""
+    """The part of a sleeve's design on which its cuff depends."""
 
     @property
     def length(self) -> float:

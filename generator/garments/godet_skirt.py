@@ -15,7 +15,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["GODET_SKIRT", "GodetBase", "GodetSkirtDesign", "with_godets"]
 
-LEAST_HEM = 0.01  # of the remaining hem: a cut that would leave less hem before it leaves none, GarmentCode
+LEAST_HEM = 0.01  # of the remaining hem: a cut with less hem than this before it starts without any, GarmentCode
 NARROWEST, SHALLOWEST = 1.0, 1.0  # cm: least width and depth of a cut, GarmentCode
 CLOSED = 1e-6  # cm: shorter pieces of hem are left out
 STAND_OFF = 5.0  # cm from a panel to its godets, away from the body, GarmentCode

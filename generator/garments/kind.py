@@ -24,11 +24,11 @@ HAS_UPPER_AND_BOTTOM: Mapping[Kind, tuple[bool, bool]] = {
     Kind.LOWER: (False, True),
     Kind.FULL: (True, True),
 }
-"""Whether a garment of each kind has an upper, and whether it has a bottom."""
+"""Kind to (has an upper, has a bottom)."""
 
 
 def choice_of(space: DesignSpace[Any], name: str) -> Choice:
-    """The space of a parameter, by name, that is a choice."""
+    """The space of the choice parameter with this name."""
     return next(entry.space for entry in space.entries if entry.name == name and isinstance(entry.space, Choice))
 
 

@@ -4,12 +4,12 @@ Faults corrected without a switch, since they change neither outlines nor placem
 
 - every part of an edge that a seam divides keeps the edge's label;
 - the order of panels and seams is the same in every run;
-- designs are written with all digits, not with three;
+- designs are written with all digits, not with three digits;
 - crossings are found by distance: edges that touch where both start do not cross, and arcs are tested in full;
 - seams do not depend on the path of a solver: curves are closed forms, or solved to rounding;
 - a design without upper and bottom, a waistband alone included, is rejected with a reason.
 
-Some curves GarmentCode leaves to an underdetermined minimiser: a quadratic with one end tangent, the cap of a sleeve,
+For some curves GarmentCode runs an underdetermined minimiser: a quadratic with one end tangent, the cap of a sleeve,
 the seam of a hood. This package meets length and tangents exactly, and otherwise follows the minimiser's results
 (``pattern/tangent.py``, ``pattern/cubic_fit.py``).
 """

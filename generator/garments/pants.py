@@ -47,7 +47,7 @@ class PantsDesign(Design):
     length: float = real(0.3, 0.2, 0.9)
     """Below the hips, as a fraction of hips to floor; cuffs included."""
     width: float = real(1.0, 1.0, 1.5, keep=0.5)
-    """Width of the crotch, as a fraction of the least."""
+    """Width of the crotch, as a fraction of the least possible width."""
     flare: float = real(1.0, 0.5, 1.2, keep=0.3)
     """Hem, as a fraction of a straight leg's hem; each of its four ends moves by a quarter of the change."""
     rise: float = real(1.0, 0.5, 1.0, keep=0.3)
@@ -62,7 +62,7 @@ class _Dart(NamedTuple):
     width: float
     leg: float
     from_centre: float
-    """Distance of its middle from the centre, along the waist."""
+    """Distance of the dart's middle from the centre, along the waist."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class _Quarter:
     crotch: float
     """Extent of the crotch beyond the centre."""
     darts: tuple[_Dart, ...]
-    """They take in the rest of the difference of hips and waist; from the centre outwards."""
+    """Darts that take in the rest of the difference of hips and waist, from the centre outwards."""
 
 
 def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:

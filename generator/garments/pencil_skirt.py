@@ -30,7 +30,7 @@ MEASURES_USED = ("hips_line", "bust_points", "bum_points", "hip_inclination")
 FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
 BACK_EASE = 1.05  # height from hips to top behind, over that of the flatter front, GarmentCode
 FRONT_DART, BACK_DART = 0.8, 0.85  # dart leg, of the height from hips to top, GarmentCode
-OUTER_DART = 0.9  # leg of the back's outer dart, of its inner one's, GarmentCode
+OUTER_DART = 0.9  # leg of the back's outer dart over that of its inner dart, GarmentCode
 SLIT_WIDTH = 2.0  # cm, GarmentCode
 SIDE_BEND = 0.75  # of a flared side's chord: position of its control point, GarmentCode
 UP, DOWN = (0.0, 1.0), (0.0, -1.0)
@@ -58,11 +58,11 @@ class PencilSkirtDesign(Design):
     front_slit: float = real(0.0, 0.0, 0.9, keep=0.4)
     """Notch in the middle of the front hem, as a fraction of the length."""
     back_slit: float = real(0.0, 0.0, 0.9, keep=0.4)
-    """The same behind."""
+    """Notch in the middle of the back hem, as a fraction of the length."""
     left_slit: float = real(0.0, 0.0, 0.9, keep=0.6)
     """Lower part of the left side seam left open, as a fraction of the seam below the hips."""
     right_slit: float = real(0.0, 0.0, 0.9, keep=0.6)
-    """The same on the right."""
+    """Lower part of the right side seam left open, as a fraction of the seam below the hips."""
     style_side_cut: StyleCut | None = choice(None, *StyleCut, None, keep=1.0)
 
 
@@ -71,7 +71,7 @@ class _Dart:
     """A pair of darts [cm]."""
 
     at: float
-    """Distance of each from the middle of the top."""
+    """Distance of each dart from the middle of the top."""
     width: float
     leg: float
 

@@ -71,7 +71,7 @@ class DrawnOutfit:
     pattern: Pattern
     joins: tuple[MeasuredJoin, ...]
     faults: tuple[Fault, ...]
-    """From ``validate.check_pattern``."""
+    """The faults that ``validate.check_pattern`` found."""
 
     @classmethod
     def of(cls, size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Self:

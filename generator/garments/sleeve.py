@@ -17,7 +17,7 @@ __all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve"]
 
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
 EVEN = 0.2  # cm along the front's opening: a crease nearer to an end is ignored, GarmentCode
-SEWABLE = 0.6  # cm of surplus: a shorter one would make edges too short to sew
+SEWABLE = 0.6  # cm: a shorter surplus of the front opening would make edges too short to sew
 STANDING_FROM = pi / 36  # rad: least difference of rest angle and shoulder slope for a standing shoulder, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the arm, GarmentCode
 DOWN: Point = (0.0, -1.0)
@@ -41,9 +41,10 @@ class SleeveDesign(Design):
     opening_dir_mix: float = real(0.1, -0.9, 0.8, keep=1.0)
     """Tangent of the opening at the underarm: 0 along its chord, 1 straight down."""
     standing_shoulder: bool = flag(False, keep=0.8)
-    """Whether the sleeve continues the shoulder before it bends down; needs a rest angle 5 degrees over its slope."""
+    """Whether the sleeve continues the shoulder before it bends down; requires a rest angle 5 degrees
+    over the shoulder's slope."""
     standing_shoulder_len: float = real(5.0, 4.0, 10.0)
-    """Length of that part [cm]."""
+    """Length of the part that continues the shoulder [cm]."""
     connect_ruffle: float = real(1.0, 1.0, 2.0, keep=0.4)
     """Gathers at the armhole: opening over armhole."""
     smoothing_coeff: float = real(0.25, 0.1, 0.4, keep=0.8)

@@ -36,7 +36,7 @@ def with_sleeve(size: Measurements, design: SleeveDesign, half: Component, *, me
 def _clear_of(half: Component, arm: Component, angle: float) -> Component:
     """The sleeve moved out along the arm until it overlaps the trunk by at most ``OVERLAP``, as a plain shirt's does.
 
-    Without this, the drape sews wide sides and gathered sleeves together tangled.
+    Without the shift, seams of wide sides and gathered sleeves close in tangles.
     """
     trunk = shapely.union_all([_silhouette(piece) for piece in half.pieces])
     silhouette = shapely.union_all([_silhouette(piece) for piece in arm.pieces])

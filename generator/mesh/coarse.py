@@ -67,7 +67,7 @@ class _Border:
     """The border segments of all panels, each with its panel on the same side."""
 
     names: tuple[str, ...]
-    """Of the panels."""
+    """Names of the panels."""
     start: Int[np.ndarray, " b"]
     end: Int[np.ndarray, " b"]
     """Rows of ``uv``."""
@@ -103,7 +103,7 @@ class _Border:
 
 @dataclass(frozen=True)
 class _Thinned:
-    """The border vertices that stay, and the positions of the dropped ones between them."""
+    """The border vertices that the coarse mesh keeps, and the positions of the dropped ones between them."""
 
     kept: Bool[np.ndarray, " v"]
     between: Int[np.ndarray, "k 2"]
@@ -273,7 +273,8 @@ def _locate(
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """The triangle that holds each query point, and the point's barycentric weights in it, none below zero.
 
-    Only the triangles round the nearest corner are tried; a point outside all of them gets the one it is least outside.
+    Only the triangles round the nearest corner are tried; a point outside all of them gets the one with
+    the least negative weight.
     """
     around = _faces_around(faces, len(points))
     _, nearest = cKDTree(points, balanced_tree=False, compact_nodes=False).query(queries)

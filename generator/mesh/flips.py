@@ -9,7 +9,7 @@ from gcd_dataset.errors import MeshError
 
 __all__ = ["has_segments", "restore_segments"]
 
-ROUNDING = 1e-9  # rad: of four points on one circle, either diagonal is legal
+ROUNDING = 1e-9  # rad: either diagonal of four points on one circle is legal
 
 
 def restore_segments(points: Float[np.ndarray, "m 2"], faces: Int[np.ndarray, "f 3"], n: int) -> Int[np.ndarray, "f 3"]:

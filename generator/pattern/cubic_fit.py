@@ -15,7 +15,7 @@ __all__ = ["s_shaped_cubic", "smooth_cubic"]
 
 SLIDE_WEIGHT = 1e-3  # cm⁻⁴: weight of the end's squared slide against squared curvature, GarmentCode
 EXACT_TANGENT_SLIDE_WEIGHT = 8e-4  # the same for exact tangents: GarmentCode's tangents yield, so its ends slide more
-CURVATURE_NORM = 16  # exponent of the power mean that replaces the peak, to be differentiable
+CURVATURE_NORM = 16  # exponent of the power mean that replaces the peak curvature: it is differentiable
 S_SHAPED_NORM = 48  # the same for an S, whose peaks are narrower
 FIRST_GUESS = (0.5, 0.35, 0.08)  # chords: arms and slide for a typical sleeve opening
 S_SHAPED_GUESS = (0.45, 0.0, 0.03)  # chords: arm, deviation and slide for a typical hood's neckline

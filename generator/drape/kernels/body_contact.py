@@ -7,7 +7,7 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, World
 
 wp.set_module_options({"enable_backward": False})
 
-GRIP = 2.0  # friction factor of keepers: such an edge is faced with grip tape
+GRIP = 2.0  # friction factor of keepers: the edges that keep a garment up are faced with grip tape
 MIDDLE_SHARE = 0.5  # share of ``body_gap`` that the inside of a long edge keeps
 
 

@@ -1,4 +1,4 @@
-"""Contact response: displacements from point-triangle, edge-edge and body contacts, and from untangling.
+"""Contact response: displacements by point-triangle, edge-edge and long-edge contacts, and by untangling.
 
 The search lists a pair and the side on which each element belongs. Until the next search the pair is pushed apart
 whenever its predicted positions ``x + dt v`` are nearer than the cloth's thickness. Both elements move, weighted by

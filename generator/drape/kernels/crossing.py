@@ -1,7 +1,7 @@
 """Crossings: edges that intersect triangles, of cloth with cloth and with the body; their search, count and untangling.
 
 Untangling moves crossing cloth so that the intersection contour gets shorter (after Volino and Magnenat-Thalmann,
-SIGGRAPH 2006); it needs no knowledge of the right side. Displacing an edge by ``d`` against a triangle with normal
+SIGGRAPH 2006); it needs no right side of a layer. Displacing an edge by ``d`` against a triangle with normal
 ``N`` moves their crossing point by ``d - (N·d / N·E) E``, ``E`` along the edge. So the crossing point moves fastest
 along the contour's directions ``R`` into the edge's faces for a displacement along ``R - (E·R / E·N) N``.
 """
@@ -23,7 +23,7 @@ def find_roots(
     # out
     roots: wp.array(dtype=int),
 ):
-    """The root of each world's subtree in the BVH, looked up once for all queries."""
+    """Look up the root of each world's subtree in the BVH, once for all queries."""
     w = wp.tid()
     roots[w] = wp.bvh_get_group_root(bvh, w)
 
@@ -60,7 +60,7 @@ def find_crossings(
 ):
     """List (edge, triangle) for every crossing of cloth with cloth, and mark the vertices of both as tangled.
 
-    Skips short edges whose ends have no other vertex near: an edge that crosses a triangle of its size has one.
+    Skips short edges without another vertex near either end: a crossed triangle of similar size has a vertex there.
     """
     e = wp.tid()
     i = cloth.edges[e][0]
@@ -141,7 +141,7 @@ def pull_to_part(i: int, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3),
 def untangle_crossing(
     crossing: wp.vec2i, world: World, cloth: Cloth, x: wp.array(dtype=wp.vec3), push: wp.array2d(dtype=int)
 ):
-    """Accelerate an edge and a triangle that still cross in opposite directions; shortens the intersection contour."""
+    """Accelerate a listed edge and triangle in opposite directions, which shortens the contour, if they still cross."""
     e = crossing[0]
     face = cloth.faces[crossing[1]]
     i = cloth.edges[e][0]

@@ -2,7 +2,7 @@
 
 Stretch: a spring along every mesh edge. In a fabric with a grain the springs of a face are coupled, which makes the
 face an orthotropic sheet. Bending: the quadratic model of Bergou et al. (2006), a constant matrix. The thread of a
-vertex reads its springs, then the vertices that only its bending force depends on, then its coupled faces. On a GPU the
+vertex reads its springs, then the vertices that matter to its bending force alone, then its coupled faces. On a GPU the
 rows of 32 vertices are interleaved for coalesced reads (H200, 924 000 vertices: 91 µs; one array per quantity 172 µs;
 row after row 188 µs); on a CPU each row is contiguous.
 
@@ -14,7 +14,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-LOOK_AHEAD = 0.3  # theta
+LOOK_AHEAD = 0.3  # theta, in substeps
 USUAL = wp.constant(6)  # neighbours of a vertex in a regular mesh: the least number of entries in a row
 
 
@@ -40,7 +40,7 @@ class Bend:
 class Corner:
     """Coupling of the edges of a face in a fabric with a grain, as stored at one of its vertices.
 
-    The edges lead to the next vertex, to the last vertex, and across, between these two.
+    The edges: "next" and "last" from the corner to the face's next and last vertex, "across" between these two.
     """
 
     next: int
@@ -88,7 +88,7 @@ def spring_force(at: int, sewn: float, x: wp.vec3, rows: Rows, ahead: wp.array(d
 
 @wp.func
 def coupled_force(at: int, x: wp.vec3, rows: Rows, ahead: wp.array(dtype=wp.vec3)) -> wp.vec3:
-    """Coupling force by one face: each edge pulls by the stretches of the other two [g cm/s²]."""
+    """Coupling force by one face: the pull along each edge follows from the stretches of the other two [g cm/s²]."""
     corner = rows.corners[at]
     to_next, to_last = ahead[corner.next] - x, ahead[corner.last] - x
     next_length, last_length = wp.length(to_next), wp.length(to_last)

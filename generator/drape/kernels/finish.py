@@ -13,7 +13,7 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, en
 
 wp.set_module_options({"enable_backward": False})
 
-SHARE = 0.45  # of the distance from other cloth, by which a vertex may move
+SHARE = 0.45  # largest move of a vertex over its distance from other cloth
 CLEAR = 0.12  # cm, target distance from the skin
 DEEPEST = 3.0  # cm: cloth deeper inside stays there
 
@@ -25,7 +25,7 @@ def reset_allowed_moves(
     # state out
     allowed: wp.array(dtype=float),
 ):
-    """Allow every vertex a share of the contact search's margin: unlisted cloth is further away than that."""
+    """Allow every vertex a share of the contact search's margin: cloth without a listed contact is further away."""
     i = wp.tid()
     allowed[i] = SHARE * worlds[cloth.vertex_world[i]].margin
 
@@ -111,7 +111,7 @@ def measure_pierced_faces(
     through: wp.array(dtype=int),
     height: wp.array(dtype=float),
 ):
-    """Mark the corners of faces that edges of the skin pierce, and find how far the skin stands out of them [cm]."""
+    """Mark the corners of faces pierced by edges of the skin; ``height``: how far the skin stands out there [cm]."""
     w, e = wp.tid()
     if chosen[w] == 0 or e >= bodies[w].ends.shape[0]:
         return
@@ -153,7 +153,11 @@ def leave_skin(
     # state out
     x_out: wp.array(dtype=wp.vec3),
 ):
-    """Move marked vertices outward, by the need of the deepest sampled point of their edges or of the faces' height."""
+    """Move marked vertices outward, by the larger of two distances.
+
+    Either the distance that brings the deepest sampled point of the vertex's edges out of the body, or the height by
+    which the skin stands out of the vertex's faces.
+    """
     i = wp.tid()
     w = cloth.vertex_world[i]
     p = x_in[i]

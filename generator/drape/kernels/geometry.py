@@ -95,5 +95,5 @@ def has_vertex(face: wp.vec3i, i: int) -> bool:
 
 @wp.func
 def separation(gap_old: float, gap_new: float, thickness: float, max_old: float) -> float:
-    """How far to push a pair apart [cm]: this substep's approach in full, older overlap by at most ``max_old``."""
+    """How far to push a pair apart [cm]: this substep's approach in full, and up to ``max_old`` of older overlap."""
     return wp.clamp(thickness - gap_new, 0.0, wp.max(gap_old - gap_new, 0.0) + max_old)

@@ -1,11 +1,11 @@
 """Sums of contact displacements at each vertex, in fixed point.
 
-Integer addition does not depend on the order, so the sum is the same on every run and in any batch; floating-point
-atomics would not be.
+The order of integer additions does not change their sum, so the sum is the same on every run and in any batch. The sum
+of floating-point atomics depends on the order.
 
-A vertex in several contacts must not be pushed by each in full. So every contact adds its weight to its vertices one
-substep ahead, and divides its impulse by the largest weight sum among its vertices. Both elements of a pair still get
-the same impulse.
+Several contacts of a vertex must share its displacement. So every contact adds its weight to its vertices one substep
+ahead, and divides its impulse by the largest weight sum among its vertices. Both elements of a pair get the same
+impulse.
 """
 
 import warp as wp

@@ -8,7 +8,7 @@ from gcd_dataset.generator.drape.kernels.topology import Hinges, Surface, flat_a
 
 wp.set_module_options({"enable_backward": False})
 
-TAPE = 10.0  # stiffness factor of edges between keepers: such an edge is taped or faced
+TAPE = 10.0  # stiffness factor of mesh edges between keepers: tailors tape or face these borders
 
 
 @wp.func

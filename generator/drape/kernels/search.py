@@ -1,8 +1,8 @@
 """Search for contacts, repeated whenever a garment has moved far enough: broad phase, then narrow phase.
 
 The broad phase lists pairs of near vertices that are not neighbours, by a hash grid. The narrow phase tests the faces
-and edges round these vertices: two elements nearer than the margin have near vertices, the nearest of each, and are
-found from this pair alone.
+and edges round these vertices. Two elements nearer to each other than the margin have near vertices; only the pair of
+their nearest vertices lists the contact.
 """
 
 import warp as wp
@@ -29,7 +29,7 @@ from gcd_dataset.generator.drape.kernels.world import (
 
 wp.set_module_options({"enable_backward": False})
 
-STRIDE = wp.constant(8)  # threads that share a vertex's faces and edges; a vertex has about six
+STRIDE = wp.constant(8)  # threads that share the faces and edges of a vertex, about six each
 THREADS_PER_PAIR = wp.constant(16)  # threads that share a pair of vertices: 2 STRIDE
 OWN_CELL = wp.constant(13)  # index of the centre among 27 cells
 SHORT_EDGE = 1.5  # cm: longer edges have body contacts along their inside too
@@ -240,7 +240,7 @@ def list_edge_edge(
         return
     st = closest_on_edges(x[i], x[i1], x[j], x[j1])
     if st[0] <= 0.0 or st[0] > 0.5 or st[1] <= 0.0 or st[1] > 0.5:
-        return  # nearest at an end: a point-triangle contact; in another half: listed from there
+        return  # nearest at an end: a point-triangle contact; in another half: the pair of ends there lists the contact
     between = wp.lerp(x[j], x[j1], st[1]) - wp.lerp(x[i], x[i1], st[0])
     gap = wp.length(between)
     if gap > world.margin or gap < 1.0e-6:

@@ -69,7 +69,7 @@ def bend_share(flat: wp.array2d(dtype=wp.vec2d), f: int, side: int) -> wp.float6
 
 @wp.func
 def hinge_rigidity(sheet: Sheet, share: wp.float64) -> float:
-    """Rigidity of a hinge with which equilateral triangles with a side along the weft bend like the fabric.
+    """Rigidity of a hinge, so that a mesh of equilateral triangles with a side along the weft bends like the fabric.
 
     Bending along the warp moves only hinges along the weft (share 0); bending along the weft moves all hinges (shares
     3/4 and 0), with jumps 2, 2 and -1, so the sheet's rigidity is 8/9 and 1/9 of theirs.

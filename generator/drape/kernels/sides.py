@@ -1,8 +1,8 @@
 """Sides of contacts: detect pairs that have passed through each other, and keep their old sides.
 
 A pair is listed with its side before it touches. If it is on the other side at the next search, and the point's
-projection lies within the triangle both times, it has passed through: a way round the rim takes longer. Until the pair
-is back, its vertices get no new contacts with each other, only the contacts listed before, with the old side.
+projection lies within the triangle both times, the pair has passed through: moving round the rim takes longer. Until
+the pair is back on its old side, its vertices get no new contacts with each other and keep the old ones.
 """
 
 import warp as wp
@@ -58,7 +58,7 @@ def mark_passed(
     # state out
     passed: wp.array(dtype=int),
 ):
-    """Mark the vertices of contacts that are now on the other side than listed."""
+    """Mark the vertices of contacts that are no longer on the listed side."""
     for item in range(wp.tid(), contacts.work[contacts.work.shape[0] - 1], threads):
         w = world_of(item, contacts.work)
         if searching[w] == 0 or status[w] != RUNNING:

@@ -93,8 +93,8 @@ def end_frame(
     """Update the status of each world, end holds, and plan the next search for crossings.
 
     A hold ends when the garment has fallen into place. The next frame searches for crossings if the garment has moved;
-    without crossings, only every second frame. If the number of crossings stops falling, untangling stops: pushed
-    forever, the garment would never rest.
+    without crossings, only every second frame. Untangling stops when the number of crossings stops falling, so that the
+    garment can come to rest.
     """
     w = wp.tid()
     if status[w] == RUNNING:

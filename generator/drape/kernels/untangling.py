@@ -1,10 +1,11 @@
-"""Kernels of the untangling phase: implicit steps that move crossing layers of cloth apart as a whole.
+"""Kernels of the untangling phase: implicit steps that move crossing layers of cloth apart.
 
-Each step solves ``(M / h² + K + D) u = f`` for every garment that still crosses itself. ``u`` are displacements, ``K``
-is the stiffness of springs and hinges without the springs' compressive part, so that the matrix is positive definite,
-``D`` the diagonal stiffness of contacts, and ``f`` the elastic forces, weight and contact forces. Contacts' stiffnesses
-are relative to the garment's own (``World.stiffness``). Contacts add up as integers (see ``push``), and the sums of the
-conjugate gradient run in one order, so a garment gets the same bytes alone and in any batch.
+Each step solves ``(M / h² + K + D) u = f`` for every garment with self-crossings. ``u`` are the displacements of the
+vertices, ``h`` is the step length and ``M`` are the masses. ``K`` is the stiffness of springs and hinges, without the
+compressive part of the springs, so that the matrix is positive definite. ``D`` is the diagonal stiffness of contacts
+and crossings, in multiples of the garment's own stiffness (``World.stiffness``). ``f`` are the elastic forces, the
+weight, and the forces of contacts and crossings. Contact forces are summed as integers (see ``push``) and dot products
+in a fixed order, so a garment gets the same bytes alone and in any batch.
 """
 
 import warp as wp
@@ -23,37 +24,37 @@ from gcd_dataset.generator.drape.kernels.world import Cloth, Contacts, World, en
 
 wp.set_module_options({"enable_backward": False})
 
-PARTIAL_SUMS = wp.constant(256)  # per garment, on every device
+PARTIAL_SUMS = wp.constant(256)  # of a dot product over a garment; the same number on every device
 
 
 @wp.struct
 class Untangling:
-    """Parameters of the phase. Stiffnesses are multiples of ``World.stiffness``."""
+    """Parameters of the phase. Stiffnesses and ``body_grip`` are multiples of ``World.stiffness``."""
 
-    step: float  # s
-    crossing_stiffness: float
-    crossing_move: float  # cm by which each crossing asks its edge and face to move against each other
+    step: float  # s, length of a step
+    crossing_stiffness: float  # of the spring by which a crossing displaces its edge and its face
+    crossing_move: float  # cm, rest displacement of that spring: of the edge one way, of the face the other way
     point_stiffness: float  # point-triangle contacts
     edge_stiffness: float  # edge-edge contacts
-    body_stiffness: float  # contact with the skin
-    body_grip: float  # resistance to every displacement at the skin
-    max_move: float  # cm per step
+    body_stiffness: float  # contact with the skin, in ``f``
+    body_grip: float  # contact with the skin, in ``D``: resists displacements in every direction, sliding included
+    max_move: float  # cm, largest displacement of a vertex in a step
 
 
 @wp.struct
 class Solve:
-    """The linear system of a step and the vectors of its conjugate gradient."""
+    """The linear system of a step, and the vectors of the conjugate gradient method."""
 
     residual: wp.array(dtype=wp.vec3)  # (v) [g cm/s²]
-    diagonal: wp.array(dtype=float)  # (v) inertia and contacts [g/s²]
-    inverse: wp.array(dtype=wp.mat33)  # (v) inverse of the diagonal block, the preconditioner
+    diagonal: wp.array(dtype=float)  # (v) ``M / h² + D`` [g/s²]
+    inverse: wp.array(dtype=wp.mat33)  # (v) inverse of the vertex's 3 × 3 diagonal block: the preconditioner [s²/g]
     move: wp.array(dtype=wp.vec3)  # (v) the solution [cm]
     direction: wp.array(dtype=wp.vec3)  # (v) search direction
     image: wp.array(dtype=wp.vec3)  # (v) matrix times search direction
-    product: wp.array(dtype=float)  # (v) terms of the dot product in work
-    partial: wp.array2d(dtype=float)  # (w, PARTIAL_SUMS)
+    product: wp.array(dtype=float)  # (v) the vertices' terms of the current dot product
+    partial: wp.array2d(dtype=float)  # (w, PARTIAL_SUMS) partial sums of ``product``
     norm: wp.array(dtype=float)  # (w) residual · inverse · residual
-    factor: wp.array(dtype=float)  # (w) step length along the direction, then share of it in the next direction
+    factor: wp.array(dtype=float)  # (w) step length; after that, share of the old direction in the next
 
 
 @wp.kernel
@@ -70,7 +71,10 @@ def push_crossings(
     crossings: wp.array(dtype=int),
     push: wp.array2d(dtype=int),
 ):
-    """Push crossing edges and faces along the gradient of the intersection contour; count the crossing edges."""
+    """Push crossing edges and faces along the gradient of the intersection contour; count the crossing edges.
+
+    ``push`` accumulates displacements times relative stiffness, and relative stiffnesses.
+    """
     e = wp.tid()
     i = cloth.edges[e][0]
     j = cloth.edges[e][1]
@@ -121,7 +125,7 @@ def push_contacts_apart(
     # state out
     push: wp.array2d(dtype=int),
 ):
-    """Push layers nearer than the thickness apart, to the sides on which they lie."""
+    """Push contact pairs nearer than the thickness apart; each element stays on the side on which it is now."""
     w, thread = wp.tid()
     if active[w] == 0:
         return
@@ -162,7 +166,7 @@ def push_contacts_apart(
 
 @wp.func
 def spring_block(stiffness: float, length: float, edge: wp.vec3) -> wp.mat33:
-    """Stiffness of a spring at one of its ends, without the compressive part [g/s²]."""
+    """Stiffness matrix of a spring at one of its ends, without the compressive part [g/s²]; ``length``: rest length."""
     distance = wp.max(wp.length(edge), 1.0e-6)
     along = edge / distance
     across = stiffness * wp.max(1.0 - length / distance, 0.0)
@@ -183,7 +187,7 @@ def assemble(
     push: wp.array2d(dtype=int),
     solve: Solve,
 ):
-    """The first residual, diagonal blocks and search direction; clears ``push``."""
+    """Compute the first residual and search direction and the diagonal blocks; clear ``push``."""
     i = wp.tid()
     w = cloth.vertex_world[i]
     if active[w] == 0:
@@ -226,7 +230,7 @@ def multiply(
     # state in and out
     solve: Solve,
 ):
-    """The matrix times the search direction."""
+    """Multiply the matrix by the search direction, and the result by the direction."""
     i = wp.tid()
     if active[cloth.vertex_world[i]] == 0:
         return
@@ -253,7 +257,7 @@ def sum_products(
     # state in and out
     solve: Solve,
 ):
-    """Partial sums of ``product``, each over every ``PARTIAL_SUMS``-th vertex of a garment."""
+    """Sum ``product`` into ``partial``: partial sum ``k`` takes vertices ``k``, ``k + PARTIAL_SUMS`` etc."""
     w, lane = wp.tid()
     if active[w] == 0:
         return
@@ -265,7 +269,7 @@ def sum_products(
 
 @wp.func
 def dot_product(w: int, solve: Solve) -> float:
-    """The sum of ``product`` over a garment."""
+    """The sum of ``product`` over a garment, from its partial sums."""
     total = float(0.0)
     for lane in range(PARTIAL_SUMS):
         total += solve.partial[w, lane]
@@ -310,7 +314,7 @@ def advance(
     # state in and out
     solve: Solve,
 ):
-    """Add the step to the solution and subtract its image from the residual."""
+    """Add the step along the search direction to the solution, and subtract its image from the residual."""
     i = wp.tid()
     w = cloth.vertex_world[i]
     if active[w] == 0:
@@ -366,7 +370,11 @@ def move_cloth(
     # state in and out
     x: wp.array(dtype=wp.vec3),
 ):
-    """Move by the solution, no vertex further than ``max_move``, and none nearer to the skin than it may be."""
+    """Move every vertex by the solution, at most by ``max_move``.
+
+    A vertex outside ``body_gap`` stays outside; one inside does not come nearer to the skin. Body parts that the vertex
+    passes through do not count.
+    """
     i = wp.tid()
     w = cloth.vertex_world[i]
     if active[w] == 0:
@@ -395,7 +403,7 @@ def compare_crossings(
     # state out
     improved: wp.array(dtype=int),
 ):
-    """Mark the worlds with fewer crossings than ever before; end those without any."""
+    """Mark the worlds with fewer crossings than in all steps before; deactivate worlds without crossings."""
     w = wp.tid()
     improved[w] = 0
     if active[w] == 0:

@@ -40,7 +40,7 @@ class World:
     clear: float  # cm from the skin, beyond which no vertex reaches it before the next search
     max_frames: int
     still: float  # cm in a frame: a vertex that moves less is at rest
-    calm: float  # cm in a frame: the same in the last frame, see ``still_limit``
+    calm: float  # cm in a frame: ``still`` rises to this by the last frame, see ``still_limit``
     restless: float  # vertices that may move in a garment at rest
     falling: float  # vertices that may be fast in a garment whose hold ends
     frame: float  # s, length of a frame
@@ -94,7 +94,7 @@ class Contacts:
     kept_normals: wp.array(dtype=wp.vec3)
     long_edges: wp.array(dtype=wp.vec2i)  # edges whose inside may touch the body
     crossings: wp.array(dtype=wp.vec2i)  # edge, face that it crosses
-    near_count: wp.array(dtype=int)  # (w) entries asked for, which may exceed the capacity; as the other counts
+    near_count: wp.array(dtype=int)  # (w) requested entries, which may exceed the capacity; the same for other counts
     point_count: wp.array(dtype=int)
     edge_count: wp.array(dtype=int)
     kept_point_count: wp.array(dtype=int)

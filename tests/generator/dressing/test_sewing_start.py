@@ -1,10 +1,14 @@
 """Start positions of sewing: wide skirts lie on a cone outside the legs, wide bodices between the arms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from gcd_dataset.generator.body import build_body, neutral_shape
+from gcd_dataset.generator.body.limbs import limbs_of
 from gcd_dataset.generator.dressing.sewing_start import ARM_GAP, SLICE, sewing_start
 from gcd_dataset.generator.garments import OutfitDesign, outfit
 from gcd_dataset.generator.garments.design import Bottom, MetaDesign, Upper
@@ -12,6 +16,7 @@ from gcd_dataset.generator.garments.flare_skirt import FlareSkirtDesign
 from gcd_dataset.generator.garments.levels_skirt import Level, LevelsBase, LevelsSkirtDesign
 from gcd_dataset.generator.garments.pencil_skirt import PencilSkirtDesign
 from gcd_dataset.generator.garments.shirt import ShirtDesign
+from gcd_dataset.generator.garments.sleeve import SleeveDesign
 from gcd_dataset.generator.garments.waistband import Waistband
 from gcd_dataset.generator.mesh import build_box_mesh
 from gcd_dataset.records import BodyPart, BoxMesh, PanelRole
@@ -94,3 +99,28 @@ def test_a_skirt_of_many_levels_comes_to_rest_untangled() -> None:
     assert worn.drape.self_crossings <= 5
     assert worn.drape.body_crossings + worn.drape.body_through == 0
     assert worn.drape.stretch_p99 < 1.3
+
+
+@pytest.mark.parametrize("degrees", [-20.0, 25.0])
+def test_a_sleeve_starts_round_an_arm_that_is_held_otherwise(degrees: float) -> None:
+    """Cut for the A-pose, on a body with its arms lower or higher."""
+    design = OutfitDesign(
+        meta=MetaDesign(upper=Upper.SHIRT), sleeve=SleeveDesign(sleeveless=False, length=0.8, end_width=0.6)
+    )
+    mesh = mesh_of(design)
+    body = build_body(replace(neutral_shape(), arm_angle=np.radians(degrees)))
+    start = sewing_start(mesh, body)
+    arm = limbs_of(body)[BodyPart.LEFT_ARM]
+    across = np.array([-arm.axis[1], arm.axis[0]]) / np.linalg.norm(arm.axis[:2])
+    sleeve = vertices_of(mesh, PanelRole.ARM)
+    sleeve = sleeve[mesh.vertices[sleeve, 0] > 0.0]
+
+    def beside(points: Float[np.ndarray, "n 3"]) -> float:
+        """How far the middle of the sleeve's end lies from the arm's axis [cm]."""
+        along = (points - arm.origin) @ arm.axis
+        end = points[along > along.max() - 6.0, :2] - arm.origin[:2]
+        offset = end @ across
+        return abs(float(offset.min() + offset.max())) / 2
+
+    assert beside(mesh.vertices[sleeve]) > 6.0
+    assert beside(start[sleeve]) < 2.5
