@@ -21,7 +21,7 @@ from gcd_dataset.spec import pattern_from_spec
 from gcd_dataset.verbs import Progress, generate
 
 SEED = 4
-DESIGNS = 4  # each on the neutral body and on a random one
+DESIGNS = 4  # each for the neutral body and a random one
 SHORT = Overlay.from_dict(
     {
         "meta": {"bottom": {"options": ["SkirtCircle", "Skirt2", "PencilSkirt", "Pants", "none"]}},

@@ -19,7 +19,7 @@ from gcd_dataset.generator.recipe import MakeConfig, devices_of
 __all__ = ["gpu_idle", "own_rate"]
 
 SAMPLE_EVERY = 200  # ms between samples of nvidia-smi
-SHIFT = 1e-6  # cm, makes a body a different one
+SHIFT = 1e-6  # cm, change of a body that makes the draper treat it as another body
 QUEUED = 256  # requests, more than a GPU drapes at a time
 
 
@@ -51,7 +51,7 @@ def own_rate(config: MakeConfig, *, prepared: int, warm: int, seconds: float, pi
 
 
 def _on_new_body(job: DrapeJob, number: int) -> DrapeJob:
-    """The job on a body of its own, as in a data set: the draper caches data per body."""
+    """The job with a body that no other job has, as in a data set: the draper caches data per body."""
     return replace(job, body=replace(job.body, vertices=job.body.vertices + SHIFT * number))
 
 

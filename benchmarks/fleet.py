@@ -46,7 +46,7 @@ class ObjectStore:
     piece: int = 50 << 20
     """Bytes per part of a multipart upload."""
     beside: int = 5
-    """Further requests per shard: begin and complete the upload, two notes, a check of its size."""
+    """Other write requests per shard: begin and complete the upload, write two notes, check the size."""
     put_usd: float = 5e-6
     """Price of a write request."""
     month_usd: float = 0.023e-9
@@ -141,7 +141,7 @@ class Fleet:
     again: float = 180.0
     """Time from a failure to the next garment of the part: another machine, its start, its processes."""
     kept: int = SHARD_SIZE
-    """Garments that become safe together: a shard with an object store; a whole part if a failure loses the disk."""
+    """Garments stored safely at once: a shard with an object store; a whole part if a failure loses the disk."""
     slow_share: float = 0.0
     """Share of machines that are permanently slow."""
     slow_rate: float = 0.5
@@ -165,13 +165,13 @@ class Run:
     idle: float
     """Seconds without a part while others were still working, over all machines."""
     efficiency: float
-    """Time of the same machines without starts, failures or waits, over the actual time."""
+    """Ratio of the time without starts, failures and waits to the actual time, with the same machines."""
 
 
 def expected_seconds(fleet: Fleet, part: int) -> float:
     """Expected time for a part on one machine of normal rate.
 
-    Garments that become safe together are repeated until no failure interrupts them: with failure rate λ, a stretch of
+    Garments stored safely at once are repeated until no failure interrupts them: with failure rate λ, a stretch of
     t seconds takes (1/λ + R)(exp(λt) - 1), where R is the delay after each failure.
     """
     stretches = _stretches(part, fleet.kept)

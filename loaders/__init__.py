@@ -1,25 +1,26 @@
 """Data sets of garments and bodies, and a resumable loader for training.
 
-How a training gets its batches:
+From data set to batch:
 
 1. A *data set* is a list of garments: ``ds[i]`` is an item, a dict of tensors. ``GarmentDataset`` and ``Hdf5Garments``
-   read it, ``PublishedGarmentCodeData`` reads the authors' files, ``GeneratedGarments`` makes it (``base.py``).
+   read items from our formats, ``PublishedGarmentCodeData`` from the authors' files; ``GeneratedGarments`` makes them
+   (``base.py``).
 2. The *order* maps a position to an index: epoch ``e`` is the permutation of all indices keyed by ``(seed, e)``,
    computed without a table (``order.py``).
 3. Each *rank* takes every ``world_size``-th position, so all ranks together always have a prefix of the order. The rank
    is looked up at each ``iter()`` (``ranks.py``).
 4. The *cursor* is the position after the last batch that the training loop received, not the last one prefetched
    (``batch_plan.py``).
-5. With ``num_workers=0`` a *thread* of the training process reads stored garments ahead. To make garments or for slow
-   transforms there are *worker processes*, those of a ``DataLoader``: a worker receives indices and epoch, and sends
-   the batch, or the error as a value (``batch_plan.py``, ``worker.py``).
+5. With ``num_workers=0`` a *thread* of the training process prefetches stored garments. Generated garments and slow
+   transforms need *worker processes*, those of a ``DataLoader``: a worker receives indices and epoch, and sends the
+   batch, or the error as a value (``batch_plan.py``, ``worker.py``).
 6. A *transform*, then an ``augment``, changes the item; both may be users' code, and run with random streams seeded by
    seed, epoch and index (``user_code.py``, ``isolated_rng.py``). *Collate* packs or pads the items (``collate.py``).
 7. The *state* is the cursor, with seed, length and a hash of the data set, which must match on loading. Any number of
    ranks or workers and any batch size may resume from it (``states.py``).
-8. Order and augmentation are *pure functions* of ``(seed, epoch, index)``, a generated garment of its own ``(seed,
-   index)``: not of rank, worker, batch size or time. So is the order of ``FreshGarments``, which replays garments while
-   new ones are made (``fresh.py``, ``replay.py``).
+8. *Pure functions*: the order depends on ``(seed, epoch)`` alone, augmentation on ``(seed, epoch, index)``, a generated
+   garment on its ``(seed, index)``. None depends on rank, worker, batch size or time. The same holds for
+   ``FreshGarments``, which replays garments while new ones are made (``fresh.py``, ``replay.py``).
 """
 
 from gcd_dataset.loaders.base import Garments

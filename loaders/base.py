@@ -64,21 +64,21 @@ class Garments(Dataset[Item], ABC):
     ``ds[7]``, ``ds[-1]``, ``ds[i]``        one item; ``i`` may be an integer of NumPy or torch
     ``ds["gcd_000000012"]``                 the garment of that key; its item has it as ``item["meta"]["key"]``
     ``ds[[1, 2, 5]]``, ``ds[indices]``      a list of items, for a list, array or tensor of integers, or a list of keys
-    ``ds[2:5]``                             a data set of these garments
+    ``ds[2:5]``                             a data set of garments 2, 3 and 4
     ======================================  ============================================================================
 
     Without ``fields`` an item holds every field that the garments have; garments of stage ``mesh`` have no ``verts``.
-    Floating fields are cast to ``dtype``, float32 by default; ``None`` keeps the stored type, such as the float64 of
-    ``panels`` and ``edges``, from which a pattern is decoded without loss. Raises ``ConfigError`` for a field that no
+    Floating fields are cast to ``dtype``, float32 by default. ``None`` keeps the stored types: ``panels`` and ``edges``
+    are float64, which lossless decoding of the pattern requires. Raises ``ConfigError`` for a field that no
     garment holds, a ``transform`` that is not callable, and a ``dtype`` that is not floating.
     """
 
     reads_only = False
-    """Whether items are read, not made: a thread then loads them as fast as worker processes."""
+    """Whether items are read from storage, not generated: a thread then loads them as fast as worker processes."""
     endless = False
     """Whether indices beyond ``len()`` are valid: the following epochs, each in its own order."""
     garments_per_design = 1
-    """Number of consecutive garments that share a design; one process makes them fastest."""
+    """Number of consecutive garments that share a design; fastest if one process makes them all."""
 
     def __init__(
         self,
@@ -139,7 +139,7 @@ class Garments(Dataset[Item], ABC):
         return (self[index] for index in indices)
 
     def select(self, indices: Iterable[int]) -> "Garments":
-        """A data set of these garments in this order. Raises ``IndexError``."""
+        """A data set of the garments at ``indices``, in this order. Raises ``IndexError``."""
         return SelectedGarments(self, [self._position(index) for index in indices])
 
     def __repr__(self) -> str:
@@ -147,7 +147,7 @@ class Garments(Dataset[Item], ABC):
         return f"{type(self).__name__}({description}: {', '.join(self.fields)})"
 
     def tell_wait(self) -> None:
-        """Log once how long a garment takes to make, if that is seconds."""
+        """Log once the time to make a garment, if it is seconds."""
 
     def _load(self, position: int) -> Any:
         """The item at a position: an index normalised to 0 … ``len(self)`` - 1."""

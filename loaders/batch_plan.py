@@ -37,7 +37,7 @@ class BatchPlan(Protocol):
     """The cursor at the start of the first epoch."""
 
     def loader(self, **options: Any) -> DataLoader:
-        """The ``DataLoader`` of all passes."""
+        """The ``DataLoader`` that serves all passes."""
 
     def __len__(self) -> int:
         """Batches of a whole epoch."""
@@ -46,7 +46,7 @@ class BatchPlan(Protocol):
         """The epoch of a cursor."""
 
     def state(self, cursor: Cursor) -> dict[str, Any]:
-        """A cursor as entries of a state, with those that identify its order."""
+        """A state: the cursor, and the entries that identify its order."""
 
     def cursor_in(self, state: Mapping[str, Any]) -> Cursor:
         """The cursor in a state. Raises ``ConfigError`` for the state of another order."""
@@ -64,7 +64,7 @@ class BatchPlan(Protocol):
         """The cursor at the end of a pass; ``cursor`` is the one after its last batch."""
 
     def annotate(self, batch: Any, start: Cursor, number: int) -> Any:
-        """The batch, with entries that the plan adds."""
+        """The batch with the entries that the plan adds, such as ``repeated``."""
 
 
 class BatchIndices(NamedTuple):
@@ -96,7 +96,7 @@ class IndexedPlan:
         self._rank_share = self._present_share()
 
     def loader(self, **options: Any) -> DataLoader:
-        """The ``DataLoader`` of all passes; its workers persist."""
+        """The ``DataLoader`` that serves all passes; its workers persist between them."""
         if self._num_workers:
             return DataLoader(
                 self._maker,
@@ -132,7 +132,7 @@ class IndexedPlan:
         return self._sampler.order.next_pass(cursor)
 
     def begin(self, cursor: int) -> int:
-        """Begin a pass with the present ranks, at the next epoch if no batch is left in this one."""
+        """Look up the ranks and begin a pass, at the next epoch if no batch is left in this one."""
         self._rank_share = self._present_share()
         self._start = cursor if self._batch_starts(cursor, self._rank_share) else self._sampler.order.end(cursor)
         return self._start
@@ -154,7 +154,7 @@ class IndexedPlan:
         return batch
 
     def _present_share(self) -> RankShare:
-        """The share of the present rank. Raises ``ConfigError`` if no rank has a whole batch."""
+        """The share of this process's rank, looked up now. Raises ``ConfigError`` if no rank has a whole batch."""
         rank_share = self._sampler.rank_share()
         if not self._batch_starts(0, rank_share):
             raise ConfigError(
@@ -179,7 +179,7 @@ class BatchMaker(Dataset):
         self._plain, self._user_code = separate_user_code(dataset)
         self._collate, self._seed = collate_fn, seed
         self.is_user_dataset = not is_package_code(type(self._plain))
-        """Whether the data set's class is not of this package: all of an item is made by users' code."""
+        """Whether the data set's class is defined outside this package: users' code then makes the whole item."""
         self.has_user_code = self.is_user_dataset or self._user_code is not None or not is_package_code(collate_fn)
 
     def __getitems__(self, batch: BatchIndices) -> Any:
@@ -190,7 +190,7 @@ class BatchMaker(Dataset):
             return with_traceback(error)
 
     def read(self, batch: BatchIndices) -> list[Any]:
-        """The items, before users' transforms."""
+        """Load the items, without users' transforms."""
         if not self.is_user_dataset:
             return load_items(self._plain, batch.indices)
         with isolated_rng() as random_state:
@@ -298,7 +298,7 @@ class StreamPlan(IterableDataset):
         return StreamCursor(cursor.epoch + 1, 0) if cursor.position else cursor
 
     def begin(self, cursor: StreamCursor) -> StreamCursor:
-        """Begin a pass with the present ranks; at the next epoch if the stream is known to have no item left."""
+        """Look up the ranks and begin a pass; at the next epoch if the stream is known to have no item left."""
         if hasattr(self._stream, "begin_at") and cursor.position >= self._length():
             cursor = self.next_pass(cursor)
         self._rank, self._cursor = self._present_rank(), cursor

@@ -48,7 +48,7 @@ class FreshGarments(IterableDataset[Item]):
     For a model that consumes garments faster than they are made: each garment is used ``replay`` times, at random
     moments while it is in the buffer; 2.5 means twice for one garment and three times for the next. After its last use
     a new garment takes its place, so memory is bounded: ``room`` items here, and the items of 74 designs in each
-    worker, plus 48 garments of 1 MB (at 1 cm) where draping processes serve the workers. The first item comes as soon
+    worker, plus 48 garments of 1 MB (at 1 cm) if draping processes serve the workers. The first item comes as soon
     as the first garment is made: the buffer grows by one garment with each item, up to ``room``. The order is a
     function of ``seed``, epoch and position, and of the data set, not of workers or timing.
 
@@ -109,7 +109,7 @@ class FreshGarments(IterableDataset[Item]):
         self._go_to(require_integer("epoch", epoch) * len(self))
 
     def state_dict(self) -> dict[str, Any]:
-        """The position: items given by the last ``iter()``, since the first epoch began; and the order's identity."""
+        """The position, in items yielded since the first epoch began, and the identity of the order."""
         return {"position": self._position, **dataset_entries(self)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -128,7 +128,7 @@ class FreshGarments(IterableDataset[Item]):
     def begin_at(self, position: int) -> Iterator[Item]:
         """The items from a position to the end of its epoch; positions count from the start of the first epoch.
 
-        Garments whose last use was before are not made.
+        Garments whose last use lies before the position are not made.
         """
         if get_worker_info() is not None:
             raise ConfigError(
@@ -160,7 +160,7 @@ class FreshGarments(IterableDataset[Item]):
             while wanted not in buffer:
                 garment, item = next(made)
                 buffer[garment] = item
-                del item  # or this frame would hold it beyond its last use
+                del item  # otherwise this frame would keep it alive after its last use
             yield self._augmented(buffer.pop(wanted) if replay.is_last else buffer[wanted], replay, first)
 
     def _made(self, order: "_MakeOrder", first: int) -> Iterator[Item]:
@@ -197,7 +197,7 @@ def _rate(replay: float) -> ReplayRate:
 
 
 def _copied(item: Any) -> Any:
-    """The item copied out of shared memory, of which a container has 64 MB by default."""
+    """A copy of the item outside shared memory, of which a container has only 64 MB by default."""
     if not isinstance(item, dict):  # a transform may return any type
         return item
     return GarmentItem(

@@ -36,7 +36,7 @@ logger = logging.getLogger("gcd_dataset")
 
 
 class GeneratedGarments(Garments):
-    """Garments 0 … ``n`` - 1 of ``seed``, made on demand: the same as ``gcd generate`` writes to shards.
+    """Garments 0 … ``n`` - 1 of ``seed``, made on demand; equal to those that ``gcd generate`` writes to shards.
 
     >>> ds = GeneratedGarments(1000, drape=None, fields=("panels", "box"))  # doctest: +SKIP
     >>> ds[7]["box"].shape  # doctest: +SKIP
@@ -56,14 +56,14 @@ class GeneratedGarments(Garments):
     CPU. Under ``torchrun``, or with ``torch.distributed`` initialised, ``auto`` is this rank's own GPU, and several
     GPUs are divided among the ranks of this machine. On GPUs, workers of a ``DataLoader``, forked or spawned, make
     body, design, pattern and mesh, and two draping processes per GPU drape for them; without workers, this process
-    drapes each batch in one go on the first GPU, but prepares fewer garments than the GPU could drape. On a CPU each
-    worker drapes its own.
+    drapes each batch in one go on the first GPU, which then waits for the preparation of garments. On a CPU each
+    worker drapes its own garments.
 
     ``cache_dir``: stores every garment made, and reads it the next time. Each seed, recipe and version of this package
     has a folder of its own there, the attribute ``cache``: a data set for ``GarmentDataset``, ``gcd verify`` or ``gcd
     publish``. Any number of workers and processes may share it; a damaged garment is made again.
 
-    If a garment takes seconds, as a drape on a CPU does, the logger ``gcd_dataset`` says so once.
+    If a garment takes seconds, as a drape on a CPU does, the logger ``gcd_dataset`` warns once.
 
     Raises ``ConfigError`` for options that do not fit together, fields of a later stage, and more ranks than GPUs; a
     missing GPU raises with the first garment. ``DrapeError`` if a draping process ends: the next request starts
@@ -124,7 +124,7 @@ class GeneratedGarments(Garments):
     def pack(self) -> None:
         """Write the cached garments of incomplete shards into shards.
 
-        Once every garment is made this has been done; until then ``cache`` is a data set of its complete shards only.
+        Not needed once every garment is made. Before that, ``cache`` is a data set of its complete shards only.
         """
         if self._sample_cache is None:
             raise ConfigError("no cache to pack: give cache_dir")

@@ -30,8 +30,9 @@ class MixedDataset(Garments):
     [(0, 3), (0, 0), (1, 1), (0, 1), (0, 4), (0, 2), (1, 0), (0, 5)]
 
     Garment ``i`` is a function of ``seed`` and ``i``. In any stretch of the order, the count of each of two data sets
-    is within one garment of its share, of three within two, of more within a few; no order is within one for all
-    weights of three or more. Only the ratio of the weights matters, as the decimals that they are written as.
+    is within one garment of its share; of each of three, within two; of more, within a few. (For three or more data
+    sets, no order stays within one for all weights.) Only the ratio of the weights matters; a float counts as the
+    decimal that it prints as.
 
     Each data set is shuffled, and reshuffled each time it is exhausted. ``len()`` is an epoch: until every data set has
     been exhausted once; by then those with few garments for their weight have repeated. Indices from ``len()`` on are

@@ -76,8 +76,8 @@ class PublishedGarmentCodeData(Garments):
       ``_leg_length``: data made with the authors' tools after the release has lost decimals there (171.99 became
       171.0); ``design`` keeps range and type of every parameter beside ``v``;
     - rotations are Rz Ry Rx, as in the authors' mesh generation;
-    - there is no ``body``: ``meta["body"]`` names the wearer, whom ``PublishedBodies`` has. Some bodies of the release
-      were lifted to stand on y = 0 before draping, and their garments with them;
+    - there is no ``body``: ``meta["body"]`` is the wearer's name in ``PublishedBodies``. The authors lifted some bodies
+      to stand on y = 0 before draping, and their garments with them;
     - ``front`` and ``back`` are composed on white and encoded as JPEG, like generated ones; ``meta["source"]`` holds
       batch and name;
     - counts in ``meta["drape"]`` are -1 if the properties lack them.
@@ -115,7 +115,7 @@ class PublishedGarmentCodeData(Garments):
         return str(self._garments.entries[self._position(index)])
 
     def number(self, index: int) -> int:
-        """The number of garment ``index`` in converted shards, whatever else is on disk. Raises ``IndexError``."""
+        """The number of garment ``index`` in converted shards, independent of other files. Raises ``IndexError``."""
         return self._garments.entries[self._position(index)].index
 
     @property

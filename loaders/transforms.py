@@ -93,7 +93,7 @@ class PartialView:
     distance: float = 300.0
     """From the camera to the centroid of the points [cm]."""
     reach: float = 3.0
-    """log10 of the sphere's radius over the distance of the farthest point; the larger, the fewer points are hidden."""
+    """log10 of the sphere's radius over the distance of the farthest point; larger values hide fewer points."""
 
     def __call__(self, item: Item, rng: np.random.Generator) -> Item:
         if "points" not in item or len(item["points"]) < 4:

@@ -13,7 +13,7 @@ LOGGED_FROM = 2.0  # s
 
 
 def seconds_each(config: MakeConfig) -> float:
-    """Approximate time of one core for a garment [s]; 0 where a garment takes less than a second.
+    """Approximate time to make a garment on one CPU core [s]; 0 if it takes less than a second.
 
     >>> seconds_each(MakeConfig(stage="drape", device="cpu", resolution=2.0))
     2.425

@@ -1,8 +1,8 @@
 """Distributions of our sampler against those of GarmentCode's sampler, parameter by parameter.
 
 Both draw designs for the neutral body and a random one. A parameter is compared over the designs whose garment uses its
-section. ``distance`` is the largest difference of the two distribution functions (Kolmogorov-Smirnov), for choices half
-the sum of differences of the shares (total variation): 0 if equal, 1 if disjoint.
+section. ``distance`` is the largest difference of the two distribution functions (Kolmogorov-Smirnov); for choices,
+half the sum of absolute differences of the shares (total variation). It is 0 if equal, 1 if disjoint.
 """
 
 import argparse

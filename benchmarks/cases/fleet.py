@@ -28,7 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bytes", type=float, default=963e3, help="bytes per garment")
     parser.add_argument("--gpu-usd", type=float, default=3.5, help="price of a GPU and its cores per hour")
     parser.add_argument(
-        "--parts", type=int, nargs="+", default=[SHARD_SIZE * n for n in PARTS], help="garments per part, values to try"
+        "--parts",
+        type=int,
+        nargs="+",
+        default=[SHARD_SIZE * n for n in PARTS],
+        help="part sizes to try [garments]",
     )
     parser.add_argument(
         "--begin", type=float, default=Fleet.begin, help="time from a part's start to its first garment [s]"
@@ -40,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Compute the cost, then simulate each part size, with whole shards kept after a failure and with whole parts."""
+    """Compute the cost, then simulate each part size; a failure loses unfinished shards, or unfinished parts."""
     if min(options.garments, options.machines, *options.parts) < 1 or min(options.rate, options.bytes) <= 0:
         raise ConfigError("give 1 or more machines, garments and garments a part, rate and bytes above 0")
     machine, store = Machine(rate=options.rate), ObjectStore()

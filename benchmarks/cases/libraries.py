@@ -1,14 +1,14 @@
 """Libraries beside our own caches and locks: CPU time, bytes, limits, behaviour after a kill, verdict.
 
 Caches: six shards of 64 samples; a sample has ten members, of which three are read, 28 % of the bytes. ``hit`` and
-``miss``: CPU time of a member with one process. ``sent``: bytes fetched over bytes asked for. ``again``: the same for
-a process that reads after two others have filled the cache together. ``wrong``: samples with other bytes than the
-server's, or an error. ``peak``: bytes on disk, in blocks of 4 KiB, over a limit of a quarter of what is read;
-``killed``: the same after eight readers were killed (SIGKILL).
+``miss``: CPU time of a member with one process. ``sent``: ratio of bytes fetched to bytes requested. ``again``: that
+ratio for a process that reads after two others have filled the cache together. ``wrong``: samples that differ from the
+server's, or raise an error. ``peak``: ratio of bytes on disk, in blocks of 4 KiB, to the cache's limit, a quarter of
+the bytes read; ``killed``: that ratio after eight readers were killed (SIGKILL).
 
 Locks, the median of five rounds: ``alone``: CPU time of taking and releasing a lock. ``wait``: the longest wait while
-two processes take turns of 2 ms. ``freed``: from the kill of the holder to the next hold. ``left``: files left in the
-folder.
+two processes take turns of 2 ms. ``freed``: from the kill of the holder to the acquisition by a waiter. ``left``: files
+left in the folder.
 """
 
 import argparse
@@ -30,12 +30,12 @@ UNITS = {
     "killed": "of the limit", "alone": "µs", "wait": "ms", "freed": "ms", "left": "files",
 }  # fmt: skip
 VERDICTS: Mapping[str, str] = {
-    "hub.cache": "kept: a third of diskcache's CPU time, nothing fetched that was not asked for, the limit holds",
+    "hub.cache": "kept: a third of diskcache's CPU time, only requested bytes are fetched, the limit holds",
     "diskcache": "no: three times the CPU time, and more on disk than its limit allows",
-    "fsspec blockcache": "no: no limit, and blocks of 5 MiB fetch the whole shard in the end",
-    "fsspec blockcache 64 KiB": "no: no limit, and its list of blocks is written whole at every close",
-    "fsspec filecache": "no: no limit, whole shards, and a process that fetches a shard empties the file another reads",
-    "shards.access": "kept: a waiter is woken by the kernel, and no lock file stays in a published folder",
+    "fsspec blockcache": "no: no limit, and blocks of 5 MiB eventually fetch the whole shard",
+    "fsspec blockcache 64 KiB": "no: no limit, and every close rewrites the whole list of blocks",
+    "fsspec filecache": "no: no limit, whole shards, and fetching a shard truncates the file under another reader",
+    "shards.access": "kept: the kernel wakes a waiter, and no lock file stays in a published folder",
     "filelock": "no: waiters poll every 50 ms and starve, and the lock file stays",
 }
 DECIDED: tuple[Mapping[str, str], ...] = (
@@ -43,25 +43,25 @@ DECIDED: tuple[Mapping[str, str], ...] = (
         "piece": "the card's YAML",
         "by": "huggingface_hub.DatasetCardData",
         "figures": "the same keys and values",
-        "verdict": "used since: the Hub's own library writes what the Hub reads",
+        "verdict": "adopted: the Hub's own library writes the format that the Hub reads",
     },
     {
         "piece": "Croissant",
         "by": "mlcroissant (tests/extras/test_croissant.py)",
         "figures": "valid before and after; records: an IsADirectoryError before, all files after",
-        "verdict": "used in a test since: it found two properties missing from the context, and a pattern, `*`, that "
+        "verdict": "adopted in a test: it found two properties missing from the context, and a pattern, `*`, that "
         "matched a folder",
     },
     {
         "piece": "nearest point of a triangle",
         "by": "trimesh.triangles.closest_point",
-        "figures": "80 000 pairs: 24.5 ms of CPU time where ours took 30.2 ms; equal to 3e-14 cm",
-        "verdict": "used since, and ours removed",
+        "figures": "80 000 pairs: 24.5 ms of CPU time, ours 30.2 ms; equal to 3e-14 cm",
+        "verdict": "adopted, and ours removed",
     },
     {
         "piece": "nearest point of a mesh",
         "by": "trimesh.proximity.closest_point (needs rtree)",
-        "figures": "10 000 points: 940 ms of CPU time where body/surface.py takes 70 ms; distances differ by 3e-5 cm "
+        "figures": "10 000 points: 940 ms of CPU time, body/surface.py 70 ms; distances differ by 3e-5 cm "
         "on average, by 0.11 cm at most",
         "verdict": "no: 13 times the CPU time",
     },
@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Measure locks and caches; add the rows of earlier decisions with their figures."""
+    """Measure locks and caches; add a row for each earlier decision, with the figures recorded then."""
     figures, rows = [], []
     for piece, name, measured in _measured():
         slug = name.replace(" ", "_")
@@ -84,14 +84,14 @@ def run(options: argparse.Namespace) -> Measured:
 
 
 def _versioned(name: str) -> str:
-    """A library with its version; code of ours as it is."""
+    """The name of a library with its version; the name of a module of ours unchanged."""
     package, _, part = name.partition(" ")
     return name if "." in package else " ".join([package, version(package), part]).rstrip()
 
 
 def _measured() -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Piece, library and figures, in the order of the report."""
-    for name, lock in LOCKS.items():  # first: a disk that still writes the caches away would hold them up
+    for name, lock in LOCKS.items():  # before the caches, whose pending disk writes would delay the locks
         yield "lock of a writer", name, lock_cost(lock)._asdict()
     with tempfile.TemporaryDirectory() as folder:
         served = write_shards(Path(folder))

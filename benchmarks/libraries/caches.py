@@ -67,7 +67,7 @@ class Server:
 
 
 class MemberCache(ABC):
-    """A cache in a folder; ``limit``: bytes it may hold, if the library knows such a limit."""
+    """A cache in a folder; ``limit``: bytes that it may hold, for libraries that support a limit."""
 
     def __init__(self, folder: Path, server: Server, limit: int | None = None) -> None:
         self.folder, self.server, self.limit = folder, server, limit
@@ -78,7 +78,7 @@ class MemberCache(ABC):
 
 
 class OwnCache(MemberCache):
-    """``gcd_dataset.hub.cache``: a sparse file a shard, a byte a member, eviction by shards."""
+    """``gcd_dataset.hub.cache``: one sparse file per shard, one status byte per member, eviction of whole shards."""
 
     def __init__(self, folder: Path, server: Server, limit: int | None = None) -> None:
         super().__init__(folder, server, limit)
@@ -102,7 +102,7 @@ class OwnCache(MemberCache):
 
 
 class DiskCache(MemberCache):
-    """``diskcache``: SQLite, with a file for each value of 32 KB and more."""
+    """``diskcache``: SQLite, with a separate file for each value of 32 KB or more."""
 
     def __init__(self, folder: Path, server: Server, limit: int | None = None) -> None:
         super().__init__(folder, server, limit)

@@ -32,7 +32,7 @@ LOCKS: Mapping[str, Lock] = {
 
 
 class LockCost(NamedTuple):
-    """Of one kind of lock."""
+    """The figures of one kind of lock."""
 
     alone: float
     """CPU time of acquiring and releasing it, uncontended [µs]."""
@@ -45,7 +45,7 @@ class LockCost(NamedTuple):
 
 
 def lock_cost(lock: Lock) -> LockCost:
-    """The median of some rounds."""
+    """The median figures of several rounds."""
     return LockCost(*np.median([_round(lock) for _ in range(ROUNDS)], axis=0))
 
 

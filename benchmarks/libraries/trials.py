@@ -23,42 +23,42 @@ FORK = multiprocessing.get_context("fork")
 
 
 class Cost(NamedTuple):
-    """One process, no limit."""
+    """Figures of one process without a size limit."""
 
     hit: float
     """CPU time of a member that is in the cache [µs]."""
     miss: float
     """CPU time of a member that is fetched from a local folder [µs]."""
     sent: float
-    """Bytes fetched, over those asked for."""
+    """Ratio of bytes fetched to bytes requested."""
 
 
 class Shared(NamedTuple):
-    """Two processes that fill one cache, each in its own order."""
+    """Figures of two processes that fill one cache, each in its own order."""
 
     wrong: int
-    """Samples that came back with other bytes, or with an error."""
+    """Samples that differ from the server's, or raise an error."""
     again: float
-    """Bytes fetched again by a third process afterwards, over those asked for."""
+    """Ratio of bytes that a third process then fetches to the bytes that it requests."""
 
 
 class Killed(NamedTuple):
-    """Readers that are killed (SIGKILL) eight times in one limited cache."""
+    """Figures of readers of one limited cache, killed eight times (SIGKILL)."""
 
     wrong: int
-    """Samples that came back with other bytes, or with an error."""
+    """Samples that differ from the server's, or raise an error."""
     left: float
-    """Bytes on disk at the end, over the limit."""
+    """Ratio of bytes on disk at the end to the limit."""
 
 
 def _order(seed: int) -> list[tuple[int, int]]:
-    """All samples once."""
+    """Shard and sample numbers of an epoch, in an order given by the seed."""
     chosen = [(shard, sample) for shard in range(SHARDS) for sample in range(SAMPLES)]
     return [chosen[i] for i in np.random.default_rng(seed).permutation(len(chosen))]
 
 
 def _asked(served: Path) -> int:
-    """Bytes of an epoch."""
+    """Bytes requested in an epoch."""
     return SHARDS * SAMPLES * sum(map(len, expected(served, 0, 0)))
 
 
@@ -82,12 +82,12 @@ def _seconds(cache: MemberCache, epochs: int) -> float:
 
 
 def _wrong(cache: MemberCache, order: list[tuple[int, int]]) -> int:
-    """How many samples come back with other bytes than the server's, or with an error."""
+    """Number of samples read from the cache that differ from the server's, or raise an error."""
     wrong = 0
     for shard, sample in order:
         try:
             found = [bytes(content) for content in cache.read(shard, sample)]
-        except Exception:  # noqa: BLE001 -- a library's error is what is counted
+        except Exception:  # noqa: BLE001 -- counts errors of any library
             wrong += 1
             continue
         wrong += found != expected(cache.server.folder, shard, sample)
@@ -95,7 +95,7 @@ def _wrong(cache: MemberCache, order: list[tuple[int, int]]) -> int:
 
 
 def shared(make: Make, served: Path) -> Shared:
-    """Two processes fill a cache, a third reads it."""
+    """Fill a cache by two processes, then read it by a third."""
     with tempfile.TemporaryDirectory() as folder:
         with FORK.Pool(READERS) as pool:
             wrong = sum(pool.starmap(_read_all, [(make, folder, served, seed) for seed in range(READERS)]))
@@ -109,7 +109,7 @@ def _read_all(make: Make, folder: str, served: Path, seed: int) -> int:
 
 
 def limited(make: Make, served: Path) -> float:
-    """Most bytes on disk, over the limit, in two epochs through a cache that may hold a quarter of one."""
+    """Ratio of the most bytes on disk to the limit, in two epochs; the limit is a quarter of an epoch's bytes."""
     limit, peak = _asked(served) // 4, 0
     with tempfile.TemporaryDirectory() as folder:
         cache = make(Path(folder), Server(served), limit)
@@ -121,7 +121,7 @@ def limited(make: Make, served: Path) -> float:
 
 
 def killed(make: Make, served: Path) -> Killed:
-    """Readers of a limited cache are killed at different moments; then all of it is read."""
+    """Kill readers of a limited cache at different moments, then read all samples."""
     limit = _asked(served) // 4
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(KILLS):

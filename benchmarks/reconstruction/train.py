@@ -5,8 +5,8 @@
 
 Garments are generated and read once through a ``DataLoader``; the training set then stays on the device, since the
 network consumes it faster than it could be made. The test set has other indices of the same seed: other bodies and
-designs from the same design space, so a training garment may be similar to a test garment. The nearest neighbour shows
-how much that alone achieves.
+designs from the same design space, so a training garment may be similar to a test garment. The nearest-neighbour
+reference shows the score that this similarity alone achieves.
 """
 
 import argparse
