@@ -20,6 +20,7 @@ from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
+from gcd_dataset.generator.quality import grade_of, strain_of
 from gcd_dataset.generator.recipe import MakeConfig, recipe_of, versions
 from gcd_dataset.records import (
     Body,
@@ -241,6 +242,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
     if mesh is not None:
         vertices = mesh.vertices if reply is None else reply.drape.vertices
         points = sample_surface(vertices, mesh.faces, config.points, rng(design.seed, index, Stage.POINTS))
+    drape = None if reply is None or mesh is None else _with_strain(reply.drape, mesh)
     front, back = (None, None) if reply is None or reply.pictures is None else map(jpeg_bytes, reply.pictures)
     return Sample(
         key=sample_key(index),
@@ -259,12 +261,17 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         design=design_to_dict(design.design),
         shape=dressed.shape,
         box_mesh=mesh,
-        drape=None if reply is None else reply.drape,
+        drape=drape,
         points=points,
         front=front,
         back=back,
         fabric=None if reply is None else _fabric(config.fabric),
+        grade=None if drape is None else grade_of(drape, drape.strain),
     )
+
+
+def _with_strain(drape: Drape, mesh: BoxMesh) -> Drape:
+    return replace(drape, strain=strain_of(mesh, drape.vertices))
 
 
 def _fabric(name: str) -> NamedFabric:

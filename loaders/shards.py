@@ -28,7 +28,7 @@ from gcd_dataset.shards.folder import FolderStore
 from gcd_dataset.shards.foreign_member import decode_member
 from gcd_dataset.shards.layout import FOREIGN, MEMBERS, Bytes, fields_of, key_of, members_of
 from gcd_dataset.shards.npy import write_npy
-from gcd_dataset.shards.reader import ShardReader, Verify, naming_sample
+from gcd_dataset.shards.reader import Quality, ShardReader, Verify, naming_sample
 from gcd_dataset.shards.store import Store
 from gcd_dataset.shards.tar import BLOCK, stream_samples
 
@@ -68,6 +68,8 @@ class GarmentDataset(Garments):
     ``verify``: ``lazy`` checks a member's CRC-32 when a process reads it for the first time, ``full`` checks everything
     on opening, ``off`` nothing; remote data is checked in any case.
     ``settled_only``: only garments whose drape has settled.
+    ``quality``: only garments of that grade or a better one: ``"clean"`` has no crossing edge and no panel that is too
+    tight, ``"paper"`` is within the limits of GarmentCodeData; see ``generator.quality``.
     ``streaming``: an iterable data set instead, which reads shards sequentially with ``webdataset`` and splits the
     garments over ranks and workers; remote data is not cached.
 
@@ -102,6 +104,7 @@ class GarmentDataset(Garments):
         transform: Transform | None = None,
         verify: Verify = "lazy",
         settled_only: bool = False,
+        quality: Quality | None = None,
         dtype: torch.dtype | None = torch.float32,
     ) -> None:
         parts = parse_splits(split)
@@ -112,7 +115,9 @@ class GarmentDataset(Garments):
             store: Store = FolderStore(recipe_folder(source, remote, root, splits))
         else:
             store = open_store(source, remote, root=root, splits=splits, fields=fields)
-        readers = {name: ShardReader(store, name, verify=verify, settled_only=settled_only) for name in splits}
+        readers = {
+            name: ShardReader(store, name, verify=verify, settled_only=settled_only, quality=quality) for name in splits
+        }
         self._parts = [_Part(readers[part.name], part.range_of(len(readers[part.name]))) for part in parts]
         self._ends = list(accumulate(len(part.positions) for part in self._parts))
         self._member_of = _member_of([part.reader for part in self._parts])

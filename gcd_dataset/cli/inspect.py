@@ -15,7 +15,7 @@ from gcd_dataset.shards.access import REMEDY, reading
 from gcd_dataset.shards.codec import decode_field, read_meta
 from gcd_dataset.shards.contents import layout_in, require_splits
 from gcd_dataset.shards.folder import FolderStore
-from gcd_dataset.shards.index import ShardTable, read_stored_index, scan_shard
+from gcd_dataset.shards.index import GRADES, ShardTable, read_stored_index, scan_shard
 from gcd_dataset.shards.layout import FOREIGN, GARMENTS, Bytes, fields_of, index_name
 from gcd_dataset.shards.manifest import MANIFEST, SplitRecord
 from gcd_dataset.shards.reader import ShardReader
@@ -67,6 +67,12 @@ def _split_lines(reader: ShardReader) -> Iterator[str]:
     settled = int(index.table.settled.sum())
     at_rest = "" if reader.layout.kind != GARMENTS.kind else f", {settled} at rest ({settled / count:.1%})"
     yield f"{reader.split}: {count} samples in {len(index.shards)} shards, {size}{at_rest}"
+    grades = np.bincount(index.table.grade, minlength=len(GRADES))
+    if grades[1:].any():
+        shares = (
+            f"{name} {number / count:.1%}" for name, number in zip(GRADES, grades, strict=True) if name and number
+        )
+        yield f"  grades: {', '.join(reversed(list(shares)))}"
 
 
 def _recipe_lines(record: SplitRecord) -> Iterator[str]:

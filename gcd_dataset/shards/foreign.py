@@ -77,6 +77,7 @@ def foreign_index(archives: Mapping[str, Sequence[ForeignSample]], lengths: Sequ
             size=table[:, :, 1].astype(np.uint32),
             crc=table[:, :, 2].astype(np.uint32),
             settled=np.zeros(len(samples), bool),
+            grade=np.zeros(len(samples), np.uint8),
         ),
         layout=layout,
         keys=tuple(sample.key for sample in samples),

@@ -15,7 +15,7 @@ import numpy as np
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.files import open_whole
 from gcd_dataset.shards.access import reading, writing
-from gcd_dataset.shards.index import ShardTable, has_settled, whole_samples
+from gcd_dataset.shards.index import ShardTable, grade_index, has_settled, whole_samples
 from gcd_dataset.shards.layout import Bytes, Layout, is_extra, key_of, member_name, part_path
 from gcd_dataset.shards.manifest import ShardRecord
 from gcd_dataset.shards.meta import read_meta
@@ -67,12 +67,14 @@ class GrowingShard:
             for member, content in zip(self._layout.members, data, strict=True)
         ]
         headers = self._end + np.cumsum([0] + [len(entry) for entry in entries[:-1]])
+        meta = read_meta(data[META])
         row = ShardTable(
             sample=np.array([index], np.int64),
             offset=(headers[None] + BLOCK).astype(np.int64),
             size=np.array([[len(content) for content in data]], np.uint32),
             crc=np.array([[zlib.crc32(content) for content in data]], np.uint32),
-            settled=np.array([has_settled(read_meta(data[META]))]),
+            settled=np.array([has_settled(meta)]),
+            grade=np.array([grade_index(meta)], np.uint8),
         )
         self._write(b"".join(entries))
         self.rows.append(row)

@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from jaxtyping import Bool, Int, UInt32
+from jaxtyping import Bool, Int, UInt8, UInt32
 
 from gcd_dataset.errors import ShardError
 from gcd_dataset.files import write_whole
 from gcd_dataset.names import safe_name
-from gcd_dataset.records import Outcome, Record
+from gcd_dataset.records import Grade, Outcome, Record
 from gcd_dataset.shards.access import REMEDY, read_limited, reading
 from gcd_dataset.shards.arrays import Column, read_arrays
 from gcd_dataset.shards.layout import (
@@ -43,9 +43,11 @@ from gcd_dataset.shards.meta import read_meta
 from gcd_dataset.shards.tar import BLOCK, TarMember, tar_entries
 
 __all__ = [
+    "GRADES",
     "ShardIndex",
     "ShardTable",
     "first_sample_format",
+    "grade_index",
     "has_settled",
     "read_stored_index",
     "read_tables",
@@ -75,6 +77,8 @@ class ShardTable(Record):
     """CRC-32 of the content."""
     settled: Bool[np.ndarray, " n"]
     """Whether the drape of each sample ended as ``Outcome.SETTLED``; false without a drape."""
+    grade: UInt8[np.ndarray, " n"]
+    """Index in ``GRADES`` of the grade of each sample."""
 
     @classmethod
     def of(cls, rows: Iterable["ShardTable"], layout: Layout = GARMENTS) -> Self:
@@ -89,20 +93,24 @@ class ShardTable(Record):
         return len(self.sample)
 
 
-_COLUMNS = ("sample", "offset", "size", "crc", "settled")
+GRADES = ("", *(grade.value for grade in (Grade.FAILED, Grade.PAPER, Grade.CLEAN)))
+"""From no grade to the best: a grade includes those after it."""
+_COLUMNS = ("sample", "offset", "size", "crc", "settled", "grade")
 _ARRAYS: Mapping[str, Column] = {
     "schema": Column("iu", 0), "members": Column("U", 1), "shards": Column("U", 1), "length": Column("iu", 1),
     "shard": Column("iu", 1), "sample": Column("iu", 1), "offset": Column("iu", 2), "size": Column("iu", 2),
-    "crc": Column("iu", 2), "settled": Column("b", 1), "keys": Column("U", 1, needed=False),
-    "digest": Column("U", 0, needed=False),
+    "crc": Column("iu", 2), "settled": Column("b", 1), "grade": Column("iu", 1, needed=False),
+    "keys": Column("U", 1, needed=False), "digest": Column("U", 0, needed=False),
 }  # fmt: skip
-"""The arrays of an index file; ``keys`` for foreign archives, ``digest`` since schema 2."""
+"""The arrays of an index file; ``keys`` for foreign archives, ``digest`` and ``grade`` since schema 2."""
 
 
 def empty_table(layout: Layout = GARMENTS) -> ShardTable:
     """The table of a shard without samples."""
     none = np.zeros((0, len(layout.members)), np.uint32)
-    return ShardTable(np.zeros(0, np.int64), none.astype(np.int64), none, none, np.zeros(0, bool))
+    return ShardTable(
+        np.zeros(0, np.int64), none.astype(np.int64), none, none, np.zeros(0, bool), np.zeros(0, np.uint8)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +157,8 @@ class ShardIndex(Record):
         """The content of the index file."""
         file = io.BytesIO()
         arrays: dict[str, Any] = {name: getattr(self.table, name) for name in _COLUMNS}
+        if self.layout.schema == 1:
+            del arrays["grade"]
         arrays |= {"shards": np.array(self.shards, np.str_), "length": self.length, "shard": self.shard}
         if self.keys:
             arrays["keys"] = np.array(self.keys, np.str_)
@@ -183,6 +193,8 @@ class ShardIndex(Record):
                 raise _other_layout(path, layout, schema, members, bool(keys))
             if schema > 1 and arrays.get("digest", "") != _digest(arrays):
                 raise ShardError("its digest does not match its columns")
+            if "grade" not in arrays:  # written by an older version
+                arrays = {**arrays, "grade": np.zeros(len(arrays["sample"]), np.uint8)}
             _require_consistent(arrays, found)
         except ShardError as error:
             if str(error).startswith(path):
@@ -198,6 +210,7 @@ class ShardIndex(Record):
                 size=arrays["size"].astype(np.uint32, copy=False),
                 crc=arrays["crc"].astype(np.uint32, copy=False),
                 settled=arrays["settled"],
+                grade=arrays["grade"].astype(np.uint8, copy=False),
             ),
             layout=found,
             keys=keys,
@@ -252,10 +265,11 @@ def _require_consistent(arrays: Mapping[str, np.ndarray], layout: Layout) -> Non
             raise ShardError(f"column {name} of shape {arrays[name].shape}, for {n} samples of {m} members")
     if len(arrays["length"]) != k or len(arrays.get("keys", arrays["sample"])) != n:
         raise ShardError(f"{len(arrays['length'])} lengths for {k} shards, or keys for other than {n} samples")
-    for name in ("sample", "shard", "size", "crc", "length"):
+    for name in ("sample", "shard", "size", "crc", "length", "grade"):
         # Compared as Python integers: an unsigned column may exceed a signed one.
         low, high = (int(arrays[name].min()), int(arrays[name].max())) if arrays[name].size else (0, 0)
-        most = {"shard": max(k - 1, 0), "size": LARGEST_SAMPLE, "crc": 2**32 - 1}.get(name, LONGEST)
+        limits = {"shard": max(k - 1, 0), "size": LARGEST_SAMPLE, "crc": 2**32 - 1, "grade": len(GRADES) - 1}
+        most = limits.get(name, LONGEST)
         if low < 0 or high > most:
             raise ShardError(f"column {name} from {low} to {high}, outside 0 to {most}")
     # Only names of our shards are joined to a path; names of foreign tars are compared with those in the folder.
@@ -330,6 +344,11 @@ def has_settled(meta: Mapping[str, Any]) -> bool:
     """Whether the drape in a ``meta.json`` has settled; false without a drape."""
     drape = meta.get("drape")  # bodies have no drape
     return drape is not None and drape["outcome"] == Outcome.SETTLED.name
+
+
+def grade_index(meta: Mapping[str, Any]) -> int:
+    """Index in ``GRADES`` of the grade in a ``meta.json``; 0 without a grade."""
+    return GRADES.index(meta.get("grade") or "")  # bodies, and samples of schema 1, have none
 
 
 def scan_shard(path: Path, layout: Layout = GARMENTS) -> ShardTable:
@@ -409,6 +428,7 @@ def _row(file: int, entries: list[TarMember], layout: Layout) -> ShardTable:
         size=np.array([[entry.size for entry in entries]], np.uint32),
         crc=np.array([crc], np.uint32),
         settled=np.array([has_settled(meta)]),
+        grade=np.array([grade_index(meta)], np.uint8),
     )
 
 

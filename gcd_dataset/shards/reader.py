@@ -12,14 +12,16 @@ from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.records import Sample
 from gcd_dataset.shards.codec import decode_sample
 from gcd_dataset.shards.folder import FolderStore
+from gcd_dataset.shards.index import GRADES
 from gcd_dataset.shards.layout import FIRST_NAMES, FOREIGN, GARMENTS, MEMBERS, Layout
 from gcd_dataset.shards.meta import read_sample_index
 from gcd_dataset.shards.store import MemberLocation, Store
 
-__all__ = ["ShardReader", "Verify", "naming_sample"]
+__all__ = ["Quality", "ShardReader", "Verify", "naming_sample"]
 
 META = 0  # column of meta.json in our layouts
 Verify = Literal["lazy", "full", "off"]
+Quality = Literal["clean", "paper"]
 Rows: TypeAlias = Int[np.ndarray, " n"]
 Request: TypeAlias = tuple[str, int, list[MemberLocation]]
 """Shard, number of a sample in it, and the locations of the requested members."""
@@ -46,7 +48,8 @@ class ShardReader:
     """The samples of one split of a folder or another store, in the order of their indices.
 
     ``verify``: ``lazy`` checks a member's CRC-32 the first time that this process reads it, ``full`` checks all members
-    on opening, ``off`` none. ``settled_only`` leaves out samples without a drape, or with one that did not settle. May
+    on opening, ``off`` none. ``settled_only`` leaves out samples without a drape, or with one that did not settle.
+    ``quality`` leaves out samples of a lower grade than that. May
     be pickled, forked, and read from several threads.
 
     Raises ``ShardError`` where the split is missing, broken, incomplete, or of another layout.
@@ -60,7 +63,12 @@ class ShardReader:
         layout: Layout = GARMENTS,
         verify: Verify = "lazy",
         settled_only: bool = False,
+        quality: Quality | None = None,
     ) -> None:
+        if quality is not None and quality not in get_args(Quality):
+            raise ConfigError(
+                f"quality={quality!r:.99}: there is {', '.join(get_args(Quality))}, or None for all samples"
+            )
         if verify not in get_args(Verify):
             raise ConfigError(f"verify={verify!r}: there is {', '.join(get_args(Verify))}")
         self.store = where if isinstance(where, Store) else FolderStore(where)
@@ -74,6 +82,12 @@ class ShardReader:
         if not len(self._row):
             found = f"none of the {len(order)} samples of split {split} has settled"
             raise ShardError(f"{self.store.location()}: {found}: leave out settled_only, or make garments with a drape")
+        if quality is not None:
+            self._row = self._row[self.index.table.grade[self._row] >= GRADES.index(quality)]
+        if not len(self._row):
+            found = f"none of the {len(order)} samples of split {split} has the grade {quality}"
+            remedy = "leave out quality, or make the garments again: samples of older versions have no grade"
+            raise ShardError(f"{self.store.location()}: {found}: {remedy}")
         self._first = np.searchsorted(self.index.shard, np.arange(len(self.index.shards))).tolist()
         self._columns_of: dict[tuple[str, ...], list[int]] = {}
         self._unchecked = self._all_unchecked()

@@ -13,9 +13,9 @@ from torch.utils.data import DataLoader, IterableDataset
 from gcd_dataset.errors import ConfigError, ShardError
 from gcd_dataset.loaders import FakeGarments, GarmentDataset, collate_list, collate_packed
 from gcd_dataset.loaders.fake import fake_sample
-from gcd_dataset.records import Outcome, Sample
+from gcd_dataset.records import Grade, Outcome, Sample
 from gcd_dataset.shards import FIELDS, MEMBERS, read_index
-from gcd_dataset.shards.reader import Verify
+from gcd_dataset.shards.reader import Quality, Verify
 from tests.shards.folders import RECIPE, fill, forbidden, open_writer, public_folder
 
 COUNT = 10
@@ -173,6 +173,31 @@ def test_settled_only_leaves_out_the_others(tmp_path: Path, indexed: bool) -> No
 def ended(sample: Sample, outcome: Outcome | None) -> Sample:
     assert sample.drape is not None
     return replace(sample, drape=None if outcome is None else replace(sample.drape, outcome=outcome))
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_quality_leaves_out_lower_grades(tmp_path: Path, indexed: bool) -> None:
+    """``paper`` includes ``clean``; a garment without a grade has neither."""
+    grades = [Grade.PAPER, Grade.CLEAN, None, Grade.FAILED, Grade.CLEAN]
+    with open_writer(tmp_path) as writer:
+        for index, grade in enumerate(grades):
+            writer.write(replace(fake_sample(0, index), grade=grade))
+    if not indexed:
+        (tmp_path / "index-train.npz").unlink()
+    cases: list[tuple[Quality | None, list[int]]] = [("clean", [1, 4]), ("paper", [0, 1, 4]), (None, [0, 1, 2, 3, 4])]
+    for quality, expected in cases:
+        ds = GarmentDataset(tmp_path, quality=quality)
+        assert [meta["index"] for meta in (ds[i]["meta"] for i in range(len(ds)))] == expected
+        streamed = GarmentDataset(tmp_path, quality=quality, streaming=True)
+        assert [item["meta"]["index"] for item in streamed] == expected
+
+
+def test_a_quality_that_no_garment_has_is_refused(tmp_path: Path) -> None:
+    folder = fill(tmp_path, range(2))
+    with pytest.raises(ShardError, match="none of the 2 samples of split train has the grade clean: leave out quality"):
+        GarmentDataset(folder, quality="clean")
+    with pytest.raises(ConfigError, match="quality='good': there is clean, paper, or None for all"):
+        GarmentDataset(folder, quality="good")  # type: ignore[arg-type]
 
 
 def test_a_folder_without_settled_garments_is_refused(tmp_path: Path) -> None:

@@ -29,7 +29,9 @@ def index_of(count: int) -> ShardIndex:
     size = np.full((count, members), MEMBER, np.uint32)
     place = np.arange(count)[:, None] % SHARD_SIZE * members + np.arange(members)[None]
     crc = np.random.default_rng(0).integers(0, 1 << 32, (count, members), np.uint32)
-    table = ShardTable(np.arange(count), place * 2 * MEMBER, size, crc, np.ones(count, bool))
+    table = ShardTable(
+        np.arange(count), place * 2 * MEMBER, size, crc, np.ones(count, bool), np.full(count, 3, np.uint8)
+    )
     shard = np.repeat(np.arange(shards, dtype=np.int32), SHARD_SIZE)[:count]
     length = np.full(shards, SHARD_SIZE * members * 2 * MEMBER)
     return ShardIndex(tuple(shard_name("train", number) for number in range(shards)), length, shard, table)

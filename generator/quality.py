@@ -1,0 +1,64 @@
+"""The quality of a drape: principal stretches of its cloth, and a grade for users of the data."""
+
+import numpy as np
+from jaxtyping import Float
+
+from gcd_dataset.records import BoxMesh, Drape, Grade, Outcome, Strain
+
+__all__ = ["MAX_STRETCH", "grade_of", "principal_stretches", "strain_of"]
+
+MAX_STRETCH = 1.4  # larger principal stretch of a panel, from which a garment is too tight to be clean
+OUTLIERS = 1.0  # percent of a garment's faces left out at either end
+PANEL_OUTLIERS = 5.0  # percent of a panel's faces: a panel may have few
+THIN = 1e-6  # cm², flat area of a face without a direction
+
+
+def principal_stretches(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "f 2"]:
+    """The larger and the smaller principal stretch of each face: singular values of its deformation gradient.
+
+    1 is unstretched. The gradient maps the face from the panel's plane to its place at ``vertices`` [cm]. Faces without
+    flat area have stretches of 1.
+    """
+    flat = mesh.uv[mesh.corners]
+    a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    corner = np.asarray(vertices, float)[mesh.faces]
+    p, q = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    thin = np.abs(area) < 2.0 * THIN
+    scale = np.where(thin, 1.0, area)[:, None]
+    along_u, along_v = (p * b[:, 1:] - q * a[:, 1:]) / scale, (q * a[:, :1] - p * b[:, :1]) / scale
+    uu, vv, uv = (along_u**2).sum(axis=1), (along_v**2).sum(axis=1), (along_u * along_v).sum(axis=1)
+    middle, spread = 0.5 * (uu + vv), np.hypot(0.5 * (uu - vv), uv)
+    stretches = np.sqrt(np.stack([middle + spread, np.maximum(middle - spread, 0.0)], axis=1))
+    return np.where(thin[:, None], 1.0, stretches)
+
+
+def strain_of(mesh: BoxMesh, vertices: Float[np.ndarray, "v 3"]) -> Strain | None:
+    """The principal stretches of a garment and of each panel, without outliers; ``None`` for positions not finite."""
+    if not len(mesh.faces) or not np.isfinite(vertices).all():
+        return None
+    stretches = principal_stretches(mesh, vertices)
+    panels = (stretches[mesh.panel_id == panel] for panel in range(len(mesh.panel_names)))
+    return Strain(_ends(stretches, OUTLIERS), tuple(_ends(own, PANEL_OUTLIERS) for own in panels))
+
+
+def _ends(stretches: Float[np.ndarray, "f 2"], outliers: float) -> tuple[float, float]:
+    """The largest and the smallest stretch, but for a share of the faces [%]; 1 without faces."""
+    if not len(stretches):
+        return 1.0, 1.0
+    largest, smallest = np.percentile(stretches[:, 0], 100.0 - outliers), np.percentile(stretches[:, 1], outliers)
+    return float(largest), float(smallest)
+
+
+def grade_of(drape: Drape, strain: Strain | None) -> Grade:
+    """The grade of a drape by its outcome, crossings and stretch.
+
+    ``clean``: settled, no edge of cloth through cloth or the body, none of the body through cloth,
+    and no panel stretched beyond ``MAX_STRETCH``. ``paper``: within the limits of Korosteleva et al. (ECCV 2024), who
+    do not limit stretch. Else ``failed``.
+    """
+    if drape.outcome not in (Outcome.SETTLED, Outcome.OVERSTRETCHED):
+        return Grade.FAILED
+    crossings = drape.self_crossings + drape.body_crossings + drape.body_through
+    loose = strain is not None and all(largest <= MAX_STRETCH for largest, _ in strain.panels)
+    return Grade.CLEAN if drape.outcome is Outcome.SETTLED and crossings == 0 and loose else Grade.PAPER
