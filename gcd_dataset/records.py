@@ -375,7 +375,7 @@ class Drape(Record):
     strain: Strain | None = None
     """Principal stretches; ``None`` if not measured."""
     body_through: int = 0
-    """Number of body edges that cross the cloth; -1 in samples of older versions, which did not count them."""
+    """Number of body edges that cross the cloth; -1 where not counted: older versions, published data."""
 
 
 # -------------------------------------------------------------------------------------------------------------- sample

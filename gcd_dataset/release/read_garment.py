@@ -146,7 +146,14 @@ class PublishedGarment:
         median, p99 = np.percentile(stretch, [50, 99]).tolist() if len(stretch) else (np.nan, np.nan)
         facts = self.facts
         return Drape(
-            self.vertices, Outcome.SETTLED, facts.frames, facts.self_crossings, facts.body_crossings, median, p99
+            self.vertices,
+            Outcome.SETTLED,
+            facts.frames,
+            facts.self_crossings,
+            facts.body_crossings,
+            median,
+            p99,
+            body_through=-1,  # the publication does not count them
         )
 
     def picture(self, side: str) -> bytes:

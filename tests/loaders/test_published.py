@@ -182,6 +182,11 @@ def test_workers_read_archives(packed: Path) -> None:
         assert_same(item, third)
 
 
+def test_body_edges_through_the_cloth_are_not_counted_in_the_publication(folders: Path) -> None:
+    ds = PublishedGarmentCodeData(folders, fields=["meta"])
+    assert ds[0]["meta"]["drape"]["body_through"] == -1
+
+
 def test_vertices_that_touch_in_the_drape_stay_distinct(folders: Path) -> None:
     """Two vertices at one position stay distinct if their box mesh positions differ."""
     sample = touch_vertex(garment(TRAIN[0], 0, BODIES[0]))
