@@ -264,7 +264,7 @@ def _smoothed(corners: np.ndarray, quads: np.ndarray, share: float) -> np.ndarra
 
 
 def _filled(body: Body, low: np.ndarray, shape: np.ndarray, cell: float) -> np.ndarray:
-    """Cells whose centre is inside: with a positive signed number of skins in front of it."""
+    """Mark the cells inside the body: a ray from the centre leaves more faces than it enters."""
     corners = body.vertices[body.faces]
     depth = np.zeros(tuple(shape), int)
     nx, _, nz = shape

@@ -15,7 +15,7 @@ SKIN, CLOTH = (205, 196, 188, 255), (120, 150, 190, 255)
 def obj_bytes(vertices: Float[np.ndarray, "v 3"], mesh: BoxMesh) -> bytes:
     """Wavefront OBJ [cm]: one vertex list, texture coordinates in the panels' planes [cm], one group a panel.
 
-    Vertex numbers are those of the mesh. White space in a panel's name becomes an underscore, since OBJ would read
+    Vertices keep the order of the mesh. White space in a panel's name becomes an underscore, since OBJ would read
     several groups.
     """
     lines = ["# gcd_dataset: centimetres, y up; vt: panel-plane coordinates in centimetres"]

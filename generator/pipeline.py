@@ -219,7 +219,7 @@ def drape_jobs(design: DressedDesign, config: MakeConfig) -> tuple["DrapeJob", .
 def rejection(design: DressedDesign, drapes: Sequence[Drape], config: MakeConfig) -> Rejected | None:
     """The first failed drape as the reason for another attempt; ``None``: the design is kept.
 
-    Also kept are failed drapes with ``on_fail="keep"`` and those of the last attempt.
+    A failed drape is kept with ``on_fail="keep"`` and in the last attempt.
     """
     failed = next((row for row, drape in enumerate(drapes) if drape.outcome is not Outcome.SETTLED), None)
     last = len(design.rejects) + 1 >= config.max_attempts

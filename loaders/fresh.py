@@ -128,7 +128,7 @@ class FreshGarments(IterableDataset[Item]):
     def begin_at(self, position: int) -> Iterator[Item]:
         """The items from a position to the end of its epoch; positions count from the start of the first epoch.
 
-        Garments whose last use lies before the position are not made.
+        Makes no garment that is used only before the position.
         """
         if get_worker_info() is not None:
             raise ConfigError(

@@ -237,7 +237,8 @@ def _pull(fabric: Fabric) -> Any:
 def _bend(fabric: Fabric) -> Any:
     """Bending stiffness along weft, warp and bias [N·m].
 
-    A third of the rigidities: the quadratic energy of a mesh is three times that of a sheet, see ``kernels.sheet``.
+    A third of the rigidities, since the quadratic bending energy of a mesh is three times the energy of a sheet (see
+    ``kernels.sheet``).
     """
     warp, weft = fabric.bend
     return wp.vec3(weft / 3, warp / 3, (warp + weft) / 6)

@@ -29,6 +29,7 @@ TIMEOUT = 30  # s without a byte
 NO_CREDENTIALS = re.compile("Credential|NoAuth")
 """Matches the class names of errors about missing credentials in botocore, google.auth and azure.identity."""
 INVALID = (ValueError, TypeError, NotImplementedError, FileExistsError, NotADirectoryError, IsADirectoryError)
+"""Errors of ``fsspec`` back ends for a request that no retry cures."""
 PERMANENT = frozenset({errno.EINVAL, errno.ENOSYS, errno.EPERM, errno.ENAMETOOLONG, errno.EREMCHG, errno.EMSGSIZE})
 """``errno`` of errors that a retry does not cure: s3fs sets them for status 400, 301, 405, 416, 501."""
 
@@ -168,8 +169,8 @@ class Objects:
             raise MissingError(f"{address}: not found ({message}): check bucket and name") from error
         if NO_CREDENTIALS.search(kinds):
             raise RefusedError(
-                f"{address}: no credentials ({message}): set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or those of "
-                """your store; for a public bucket FSSPEC_S3='{"anon": true}'"""
+                f"{address}: no credentials ({message}): set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or the "
+                """variables of your store; for a public bucket FSSPEC_S3='{"anon": true}'"""
             ) from error
         if isinstance(error, PermissionError):
             raise RefusedError(

@@ -37,7 +37,7 @@ def publish(
 
     ``out``: staging folder, by default ``published`` in the folder of the data set; an earlier call that was stopped is
     resumed. ``on_staged`` is called with the staged files before anything is sent; with ``dry_run`` nothing is sent.
-    The other options are those of ``hub.publish.stage`` and ``upload``. Raises as these do.
+    ``hub.publish.stage`` and ``upload`` describe the other options and the errors.
     """
     folder = Path(dataset)
     staged = stage(

@@ -65,7 +65,7 @@ class VisibleSkin(Record):
         skin = faces[~(parts == BodyPart.INTERNAL.value)[faces].any(axis=1)]
         openings = Holes.of(np.zeros((len(parts), 3)), skin)
         whole = np.concatenate([skin, openings.patches(len(parts))])
-        # The part of a face is that of two corners; of a patch these are on the rim.
+        # A face belongs to the part of two of its corners; a patch takes the part of its rim.
         a, b, c = np.concatenate([parts, np.full(len(openings.centres), BodyPart.HEAD.value)])[whole].T
         rims = tuple(np.unique(openings.rims[openings.hole_of_rim == hole]) for hole in range(len(openings.centres)))
         return cls(whole, np.where(b == c, b, a).astype(np.uint8), rims)

@@ -180,7 +180,7 @@ class BottomGarment(Garment[D]):
         return next(iter(self.parts(design)), self)
 
     def length_garment(self, design: "OutfitDesign") -> "BottomGarment[Any]":
-        """The bottom whose section has the ``length`` parameter: itself, or the part whose length it uses."""
+        """The bottom that owns the ``length`` parameter: this bottom, or the part that lends its length."""
         return self
 
 

@@ -157,7 +157,7 @@ def _corners(mesh: BoxMesh, border: _Border) -> set[int]:
 def _chains(neighbours: dict[int, dict[int, float]], ends: set[int]) -> list[tuple[list[int], list[float]]]:
     """The borders as chains of vertices between ``ends``, with the lengths of their segments [cm].
 
-    A closed border without an end is one chain whose last vertex is its first.
+    A closed border without such an end becomes one chain that starts and stops at the same vertex.
     """
     chains, seen = [], set[int]()
 

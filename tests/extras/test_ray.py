@@ -235,7 +235,7 @@ def test_ctrl_c_leaves_no_process_of_a_local_cluster(tmp_path: Path) -> None:
 
 
 def marked(mark: str) -> list[str]:
-    """Processes whose environment holds a given entry."""
+    """The ids of the processes that have ``mark`` in their environment."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:

@@ -133,6 +133,7 @@ def test_arrow_holds_each_garment_once(workspace: Path) -> None:
 
 
 def test_accelerate_splits_what_is_not_split_yet(workspace: Path) -> None:
+    """The program asserts it in each rank; ``run`` fails if a rank does."""
     run(workspace, *TORCHRUN, str(HERE / "under_accelerate.py"), "garments")
 
 
