@@ -16,7 +16,6 @@ from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.body.population import SEXES
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
@@ -189,6 +188,8 @@ def _dress(seed: int, wearer: _Wearer, design: OutfitDesign, config: MakeConfig)
         return Reject("cannot_be_meshed", str(error))
     coarse, start = None, None
     if mesh is not None and config.stage == "drape":
+        from gcd_dataset.generator.dressing.sewing_start import sewing_start
+
         coarse = coarse_start(mesh)
         start = sewing_start(coarse.mesh if coarse else mesh, body)
     return DressedWearer(wearer.index, wearer.name, shape, body, wearer.size, pattern, mesh, coarse, start)

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
@@ -108,8 +107,10 @@ def model_mesh_in_a_pose(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray
 
 def _arm_weights(points: np.ndarray, model: Registration) -> Float[np.ndarray, "n 2"]:
     """Skinning weights of both arms at points, interpolated on the nearest faces of the model."""
+    from trimesh.triangles import points_to_barycentric  # imported here: see SkinSurface.nearest
+
     faces = body_model().faces
     near = SkinSurface.of(model.vertices, faces).nearest(points)
     triangles = faces[near.faces]
-    weights = trimesh.triangles.points_to_barycentric(model.vertices[triangles], near.points)
+    weights = points_to_barycentric(model.vertices[triangles], near.points)
     return np.einsum("nc,nca->na", np.clip(weights, 0.0, 1.0), body_model().skin[triangles][:, :, list(ARMS)])

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
@@ -127,6 +126,8 @@ def _require_narrow(holes: Holes, name: str) -> None:
 
 def _outward(vertices: np.ndarray, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
     """The faces, flipped if they enclose a negative volume."""
+    import trimesh
+
     with np.errstate(all="ignore"):  # trimesh divides by the volume, which may be 0
         volume = trimesh.Trimesh(vertices, faces, process=False).volume
     return faces if volume > 0 else faces[:, ::-1]

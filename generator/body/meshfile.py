@@ -6,15 +6,18 @@ import logging
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 
 from gcd_dataset.errors import BodyError
 from gcd_dataset.files import read_whole
 from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.gltf import require_readable
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 __all__ = ["read_mesh"]
 
@@ -92,6 +95,8 @@ def _with_model_numbering(corners: Float[np.ndarray, "f 3 3"]) -> _Mesh | None:
 
 
 def _read_glb(content: bytes, path: Path) -> _Mesh:
+    import trimesh
+
     require_readable(content, path)
     scene = trimesh.load(io.BytesIO(content), file_type="glb", force="scene", process=False, skip_materials=True)
     meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]  # with transforms
@@ -102,11 +107,13 @@ def _read_glb(content: bytes, path: Path) -> _Mesh:
     return _arrays(trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh())
 
 
-def _loaded(stream: io.StringIO | io.BytesIO, kind: str) -> trimesh.Trimesh:
+def _loaded(stream: io.StringIO | io.BytesIO, kind: str) -> "Trimesh":
+    import trimesh  # here, not above: drawn patterns need no trimesh, which takes 0.4 s
+
     return trimesh.load(stream, file_type=kind, force="mesh", process=False, maintain_order=True)
 
 
-def _arrays(mesh: trimesh.Trimesh) -> _Mesh:
+def _arrays(mesh: "Trimesh") -> _Mesh:
     return np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, int).reshape(-1, 3)
 
 

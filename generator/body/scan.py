@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
@@ -121,6 +120,8 @@ def _largest_piece(
 
 def _coarseness(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, float]:
     """Mean edge length, and area-weighted mean sagitta of the arcs through neighbouring triangles."""
+    import trimesh
+
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     ends = vertices[mesh.face_adjacency_edges]
     edges = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)

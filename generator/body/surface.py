@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
@@ -63,9 +62,11 @@ class SkinSurface(Record):
 
     def nearest(self, points: Float[np.ndarray, "n 3"]) -> Nearest:
         """The nearest point of the surface to each query point."""
+        from trimesh.triangles import closest_point  # imported here: drawn patterns need no trimesh, which takes 0.4 s
+
         near = self.tree.query(points, k=min(CANDIDATES, len(self.corners)))[1].reshape(len(points), -1)
         triangles = self.corners[near].reshape(-1, 3, 3)
-        on = trimesh.triangles.closest_point(triangles, points.repeat(near.shape[1], axis=0)).reshape(*near.shape, 3)
+        on = closest_point(triangles, points.repeat(near.shape[1], axis=0)).reshape(*near.shape, 3)
         distances = np.linalg.norm(on - points[:, None], axis=2)
         best = distances.argmin(axis=1)
         row = np.arange(len(points))
@@ -88,5 +89,7 @@ def subdivide_long_edges(
         longest *= 2
     if sides.max(initial=0.0) <= longest:
         return vertices, faces, np.arange(len(faces))
-    fine, pieces, owners = trimesh.remesh.subdivide_to_size(vertices, faces, longest, return_index=True)
+    from trimesh.remesh import subdivide_to_size
+
+    fine, pieces, owners = subdivide_to_size(vertices, faces, longest, return_index=True)
     return fine, pieces, owners
