@@ -1,4 +1,4 @@
-"""Comparison of patterns: equal ones agree, differences are named with their size."""
+"""Comparison of patterns: equal patterns agree; each difference is reported with its size."""
 
 import argparse
 from dataclasses import replace

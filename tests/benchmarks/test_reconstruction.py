@@ -1,4 +1,4 @@
-"""The reconstruction benchmark, on garments small enough for seconds."""
+"""The reconstruction benchmark on small garments: the tests take seconds."""
 
 import argparse
 from collections.abc import Callable, Iterator

@@ -12,16 +12,16 @@ from gcd_dataset.hub.publish import Staged, stage
 from tests.hub.test_publish import put, sample
 
 MISSING = {"citeAs", "datePublished"}
-"""Recommended properties that a data set which is not published yet cannot have."""
+"""Recommended properties that an unpublished data set lacks."""
 pytestmark = [
-    pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # of the libraries under mlcroissant
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # in the dependencies of mlcroissant
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),  # mlcroissant leaves files open
 ]
 
 
 @pytest.fixture(scope="module")
 def mlc(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
-    """``mlcroissant``, which reads the folder of its cache from the environment when it is imported."""
+    """The module ``mlcroissant``; on import it reads its cache folder from ``CROISSANT_CACHE``."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CROISSANT_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield pytest.importorskip("mlcroissant", reason="mlcroissant is not installed: make test-extras")

@@ -112,7 +112,7 @@ def test_a_malformed_device_is_an_error() -> None:
 
 
 def test_a_failure_waits_for_the_results_before_it() -> None:
-    """The third piece of work fails first, while the first two are still in work."""
+    """The third piece of work fails first, while the first two are pending."""
     begun: list[DrapeRequest] = []
 
     class Backwards:

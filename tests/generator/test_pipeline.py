@@ -265,7 +265,7 @@ def only(**meta: str) -> Overlay:
 
 
 def test_trousers_are_draped_on_legs_apart() -> None:
-    """Measured with legs together, like every body."""
+    """The measures are taken with legs together, as for every body."""
     trousers = make(5, 0, replace(FLAT, design=only(upper="none", bottom="Pants")))
     skirt = make(5, 0, replace(FLAT, design=only(upper="none", bottom="PencilSkirt")))
     assert trousers.shape is not None

@@ -1,4 +1,4 @@
-"""Renders show shapes, sides, colours and shading as the geometry demands."""
+"""Shapes, sides, colours and shading of renders agree with the geometry."""
 
 import io
 from dataclasses import replace
@@ -43,7 +43,7 @@ def test_a_ball_fills_its_circle() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
     picture = render_view(coloured(ball, np.zeros(len(ball.faces), int), RED), size=128, device="cpu")
     share = 1 - is_paper(picture).mean()
-    radius = np.tan(np.arcsin(20.0 / DISTANCE)) * (DISTANCE - 20.0) / (MARGIN * 20.0)  # of half the picture
+    radius = np.tan(np.arcsin(20.0 / DISTANCE)) * (DISTANCE - 20.0) / (MARGIN * 20.0)  # in units of half the picture
     assert share == pytest.approx(np.pi / 4 * radius**2, abs=0.01)
 
 

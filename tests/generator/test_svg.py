@@ -124,7 +124,7 @@ def test_a_curve_is_drawn_with_its_own_command(curve: Curve, clockwise: bool) ->
     assert drawn[0] == pytest.approx(truth[0], abs=TOLERANCE)
     assert drawn[-1] == pytest.approx(truth[-1], abs=TOLERANCE)
     far = shapely.hausdorff_distance(shapely.LineString(drawn), shapely.LineString(truth))
-    assert far < 0.01  # of chords of either
+    assert far < 0.01  # both are polylines
 
 
 def assert_true_to_scale(pattern: Pattern) -> None:

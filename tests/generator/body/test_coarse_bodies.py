@@ -1,4 +1,4 @@
-"""Measures of a coarse mesh are those of its surface, and their stated error bounds hold."""
+"""Measures of a coarse mesh depend on its surface alone, and their stated error bounds hold."""
 
 import re
 from functools import cache

@@ -28,7 +28,7 @@ SIZE = measure(build_body(neutral_shape()))
 
 @pytest.fixture
 def mannequin(tmp_path: Path) -> dict[str, Path]:
-    """A box of 1.7 m with four limbs by name, its measures, and its files."""
+    """Files of a body: a box 1.7 m tall as mesh, one vertex for each limb, and measures."""
     box = trimesh.creation.box((0.5, 1.7, 0.3))
     box.export(tmp_path / "box.obj")
     parts = {"body": [0, 1, 2, 3], "left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [7]}

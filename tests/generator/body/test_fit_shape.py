@@ -71,7 +71,7 @@ def test_impossible_measures_are_errors_with_a_remedy(size: Measurements, messag
 
 
 def test_a_body_too_far_from_the_mean_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a lower limit than the shipped one, to reach it quickly."""
+    """``REACH`` is lowered, so that few iterations exceed it."""
     monkeypatch.setattr(sys.modules["gcd_dataset.generator.body.fit_shape"], "REACH", 1.0)
     with pytest.raises(BodyError, match=r"no adult has these.*standard deviations.*in cm, all of one person"):
         fit_shape(Measurements(height=215.0))

@@ -131,7 +131,7 @@ def published(examples: Path) -> tuple[Body, Measurements, np.ndarray]:
     ("key", "level"), [("bust", 124.53), ("underbust", 117.07), ("waist", 110.05), ("hips", 86.57)]
 )
 def test_girths_of_the_published_body(key: str, level: float, published: tuple[Body, Measurements, np.ndarray]) -> None:
-    """Sections at the published levels have the published girths: the same tape on another mesh."""
+    """The girths of sections at the published levels equal the published girths."""
     body, size, trunk = published
     found = girth(section(body.vertices, trunk, 1, level)[:, 0][:, [0, 2]])
     assert found == pytest.approx(getattr(size, key), abs=0.1)

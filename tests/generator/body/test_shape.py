@@ -72,7 +72,7 @@ def test_legs_apart_do_not_change_the_head() -> None:
     assert feet_distance(apart) > feet_distance(straight) + 6.0
     head = straight.parts == BodyPart.HEAD.value
     moved = apart.vertices[head] - straight.vertices[head]
-    assert np.abs(moved - moved[0]).max() < 1e-9  # as a whole, down to the floor
+    assert np.abs(moved - moved[0]).max() < 1e-9  # spread legs lower the whole head
     assert -1.5 < moved[0, 1] <= 0.0
 
 

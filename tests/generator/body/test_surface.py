@@ -1,4 +1,4 @@
-"""Nearest points, patched holes and loops of sections, on shapes with known ones."""
+"""Nearest points, patched holes and loops of sections, on shapes with known results."""
 
 import numpy as np
 import pytest

@@ -69,7 +69,7 @@ def test_too_few_frames_are_reported() -> None:
 
 
 def test_the_threshold_of_rest_rises_in_the_second_half() -> None:
-    """A garment that never rests fully settles in the second half of the frames if it is slow enough."""
+    """A slow garment that never comes fully to rest counts as settled in the second half of the frames."""
     never_still = DrapeConfig(still_speed=1e-9, max_frames=60)
     [slow] = drape_batch([on_a_ball(5)], never_still, device="cpu")
     assert slow.outcome is Outcome.SETTLED

@@ -48,7 +48,7 @@ SHEET = patch(16, 16, place=LYING, origin=(-8.0, 72.0, 8.0))
 
 
 def test_a_garment_beside_the_body_falls_below_the_floor() -> None:
-    """In any batch; it ends as soon as all of it is below."""
+    """Equally alone and in a batch; the drape ends as soon as every vertex is below the floor."""
     falls, stays = on_a_table(beside(SHEET)), on_a_table(SHEET)
     together = drape_batch([stays, falls], device="cpu")
     assert [drape.outcome for drape in together] == [Outcome.SETTLED, Outcome.FELL]

@@ -41,9 +41,9 @@ def middle(pattern: Pattern, ref: EdgeRef) -> Float[np.ndarray, "3"]:
 
 
 def may_gather(pattern: Pattern, seam: Seam) -> bool:
-    """Whether the two edges of a seam may differ: rings and armholes are gathered, hips and shirt fronts are eased.
+    """Whether the two edges of a seam may differ in length: rings and armholes gather, hips and shirt fronts are eased.
 
-    A front of a shirt is drawn with a shorter side and shoulder than its back where it is wider.
+    If the front of a shirt is wider than its back, its side and shoulder are drawn shorter.
     """
     names = {pattern.panel(ref.panel).edges[ref.edge].name for ref in (seam.left, seam.right)}
     is_torso = "torso" in seam.left.panel
@@ -95,7 +95,7 @@ def test_sewn_edges_face_each_other(woman: Measurements, design: OutfitDesign) -
     pattern = outfit(woman, design)
     for seam in pattern.seams:
         left, right = (middle(pattern, ref) for ref in (seam.left, seam.right))
-        assert abs(left[0] - right[0]) < 21.0  # the halves of a hood
+        assert abs(left[0] - right[0]) < 21.0  # the largest gap, between the halves of a hood
         assert abs(left[1] - right[1]) < 25.0
 
 
@@ -161,6 +161,6 @@ def test_labels_that_a_drape_needs_are_present(wearer: Measurements, design: Out
 
 
 def test_nearly_all_random_designs_can_be_worn(wearer: Measurements) -> None:
-    """If sampled for that wearer, even for a doll or a giant."""
+    """Designs are sampled for their wearer, who may be a doll or a giant."""
     drawn = [sample_design(np.random.default_rng(seed), [wearer]) for seed in range(30)]
     assert sum(isinstance(try_on(wearer, design), Reject) for design in drawn) <= 3

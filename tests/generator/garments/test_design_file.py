@@ -1,4 +1,4 @@
-"""Design files: GarmentCode's form, read and written without losing anything."""
+"""Design files: GarmentCode's form, read and written without loss."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -16,8 +16,8 @@ from tests.generator.garments.skirts import BOTH, ends, length, lengths, skirt
 
 GODETS = [
     {"insert_w": 15, "insert_depth": 20, "num_inserts": 4, "cuts_distance": 5},
-    {"insert_w": 10, "insert_depth": 10, "num_inserts": 4, "cuts_distance": 0},  # too short a side: shallow cuts
-    {"insert_w": 20, "insert_depth": 15, "num_inserts": 12, "cuts_distance": 10},  # no room: cuts of a centimetre
+    {"insert_w": 10, "insert_depth": 10, "num_inserts": 4, "cuts_distance": 0},  # the side is too short: shallow cuts
+    {"insert_w": 20, "insert_depth": 15, "num_inserts": 12, "cuts_distance": 10},  # the hem is too short: 1 cm cuts
     {"insert_w": 15, "insert_depth": 15, "num_inserts": 6, "cuts_distance": 0},
     {"insert_w": 15, "insert_depth": 15, "num_inserts": 6, "cuts_distance": 1},
 ]

@@ -166,7 +166,7 @@ def test_depths_are_counted_from_the_shoulders_outer_end(woman: Measurements) ->
     design = NecklineDesign(fc_depth=0.5, width=0.3)
     half_width = 0.5 * neckline_width(woman, design)
     strokes = half_neckline(woman, design, front=True, shoulder=18.0, room=60.0)
-    rise = tan(woman.shoulder_incl) * (18.0 - half_width)  # of the shoulder, from its outer end to the neckline
+    rise = tan(woman.shoulder_incl) * (18.0 - half_width)  # rise of the shoulder from its outer end to the neckline
     assert strokes[-1].end == pytest.approx((half_width, -0.5 * woman.drawn_bust_line - rise))
     assert {(stroke.name, stroke.label) for stroke in strokes} == {("neck", "right_collar")}
 
@@ -226,4 +226,4 @@ def neck(panel: Panel) -> Float[np.ndarray, "n 2"]:
 def test_the_sagitta_of_an_arc() -> None:
     (arc,) = shape(Neckline.ARC, 6.0, 8.0, angle=90)
     x, y = arc.at(0.5)
-    assert hypot(x - 3.0, y + 4.0) == pytest.approx(10.0 * (sqrt(2) - 1) / 2)  # of a quarter circle over a chord of 10
+    assert hypot(x - 3.0, y + 4.0) == pytest.approx(10.0 * (sqrt(2) - 1) / 2)  # quarter circle over a chord of 10

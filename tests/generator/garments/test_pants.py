@@ -29,7 +29,7 @@ DESIGNS = {
     "frill": PantsDesign(length=0.5, flare=0.7, cuff=PantsCuffDesign(type=Cuff.SKIRT, skirt_flare=2.0)),
     "both": PantsDesign(length=0.9, cuff=PantsCuffDesign(type=Cuff.BAND_SKIRT, cuff_len=0.4)),
 }
-SHORT = {  # a doll's legs are too short for them: the inside seam leans in by centimetres, whatever the wearer's size
+SHORT = {  # not for dolls, whose legs are too short: the inside seam leans in by centimetres on every wearer
     "shorts on the hips": PantsDesign(length=0.2, rise=0.5, width=1.5),
     "short and tight": PantsDesign(length=0.21, flare=0.5),
     "mostly cuff": PantsDesign(length=0.9, cuff=PantsCuffDesign(type=Cuff.BAND_SKIRT, cuff_len=0.9)),
@@ -42,7 +42,7 @@ def halves(size: Measurements, design: PantsDesign, *, rise: float = 1.0) -> tup
 
 
 def across(piece: Piece, first: str, second: str) -> float:
-    """From the end of one edge to the end of another, seen from the front [cm]."""
+    """Horizontal distance from the end of edge ``first`` to the end of edge ``second`` [cm]."""
     return piece.outline.run(second)[-1].end[0] - piece.outline.run(first)[-1].end[0]
 
 

@@ -1,4 +1,4 @@
-"""Skirts: girths, lengths and seams that a tape measure can check, and the reference's panels."""
+"""Skirts: girths, lengths and seams computed from the measures, and the reference's panels."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -208,7 +208,7 @@ def test_a_hem_cut_is_counted_along_the_ring_of_the_hem(
     pattern = skirt(woman, Bottom.CIRCLE, {"flare-skirt": {"length": 0.4, "suns": 0.5, "cut": cut}})
     opened = pattern.panel(panel)
     (tip, *_), _ = ends(opened, "hem_cut.0")
-    assert tip * side > 0  # in front from the wearer's right, which is -x; behind from the left
+    assert tip * side > 0  # in front counted from the wearer's right (-x), behind from the left
     whole = woman.hips_line + 0.4 * woman.leg_length
     assert length(opened, "hem_cut.0") == pytest.approx(hypot(0.05, 0.2) * whole)
     (other,) = (p for p in pattern.panels if p.name != panel)

@@ -1,4 +1,4 @@
-"""The upper body: lengths that a tape measure can check, and the reference's fronts, backs and sleeves."""
+"""Tops: lengths computed from the measures, and the reference's fronts, backs and sleeves."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -36,7 +36,7 @@ TORSOS = ("right_ftorso", "left_ftorso", "right_btorso", "left_btorso")
 
 
 def lengths(pattern: Pattern, panels: Iterable[str], edge: str) -> float:
-    """Length of all edges of that name over these panels [cm]."""
+    """Length of all edges named ``edge`` in the panels [cm]."""
     return sum(sum(edge_lengths(pattern.panel(name), edge)) for name in panels)
 
 
@@ -263,7 +263,7 @@ def test_a_top_may_be_strapless_on_one_side(woman: Measurements, side: str) -> N
     assert labels(pattern, f"{side}_ftorso") == {"strapless_top"}
     assert labels(pattern, f"{other}_ftorso") == {f"{other}_armhole", f"{other}_collar"}
     centres = {sum(edge_lengths(pattern.panel(f"{s}_btorso"), "centre")) for s in ("left", "right")}
-    assert len(centres) == 2  # sewn all the same
+    assert len(centres) == 2  # different lengths, sewn nevertheless
     joined = {frozenset((seam.left.panel, seam.right.panel)) for seam in pattern.seams}
     assert {frozenset(("left_ftorso", "right_ftorso")), frozenset(("left_btorso", "right_btorso"))} <= joined
 

@@ -1,4 +1,4 @@
-"""Garment records: each garment is one file, listed in the wardrobe, and all other code reads its record."""
+"""Garment records: each garment is one file, listed in the wardrobe; other code uses its record only."""
 
 from pathlib import Path
 

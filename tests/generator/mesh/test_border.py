@@ -1,4 +1,4 @@
-"""Borders: edges as points."""
+"""Borders: edges of panels sampled as points."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_an_edge_that_rounding_made_longer_keeps_its_points() -> None:
 
 @pytest.mark.parametrize("curve", [Arc(20.0, large=False, right=True), Cubic((0.1, 0.6), (0.3, -0.4))])
 def test_points_are_equally_spaced_along_a_curve(curve: Curve) -> None:
-    """To two thousandths: the error of arc length by quadrature and of chords as steps."""
+    """To two thousandths: the arc length is a quadrature, and steps are measured as chords."""
     bent = panel("a", rectangle(30.0, 30.0), curves={0: curve})
     border = sample_border(bent, edge_counts(sewn(bent), 0.25))
     steps = np.linalg.norm(np.diff(border.points[border.edge(0)], axis=0), axis=1)

@@ -1,4 +1,4 @@
-"""A coarse mesh is the same garment, and interpolates to the fine one."""
+"""A coarse mesh has the panels and seams of the fine mesh, and interpolates to it."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Meshes of GarmentCode's patterns, against those of its own mesher."""
+"""Our meshes of GarmentCode's patterns compared with the meshes of its own mesher."""
 
 import json
 from pathlib import Path
@@ -72,7 +72,7 @@ def test_there_are_as_many_vertices_and_no_more_faces(both: tuple[BoxMesh, Any])
 
 
 def test_panels_have_the_same_area_and_side_out(both: tuple[BoxMesh, Any]) -> None:
-    """By normals in space: a panel may be drawn from behind, so signed flat areas can differ."""
+    """Sides are compared by normals in space: a panel may be drawn from behind, so signed flat areas can differ."""
     ours, reference = both
     ours_flat = np.bincount(ours.panel_id, np.abs(areas(ours.uv, ours.corners)))
     flat = np.bincount(reference["face_panel"], np.abs(areas(reference["panel_xy"], reference["face_uv"])))
@@ -101,7 +101,7 @@ def test_seams_run_through_the_same_points(both: tuple[BoxMesh, Any]) -> None:
 
 
 def test_seams_have_the_reference_lengths(both: tuple[BoxMesh, Any]) -> None:
-    """In points; the reference lists fewer seams at a vertex where several meet."""
+    """Lengths in points; the reference lists fewer seams at a vertex where several meet."""
     ours, reference = both
     names = [name for row in reference["stitch_segmentation"] for name in str(row).split(",") if "stitch_" in name]
     theirs = np.unique(names, return_counts=True)[1]

@@ -36,7 +36,7 @@ OUTLINES: dict[str, list[tuple[float, float]]] = {
 
 @pytest.mark.parametrize("name", OUTLINES)
 def test_triangles_fill_the_outline_once(name: str) -> None:
-    """Counter-clockwise, of the outline's area, with exactly its segments for a border."""
+    """Faces are counter-clockwise and have the outline's area; their border is exactly its segments."""
     assert_filled_once(loop(OUTLINES[name], 1.0))
 
 
