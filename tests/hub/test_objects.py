@@ -47,13 +47,13 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def make(out: Path | str, count: int = COUNT, **options: Any) -> int:
-    """Generate a data set; the indices of the samples made."""
+    """Generate a data set; return the number of samples made in this run."""
     return generate(out, count, config=CONFIG, workers=0, **options).made
 
 
 @pytest.fixture(scope="module")
 def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The data set in a folder."""
+    """The same data set generated into a folder."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gcd_dataset.verbs.storing.SHARD_SIZE", SHARD)
         folder = tmp_path_factory.mktemp("here")
@@ -67,13 +67,13 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture
 def published(s3: Store, here: Path, request: pytest.FixtureRequest) -> str:
-    """The URL at which the data set lies."""
+    """URL of a copy of the data set in the store."""
     url = s3.put(f"s3://bucket/{request.node.name}/set", here)
     s3.log.clear()
     return url
 
 
-class Stopped(Exception):  # noqa: N818 - what a user does
+class Stopped(Exception):  # noqa: N818 - an interruption, not an error
     """Raised to stop a run."""
 
 
@@ -123,7 +123,7 @@ def test_workers_read_too(published: str, here: Path, tmp_path: Path) -> None:
         GarmentDataset(published, fields=["panels"], cache_dir=tmp_path),
         GarmentDataset(here, fields=["panels"]),
     )
-    assert_all_same([ds[0]], [expected[0]])  # the parent has spoken to the store
+    assert_all_same([ds[0]], [expected[0]])  # opens a connection in the parent
     loader = DataLoader(ds, batch_size=None, num_workers=1, multiprocessing_context="fork")
     assert_all_same(list(loader), expected)
     assert_all_same(pickle.loads(pickle.dumps(ds)), expected)
@@ -341,7 +341,7 @@ def test_of_two_simultaneous_writers_one_gets_the_lease(
     s3: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     url = s3.put("s3://bucket/at-once", {".writing.json": b'{"run": "1", "host": "node7", "process": 12}'})
-    monkeypatch.setattr("gcd_dataset.hub.uploading.require_free", lambda *_: None)  # it has come since
+    monkeypatch.setattr("gcd_dataset.hub.uploading.require_free", lambda *_: None)  # the lease appears after this check
     with pytest.raises(OutputError, match=r"process 12 on node7"):
         make(url, spool=tmp_path)
     assert set(s3.objects(url)) == {".writing.json"}

@@ -1,4 +1,4 @@
-"""Garments read from a server: the requested bytes, and the cached ones."""
+"""Garments read from a server: which bytes are requested, and which are cached."""
 
 import gzip
 import pickle
@@ -67,7 +67,7 @@ def test_neighbouring_members_take_one_request(hub: Hub, commit: str, tmp_path: 
         ds[index]
     answered = [request for request in hub.asked(SHARDS) if request.status == 206]
     assert len(answered) == 3
-    # The first request of a shard is redirected; the place that it leads to is remembered for the others.
+    # The first request of a shard is redirected; later requests go to the remembered target.
     assert len(hub.asked(r"resolve/.*tar")) == 1
 
 
@@ -75,7 +75,7 @@ def test_a_batch_is_requested_in_parallel(hub: Hub, commit: str, folder: Path, t
     ds = opened(hub, tmp_path, fields=["verts"])
     (batch,) = DataLoader(ds[:], batch_size=COUNT, collate_fn=collate_packed)
     answered = [request for request in hub.asked(SHARDS) if request.status == 206]
-    # Samples so small lie closer together than it pays to ask for them one by one: one request a shard.
+    # The gaps between these small members are below ``GAP``: one request per shard.
     assert len(answered) == 3
     (expected,) = DataLoader(GarmentDataset(folder, fields=["verts"]), batch_size=COUNT, collate_fn=collate_packed)
     assert same(batch, expected)
@@ -147,7 +147,7 @@ def test_a_private_repository_asks_for_a_token(hub: Hub, folder: Path, tmp_path:
         opened(hub, tmp_path)
     assert opened(hub, tmp_path, token=hub.token, fields=["meta"])[1]["meta"]["index"] == 1
     assert hub.asked("storage")
-    assert all(not request.authorization for request in hub.asked("storage"))  # the token stays with the Hub
+    assert all(not request.authorization for request in hub.asked("storage"))  # the storage host gets no token
 
 
 def test_a_missing_data_set_is_reported(hub: Hub, commit: str, tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_a_stream_of_a_repository(
 @pytest.mark.parametrize("workers", [0, 2])
 def test_workers_share_a_server(hub: Hub, commit: str, folder: Path, tmp_path: Path, workers: int) -> None:
     ds = opened(hub, tmp_path, fields=["faces", "verts"])
-    ds[0]  # a line to the server is open when the workers are forked
+    ds[0]  # a connection is open when the workers are forked
     batches = DataLoader(ds, batch_size=3, collate_fn=collate_packed, num_workers=workers)
     alone = DataLoader(GarmentDataset(folder, fields=["faces", "verts"]), batch_size=3, collate_fn=collate_packed)
     assert_all_same(batches, alone)
@@ -241,7 +241,7 @@ def test_a_broken_connection_is_resumed(hub: Hub, commit: str, folder: Path, tmp
     assert [request.size for request in hub.asked(r"storage/.*tar")][:4] == [5000, 600, 600, 600]
     sent = sum(request.size for request in hub.asked(r"storage/.*tar"))
     stored = sum(path.stat().st_size for path in folder.glob("*.tar"))
-    assert sent == stored if streaming else sent < stored  # nothing came twice
+    assert sent == stored if streaming else sent < stored  # no byte is sent twice
 
 
 def test_an_outage_is_waited_out(
@@ -288,7 +288,7 @@ def test_wrong_bytes_are_never_cached(hub: Hub, commit: str, folder: Path, tmp_p
     expected = GarmentDataset(folder, fields=["verts"])
     ds = opened(hub, tmp_path, fields=["verts"], verify=verify)
     hub.faults = [Fault(r"storage/.*tar", flip_share=0.5)]
-    assert same(ds[6], expected[6])  # once: asked for again
+    assert same(ds[6], expected[6])  # requested again after the single fault
     hub.faults = [Fault(r"storage/.*tar", flip_share=0.5, times=2)]
     with pytest.raises(
         RemoteError, match=r"train-00001\.tar: sample gcd_000000007, member verts\.npy: received bytes do not match"
@@ -374,7 +374,7 @@ def test_damaged_cache_members_are_fetched_again(hub: Hub, commit: str, folder: 
 
 @pytest.fixture
 def captions(hub: Hub, tmp_path: Path) -> str:
-    """Two tars by ``webdataset`` in a folder of a repository; its commit."""
+    """Publish two tars by ``webdataset`` in a folder of a repository; the commit's hash."""
     files = {}
     for shard in (0, 1):
         with wds.TarWriter(str(tmp_path / "a.tar")) as writer:

@@ -13,7 +13,7 @@ from gcd_dataset.release import PcaShapes, read_pca
 MEAN = np.array([[0.1, -0.02, 0.0], [-0.1, -0.02, 0.0], [0.0, 0.0, 0.1], [0.0, 1.7, 0.0], [0.0, 0.9, -0.1]])  # m
 VARIANCE = np.array([0.04, 0.01, 0.0])  # m²
 COMPONENTS = np.linalg.qr(np.random.default_rng(0).normal(size=(15, 3)))[0].T
-"""Three unit vectors, square to each other."""
+"""Three orthonormal vectors."""
 
 
 def write_pca(
@@ -102,7 +102,7 @@ def nan_in(array: np.ndarray) -> np.ndarray:
         ({"header": (0, 0)}, "beginning with 0 and 0"),
         ({"mean": nan_in(MEAN)}, "NaN or infinity"),
         ({"components": nan_in(COMPONENTS)}, "NaN or infinity"),
-        ({"components": COMPONENTS.T.copy()}, "not orthonormal"),  # row by row, not component by component
+        ({"components": COMPONENTS.T.copy()}, "not orthonormal"),  # transposed in the file
         ({"components": 2 * COMPONENTS}, "not orthonormal"),
         ({"variance": VARIANCE[::-1]}, "do not fall to 0"),
         ({"variance": VARIANCE - 0.02}, "do not fall to 0"),

@@ -100,7 +100,7 @@ def test_points_of_a_real_garment_are_stored_to_a_twentieth_of_a_millimetre(tmp_
         assert np.abs(read[:, :3] - points[:, :3]).max() < 0.005
         assert np.abs(read[:, 3:] - points[:, 3:]).max() < 1e-4
         assert np.linalg.norm(read[:, 3:], axis=1) == pytest.approx(1.0, abs=1e-4)
-        assert len(np.unique(read[:, 1])) > 2000  # heights, of which absolute 16-bit floats had 264 among 8192
+        assert len(np.unique(read[:, 1])) > 2000  # distinct heights; absolute 16-bit floats had 264 among 8192
 
 
 @pytest.mark.parametrize("count", [1, 127, 128, 129, 400])

@@ -203,7 +203,7 @@ def test_a_shard_whose_samples_have_moved_is_reported(
     for _ in range(2):
         with pytest.raises(ShardError, match=r"train-00000\.tar: .*samples were inserted.*: open the data set again"):
             reader.read(1, MEMBERS)
-    assert reader.read(2, MEMBERS) == encode_sample(fake_sample(0, 4))  # of a shard that has grown at its end
+    assert reader.read(2, MEMBERS) == encode_sample(fake_sample(0, 4))  # its shard has only grown at the end
     assert pickle.loads(pickle.dumps(reader)).read(2, MEMBERS) == encode_sample(fake_sample(0, 4))
 
 

@@ -87,7 +87,7 @@ def test_a_kill_leaves_shards_that_the_manifest_lists_later(tmp_path: Path, monk
     writing = open_writer(tmp_path / "killed")
     for index in range(13):
         writing.write(fake_sample(0, index))
-    del writing  # nobody closes it, as after kill -9
+    del writing  # without close, as after kill -9
     behind = read_manifest(tmp_path / "killed")
     assert behind is not None
     assert len(behind.splits["train"].shards) == 2

@@ -62,7 +62,7 @@ def assert_same(items: list[Any], samples: list[dict[str, bytes]]) -> None:
         assert (item["meta"]["grade"], item["meta"]["tags"], item["meta"]["strain"]) == ("", [], None)
         for field in ("verts", "panels", "points", "faces", "stitches"):
             array = np.load(io.BytesIO(sample[f"{field}.npy"]))
-            if not len(array):  # of a later stage
+            if not len(array):  # a field of a later stage
                 assert field not in item
                 continue
             assert np.array_equal(item[field].numpy(), array.astype(item[field].numpy().dtype))

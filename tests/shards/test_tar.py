@@ -143,7 +143,7 @@ def loaded(shard: Path, cache: Path, streaming: bool) -> list[Any]:
 
 @pytest.mark.parametrize("streaming", [False, True])
 def test_datasets_reads_real_garments_of_every_kind(tmp_path: Path, streaming: bool) -> None:
-    """It infers types from the first five."""
+    """``datasets`` infers types from the first five samples."""
     samples = barest_first()
     entries = [
         tar_entry(f"{sample.key}.{member}", data)
@@ -234,7 +234,7 @@ def test_a_zeroed_header_is_not_taken_for_the_end(tmp_path: Path) -> None:
     shard.write_bytes(content)
     with pytest.raises(ShardError, match=f"zeros at byte {second}, and content after them"):
         scan_shard(shard)
-    shard.write_bytes(content[:second] + bytes(10240))  # as other programs fill up the last block
+    shard.write_bytes(content[:second] + bytes(10240))  # zero padding, as other programs write it
     assert len(scan_shard(shard)) == 1
 
 

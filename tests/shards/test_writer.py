@@ -80,7 +80,7 @@ def test_a_killed_run_loses_only_the_sample_being_written(whole: Path, tmp_path:
         writer.write(fake_sample(0, index))
     part = folder / "train-00001.tar.part"
     os.truncate(part, part.stat().st_size - 1000)
-    del writer  # nobody closes it, as after kill -9
+    del writer  # without close, as after kill -9
     assert list(ShardReader(folder).index.table.sample) == [0, 1, 2, 3]
 
 
@@ -218,7 +218,7 @@ def test_a_writer_in_another_process_is_waited_for(tmp_path: Path) -> None:
         except OutputError as error:
             os.write(write, str(error).encode())
         finally:
-            del writer  # a copy that another process drops frees nothing
+            del writer  # dropping the forked copy releases no lock
             os._exit(0)
     os.waitpid(child, 0)
     os.close(write)
