@@ -93,7 +93,7 @@ def files(folder: Path) -> Mapping[str, bytes]:
 
 
 @pytest.mark.parametrize(("config", "count"), [(MESHED, 24), (DRAPED, 6)])
-def test_a_node_killed_in_the_middle_changes_no_byte(
+def test_a_killed_node_changes_no_byte(
     config: MakeConfig, count: int, tmp_path: Path, cluster: Any, node: Callable[..., Any]
 ) -> None:
     nodes = [node(), node()]
@@ -108,7 +108,7 @@ def test_a_node_killed_in_the_middle_changes_no_byte(
     assert files(tmp_path / "ray") == files(tmp_path / "here")
 
 
-def test_a_design_without_wearers_gives_the_same_error_as_without_ray(
+def test_an_unwearable_design_gives_the_same_error_with_and_without_ray(
     tmp_path: Path, node: Callable[..., Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
     node()

@@ -132,12 +132,12 @@ def test_arrow_holds_each_garment_once(workspace: Path) -> None:
     assert sorted(numbers) == list(range(N))
 
 
-def test_accelerate_splits_what_is_not_split_yet(workspace: Path) -> None:
+def test_accelerate_splits_unsplit_loaders(workspace: Path) -> None:
     """The program itself asserts this in each rank."""
     run(workspace, *TORCHRUN, str(HERE / "under_accelerate.py"), "garments")
 
 
-def test_lightning_does_not_split_again(workspace: Path) -> None:
+def test_lightning_does_not_split_a_split_loader(workspace: Path) -> None:
     seen = counted(run(workspace, *TORCHRUN, str(HERE / "under_lightning.py"), "garments"))
     names = [f"{kind} {epoch}" for kind in ("train", "validate", "fabric") for epoch in range(EPOCHS)]
     assert seen == {name: Counter(range(N)) for name in names}

@@ -61,7 +61,7 @@ def test_workers_serve_scripts_and_standard_input(tmp_path: Path) -> None:
         assert finished.stdout.strip() == str([sample_key(0), sample_key(1)]), finished.stderr
 
 
-def test_a_script_without_a_main_guard_gets_an_error_that_says_so(tmp_path: Path) -> None:
+def test_the_error_of_a_script_without_main_guard_names_the_remedy(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(guarded=False))
     finished = run(str(script))

@@ -202,7 +202,7 @@ def test_the_grain_runs_along_the_y_axis() -> None:
 
 
 @pytest.mark.parametrize("name", ["a<b>&\"'", "\x01\x00", "\ud800", "", "Ärmel"])
-def test_any_name_makes_a_file_that_can_be_read(name: str) -> None:
+def test_a_drawing_with_any_name_can_be_parsed(name: str) -> None:
     _, [piece] = read_back(Pattern(name, (replace(lens(CURVES[0]), name=name),), ()))
     assert piece.name == (name if name.isprintable() else ascii(name))
 

@@ -64,7 +64,7 @@ def test_the_published_recipe_is_downloaded(hub: Hub, tmp_path: Path) -> None:
     assert manifest.recipe == record
 
 
-def test_fields_make_a_data_set_of_their_own(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_downloaded_fields_form_a_complete_data_set(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     fields = ["panels", "edges", "stitches", "points"]
     data = bring(hub, tmp_path, fields=fields)
     ds = GarmentDataset(data)

@@ -157,7 +157,7 @@ def test_a_redirect_to_another_protocol_is_refused_at_once(
     assert len(hub.asked("manifest")) == 1
 
 
-def test_circular_redirects_are_given_up(hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_circular_redirects_are_an_error(hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "sleep", lambda seconds: pytest.fail("waited for"))
     round_ = f"{hub.endpoint}/files/garments/manifest.json"
     hub.faults = [Fault("manifest", status=302, headers={"Location": round_}, times=99)]

@@ -118,7 +118,7 @@ def test_cached_members_are_read_without_the_store(s3: Store, published: str, tm
     assert not s3.log
 
 
-def test_workers_read_too(published: str, here: Path, tmp_path: Path) -> None:
+def test_workers_read_from_the_store(published: str, here: Path, tmp_path: Path) -> None:
     ds, expected = (
         GarmentDataset(published, fields=["panels"], cache_dir=tmp_path),
         GarmentDataset(here, fields=["panels"]),
@@ -243,7 +243,7 @@ def test_verbs_take_the_url(
 # -------------------------------------------------------------------------------------------------------------- making
 
 
-def test_objects_are_the_files_of_a_folder(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_objects_equal_the_files_of_a_folder(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/made"
     assert make(url, spool=tmp_path) == COUNT
     assert hashes(s3.objects(url)) == hashes(files_of(here))
@@ -272,7 +272,7 @@ def test_a_run_continues_from_store_and_spool(s3: Store, here: Path, tmp_path: P
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_a_run_continues_from_the_store_alone(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_a_run_continues_from_the_store_without_its_spool(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/elsewhere"
     with pytest.raises(Stopped):
         make(url, spool=tmp_path / "one", on_progress=stopping(5))
@@ -457,7 +457,7 @@ def test_a_full_spool_costs_no_garment(s3: Store, here: Path, tmp_path: Path) ->
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_a_folder_has_no_spool(tmp_path: Path) -> None:
+def test_spool_and_patience_with_a_folder_are_errors(tmp_path: Path) -> None:
     for option in ({"spool": tmp_path}, {"patience": 3.0}):
         with pytest.raises(ConfigError, match=r"is for URLs, and .* is a folder"):
             make(tmp_path / "set", **option)

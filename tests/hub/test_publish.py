@@ -87,7 +87,7 @@ def test_a_garment_keeps_its_split_when_the_data_set_grows(both: Path, tmp_path:
         assert positions == [position for position in after[name] if position < 60]
 
 
-def test_few_designs_have_all_splits_too(tmp_path: Path) -> None:
+def test_four_designs_fill_all_splits(tmp_path: Path) -> None:
     put(tmp_path, (sample(i, design=i) for i in range(4)))
     parts = partition(ShardReader(tmp_path))
     assert list(parts) == ["train", "validation", "test"]

@@ -163,7 +163,9 @@ def test_a_missing_data_set_is_reported(hub: Hub, commit: str, tmp_path: Path) -
         opened(hub, tmp_path, max_cache_size="lots")
 
 
-def test_the_path_of_a_file_is_no_repository(hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_path_of_a_file_is_not_taken_for_a_repository(
+    hub: Hub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "train.h5").touch()
@@ -173,9 +175,7 @@ def test_the_path_of_a_file_is_no_repository(hub: Hub, tmp_path: Path, monkeypat
     assert not hub.asked()
 
 
-def test_a_url_whose_files_appear_one_by_one_is_read_in_the_end(
-    hub: Hub, commit: str, folder: Path, tmp_path: Path
-) -> None:
+def test_a_url_is_readable_once_its_files_are_complete(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     url, index = f"{hub.endpoint}/files/garments", hub.static.pop("garments/index-train.npz")
     for unfinished in (None, b"<html>soon</html>", other_index(folder)):
         hub.static |= {} if unfinished is None else {"garments/index-train.npz": unfinished}

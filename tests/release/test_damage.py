@@ -186,7 +186,7 @@ def test_mutated_published_garments_are_reported_or_read(tmp_path: Path) -> None
         path.write_bytes(whole)
 
 
-def test_an_edge_of_no_flat_length_has_no_stretch(folders: Path) -> None:
+def test_an_edge_of_zero_flat_length_has_no_stretch(folders: Path) -> None:
     sample = PublishedGarmentCodeData(folders, bodies="default").sample(0)
     assert sample.box_mesh is not None
     assert sample.drape is not None

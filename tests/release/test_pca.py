@@ -38,7 +38,7 @@ def test_no_weights_give_the_mean_body_on_the_floor(shapes: PcaShapes) -> None:
     assert np.allclose(shapes.vertices(np.zeros(3)), 100.0 * (MEAN + [0.0, 0.02, 0.0]))
 
 
-def test_a_weight_is_a_standard_deviation(shapes: PcaShapes) -> None:
+def test_weights_count_standard_deviations(shapes: PcaShapes) -> None:
     weights = np.array([0.5, -2.0, 3.0])
     moved = MEAN.ravel() + 0.5 * 0.2 * COMPONENTS[0] - 2.0 * 0.1 * COMPONENTS[1]
     expected = 100.0 * moved.reshape(-1, 3)
@@ -46,7 +46,7 @@ def test_a_weight_is_a_standard_deviation(shapes: PcaShapes) -> None:
     assert np.allclose(shapes.vertices(weights), expected)
 
 
-def test_a_batch_is_its_bodies(shapes: PcaShapes) -> None:
+def test_a_batch_equals_its_bodies_one_by_one(shapes: PcaShapes) -> None:
     weights = np.random.default_rng(1).normal(size=(2, 4, 3))
     batch = shapes.vertices(weights)
     assert batch.shape == (2, 4, 5, 3)

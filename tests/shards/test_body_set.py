@@ -94,7 +94,7 @@ def test_deleted_index_and_mesh_are_written_again(whole: Path, tmp_path: Path) -
     assert contents(whole) == contents(tmp_path / "again")
 
 
-def test_webdataset_reads_them(whole: Path) -> None:
+def test_webdataset_reads_body_sets(whole: Path) -> None:
     with (whole / "train-00000.tar").open("rb") as stream:
         samples = list(group_by_keys(tar_file_expander([{"url": "shard", "stream": stream}])))
     assert [sample["__key__"] for sample in samples] == [f"gcd_{i:09d}" for i in range(4)]

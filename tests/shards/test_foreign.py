@@ -159,7 +159,7 @@ def test_pictures_that_would_lose_bits_are_reported(tmp_path: Path, name: str, d
 
 
 @pytest.mark.parametrize("style", [tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
-def test_any_program_s_headers_are_read(tmp_path: Path, style: int) -> None:
+def test_headers_of_any_tar_format_are_read(tmp_path: Path, style: int) -> None:
     long = "folder/" * 20 + "x" * (0 if style == tarfile.USTAR_FORMAT else 120)
     path = written(tmp_path / "a.tar", {f"{long}/one.a.TXT": b"1", "two.txt": b"22"}, style=style)
     with tarfile.open(path) as archive:

@@ -70,7 +70,7 @@ def test_a_loader_with_workers_reads_the_file(file: Path, monkeypatch: pytest.Mo
         return read(reader, *asked)
 
     loader = GarmentLoader(Hdf5Garments(file, fields=["verts"]), 2)
-    loader.state_dict()  # hashes the data set's identity, which reads garments in this thread
+    loader.state_dict()  # reads the first and the last garment in this thread
     monkeypatch.setattr(Hdf5Reader, "read", noted)
     assert len(list(loader)) == 3
     assert readers
@@ -189,7 +189,7 @@ def read_all(path: Path) -> list[dict[str, bytes]]:
     return [{m: bytes(d) for m, d in reader.read(i, MEMBERS).items()} for i in range(len(reader))]
 
 
-def test_no_flipped_bit_comes_back_as_another_number(generated: Path, tmp_path: Path) -> None:
+def test_a_flipped_bit_is_reported_or_changes_nothing(generated: Path, tmp_path: Path) -> None:
     """Each flipped bit is reported when its member is read, or changes nothing."""
     reader, path = Hdf5Reader(generated), tmp_path / "flipped.h5"
     raw = generated.read_bytes()

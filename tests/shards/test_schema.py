@@ -130,7 +130,7 @@ def test_schema_1_is_published_unchanged(first: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("alone", [False, True])
-def test_nothing_is_added_to_schema_1(first: Path, alone: bool) -> None:
+def test_data_sets_of_schema_1_are_not_extended(first: Path, alone: bool) -> None:
     folder = first / "patterns"
     if alone:
         (folder / "index-train.npz").unlink()

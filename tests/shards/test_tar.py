@@ -34,7 +34,7 @@ def shard(tmp_path: Path) -> Path:
     return fill(tmp_path, range(3)) / "train-00000.tar"
 
 
-def test_python_reads_it(shard: Path) -> None:
+def test_tarfile_reads_a_shard(shard: Path) -> None:
     with tarfile.open(shard) as archive:
         members = archive.getmembers()
         assert [m.name for m in members] == [f"gcd_{i:09d}.{member}" for i in range(3) for member in MEMBERS]
@@ -47,7 +47,7 @@ def test_python_reads_it(shard: Path) -> None:
 
 # webdataset 1.0.2 leaves the files that it opens to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore:unclosed file:ResourceWarning")
-def test_webdataset_reads_and_decodes_it(shard: Path) -> None:
+def test_webdataset_reads_and_decodes_a_shard(shard: Path) -> None:
     samples = list(wds.WebDataset(str(shard), shardshuffle=False).decode("pil"))
     assert [sample["__key__"] for sample in samples] == [f"gcd_{i:09d}" for i in range(3)]
     for index, sample in enumerate(samples):
@@ -71,7 +71,7 @@ with open(sys.argv[1], "rb") as stream:
 """
 
 
-def test_webdataset_reads_it_with_its_security_on(shard: Path) -> None:
+def test_webdataset_reads_a_shard_in_secure_mode(shard: Path) -> None:
     run = subprocess.run(
         [sys.executable, "-c", SECURE, str(shard)],
         env={**os.environ, "WDS_SECURE": "1"},

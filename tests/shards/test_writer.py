@@ -49,7 +49,7 @@ def test_a_shard_holds_its_own_indices(whole: Path) -> None:
     assert index.shard.tolist() == [0] * 4 + [1] * 4 + [2] * 2
 
 
-def test_same_samples_same_bytes(whole: Path, tmp_path: Path) -> None:
+def test_equal_samples_give_equal_shards(whole: Path, tmp_path: Path) -> None:
     assert contents(fill(tmp_path / "again", range(10))) == contents(whole)
 
 
@@ -208,7 +208,7 @@ def test_two_writers_of_a_split_exclude_each_other(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_writer_in_another_process_is_waited_for(tmp_path: Path) -> None:
+def test_the_lock_of_a_writer_holds_in_forked_processes(tmp_path: Path) -> None:
     writer = open_writer(tmp_path)
     read, write = os.pipe()
     child = os.fork()
@@ -249,7 +249,7 @@ def test_a_closed_writer_writes_no_more(tmp_path: Path) -> None:
     assert len(ShardReader(tmp_path)) == 1
 
 
-def test_splits_may_be_written_at_once(tmp_path: Path) -> None:
+def test_splits_may_be_written_concurrently(tmp_path: Path) -> None:
     with open_writer(tmp_path) as train, open_writer(tmp_path, split="test", seed=7) as test:
         for index in range(5):
             train.write(fake_sample(0, index))

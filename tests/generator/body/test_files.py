@@ -55,7 +55,7 @@ def test_a_measurement_file_holds_every_digit_in_degrees_with_derived_keys(tmp_p
     assert "_waist_level" not in body
 
 
-def test_derived_keys_are_those_of_the_reference(examples: Path, tmp_path: Path) -> None:
+def test_derived_keys_equal_the_references(examples: Path, tmp_path: Path) -> None:
     reference = next((examples / "patterns").glob("*/random_body/body_measurements.yaml"))
     write_measurements(read_measurements(reference), tmp_path / "again.yaml")
     theirs = yaml.safe_load(reference.read_text())["body"]

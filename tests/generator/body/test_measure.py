@@ -69,7 +69,7 @@ def test_fifty_bodies_have_all_measures(sizes: list[Measurements]) -> None:
     assert all((values(size, LENGTHS) > 0).all() for size in sizes)
 
 
-def test_the_population_is_one_of_adults(sizes: list[Measurements]) -> None:
+def test_drawn_bodies_lie_in_the_ranges_of_adults(sizes: list[Measurements]) -> None:
     """The ranges hold for nearly all adults of ANSUR II; drawn bodies vary less, by 0.7 of its spread."""
     for size in sizes:
         assert 145 < size.height < 205

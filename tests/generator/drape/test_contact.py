@@ -191,7 +191,7 @@ def test_layers_that_touch_exchange_momentum() -> None:
     assert np.abs(after - before).max() < 0.02 * abs(before[1])
 
 
-def test_a_search_lists_all_near_pairs() -> None:
+def test_the_contact_search_lists_all_near_pairs() -> None:
     """Points and faces of two crumpled sheets nearer than the margin, compared with a brute-force search."""
     rng = np.random.default_rng(3)
     lower = patch(9, 9, place=LYING, origin=(0.0, 100.0, 0.0))
@@ -222,7 +222,7 @@ def test_a_search_lists_all_near_pairs() -> None:
     assert near <= found
 
 
-def test_crossed_sheets_come_apart() -> None:
+def test_crossed_sheets_separate() -> None:
     """Shortening the intersection contour pulls a corner back out of the sheet that it pierces."""
     sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))
     corner_first = np.array([[0.1, 0.1], [0.7, -0.7], [0.7, 0.7]])

@@ -88,7 +88,7 @@ def test_three_sheets_sewn_along_one_edge_follow_their_energy(fabric: Fabric) ->
     assert np.linalg.norm(force_on(model, x) + gradient) < 2e-3 * np.linalg.norm(gradient)
 
 
-def test_edges_between_keepers_are_taped() -> None:
+def test_edges_between_held_vertices_are_taped() -> None:
     """Taped edges are ten times as stiff."""
     plain = patch(4, 4)
     top = np.arange(20, 25)

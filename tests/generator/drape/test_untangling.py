@@ -62,7 +62,7 @@ def test_a_garment_gets_the_same_bytes_alone_and_in_a_batch() -> None:
         assert x.tobytes() == alone.tobytes()
 
 
-def test_more_crossings_than_before_are_never_kept() -> None:
+def test_untangling_never_adds_crossings() -> None:
     solver = solver_of(pierced())
     before = solver.self_crossings()[0]
     for steps in (1, 2, 5):
@@ -71,7 +71,7 @@ def test_more_crossings_than_before_are_never_kept() -> None:
         assert solver.self_crossings()[0] <= before
 
 
-def test_pushes_of_crossings_add_up_to_nothing() -> None:
+def test_pushes_of_crossings_sum_to_zero() -> None:
     """Edge and face get opposite forces."""
     solver = solver_of(pierced())
     m, s = solver.model, solver.state

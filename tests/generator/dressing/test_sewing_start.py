@@ -93,7 +93,7 @@ def test_a_wide_bodice_without_sleeves_starts_between_the_arms() -> None:
     assert start[bodice, 1:] == pytest.approx(mesh.vertices[bodice, 1:])
 
 
-def test_a_skirt_of_many_levels_comes_to_rest_untangled() -> None:
+def test_a_skirt_of_many_levels_settles_nearly_without_crossings() -> None:
     """Up to five edges still cross: the mesh is as coarse as its folds."""
     worn = wear(LEVELS, spacing=3.5)
     assert worn.drape.self_crossings <= 5
@@ -102,7 +102,7 @@ def test_a_skirt_of_many_levels_comes_to_rest_untangled() -> None:
 
 
 @pytest.mark.parametrize("degrees", [-20.0, 25.0])
-def test_a_sleeve_starts_round_an_arm_that_is_held_otherwise(degrees: float) -> None:
+def test_a_sleeve_starts_round_an_arm_in_another_pose(degrees: float) -> None:
     """The sleeve is cut for the A-pose; the body holds its arms lower or higher."""
     design = OutfitDesign(
         meta=MetaDesign(upper=Upper.SHIRT), sleeve=SleeveDesign(sleeveless=False, length=0.8, end_width=0.6)

@@ -99,7 +99,7 @@ def test_sewn_edges_face_each_other(woman: Measurements, design: OutfitDesign) -
         assert abs(left[1] - right[1]) < 25.0
 
 
-def test_panels_hang_where_they_are_worn(woman: Measurements, design: OutfitDesign) -> None:
+def test_panels_are_placed_on_their_side_of_the_body(woman: Measurements, design: OutfitDesign) -> None:
     pattern = outfit(woman, design)
     for panel in pattern.panels:
         x, _, z = panel.placement.apply(panel.vertices).mean(axis=0)
@@ -141,7 +141,7 @@ def test_the_same_design_gives_the_same_bytes(woman: Measurements, design: Outfi
     assert first == second
 
 
-def test_a_design_comes_back_from_its_file(design: OutfitDesign) -> None:
+def test_a_design_survives_its_file(design: OutfitDesign) -> None:
     assert design_from_dict(json.loads(json.dumps(design_to_dict(design)))) == design
 
 
@@ -160,7 +160,7 @@ def test_labels_that_a_drape_needs_are_present(wearer: Measurements, design: Out
     assert ("leg" in parts.values()) == (design.meta.bottom is not None)
 
 
-def test_nearly_all_random_designs_can_be_worn(wearer: Measurements) -> None:
+def test_at_most_a_tenth_of_random_designs_is_rejected(wearer: Measurements) -> None:
     """Designs are sampled for their wearer, who may be a doll or a giant."""
     drawn = [sample_design(np.random.default_rng(seed), [wearer]) for seed in range(30)]
     assert sum(isinstance(try_on(wearer, design), Reject) for design in drawn) <= 3

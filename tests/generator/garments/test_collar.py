@@ -93,7 +93,7 @@ def test_the_whole_neckline_is_sewn_to_the_collar(woman: Measurements, style: st
 
 @STYLES
 @STANDING
-def test_the_ends_that_meet_in_a_seam_keep_their_order(woman: Measurements, style: str, standing: bool) -> None:
+def test_seams_join_matching_ends(woman: Measurements, style: str, standing: bool) -> None:
     # Shoulder meets shoulder and centre meets centre: sewing merges no two corners of one panel.
     pattern = top(woman, style, lapel_standing=standing)
     corner: dict[tuple[str, int], tuple[str, int]] = {}

@@ -153,7 +153,7 @@ def test_a_square_neckline_goes_straight_down_and_across() -> None:
     assert (down.chord, across.chord) == ((0.0, -12.0), (9.0, 0.0))
 
 
-def test_widths(wearer: Measurements) -> None:
+def test_neckline_widths_run_from_half_the_neck_to_the_shoulders(wearer: Measurements) -> None:
     widths = [neckline_width(wearer, NecklineDesign(width=width)) for width in (-0.5, -0.25, 0.0, 0.5, 1.0)]
     assert widths[0] == pytest.approx(0.5 * wearer.neck_w)
     assert widths[2] == pytest.approx(wearer.neck_w)
@@ -179,7 +179,7 @@ def test_the_deepest_necklines_leave_a_centimetre_of_centre(wearer: Measurements
     )
 
 
-def test_a_neckline_wider_than_the_shirt(woman: Measurements) -> None:
+def test_a_neckline_too_wide_for_the_shirt_is_an_error(woman: Measurements) -> None:
     with pytest.raises(PatternError, match=r"a neckline of .* cm is wider than the shirt: narrow collar\.width"):
         half_neckline(woman, NecklineDesign(width=1.0, bc_depth=0.0), front=False, shoulder=12.0, room=40.0)
 

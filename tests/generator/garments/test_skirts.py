@@ -107,7 +107,7 @@ def test_a_waist_over_the_hips_needs_no_darts(woman: Measurements) -> None:
 
 
 @pytest.mark.parametrize("flare", [0.7, 1.0, 1.4])
-def test_the_flare_of_a_pencil_skirt_is_that_of_its_hem(woman: Measurements, flare: float) -> None:
+def test_flare_scales_the_hem_of_a_pencil_skirt(woman: Measurements, flare: float) -> None:
     pattern = skirt(woman, Bottom.PENCIL, {"pencil-skirt": {"flare": flare, "length": 0.6}})
     assert lengths(pattern, "bottom") == pytest.approx(flare * woman.hips)
     assert not errors(pattern)
@@ -328,7 +328,7 @@ def test_a_skirt_has_the_length_of_its_record(woman: Measurements, kind: Bottom)
 
 @pytest.mark.parametrize("body", ["default_body", "random_body"])
 @pytest.mark.parametrize("example", SKIRTS + DRESSES)
-def test_skirts_are_those_of_the_reference(examples: Path, example: str, body: str) -> None:
+def test_skirts_equal_the_references(examples: Path, example: str, body: str) -> None:
     folder = examples / "patterns" / example / body
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
     reference = read_pattern(next(folder.glob("*_specification.json")))
@@ -342,7 +342,7 @@ def test_skirts_are_those_of_the_reference(examples: Path, example: str, body: s
         assert found.placement[name] < PLACED
 
 
-def test_a_flared_pencil_skirt_is_that_of_the_reference(examples: Path) -> None:
+def test_a_flared_pencil_skirt_equals_the_references(examples: Path) -> None:
     reference = read_pattern(examples / "patterns" / "dress_pencil_specification.json")
     size = read_measurements(examples / "patterns" / "pencil_skirt" / "default_body" / "body_measurements.yaml")
     design = PencilSkirtDesign(length=0.5, flare=0.9, left_slit=0.4, right_slit=0.4)

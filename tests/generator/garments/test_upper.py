@@ -76,7 +76,7 @@ def seams(pattern: Pattern, panels: set[str]) -> set[frozenset[tuple[str, int]]]
 
 @pytest.mark.parametrize("body", ["default_body", "random_body"])
 @pytest.mark.parametrize("top", TOPS)
-def test_tops_are_those_of_the_reference(examples: Path, top: str, body: str) -> None:
+def test_tops_equal_the_references(examples: Path, top: str, body: str) -> None:
     folder = examples / "patterns" / top / body
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
     assert design.meta.upper is not None
@@ -94,7 +94,7 @@ def test_tops_are_those_of_the_reference(examples: Path, top: str, body: str) ->
 
 
 @pytest.mark.parametrize("top", TOPS)
-def test_labels_are_those_of_the_reference(examples: Path, top: str) -> None:
+def test_labels_include_the_references(examples: Path, top: str) -> None:
     folder = examples / "patterns" / top / "default_body"
     size, design = read_measurements(folder / "body_measurements.yaml"), read_design(folder / "design_params.yaml")
     ours, reference = outfit(size, design), read_pattern(folder / f"{top}_specification.json")
@@ -243,7 +243,7 @@ def test_only_fitted_shirts_are_strapless(woman: Measurements) -> None:
     assert plain == asked
 
 
-def test_halves_that_are_alike_are_mirror_images(wearer: Measurements) -> None:
+def test_halves_of_one_design_are_mirror_images(wearer: Measurements) -> None:
     for meta in (SHIRT, FITTED):
         pattern = outfit(wearer, design_from_dict({"meta": meta, "sleeve": {"sleeveless": False}}))
         for name in (panel.name for panel in pattern.panels if panel.name.startswith("right")):

@@ -94,7 +94,7 @@ def test_a_design_that_sews_a_bottom_to_a_cape_is_rejected(woman: Measurements) 
 
 
 @pytest.mark.parametrize("upper", OWN)
-def test_designs_of_capes_and_ponchos_come_back_from_design_files(tmp_path: Path, upper: Upper) -> None:
+def test_designs_of_capes_and_ponchos_survive_design_files(tmp_path: Path, upper: Upper) -> None:
     design = design_from_dict({"meta": {"upper": upper.value}, upper.garment.section: {"length": 1.3}})
     write_design(design, tmp_path / "design.yaml")
     assert read_design(tmp_path / "design.yaml") == design

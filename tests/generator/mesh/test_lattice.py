@@ -40,7 +40,7 @@ def test_filled_triangles_hold_no_other_point_in_their_circles(seed: int) -> Non
     assert not filled.intersects(shapely.LinearRing(border))
 
 
-def test_covers_is_true_in_filled_triangles_alone() -> None:
+def test_covers_is_true_only_in_filled_triangles() -> None:
     """At random points in and around the panel, and at the centre of each filled triangle."""
     lattice = build_lattice(loop(star(3), SPACING), SPACING)
     filled = shapely.union_all(shapely.polygons(lattice.points[lattice.faces])).buffer(1e-9)

@@ -59,19 +59,19 @@ def both(request: pytest.FixtureRequest, examples: Path) -> tuple[BoxMesh, Any]:
     return build_box_mesh(pattern), np.load(examples / "meshes" / f"{request.param}.npz")
 
 
-def test_panels_stand_in_the_reference_order(both: tuple[BoxMesh, Any]) -> None:
+def test_panels_have_the_reference_order(both: tuple[BoxMesh, Any]) -> None:
     ours, reference = both
     assert ours.panel_names == tuple(reference["panel_names"])
     assert ours.panel_labels == tuple(reference["panel_labels"])
 
 
-def test_there_are_as_many_vertices_and_no_more_faces(both: tuple[BoxMesh, Any]) -> None:
+def test_numbers_of_vertices_and_faces_agree(both: tuple[BoxMesh, Any]) -> None:
     ours, reference = both
     assert len(ours.vertices) == pytest.approx(len(reference["vertices"]), rel=0.01)
     assert len(ours.faces) == pytest.approx(len(reference["faces"]), rel=0.015)
 
 
-def test_panels_have_the_same_area_and_side_out(both: tuple[BoxMesh, Any]) -> None:
+def test_panels_have_the_same_area_and_face_the_same_way(both: tuple[BoxMesh, Any]) -> None:
     """Sides are compared by normals in space: a panel may be drawn from behind, so signed flat areas can differ."""
     ours, reference = both
     ours_flat = np.bincount(ours.panel_id, np.abs(areas(ours.uv, ours.corners)))

@@ -73,7 +73,7 @@ def test_a_seam_of_right_to_wrong_turns_the_smaller_panel_over() -> None:
     assert np.bincount(mesh.panel_id, signed(mesh)) == pytest.approx([-50.0, 100.0])
 
 
-def test_right_sides_that_meet_turn_nothing_over() -> None:
+def test_seams_of_right_sides_turn_no_panel_over() -> None:
     pattern = tube()
     assert turned_panels(pattern, build_box_mesh(pattern, spacing=2.0)) == ()
 

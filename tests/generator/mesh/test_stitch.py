@@ -50,7 +50,7 @@ def test_a_vertex_is_the_mean_of_its_points() -> None:
     assert mean_positions(positions, points(0, 0, 0, 1)) == pytest.approx(np.array([(2, 1, 3), (7, 7, 7)]))
 
 
-def test_a_pattern_without_seams_stays_as_it_is() -> None:
+def test_a_pattern_without_seams_merges_no_points() -> None:
     assert merge_points(stitch_points((), []), np.zeros(4, int), ()).tolist() == [0, 1, 2, 3]
 
 

@@ -29,7 +29,7 @@ def test_one_edge_against_two() -> None:
     assert right == [[], []]
 
 
-def test_breaks_closer_than_a_hundredth_are_one() -> None:
+def test_breaks_closer_than_a_hundredth_are_merged() -> None:
     left, right = shared_breaks([50.0, 50.0], [50.4, 30.0, 19.6])
     assert left == [[], [pytest.approx((0.804 - 0.5) / 0.5)]]
     assert right == [[], [], []]
