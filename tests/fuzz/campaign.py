@@ -55,7 +55,7 @@ def documents() -> tuple[str, ...]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Try all readers, or those named, and print a table. Exit 1 for any fault."""
+    """Try the named readers (default: all), and print a table. Exit status 1 for any fault."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz.campaign", description=__doc__)
     parser.add_argument("readers", nargs="*", metavar="READER", help=f"default: all of {', '.join(READERS)}")
     parser.add_argument("--examples", type=int, default=200, help="inputs for each reader (default: 200)")

@@ -149,7 +149,7 @@ def _sample(_: Path, field: str) -> Reader:
 
 
 def _sealed_again(data: bytes) -> bytes:
-    """An edited meta.json with a valid seal; otherwise the seal check would hide all others."""
+    """An edited meta.json with a valid seal, so that the checks after the seal are tried."""
     head, comma, _ = data.rpartition(b',"crc32_before":')
     return head + comma + b"%d}" % zlib.crc32(head) if comma else data
 

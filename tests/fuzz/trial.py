@@ -77,7 +77,7 @@ def try_all(read: Callable[[bytes], Any], inputs: Iterable[bytes], *, expected: 
 def _by_child(
     read: Callable[[bytes], Any], inputs: list[bytes], first: int, expected: object
 ) -> Iterator[tuple[int, Verdict, str]]:
-    """The verdicts on the inputs from ``first`` up to one at which the child dies."""
+    """The verdicts on the inputs from ``first`` to the last, or to the input that kills the child."""
     ours, theirs = get_context("fork").Pipe(duplex=False)
     child = os.fork()
     if not child:

@@ -25,7 +25,7 @@ MESHED = MakeConfig(stage="mesh", resolution=8.0, points=16, bodies="both")
 DRAPED = MakeConfig(resolution=10.0, points=16, picture=16, device="cpu", on_fail="keep")
 
 
-def test_workers_make_the_samples_of_one_process() -> None:
+def test_workers_and_a_single_process_make_the_same_samples() -> None:
     alone = list(produce(5, range(7), MESHED))
     assert list(produce(5, range(7), MESHED, workers=3)) == alone
 

@@ -181,7 +181,7 @@ def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 @pytest.mark.parametrize(("patience", "total"), [(None, 30.0), (0.0, 0.0), (7.0, 7.0), (600.0, 600.0)])
-def test_patience_is_the_time_waited(
+def test_patience_limits_the_total_wait(
     hub: Hub, commit: str, tmp_path: Path, slept: list[float], patience: Any, total: float
 ) -> None:
     ds = opened(hub, tmp_path, fields=["body"], patience=patience)

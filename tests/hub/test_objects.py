@@ -225,7 +225,7 @@ def test_options_of_the_hub_are_refused(tmp_path: Path, options: dict[str, Any])
     assert "secret" not in str(caught.value)
 
 
-def test_verbs_take_the_url(
+def test_commands_accept_the_url(
     published: str, here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -291,7 +291,7 @@ def test_removed_objects_are_written_again(s3: Store, here: Path, tmp_path: Path
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_a_finished_set_grows(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_a_finished_data_set_is_extended(s3: Store, here: Path, tmp_path: Path) -> None:
     url = s3.put("s3://bucket/grows", here)
     assert make(url, COUNT + 5, spool=tmp_path) == 5
     make(tmp_path / "folder", COUNT + 5)
@@ -321,7 +321,7 @@ def test_a_killed_run_continues(s3: Store, here: Path, tmp_path: Path) -> None:
     assert hashes(s3.objects(url)) == hashes(files_of(here))
 
 
-def test_one_writer_at_a_time(s3: Store, here: Path, tmp_path: Path) -> None:
+def test_a_second_writer_is_refused(s3: Store, here: Path, tmp_path: Path) -> None:
     url = "s3://bucket/writers"
 
     def second(progress: Progress) -> None:

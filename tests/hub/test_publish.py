@@ -115,7 +115,7 @@ def test_staged_garments_equal_the_originals(both: Path, staged: Staged) -> None
     assert staged.files.keys() == read_folder(staged.folder).keys()
 
 
-def test_the_card_names_every_split(staged: Staged) -> None:
+def test_the_card_lists_every_split(staged: Staged) -> None:
     text = (staged.folder / "README.md").read_text()
     facts = yaml.safe_load(text.split("---")[1])
     assert (facts["license"], facts["size_categories"]) == ("cc-by-4.0", ["n<1K"])

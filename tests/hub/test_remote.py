@@ -71,7 +71,7 @@ def test_neighbouring_members_take_one_request(hub: Hub, commit: str, tmp_path: 
     assert len(hub.asked(r"resolve/.*tar")) == 1
 
 
-def test_a_batch_is_requested_in_parallel(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
+def test_a_batch_takes_one_request_per_shard(hub: Hub, commit: str, folder: Path, tmp_path: Path) -> None:
     ds = opened(hub, tmp_path, fields=["verts"])
     (batch,) = DataLoader(ds[:], batch_size=COUNT, collate_fn=collate_packed)
     answered = [request for request in hub.asked(SHARDS) if request.status == 206]

@@ -48,7 +48,7 @@ def test_every_member_equals_the_shards_byte_for_byte(folder: Path, file: Path) 
         one.check(position)
 
 
-def test_items_equal_those_of_the_shards(folder: Path, file: Path) -> None:
+def test_items_equal_the_items_of_the_shards(folder: Path, file: Path) -> None:
     shards, one = GarmentDataset(folder), Hdf5Garments(file)
     assert len(one) == len(shards)
     for before, after in zip(shards, one, strict=True):

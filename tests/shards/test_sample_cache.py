@@ -60,7 +60,7 @@ def test_the_last_sample_of_a_shard_triggers_its_writing(tmp_path: Path) -> None
     assert set(samples.read(2, ("box.npy",)) or ()) >= {"box.npy"}
 
 
-def test_the_folder_equals_that_of_a_writer(tmp_path: Path) -> None:
+def test_the_folder_equals_a_writers_folder(tmp_path: Path) -> None:
     keep(tmp_path / "kept", [7, 1, 5, 3, 9, 0, 2, 8, 6, 4])
     written = fill(tmp_path / "written", range(10))
     assert content(tmp_path / "kept") == content(written)

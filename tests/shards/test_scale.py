@@ -61,7 +61,7 @@ def test_an_index_is_read_in_less_than_three_times_its_size() -> None:
     peak = tracemalloc.get_traced_memory()[1] - before
     tracemalloc.stop()
     assert len(index) == 50_000
-    assert peak < 2 * len(content)  # beside the content itself
+    assert peak < 2 * len(content)  # in addition to the content
 
 
 def test_shards_beyond_the_five_digits_of_their_names_stay_in_order() -> None:

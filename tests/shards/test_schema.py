@@ -1,4 +1,4 @@
-"""Data sets of an earlier schema are read; those of a later one are refused."""
+"""Data sets of an earlier schema are read; data sets of a later schema are refused."""
 
 import io
 import json
@@ -182,7 +182,7 @@ def test_both_schemas_in_one_split_are_reported(first: Path) -> None:
         rebuild_index(folder)
 
 
-def test_specifications_of_schema_1_are_patterns(first: Path) -> None:
+def test_specifications_of_schema_1_are_decoded_without_loss(first: Path) -> None:
     reader = ShardReader(first / "patterns")
     for position, sample in enumerate(stored_members(first / "patterns")):
         assert spec_from_pattern(reader.sample(position).pattern) == json.loads(sample["spec.json"])

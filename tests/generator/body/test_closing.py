@@ -74,7 +74,7 @@ def test_faces_of_any_winding_are_turned_outward(damage: str) -> None:
     assert not len(skin.hole_widths)
 
 
-def test_skins_that_touch_are_not_joined_for_a_hole_elsewhere() -> None:
+def test_closing_a_hole_does_not_join_touching_skins() -> None:
     """Two boxes that touch along an edge, each with its own vertices there; a triangle is missing on the far side."""
     one = trimesh.creation.box((10.0, 10.0, 10.0)).subdivide()
     two = one.copy().apply_translation([10.0, 10.0, 0.0])

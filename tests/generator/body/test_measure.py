@@ -110,7 +110,7 @@ def test_overlapping_thighs_have_a_girth() -> None:
 
 @pytest.mark.parametrize(("shape", "name"), [(neutral_shape, "all"), (female_shape, "female"), (male_shape, "male")])
 def test_our_means_have_the_published_measures(shape: type, name: str, examples: Path) -> None:
-    """The body model was calibrated to them; remaining errors are the model's."""
+    """The body model was calibrated to these measures; remaining errors are the model's."""
     ours = measure(build_body(shape())).to_file_values()
     theirs = read_measurements(examples / "bodies" / f"mean_{name}.yaml").to_file_values()
     miss = {key: abs(ours[key] - theirs[key]) for key in MEASURES}

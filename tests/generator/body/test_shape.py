@@ -32,7 +32,7 @@ def feet_distance(body: Body) -> float:
     return float(feet[feet[:, 0] > 0, 0].mean() - feet[feet[:, 0] < 0, 0].mean())
 
 
-def test_the_asset_is_small_and_has_its_checksum() -> None:
+def test_the_body_asset_is_small_and_matches_its_checksum() -> None:
     folder = files("gcd_dataset.generator") / "data"
     content = (folder / "body.npz").read_bytes()
     assert len(content) < 2e6

@@ -268,7 +268,7 @@ def test_the_first_count_of_crossings_is_the_first_minimum() -> None:
     assert 0 < solver.state.crossing.least.numpy()[0] <= 2 * found
 
 
-def test_a_hand_is_its_convex_hull() -> None:
+def test_cloth_collides_with_the_convex_hull_of_a_hand() -> None:
     """A point between two fingers is therefore inside."""
     body = build_body(neutral_shape())
     field = body_field(body, "cpu")

@@ -116,4 +116,4 @@ def test_closing_the_iterator_stops_running_drapes(monkeypatch: pytest.MonkeyPat
     closed = time.perf_counter()
     drapes.close()
     assert threading.active_count() == before
-    assert sum(moment > closed for moment in frames) <= 2  # one for each thread
+    assert sum(moment > closed for moment in frames) <= 2  # one frame for each thread

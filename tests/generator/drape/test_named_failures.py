@@ -145,7 +145,7 @@ def assert_hem_is_free(worn: Worn, hem: np.ndarray) -> None:
 
 @pytest.mark.parametrize("kind", BOTTOMS)
 def test_a_garment_cut_too_wide_slides_off_early(kind: str) -> None:
-    """Well cut it stays up; cut for 1.5 times the girths it slides off, within a quarter of the frames."""
+    """A garment of the right size stays up; cut for 1.5 times the girths, it slides off in a quarter of the frames."""
     _, size = neutral()
     fits, slides = wear(BOTTOMS[kind]), wear(BOTTOMS[kind], cut_for=stouter(size, 1.5))
     assert fits.drape.outcome is Outcome.SETTLED

@@ -20,7 +20,7 @@ CONFIG = DrapeConfig(untangling_steps=60)
 
 
 def pierced() -> DrapeJob:
-    """A sheet with the corner of another through it."""
+    """A sheet that the corner of another sheet pierces."""
     sheet = patch(12, 12, origin=(-6.0, 94.0, 0.0))
     return DrapeJob(joined(sheet, patch(6, 6, place=CORNER_FIRST, origin=(0.0, 100.0, -1.7))), far_ball(), SIZE)
 

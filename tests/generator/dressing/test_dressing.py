@@ -160,7 +160,7 @@ def test_trousers_are_recognised_by_their_openings(examples: Path) -> None:
 
 
 def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> None:
-    """``has_legs`` recognises them only after their panels have been placed."""
+    """``has_legs`` recognises such trousers only after their panels have been placed."""
     lying = bared(pattern_of(examples, "pants_cuff"), placed=False)
     names = {panel.name: f"piece_{number}" for number, panel in enumerate(lying.panels)}
     panels = tuple(replace(panel, name=names[panel.name]) for panel in lying.panels)
@@ -180,7 +180,7 @@ def test_trousers_from_a_lay_plan_are_draped_on_legs_apart(examples: Path) -> No
 
 
 def test_a_skirt_with_panels_centred_about_a_seam_is_placed(wearer: tuple[Body, Measurements]) -> None:
-    """Its outer panels are taken for sleeves whose direction is the zero vector."""
+    """The outer panels of the skirt are taken for sleeves with the zero vector as direction."""
     section = {"suns": 0.5, "length": 0.5, "skirt-many-panels": {"n_panels": 13}}
     design = design_from_dict({"meta": {"upper": None, "bottom": "SkirtManyPanels"}, "flare-skirt": section})
     skirt = bared(outfit(wearer[1], design), placed=False)

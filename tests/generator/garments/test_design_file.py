@@ -31,7 +31,7 @@ def test_the_default_file_equals_the_references_leaf_by_leaf(examples: Path, tmp
     write_design(OutfitDesign(), tmp_path / "ours.yaml")
     ours, theirs = leaves_in(tmp_path / "ours.yaml"), leaves_in(examples / "default.yaml")
     assert list(ours) == list(theirs)
-    cut = "pencil-skirt.style_side_cut"  # its range lacks null, which the reference's sampler adds
+    cut = "pencil-skirt.style_side_cut"  # the reference's range lacks null, which its sampler adds
     assert ours[cut] == {**theirs[cut], "range": [*theirs[cut]["range"], None]}
     for path in theirs.keys() - {cut}:
         assert ours[path] == theirs[path], path

@@ -217,7 +217,7 @@ def test_necklines_of_the_reference(examples: Path, example: str, body: str) -> 
 
 
 def neck(panel: Panel) -> Float[np.ndarray, "n 2"]:
-    """Points along the neckline of a panel, from its first one."""
+    """Points along the neckline of a panel, relative to the first point."""
     edges = [i for i, edge in enumerate(panel.edges) if edge.label.endswith("_collar")]
     flat = np.concatenate([sample_curve(*panel.edge_ends(i), panel.edges[i].curve, 20) for i in edges])
     return flat - flat[0]

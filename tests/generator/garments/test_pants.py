@@ -145,7 +145,7 @@ def test_the_left_leg_is_the_mirror_image_of_the_right(woman: Measurements) -> N
 
 
 @pytest.mark.parametrize("cuff_len", [0.05, 0.3, 0.9])
-def test_a_cuff_comes_off_the_leg_and_leaves_a_fifth(cuff_len: float, woman: Measurements) -> None:
+def test_a_cuff_shortens_the_leg_to_no_less_than_a_fifth(cuff_len: float, woman: Measurements) -> None:
     design = PantsDesign(length=0.7, cuff=PantsCuffDesign(type=Cuff.BAND, cuff_len=cuff_len))
     drawn = pants(woman, design, rise=1.0)
     leg = drawn.piece("pant_f_r").outline.length("outside")

@@ -195,7 +195,7 @@ def test_both_halves_of_an_asymmetric_circle_make_a_disk_with_a_hole(wearer: Mea
     (hem,) = (edge.curve for edge in front.edges if edge.name == "bottom")
     assert isinstance(hem, Arc)
     (low,) = {round(float(y), 9) for _, y in front.vertices}
-    drop = radius - sqrt(radius**2 - (hole + sides.pop()) ** 2)  # of a flat arc, from its ends to its middle
+    drop = radius - sqrt(radius**2 - (hole + sides.pop()) ** 2)  # depth of the hem's arc
     assert low == 0.0
     assert drop == pytest.approx(hole + 0.4 * whole)
 

@@ -45,7 +45,7 @@ def test_garments_have_distinct_names_and_sections_distinct_classes() -> None:
 # ------------------------------------------------------------------------------------------ garments beyond GarmentCode
 
 
-def test_there_are_a_cape_and_a_poncho() -> None:
+def test_capes_and_ponchos_are_the_garments_beyond_garmentcode() -> None:
     assert [upper.value for upper in OWN] == ["Cape", "Poncho"]
 
 

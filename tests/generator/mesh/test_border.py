@@ -11,7 +11,7 @@ from tests.generator.mesh.shapes import panel, rectangle, seam, sewn
 
 
 def test_edges_get_points_at_most_a_spacing_apart() -> None:
-    """An edge of 10 cm has 11 points at 1 cm, one of 10.01 cm has 12."""
+    """At a spacing of 1 cm an edge of 10 cm has 11 points, an edge of 10.01 cm has 12."""
     counts = edge_counts(sewn(panel("a", rectangle(10.0, 10.01))), 1.0)
     assert [counts[EdgeRef("a", edge)] for edge in range(4)] == [11, 12, 11, 12]
 

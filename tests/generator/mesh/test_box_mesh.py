@@ -126,7 +126,7 @@ def test_faces_have_consistent_winding_across_seams() -> None:
 
 
 def test_a_dart_closes() -> None:
-    """Its mouth becomes one vertex, and its legs leave the rim."""
+    """The mouth of the dart becomes one vertex, and its legs are no longer on the rim."""
     mesh = build_box_mesh(darted())
     legs = 10  # √(2² + 9²) = 9.2 cm
     assert mesh.n_seam_vertices == legs + 1
@@ -149,7 +149,7 @@ def test_a_cone_is_a_disc() -> None:
     mesh = build_box_mesh(cone(150.0))
     assert euler_characteristic(mesh) == 1
     _, faces_of_edge = undirected_edges(mesh.faces)
-    assert (faces_of_edge == 1).sum() == 39  # its hem: 40 · sin 75° = 38.6 cm
+    assert (faces_of_edge == 1).sum() == 39  # the hem: 40 · sin 75° = 38.6 cm
 
 
 def test_a_cone_without_a_face_at_its_tip_is_an_error() -> None:

@@ -60,7 +60,7 @@ def test_coarse_vertices_interpolate_linear_functions_exactly(pattern: Pattern) 
 
 
 def _beside_a_dart(coarse: CoarseMesh, own: np.ndarray) -> np.ndarray:
-    """Flags of the vertices interpolated from vertices with two ``uv`` positions, such as those of a dart's legs."""
+    """Flags of the vertices interpolated from vertices with two ``uv`` positions, as on the legs of a dart."""
     rows = np.bincount(coarse.mesh.uv_vertex, minlength=len(coarse.mesh.vertices))
     return (rows[coarse.corners[own]] > 1).any(axis=1)
 

@@ -9,7 +9,7 @@ from gcd_dataset.generator.mesh.flips import restore_segments
 from tests.generator.mesh.shapes import areas, directed_edges, undirected_edges
 
 SLIT = np.array([(0, 0), (6, 0), (6, 2), (2, 2.1), (6, 2.2), (6, 4), (0, 4)], float)
-"""A long slit, 0.2 cm wide: unconstrained, its sides are not edges, since the points across are nearer."""
+"""A slit 0.2 cm wide. Its sides are not edges of the Delaunay triangulation: the points across are nearer."""
 
 
 def triangles(points: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ MESHES = {
 @pytest.mark.parametrize("body", ["default_body", "random_body"])
 @pytest.mark.parametrize("name", DESIGNS)
 def test_every_design_has_a_sound_mesh(examples: Path, name: str, body: str, spacing: float) -> None:
-    """Manifold; no sliver unless the outline forces it, no long edge, no vertex without a face."""
+    """Manifold, without long edges and unused vertices; only the outline may force slivers."""
     pattern = read_pattern(examples / "patterns" / name / body / f"{name}_specification.json")
     mesh = build_box_mesh(pattern, spacing=spacing)
     _, faces_of_edge = undirected_edges(mesh.faces)
@@ -90,7 +90,7 @@ def facing(vertices: np.ndarray, faces: np.ndarray, panel: np.ndarray) -> np.nda
 
 
 def test_seams_run_through_the_same_points(both: tuple[BoxMesh, Any]) -> None:
-    """Except where several seams meet: the reference takes a running mean there, this package the mean."""
+    """Except where several seams meet: there the reference uses a running mean, this package the mean."""
     ours, reference = both
     count = int(reference["n_stitch_vertices"])
     assert ours.n_seam_vertices == count

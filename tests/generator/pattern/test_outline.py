@@ -15,7 +15,7 @@ def test_edges_by_name() -> None:
     assert rectangle().closed
 
 
-def test_an_unknown_name_gives_the_known_ones() -> None:
+def test_the_error_of_an_unknown_edge_lists_the_known_edges() -> None:
     with pytest.raises(PatternError, match="no edge named sleeve: there are hem, side, centre"):
         rectangle().edge("sleeve")
 
