@@ -175,7 +175,7 @@ def test_a_node_whose_gpu_fails_is_dropped(
     cluster: Any, node: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = ray_actor.start_actor
-    monkeypatch.setattr(ray_actor, "start_actor", lambda device, gpus: started("cpu", gpus=gpus))  # no GPU is used
+    monkeypatch.setattr(ray_actor, "start_actor", lambda device, gpus: started("cpu", gpus=gpus))  # on CPUs
     nodes = [node(num_gpus=1), node(num_gpus=1)]
     made: list[Sample] = []
     with ray_engine.ray_cluster(replace(DRAPED, device="auto")) as connected:

@@ -264,7 +264,7 @@ def test_an_endpoint_unsupported_by_an_old_client_is_reported(
         upload(staged, "org/new-set", endpoint=f"{hub.endpoint}0", token=hub.token)
 
 
-@pytest.mark.skipif(huggingface_hub.__version__.startswith(("0.", "1.0.")), reason="the client does not repeat")
+@pytest.mark.skipif(huggingface_hub.__version__.startswith(("0.", "1.0.")), reason="this client never retries")
 def test_a_failed_request_to_the_hub_is_repeated(hub: Hub, staged: Staged) -> None:
     hub.faults = [Fault("/put/", method="PUT", status=500, times=1)]
     assert upload(staged, "org/new-set", endpoint=hub.endpoint, token=hub.token)  # the second attempt succeeds

@@ -54,7 +54,7 @@ def test_the_published_means_have_the_published_measures(name: str, examples: Pa
     result, remarks = measure_file(path)
     assert not too_far(result.measurements, read_measurements(path.with_suffix(".yaml")))
     assert "metres" in remarks[0]
-    assert set(result.at_border) == {"bust", "waist", "hips"}  # of the search range, as in the published values
+    assert set(result.at_border) == {"bust", "waist", "hips"}  # ends of the search range, as when published
 
 
 @pytest.mark.parametrize("index", [3, 8])
