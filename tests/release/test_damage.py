@@ -73,7 +73,7 @@ def as_gif(content: bytes) -> bytes:
 
 
 def doubling(name: str, times: int) -> bytes:
-    """A small file of 2^times values."""
+    """A small YAML file with aliases that expand to 2**times values."""
     lines = [f"l{i + 1}: &l{i + 1} [*l{i}, *l{i}]" for i in range(times)]
     return "\n".join(["l0: &l0 [1]", *lines, f"{name}: {{a: *l{times}}}"]).encode()
 
@@ -162,9 +162,9 @@ def test_the_nearest_split_and_bodies_are_suggested(folders: Path) -> None:
         PublishedGarmentCodeData(folders, bodies="defualt")
 
 
-@pytest.mark.skipif(not EXAMPLES.exists(), reason="takes the published examples")
+@pytest.mark.skipif(not EXAMPLES.exists(), reason="the published examples are not beside this checkout")
 def test_mutated_published_garments_are_reported_or_read(tmp_path: Path) -> None:
-    """Every file of a garment by the authors, byte by byte."""
+    """Each file of a garment from the published release, with two bytes changed."""
     root = tmp_path / "root"
     source = next(path for path in EXAMPLES.glob("*/default_body/data/*") if path.is_dir())
     place = root / source.relative_to(EXAMPLES)
@@ -186,7 +186,7 @@ def test_mutated_published_garments_are_reported_or_read(tmp_path: Path) -> None
         path.write_bytes(whole)
 
 
-def test_an_edge_of_no_flat_length_has_no_stretch(folders: Path) -> None:
+def test_an_edge_of_zero_flat_length_has_no_stretch(folders: Path) -> None:
     sample = PublishedGarmentCodeData(folders, bodies="default").sample(0)
     assert sample.box_mesh is not None
     assert sample.drape is not None

@@ -34,7 +34,7 @@ def shard(tmp_path: Path) -> Path:
     return fill(tmp_path, range(3)) / "train-00000.tar"
 
 
-def test_python_reads_it(shard: Path) -> None:
+def test_tarfile_reads_a_shard(shard: Path) -> None:
     with tarfile.open(shard) as archive:
         members = archive.getmembers()
         assert [m.name for m in members] == [f"gcd_{i:09d}.{member}" for i in range(3) for member in MEMBERS]
@@ -47,7 +47,7 @@ def test_python_reads_it(shard: Path) -> None:
 
 # webdataset 1.0.2 leaves the files that it opens to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore:unclosed file:ResourceWarning")
-def test_webdataset_reads_and_decodes_it(shard: Path) -> None:
+def test_webdataset_reads_and_decodes_a_shard(shard: Path) -> None:
     samples = list(wds.WebDataset(str(shard), shardshuffle=False).decode("pil"))
     assert [sample["__key__"] for sample in samples] == [f"gcd_{i:09d}" for i in range(3)]
     for index, sample in enumerate(samples):
@@ -71,7 +71,7 @@ with open(sys.argv[1], "rb") as stream:
 """
 
 
-def test_webdataset_reads_it_with_its_security_on(shard: Path) -> None:
+def test_webdataset_reads_a_shard_in_secure_mode(shard: Path) -> None:
     run = subprocess.run(
         [sys.executable, "-c", SECURE, str(shard)],
         env={**os.environ, "WDS_SECURE": "1"},
@@ -143,7 +143,7 @@ def loaded(shard: Path, cache: Path, streaming: bool) -> list[Any]:
 
 @pytest.mark.parametrize("streaming", [False, True])
 def test_datasets_reads_real_garments_of_every_kind(tmp_path: Path, streaming: bool) -> None:
-    """It infers types from the first five."""
+    """``datasets`` infers types from the first five samples."""
     samples = barest_first()
     entries = [
         tar_entry(f"{sample.key}.{member}", data)
@@ -234,7 +234,7 @@ def test_a_zeroed_header_is_not_taken_for_the_end(tmp_path: Path) -> None:
     shard.write_bytes(content)
     with pytest.raises(ShardError, match=f"zeros at byte {second}, and content after them"):
         scan_shard(shard)
-    shard.write_bytes(content[:second] + bytes(10240))  # as other programs fill up the last block
+    shard.write_bytes(content[:second] + bytes(10240))  # zero padding, as other programs write it
     assert len(scan_shard(shard)) == 1
 
 

@@ -28,7 +28,7 @@ SIZE = measure(build_body(neutral_shape()))
 
 @pytest.fixture
 def mannequin(tmp_path: Path) -> dict[str, Path]:
-    """A box of 1.7 m with four limbs by name, its measures, and its files."""
+    """Files of a body: a box 1.7 m tall as mesh, one vertex for each limb, and measures."""
     box = trimesh.creation.box((0.5, 1.7, 0.3))
     box.export(tmp_path / "box.obj")
     parts = {"body": [0, 1, 2, 3], "left_arm": [4], "right_arm": [5], "left_leg": [6], "right_leg": [7]}
@@ -55,7 +55,7 @@ def test_a_measurement_file_holds_every_digit_in_degrees_with_derived_keys(tmp_p
     assert "_waist_level" not in body
 
 
-def test_derived_keys_are_those_of_the_reference(examples: Path, tmp_path: Path) -> None:
+def test_derived_keys_equal_the_references(examples: Path, tmp_path: Path) -> None:
     reference = next((examples / "patterns").glob("*/random_body/body_measurements.yaml"))
     write_measurements(read_measurements(reference), tmp_path / "again.yaml")
     theirs = yaml.safe_load(reference.read_text())["body"]

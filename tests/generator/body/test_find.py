@@ -54,16 +54,16 @@ def test_the_published_means_have_the_published_measures(name: str, examples: Pa
     result, remarks = measure_file(path)
     assert not too_far(result.measurements, read_measurements(path.with_suffix(".yaml")))
     assert "metres" in remarks[0]
-    assert set(result.at_border) == {"bust", "waist", "hips"}  # as in the publication: see reference, mean bodies
+    assert set(result.at_border) == {"bust", "waist", "hips"}  # ends of the search range, as when published
 
 
 @pytest.mark.parametrize("index", [3, 8])
-def test_found_landmarks_give_the_measures_of_known_ones(index: int) -> None:
+def test_found_and_known_landmarks_give_the_same_measures(index: int) -> None:
     body = build_body(draw_shape(rng(2, index, Stage.BODY)))
     assert not too_far(measure(unknown(body)), measure(body))
 
 
-def test_found_parts_are_those_of_the_model() -> None:
+def test_found_parts_equal_the_models() -> None:
     skin = woman().parts != BodyPart.INTERNAL.value
     assert (fitted_woman().parts == woman().parts)[skin].mean() > 0.99
 

@@ -82,7 +82,7 @@ def test_a_part_is_drawn_alone_within_limits(workwear: Overlay) -> None:
     assert draw(workwear.space.of(PantsDesign), rng, within={"length": (-np.inf, 0.3)}).length == 0.7
 
 
-def test_an_overlay_comes_back_from_a_manifest(workwear: Overlay) -> None:
+def test_an_overlay_survives_json_and_pickle(workwear: Overlay) -> None:
     again = Overlay.from_dict(json.loads(json.dumps(workwear.to_dict())))
     assert again == workwear
     assert again.space == workwear.space
@@ -90,7 +90,7 @@ def test_an_overlay_comes_back_from_a_manifest(workwear: Overlay) -> None:
     assert pickle.loads(pickle.dumps(workwear)) == workwear
 
 
-def test_every_change_comes_back() -> None:
+def test_every_change_survives_a_dict() -> None:
     overlays: list[dict[str, Any]] = [
         {"pants": {"length": {"range": [0.7, 0.9], "keep": 0.1}}},
         {"pants": {"length": {"range": [0.7, 0.9], "keep": 0}}},
