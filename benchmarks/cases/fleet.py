@@ -2,8 +2,8 @@
 
     python -m benchmarks.run fleet --machines 1000 --garments 10000000 --parts 2560 25600
 
-No garment is made: stage times are those measured by ``benchmarks.run scale``. ``gpu_hours``, ``tb``, ``usd``: machines
-that do not fail; ``hours``: from the simulation, with the fastest part size, ``best_part``.
+No garment is made: stage times are those measured by ``benchmarks.run scale``. ``gpu_hours``, ``tb`` and the prices
+``*_usd`` are for machines that do not fail; ``hours`` is the simulated time with the fastest part size, ``best_part``.
 """
 
 import argparse
