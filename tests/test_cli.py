@@ -103,7 +103,7 @@ def test_another_recipe_in_the_same_folder_is_refused(tmp_path: Path, capsys: py
 
 def test_ctrl_c_keeps_finished_samples(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gcd_dataset", "generate", str(tmp_path), "--count", "100000", *FLAT]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it otherwise
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell ignores SIGINT
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     signal.signal(signal.SIGINT, before)
     wait_for_bytes(tmp_path, 200_000, process)

@@ -159,5 +159,5 @@ def test_generate_prints_an_estimate_before_it_starts(
     assert main([*command, "--count", "500"]) == 0
     assert "draping 500 garments at 1 cm on this CPU takes about " in said_before[0]
     caplog.clear()
-    assert main([*command, "--count", "500", "--stage", "pattern"]) == 2  # another recipe than that of the set
+    assert main([*command, "--count", "500", "--stage", "pattern"]) == 2  # the data set has another recipe
     assert "takes about" not in caplog.text

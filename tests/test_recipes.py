@@ -120,7 +120,7 @@ def test_another_recipe_is_reported(made: Path, tmp_path: Path) -> None:
 
 
 def manifest_with(folder: Path, **entries: str) -> None:
-    """Write these entries of the recipe into a folder's manifest."""
+    """Set entries of ``recipe`` in a folder's ``manifest.json``."""
     path = folder / "manifest.json"
     content = json.loads(path.read_text())
     content["recipe"] |= entries
@@ -135,7 +135,7 @@ def test_other_patterns_are_reported(copy: Path, recipe: Recipe, tmp_path: Path)
     manifest_with(renamed, sha256=recipe.sha256)
     message = list(recipe_faults(renamed, recipe))
     assert any("is not of seed 3" in line for line in message)
-    # With another hash in the manifest, the same patterns are rejected.
+    # The right patterns with a wrong hash in the manifest are reported too.
     manifest_with(copy, patterns="0" * 64)
     assert "manifest.json lists 0000" in next(recipe_faults(copy, recipe))
 

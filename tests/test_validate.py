@@ -277,7 +277,7 @@ def test_a_good_pattern_has_no_faults() -> None:
 
 
 def test_curves_cross_where_their_chords_do_not() -> None:
-    bulge = {0: Quadratic((0.5, 1.2))}  # rises 6 cm at its middle, through the roof of a panel 4 cm high
+    bulge = {0: Quadratic((0.5, 1.2))}  # its middle is 6 cm high, above the top edge at 4 cm
     faults = check_pattern(alone(polygon((0, 0), (10, 0), (10, 4), (0, 4), curves=bulge)))
     assert {fault.rule for fault in faults} == {Rule.SELF_CROSSING}
     assert {fault.edge for fault in faults} == {0}
