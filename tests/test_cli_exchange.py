@@ -290,7 +290,7 @@ def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:
-    """At any byte: in the layout, in the arrays, in the final metadata."""
+    """The disk fills up at any byte: in the layout, in the arrays, in the final metadata."""
     data = fill(tmp_path / "data", range(3))
     assert run("export", data, "--hdf5", tmp_path / "a.h5", "--quiet") == 0
     size = (tmp_path / "a.h5").stat().st_size

@@ -18,7 +18,7 @@ VERBS = tuple(EXAMPLES)
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A set of patterns, a specification file, and a text."""
+    """A folder with a data set of patterns, a specification file and a text file."""
     from gcd_dataset.generator.maker import make
     from gcd_dataset.spec import write_pattern
 

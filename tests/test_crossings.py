@@ -123,7 +123,7 @@ def test_a_batch_of_panels_gives_the_same_candidates_as_each_panel_alone(
 
 
 def candidates(hulls: list[np.ndarray]) -> dict[int, tuple[list[int], list[list[int]]]]:
-    """Panel number to the broad phase's edges and pairs of edges."""
+    """Panel number to the candidates of the broad phase: single edges, and pairs of edges."""
     return {number: (singles.tolist(), pairs.tolist()) for number, singles, pairs in crossings._broad_phase(hulls)}
 
 
@@ -132,7 +132,7 @@ def candidates(hulls: list[np.ndarray]) -> dict[int, tuple[list[int], list[list[
 def test_a_sweep_finds_the_same_pairs_as_all_comparisons(
     drawn_loops: list[list[tuple[float, float, Curve]]], copies: int
 ) -> None:
-    """Every outline once, and twelve times in one loop, so that edges coincide; in pieces of a few pairs."""
+    """Each outline alone, and repeated twelve times in one loop, where edges coincide; in chunks of a few pairs."""
     hulls = [edge_hulls(drawn(loop * copies)) for loop in drawn_loops]
     at_once = candidates(hulls)
     with pytest.MonkeyPatch.context() as patch:

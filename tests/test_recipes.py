@@ -302,7 +302,7 @@ def program(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_programs_wait_for_each_other_and_need_no_guard(toml: Path, program: Path, tmp_path: Path) -> None:
-    """Two training processes request it at the same time; workers do not import the program again."""
+    """Two programs request the data set at the same time; its workers do not import the programs again."""
     command = [sys.executable, str(program), str(toml), str(tmp_path)]
     with locked(_folder(tmp_path) / LOCK, "making tiny"):
         both = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]

@@ -191,7 +191,7 @@ def test_a_slow_drape_does_not_hold_up_later_ones(monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_next_request_is_sent_before_a_sample_is_yielded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Even if all earlier requests have replies, so that the draper does not run dry."""
+    """Even if all earlier requests have replies: else the draper would run out of requests."""
     in_flight, send, receive = set[int](), SharedDraper.send, SharedDraper.receive
 
     def counted_send(draper: SharedDraper, request: DrapeRequest) -> None:
@@ -212,7 +212,7 @@ def test_the_next_request_is_sent_before_a_sample_is_yielded(monkeypatch: pytest
 
 
 def test_a_retry_is_draped_first() -> None:
-    """Later samples wait for it."""
+    """Later samples wait for the retry."""
     queue, (ours, theirs) = RequestQueue(), multiprocessing.Pipe()
     connection = ClientConnection(ours, queue)
     one = drape_request(0)
@@ -258,7 +258,7 @@ def test_a_draper_about_to_end_is_replaced(address: DraperAddress) -> None:
 def test_a_draper_whose_starter_is_killed_serves_the_next_client(
     address: DraperAddress, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Killed while the draper loads: the next client waits for it and starts no second one."""
+    """Its starter dies while the draping process loads: the next client waits for it and starts no second process."""
     child = os.fork()
     if child == 0:
         popen = subprocess.Popen
@@ -327,7 +327,7 @@ def test_more_requests_may_wait_than_the_soft_limit_of_open_files(address: Drape
 
 
 def test_a_connection_is_not_closed_while_it_is_read() -> None:
-    """The OS would reuse its descriptor for the next connection, and the reader would read from that."""
+    """Else the OS reuses the descriptor for the next connection, and the reader reads from that connection."""
     ours, theirs = multiprocessing.Pipe()
     connection = ClientConnection(ours, RequestQueue())
     os.write(theirs.fileno(), b"half")
