@@ -119,7 +119,7 @@ def test_a_folder_of_another_data_set_is_not_added_to(
 def test_shards_to_the_published_layout_and_back(published: Path, tmp_path: Path) -> None:
     assert run("convert", published, tmp_path / "shards", "--quiet") == 0
     assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "again", "--quiet") == 0
-    # Encoded again, or from coordinates stored as f32.
+    # Not byte for byte: pictures are encoded again, coordinates were stored as float32.
     near = ("render_front.png", "render_back.png", "_sim.ply", "_boxmesh.ply", "_orig_lens.pickle")
     for path in published.rglob("[!.]*"):
         if path.is_file() and not path.name.endswith(near):
@@ -196,7 +196,7 @@ def test_a_stopped_export_goes_on_to_the_same_bytes(
     assert run(*export) == 0
     assert garments[0].stat().st_mtime_ns == written
     assert tree(tmp_path / "pieces") == tree(tmp_path / "whole")
-    assert run(*export) == 2  # it has ended
+    assert run(*export) == 2  # the export is complete
     assert "not empty" in capsys.readouterr().err
 
 
@@ -290,7 +290,7 @@ def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:
-    """At any byte: in the layout, in the arrays, in the final metadata."""
+    """The disk fills up at any byte: in the layout, in the arrays, in the final metadata."""
     data = fill(tmp_path / "data", range(3))
     assert run("export", data, "--hdf5", tmp_path / "a.h5", "--quiet") == 0
     size = (tmp_path / "a.h5").stat().st_size

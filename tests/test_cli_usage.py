@@ -18,7 +18,7 @@ VERBS = tuple(EXAMPLES)
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A set of patterns, a specification file, and a text."""
+    """A folder with a data set of patterns, a specification file and a text file."""
     from gcd_dataset.generator.maker import make
     from gcd_dataset.spec import write_pattern
 
@@ -159,5 +159,5 @@ def test_generate_prints_an_estimate_before_it_starts(
     assert main([*command, "--count", "500"]) == 0
     assert "draping 500 garments at 1 cm on this CPU takes about " in said_before[0]
     caplog.clear()
-    assert main([*command, "--count", "500", "--stage", "pattern"]) == 2  # another recipe than that of the set
+    assert main([*command, "--count", "500", "--stage", "pattern"]) == 2  # the data set has another recipe
     assert "takes about" not in caplog.text

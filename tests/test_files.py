@@ -45,7 +45,7 @@ def test_two_may_write_one_file_at_once(tmp_path: Path) -> None:
 
 
 def begun_by_another(path: Path) -> subprocess.Popen[bytes]:
-    """A process that stops after half a file."""
+    """A process that has written 5000 bytes of a draft and keeps it open."""
     program = f"""
 import sys, time
 from gcd_dataset.files import open_whole

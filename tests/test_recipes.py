@@ -120,7 +120,7 @@ def test_another_recipe_is_reported(made: Path, tmp_path: Path) -> None:
 
 
 def manifest_with(folder: Path, **entries: str) -> None:
-    """Write these entries of the recipe into a folder's manifest."""
+    """Set entries of ``recipe`` in a folder's ``manifest.json``."""
     path = folder / "manifest.json"
     content = json.loads(path.read_text())
     content["recipe"] |= entries
@@ -135,7 +135,7 @@ def test_other_patterns_are_reported(copy: Path, recipe: Recipe, tmp_path: Path)
     manifest_with(renamed, sha256=recipe.sha256)
     message = list(recipe_faults(renamed, recipe))
     assert any("is not of seed 3" in line for line in message)
-    # With another hash in the manifest, the same patterns are rejected.
+    # The right patterns with a wrong hash in the manifest are reported too.
     manifest_with(copy, patterns="0" * 64)
     assert "manifest.json lists 0000" in next(recipe_faults(copy, recipe))
 
@@ -302,7 +302,7 @@ def program(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_programs_wait_for_each_other_and_need_no_guard(toml: Path, program: Path, tmp_path: Path) -> None:
-    """Two training processes request it at the same time; workers do not import the program again."""
+    """Two programs request the data set at the same time; its workers do not import the programs again."""
     command = [sys.executable, str(program), str(toml), str(tmp_path)]
     with locked(_folder(tmp_path) / LOCK, "making tiny"):
         both = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]

@@ -240,7 +240,7 @@ def test_wide_skirts_and_narrow_belts_have_a_likely_size_and_are_sewn_straight(d
 
 
 def test_a_stitch_turned_round_is_identified_where_the_panels_hang(drawn: list[Pattern]) -> None:
-    """The side seams of a skirt, from waist to hem."""
+    """Turns the side seams of a skirt, which run from waist to hem."""
     for pattern in drawn:
         turned = [replace(seam, right_wrong=not seam.right_wrong) for seam in pattern.seams]
         message = {fault.rule for fault in check_pattern(replace(pattern, seams=tuple(turned)))}
@@ -277,7 +277,7 @@ def test_a_good_pattern_has_no_faults() -> None:
 
 
 def test_curves_cross_where_their_chords_do_not() -> None:
-    bulge = {0: Quadratic((0.5, 1.2))}  # rises 6 cm at its middle, through the roof of a panel 4 cm high
+    bulge = {0: Quadratic((0.5, 1.2))}  # its middle is 6 cm high, above the top edge at 4 cm
     faults = check_pattern(alone(polygon((0, 0), (10, 0), (10, 4), (0, 4), curves=bulge)))
     assert {fault.rule for fault in faults} == {Rule.SELF_CROSSING}
     assert {fault.edge for fault in faults} == {0}
@@ -297,7 +297,7 @@ def dipping(depth: float) -> Pattern:
 
 
 def test_crossings_are_identified_by_distance_not_by_curve_parameter() -> None:
-    """The base is crossed 0.6 cm from the corner, at a hundredth of its length; and then 0.003 cm from it."""
+    """The base is crossed 0.6 cm from its corner, at 1 % of its length; then 0.003 cm from the corner."""
     (fault,) = check_pattern(dipping(0.45))
     assert (fault.rule, fault.edge) == (Rule.SELF_CROSSING, 0)
     assert "edge 1 at (49.38" in fault.figure
@@ -305,7 +305,7 @@ def test_crossings_are_identified_by_distance_not_by_curve_parameter() -> None:
 
 
 def test_touching_is_crossing() -> None:
-    """The neck of an hourglass that is drawn shut."""
+    """An hourglass whose neck has no width."""
     faults = check_pattern(alone(polygon((0, 0), (10, 0), (5, 5), (10, 10), (0, 10), (5, 5))))
     assert Rule.SELF_CROSSING in {fault.rule for fault in faults}
 

@@ -375,12 +375,12 @@ def test_files_of_the_reference_system_survive_a_round_trip(examples: Path, tmp_
 
 
 def _pickled_lengths(content: bytes) -> dict[tuple[int, int], float]:
-    """The content of such a pickle; only for files of the reference system made for these tests, and our own."""
+    """Edge pair to length. Unpickles only trusted files: made for these tests by the reference system, or by us."""
     return {(int(a), int(b)): float(length) for (a, b), length in pickle.loads(content).items()}
 
 
 def test_garments_are_read_in_a_thread(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And transformed in the training thread: a transform may draw from the model's random stream."""
+    """The training thread transforms them: a transform may draw from the model's random stream."""
     readers, changers = set[int](), set[int]()
     members = PublishedGarmentCodeData._members
 

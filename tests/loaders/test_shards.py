@@ -101,7 +101,7 @@ def test_a_stream_holds_the_same_garments(folder: Path) -> None:
     assert_all_same(stream, [ds[i] for i in range(COUNT)])  # a second epoch
 
 
-@pytest.mark.parametrize("count", [COUNT, 3])  # three shards for two workers, and one
+@pytest.mark.parametrize("count", [COUNT, 3])  # three shards, or one, for two workers
 def test_workers_split_a_stream(tmp_path: Path, count: int) -> None:
     stream = GarmentDataset(fill(tmp_path, range(count)), fields=("meta", "faces"), streaming=True)
     loader = DataLoader(stream, batch_size=None, num_workers=2)

@@ -72,7 +72,7 @@ def parts_in(out: Path, of: int) -> Path:
         (2, [1, 0]),
         (3, [2, 0, 2, 1, 0]),
         (7, [3, 1, 6, 0, 5, 2, 4]),  # more parts than shards
-        (30, [*range(30)]),  # and than designs
+        (30, [*range(30)]),  # more parts than designs
     ],
 )
 def test_parts_in_any_order_are_one_run(of: int, order: list[int], whole: dict[str, bytes], tmp_path: Path) -> None:
@@ -527,7 +527,7 @@ def test_a_damaged_part_is_made_again_though_a_stopped_merge_has_moved_others(
     os.truncate(shard, 5000)
     with pytest.raises(ShardError, match=r"delete it and run .*--shard 1/3"):
         merge(out)
-    with pytest.raises(ConfigError, match="run gcd merge"):  # another part, in which nothing is damaged
+    with pytest.raises(ConfigError, match="run gcd merge"):  # for the undamaged part 0
         part_of(out, 0, 3)
     shard.unlink()
     part_of(out, 1, 3)

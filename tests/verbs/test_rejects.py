@@ -48,7 +48,7 @@ def test_lines_and_manifest_tell_of_the_same_attempts(tmp_path: Path, whole: dic
     manifest = read_manifest(tmp_path / "whole")
     assert manifest is not None
     designs = [line["design"] for line in lines(whole["rejects.jsonl"])]
-    wearers = sum(2 if 2 * design + 1 < COUNT else 1 for design in designs)  # the manifest counts with each sample
+    wearers = sum(2 if 2 * design + 1 < COUNT else 1 for design in designs)  # the manifest counts each sample
     assert manifest.splits["train"].rejects == {"tight_cuff": wearers}
 
 
