@@ -57,8 +57,8 @@ def bending_energy(mesh: BoxMesh, x: Float[np.ndarray, "v 3"], fabric: Fabric) -
 
     With ``n0, n1`` the in-plane directions from the edge to the two opposite vertices, the bending vector is
     ``L (n0 + n1)``: directions of the *deformed* triangles, foot points and heights of the *flat* ones. The energy of
-    the sheet is a third of Bergou's, see ``kernels.sheet``. A hinge that bends by a share ``s`` along the weft has the rigidity
-    ``warp + 3/2 s (weft - warp)``, at least half of the softer direction's.
+    the sheet is a third of Bergou's, see ``kernels.sheet``. A hinge that bends by a share ``s`` along the weft has the
+    rigidity ``warp + 3/2 s (weft - warp)``, at least half of the softer direction's.
     """
     sides: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for f, face in enumerate(mesh.faces):

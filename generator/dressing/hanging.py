@@ -97,7 +97,7 @@ def _flat_panel(panel: Panel) -> _FlatPanel:
 
 
 def _join_on_table(table: Sequence[_FlatPanel], pattern: Pattern) -> dict[str, _FlatPanel]:
-    """The panels joined along their seams: first the largest, then always the one with the longest seam to the rest."""
+    """The panels joined along their seams: the largest first, then in turn the one with the longest seams to these."""
     waiting = {flat_panel.panel.name: flat_panel for flat_panel in table}
     lengths = {panel.name: panel.edge_lengths() for panel in pattern.panels}
     first = max(
@@ -304,7 +304,7 @@ def _along_arm(
         [flat.panel(n).placement.apply(panel_outline(flat.panel(n))) for n, s in sleeves.items() if s == side]
     )
     direction = complex(*(outlines.mean(axis=0) - armhole)[:2])
-    if direction == 0:  # skirt panels taken for sleeves may lie centred about the seam: no direction to turn
+    if direction == 0:  # skirt panels mistaken for sleeves may be centred on the seam: there is no direction
         return flat_panel
     turn = complex(arm.axis[0], arm.axis[1]) / direction
     turn /= abs(turn)

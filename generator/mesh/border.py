@@ -61,7 +61,7 @@ def sample_border(panel: Panel, counts: dict[EdgeRef, int]) -> Border:
     Raises ``MeshError`` for a panel without edges or with too many points, and for edges that do not close a loop.
     """
     if not panel.edges:
-        raise MeshError(f"panel {panel.name} has no edges: draw its outline or take it away")
+        raise MeshError(f"panel {panel.name} has no edges: draw its outline or remove the panel")
     total = sum(counts[EdgeRef(panel.name, index)] - 1 for index in range(len(panel.edges)))
     if total > MOST_POINTS:
         raise MeshError(
