@@ -75,7 +75,7 @@ def gpu_of_rank(count: int) -> int | None:
 
 
 def gpus_of_rank(devices: Sequence[str]) -> Sequence[str]:
-    """This rank's share of several GPUs; all of them for a process that is not a rank, or if there is one.
+    """This rank's share of several GPUs; all of them for a process that is not a rank; a single GPU is shared.
 
     Raises ``ConfigError`` for more ranks than GPUs.
     """

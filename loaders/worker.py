@@ -31,8 +31,8 @@ def begin_worker(worker: int) -> None:
     BLAS is limited to one thread, as torch is in a worker: the threads of all workers would wait for each other, which
     with eight threads on two cores took a quarter more CPU time.
 
-    The worker exits within seconds of its parent process, even if that was killed, and of a loader that is no longer
-    read; garments in the making are dropped.
+    The worker exits within seconds after its parent process has ended, even by a kill, or after its loader is no longer
+    read; unfinished garments are dropped.
     """
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     threadpoolctl.threadpool_limits(1)
