@@ -119,7 +119,7 @@ class GeneratedGarments(Garments):
         before, after = before or self._made(position), self._made(position)
         for member, data in after.items():
             if data != before[member]:
-                raise ShardError(f"{key_of(position)}, member {member}: other bytes when it is made again")
+                raise ShardError(f"{key_of(position)}, member {member}: the bytes differ when it is made again")
 
     def pack(self) -> None:
         """Write the cached garments of incomplete shards into shards.

@@ -69,7 +69,7 @@ def gpu_of_rank(count: int) -> int | None:
     ranks = _local_rank()
     if ranks is None:
         return None
-    # Current device 0 may mean that the training never set one, but names its device for each tensor.
+    # Device 0 may also mean that the training sets no current device and names a device for each tensor.
     current = torch.cuda.current_device() if torch.cuda.is_initialized() else 0  # type: ignore[no-untyped-call]
     return current or ranks[0] % count
 

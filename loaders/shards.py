@@ -78,7 +78,7 @@ class GarmentDataset(Garments):
 
     Raises ``ShardError`` for a source without such a split, or a damaged or newer one, ``RemoteError`` for a server
     that does not answer, ``ConfigError`` for options that do not fit together, and for a field that no garment of the
-    split holds because they were not made up to that stage.
+    split holds, such as ``verts`` of garments made up to stage ``mesh``.
     """
 
     reads_only = True

@@ -66,8 +66,8 @@ def _done_event() -> Event | None:
 
 def _exit_with_parent(parent: int, done: Event | None) -> None:
     """Exit this process, and free its shared memory, soon after its parent or its loader has ended."""
-    # torch checks for the parent too, but then waits forever for its queue to be read, and its memory stays taken. At
-    # the end of a loader it waits five seconds for each worker in turn.
+    # torch checks for the parent too, but then waits forever for its queue to be read, and keeps its memory. At the end
+    # of a loader it waits five seconds for each worker in turn.
     while os.getppid() == parent:
         time.sleep(POLL)
         # Poll: `set()` blocks on dead waiters.

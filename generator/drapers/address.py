@@ -112,7 +112,7 @@ def address_for(device: str, number: int = 0) -> DraperAddress:
     ``number``: index among several draping processes on the device.
     """
     key = device, number
-    if key not in _addresses or not _addresses[key].folder.is_dir():  # inherited from an owner that has ended
+    if key not in _addresses or not _addresses[key].folder.is_dir():  # removed by its owner, a parent process
         _addresses[key] = _create(device)
     return _addresses[key]
 

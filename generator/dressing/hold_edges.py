@@ -41,7 +41,7 @@ def label_edges(pattern: Pattern, wearer: Wearer) -> tuple[Pattern, tuple[str, .
     if top is None:
         return pattern, (
             "no opening lies round the waist or the bust: nothing holds the garment up; "
-            "give the edge that shall hold it the label lower_interface or strapless_top",
+            "add the label lower_interface or strapless_top to the edge that should hold it",
         )
     is_bodice = top.centre[1] > wearer.waist + OVER_WAIST
     label = EdgeRole.STRAPLESS_TOP if is_bodice else EdgeRole.LOWER_INTERFACE
