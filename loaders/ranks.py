@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 GLOBAL = ("RANK", "WORLD_SIZE")  # environment variables of ``torchrun``
-LOCAL = ("LOCAL_RANK", "LOCAL_WORLD_SIZE")  # within this machine
+LOCAL = ("LOCAL_RANK", "LOCAL_WORLD_SIZE")  # the same within this machine
 
 # accelerate's wrappers that split the items of any sampler or stream over ranks: module and classes.
 ACCELERATE = "accelerate.data_loader", frozenset({"BatchSamplerShard", "IterableDatasetShard", "DataLoaderDispatcher"})

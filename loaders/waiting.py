@@ -9,7 +9,7 @@ __all__ = ["seconds_each", "tell_wait"]
 
 logger = logging.getLogger("gcd_dataset")
 
-LOGGED_FROM = 2.0  # s
+LOGGED_FROM = 2.0  # s: shorter times are not logged
 
 
 def seconds_each(config: MakeConfig) -> float:

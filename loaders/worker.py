@@ -16,7 +16,7 @@ from gcd_dataset.errors import GcdError
 
 __all__ = ["begin_worker", "unwrap", "with_traceback"]
 
-POLL = 1.0  # s
+POLL = 1.0  # s between two looks at the parent and the done event
 
 Value = TypeVar("Value")
 

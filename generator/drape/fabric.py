@@ -12,7 +12,7 @@ GRAMS_PER_CM2 = 0.1  # one kg/m²
 DYNES_PER_CM = 1e3  # one N/m
 DYNE_CM = 1e7  # one N·m
 POISSON = 1 / 3  # Poisson's ratio of every fabric: that of a triangular mesh of springs
-STIFFEST = 500.0  # N·m/kg
+STIFFEST = 500.0  # N·m/kg: tensile stiffness over density, see ``Fabric.softened``
 
 
 class Tensile(NamedTuple):

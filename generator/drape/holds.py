@@ -23,8 +23,8 @@ __all__ = ["BodyConstraints", "fell", "find_keepers", "floor_height", "holds", "
 NECKLINE = frozenset({EdgeRole.LEFT_COLLAR, EdgeRole.RIGHT_COLLAR})
 SLIDING_DROP = 18.0  # cm below its hold at which an edge has slid off: about armpits to waist
 UNDER_HIPS = 4.0  # cm below the hips: the hips do not support a waistband that has slid further
-KNEES = 0.4  # of the waist's height: a garment that started at hip height and ends here is off the body
-HIPS = 0.75  # of the waist's height
+KNEES = 0.4  # share of the waist's height: a garment that started at hip height and ends here is off the body
+HIPS = 0.75  # share of the waist's height
 TOP = 0.9  # quantile of the heights: cloth above it carries a garment without a labelled edge
 COLLAR_SLACK = 2.0  # cm by which the collar may be narrower than the neck
 

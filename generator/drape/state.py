@@ -11,7 +11,7 @@ from gcd_dataset.generator.drape.model import ClothModel
 
 __all__ = ["ClothState", "new_state"]
 
-NOT_COUNTED = 2**31 - 1  # crossings: more than any count
+NOT_COUNTED = 2**31 - 1  # initial minimum of crossings, above any count
 
 
 @dataclass(frozen=True)

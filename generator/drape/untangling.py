@@ -19,7 +19,7 @@ __all__ = ["untangle"]
 STEP = 1.0 / 120.0  # s
 ITERATIONS = 10  # of the conjugate gradient method in each step; 20 iterations untangle no more garments
 POLL_EVERY = 10  # steps between two reads of ``active`` from the device, each of which waits for it
-UNCOUNTED = 2**31 - 1  # crossings: more than any count
+UNCOUNTED = 2**31 - 1  # initial minimum of crossings, above any count
 
 # See ``kernels.untangling.Untangling``. Tried on the 25 of 128 garments that crossed themselves at rest: crossing
 # stiffness 1.0, crossing move 0.6 cm and largest move 0.5 cm untangle 13 of them in 20 steps; 0.1, 3 cm and 1 cm

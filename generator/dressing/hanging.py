@@ -25,19 +25,19 @@ from gcd_dataset.spec import is_bodice, role_by_name
 __all__ = ["hang_from_lay_plan", "height_for"]
 
 ON_SEAM = 9  # points of a seam, for aligning its two sides
-CLOSED = 12.0  # cm: mean distance between the sides of a closed seam on the table, at most
+CLOSED = 12.0  # cm: a seam closes if the mean distance between its sides on the table is smaller
 UPRIGHT = 5.0  # cm: a panel stays upright if turning it would close its seams by less than this
 SURE = 0.9  # share of the seams' length that must close; otherwise the layout is refused
 GAP = 8.0  # cm between the body and the panels before and behind it
-OVER = 0.2  # share of the smaller of two overlapping panels of a layer, above which one hangs further out
-STEP = 5.0  # cm: how much further out
+OVER = 0.2  # overlap of two panels of a layer, as a share of the smaller, above which one hangs further out
+STEP = 5.0  # cm by which the overlapping panel hangs further out
 ARMHOLE = 4.0  # cm from the armpit down to the centre of an armhole, as GarmentCode hangs bodices
 UNDER_NAPE = 5.0  # cm from the nape down to the highest point of a neckline, as GarmentCode hangs bodices
 PAIRED = 40  # openings that are compared in pairs, the longest first; a garment has up to ten
 UNPAIRED = 15.0  # cm: cost of an opening without a mirror image
 ASIDE = 8.0  # cm from the middle to the centre of an opening, beyond which it belongs to an arm or a leg
-SLEEVE_REACH = 0.8  # of half the trunk's width: a sleeve's centroid lies further out
-SLEEVE_DROP = 60.0  # cm: a sleeve's centroid lies no further below the highest one
+SLEEVE_REACH = 0.8  # share of half the trunk's width: a sleeve's centroid lies further out
+SLEEVE_DROP = 60.0  # cm: a sleeve's centroid lies no further below the highest centroid
 
 
 @dataclass(frozen=True, eq=False)

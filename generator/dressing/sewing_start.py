@@ -164,7 +164,7 @@ class _Skirt:
 
     @cached_property
     def _aside(self) -> Float[np.ndarray, " s"]:
-        """1 for vertices of the left side seam, -1 for those of the right."""
+        """1 for vertices of the left side seam, -1 for vertices of the right."""
         return np.sign(self.mesh.vertices[self.side, 0])
 
     @cached_property

@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 BLOCK = wp.constant(4)  # voxels along a side
 HALF_BLOCK = wp.constant(2.6)  # voxels from a block's centre to its furthest voxel centre, rounded up
 UNLIMITED = wp.constant(1.0e3)  # cm, search radius
-ROUNDING = wp.constant(1.0e-2)  # cm; single precision resolves this 200 m from the origin
+ROUNDING = wp.constant(1.0e-2)  # cm, added to search radii; single precision resolves it 200 m from the origin
 NEAR, INSIDE, OUTSIDE = wp.constant(0.0), wp.constant(1.0), wp.constant(2.0)
 
 

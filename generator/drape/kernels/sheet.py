@@ -72,8 +72,8 @@ def hinge_rigidity(sheet: Sheet, share: wp.float64) -> float:
     """Rigidity of a hinge, so that a mesh of equilateral triangles with a side along the weft bends like the fabric.
 
     Bending along the warp moves only hinges along the weft (share 0); bending along the weft moves all hinges (shares
-    3/4, 3/4 and 0), with jumps 2, 2 and -1. Jumps count squared: the sheet's rigidity along the weft is 8/9 of that of
-    hinges with share 3/4 plus 1/9 of that of hinges with share 0.
+    3/4, 3/4 and 0), with jumps 2, 2 and -1. Jumps count squared: the sheet's rigidity along the weft is 8/9 of the
+    rigidity of hinges with share 3/4, plus 1/9 of the rigidity of hinges with share 0.
     """
     if sheet.bend_warp == sheet.bend_weft:
         return sheet.bend_warp

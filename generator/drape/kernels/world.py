@@ -41,8 +41,8 @@ class World:
     max_frames: int
     still: float  # cm in a frame: a vertex that moves less is at rest
     calm: float  # cm in a frame: ``still`` rises to this by the last frame, see ``still_limit``
-    restless: float  # vertices that may move in a garment at rest
-    falling: float  # vertices that may be fast in a garment whose hold ends
+    restless: float  # a garment is at rest when at most this number of its vertices moves
+    falling: float  # the hold may end when at most this number of vertices is fast
     frame: float  # s, length of a frame
     lowest: float  # cm, mean height of the keepers below which the garment has slid off
     floor: float  # cm, height below which a garment has fallen
