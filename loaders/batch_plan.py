@@ -25,7 +25,7 @@ Cursor: TypeAlias = Any
 """How far the training loop has come: a position for ``IndexedPlan``, a ``StreamCursor`` for ``StreamPlan``."""
 
 BATCHES_AHEAD = 2  # batches that a thread prefetches
-END = object()  # returned by ``next`` at the end of a stream
+END = object()  # default of ``next`` at the end of a stream
 
 
 class BatchPlan(Protocol):

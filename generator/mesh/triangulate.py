@@ -22,7 +22,7 @@ __all__ = ["Filling", "Fillings", "fill_outline", "triangulate"]
 
 LONGEST = 1.43  # spacings: the longest edge, as in GarmentCode's boxmeshgen.py
 SHARPEST = np.radians(25.0)  # refinement's target angle; termination is proved up to 20.7° (Ruppert)
-ROUNDS = 10  # of refinement; a seam gathered to a third of the spacing takes four
+ROUNDS = 10  # rounds of refinement; a seam gathered to a third of the spacing takes four
 EMPTY = 0.99  # circumradii: least distance of a new seed from all older points
 APART = 0.8  # circumradii: least distance between new seeds of one round
 SAME_AREA = 1e-9  # relative: tolerance of the test that triangles neither overlap nor leave a hole

@@ -6,8 +6,8 @@ vertex reads its springs, then the vertices on which only its bending force depe
 the rows of 32 vertices are interleaved for coalesced reads (H200, 924 000 vertices: 91 µs; one array per quantity
 172 µs; row after row 188 µs); on a CPU each row is contiguous.
 
-Forces are evaluated at ``x + theta h v``, which damps in proportion to stiffness and hardly
-damps slow motions. With this damping symplectic Euler is stable for ``(omega h)² (1 + 2 theta) < 4``.
+Forces are evaluated at ``x + theta h v``, which damps in proportion to stiffness and hardly damps slow motions. With
+this damping symplectic Euler is stable for ``(omega h)² (1 + 2 theta) < 4``.
 """
 
 import warp as wp
