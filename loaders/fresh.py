@@ -2,7 +2,7 @@
 
 The workers are those of a ``DataLoader``, not of ``gcd_dataset.workers``: they run users' data sets and transforms,
 which may be a lambda in a script without a ``__main__`` guard, and need random streams of their own in each worker.
-They make garments by ``produce`` with the same draping processes and look-ahead as ``gcd generate``.
+They make garments with ``produce``, by the same draping processes and with the same look-ahead as ``gcd generate``.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

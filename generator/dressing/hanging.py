@@ -1,9 +1,9 @@
 """Hang the panels of a lay plan round a body, by their seams.
 
-First lay the garment flat on a table as it is worn, front over back, joining the panels along their seams one after the
-other. A panel with its right side to the table is a back. Seams between front and back then coincide, seams within a
-layer join neighbours. Then place the flat garment before and behind the body by its openings, its sleeves along the
-arms.
+First the panels are laid on a table and joined along their seams one after the other, as the garment lies when folded
+flat: front over back. A panel with its right side to the table belongs to the back. The two sides of a seam between
+front and back then coincide; a seam within a layer joins neighbours. Then the front is placed before the body and the
+back behind it, at the height that the openings determine, with the sleeves along the arms.
 """
 
 import functools

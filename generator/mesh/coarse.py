@@ -19,7 +19,7 @@ from gcd_dataset.records import BoxMesh
 
 __all__ = ["CoarseMesh", "coarse_start", "coarsen"]
 
-STRAIGHT = np.cos(np.radians(25.0))  # a border point where the outline turns by more than 25 degrees stays
+STRAIGHT = np.cos(np.radians(25.0))  # border points where the outline turns by more than 25 degrees are kept
 FEW = 1000  # vertices: a smaller mesh drapes as fast without a coarse start
 
 
