@@ -55,7 +55,7 @@ def test_webdataset_shards_are_read_by_number(folder: Path, indexed: bool) -> No
     assert ds[3]["txt"] is None
     assert GarmentDataset(folder, fields=["cls"])[9] == {"cls": 9}
     ds.verify(2)
-    with pytest.raises(ConfigError, match="do not tell how they were made"):
+    with pytest.raises(ConfigError, match="have no recipe"):
         ds.recipe(0)
 
 
