@@ -39,7 +39,7 @@ class SheetPanel:
 
     @property
     def orientation(self) -> float:
-        """1 for an outline counter-clockwise on the sheet, -1 for clockwise: the cloth's wrong side is up."""
+        """1 for an outline counter-clockwise on the sheet; -1 for clockwise, with the cloth's wrong side up."""
         (x, y), (next_x, next_y) = self.outline.T, np.roll(self.outline, -1, axis=0).T
         return float(np.copysign(1.0, (x * next_y - next_x * y).sum()))
 

@@ -24,7 +24,7 @@ __all__ = ["measure_file", "read_body"]
 
 log = logging.getLogger(__name__)
 
-ADULT = (120.0, 230.0)  # cm; beyond these heights the unit may be another one, such as inches
+ADULT = (120.0, 230.0)  # cm; outside this range of heights the unit may be wrong, such as inches
 UNUSUAL_MISFIT = 0.6  # cm; more is reported as an unusual body; GarmentCode's mean bodies have 0.3 to 0.4
 SURE_SHOULDER = 0.96  # confidence of the shoulders above which moving the arms costs no accuracy; usually 0.99
 ARM_LANDMARKS = ("shoulder_left", "shoulder_right", "underarm_right")

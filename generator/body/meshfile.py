@@ -66,7 +66,7 @@ def _read_obj(content: bytes, path: Path) -> _Mesh:
     lines = [line for line in joined.splitlines() if line[:2] in (b"v ", b"f ", b"v\t", b"f\t")]
     plain = re.sub(rb"/\S*", b"", b"\n".join(lines))
     if odd := re.search(rb"^f.*\s[+-]?0+(?!\S).*$", plain, re.MULTILINE):
-        raise ValueError(f"a face names vertex 0 of 1, 2, …: {odd[0][:60].decode(errors='replace')}")
+        raise ValueError(f"a face names vertex 0, but OBJ counts from 1: {odd[0][:60].decode(errors='replace')}")
     return _arrays(_loaded(io.StringIO(plain.decode("ascii", errors="replace")), "obj"))
 
 

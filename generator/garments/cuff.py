@@ -30,7 +30,7 @@ __all__ = [
 
 LONGEST_ON_SLEEVE = 0.7  # of the sleeve, GarmentCode
 SHORTEST = 0.1  # cm: the shortest cuff
-ON_SHOULDER = 0.12  # of shoulder to wrist, about: the part above the armhole, where a sleeve's length begins
+ON_SHOULDER = 0.12  # of shoulder to wrist, approximately: the part above the armhole, not part of a sleeve's length
 ARM_LEVELS = (0.15, 0.25, 0.35, 0.5, 0.6, 0.7, 0.85, 1.0)  # of shoulder to wrist
 ARM_GIRTHS = (2.2, 1.9, 1.8, 1.61, 1.53, 1.48, 1.22, 1.0)  # of the wrist: means over this package's bodies, ± 0.05
 FRONT, BACK = 15.0, -15.0  # cm before and behind the limb, GarmentCode
@@ -113,7 +113,7 @@ def sleeve_cuff_length(size: Measurements, design: CuffedSleeve) -> float:
 
 
 def with_sleeve_cuff(size: Measurements, design: CuffedSleeve, sleeve: Component) -> Component:
-    """The right sleeve along the x axis, wrist to the left, with its cuff, which is no tighter than the wrist.
+    """The right sleeve along the x axis, wrist to the left, with its cuff, at least as wide as the wrist.
 
     Offers ``opening`` like the sleeve, and the top of a band as the ring ``band``.
     """

@@ -13,7 +13,7 @@ from gcd_dataset.records import Measurements
 
 __all__ = ["GATHERED_SKIRT", "GatheredSkirtDesign", "gathered_skirt"]
 
-FRONT, BACK = 25.0, -20.0  # cm before and behind the axis, GarmentCode
+FRONT, BACK = 25.0, -20.0  # cm: z of front and back before sewing, GarmentCode
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class Level(GarmentChoice):
 
 
 DrawLevel: TypeAlias = Callable[[Measurements, str], Component]
-"""Draws a level from measures and a suffix of its panels' names; the waist of the measures is the level's top."""
+"""Draws a level from measures, with the girth of its top as the waist, and a suffix of its panels' names."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from gcd_dataset.records import Measurements, PanelRole
 __all__ = ["LeftSleeveDesign", "SleeveDesign", "sleeve"]
 
 SHORTEST = 5.0  # cm of sleeve under the arm, GarmentCode
-EVEN = 0.2  # cm along the front's opening: a crease nearer to an end is ignored, GarmentCode
+EVEN = 0.2  # cm along the front opening: a crease closer than this to either end is ignored, GarmentCode
 SEWABLE = 0.6  # cm: a shorter surplus of the front opening would make edges too short to sew
 STANDING_FROM = pi / 36  # rad: least difference of rest angle and shoulder slope for a standing shoulder, GarmentCode
 FRONT, BACK = 15.0, -15.0  # cm before and behind the arm, GarmentCode
@@ -53,7 +53,7 @@ class SleeveDesign(Design):
 
     @property
     def has_flared_cuff(self) -> bool:
-        """Whether the design has a sleeve, and its cuff a skirt."""
+        """Whether the design has a sleeve with a skirt in its cuff."""
         return not self.sleeveless and self.cuff.type in (Cuff.SKIRT, Cuff.BAND_SKIRT)
 
 

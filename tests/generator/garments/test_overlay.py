@@ -138,7 +138,7 @@ BAD = {
     "[pants]\nlength = 2001-01-01": r"pants\.length is datetime.*, not a number",
     "[pants]\nlength = [0.5, 0.6]": r"pants\.length is \[0\.5, 0\.6\], not a number",
     "[pants]\nlength = { range = [0.1, 0.5] }": r"pants\.length is 0\.1, not a number from 0\.2 to 0\.9",
-    "[pants]\nlength = { range = [0.8, 0.5] }": r"pants\.length has its range turned round: write \[0\.5, 0\.8\]",
+    "[pants]\nlength = { range = [0.8, 0.5] }": r"pants\.length has a range in descending .*: write \[0\.5, 0\.8\]",
     "[pants]\nlength = { range = [0.5] }": r"pants\.length has a range of 1 values: give two",
     "[pants]\nlength = { range = 0.5 }": r"pants\.length has range = 0\.5, not a list: write range = \[0\.5\]",
     "[pants]\nlength = { options = [0.5] }": r"pants\.length takes no options: .*, so give range, keep, or a value",
