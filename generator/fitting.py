@@ -122,7 +122,7 @@ def _dress(
     """The pattern with its panels placed, and the body and measures for which they are placed."""
     legs_apart = has_legs(pattern)
     dressing = dress(pattern, *wearer(legs_apart))
-    if has_legs(dressing.pattern) and not legs_apart:  # in files without placements, ``dress`` labels the legs
+    if has_legs(dressing.pattern) and not legs_apart:  # openings show legs once ``dress`` has placed them
         legs_apart = True
         dressing = dress(pattern, *wearer(legs_apart))
     for sentence in dressing.assumed:
