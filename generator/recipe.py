@@ -55,14 +55,14 @@ class MakeConfig:
     bodies: Annotated[
         Bodies,
         Option(
-            "wearers; random: bodies mostly between the sexes; female, male: adults distributed as in a survey; both: "
-            "samples 2i and 2i+1 are one design on the neutral body and on a random body"
+            "wearers; neutral: the mean body; random: mostly between the sexes; female, male: adults distributed as in "
+            "a survey; both: samples 2i and 2i+1 are one design on the neutral body and on a random body"
         ),
     ] = "random"
     bodies_each: Annotated[
         int,
         Option(
-            "random bodies for each design: with 3, samples 3i, 3i+1 and 3i+2 are one design on three bodies; bodies = "
+            "drawn bodies for each design: with 3, samples 3i, 3i+1 and 3i+2 are one design on three bodies; bodies = "
             "both puts the neutral body before them"
         ),
     ] = 1

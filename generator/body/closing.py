@@ -15,7 +15,7 @@ from gcd_dataset.records import BodyPart, Record
 
 __all__ = ["WIDEST_HOLE", "ClosedSkin"]
 
-WIDEST_HOLE = 10.0  # cm across; a flat patch then lies up to 1.3 cm under a limb or chest of 10 cm radius
+WIDEST_HOLE = 10.0  # cm across; a flat patch over it lies up to 1.3 cm below the skin of a limb of 10 cm radius
 
 
 @dataclass(frozen=True, eq=False)

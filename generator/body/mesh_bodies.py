@@ -155,12 +155,12 @@ def _remarks(file: _MeshFile, found: FoundBody) -> list[str]:
             "crosses less than 3 cm of them"
         )
     remarks += _coarse_mesh_remark(found)
-    remarks.append(f"landmarks found {found.misfit:.2f} cm from the nearest body of our shape space on average")
+    remarks.append(f"mean distance of the skin from the nearest body of our shape space: {found.misfit:.2f} cm")
     if found.misfit > UNUSUAL_MISFIT:
         remarks.append("doubtful: unlike any adult of our shape space: check the measures")
     if found.underbust_error > UNDERBUST_ERROR:
         remarks.append(
-            f"doubtful: underbust may be up to {found.underbust_error:.1f} cm off: it changes much with its level"
+            f"doubtful: underbust may be up to {found.underbust_error:.1f} cm off: it depends strongly on its level"
         )
     unsure = [f"{name} {confidence:.2f}" for name, confidence in found.marks.confidence.items() if confidence < UNSURE]
     if unsure:

@@ -47,7 +47,7 @@ def require_body_alone(scan: Scan, surface: SkinSurface, registration: Registrat
     parts = body_model().parts
     for part, words in NEEDED.items():
         of_part = parts == part.value
-        # Left and right apart: one hand may be missing.
+        # The left and the right half separately: one hand alone may be missing.
         halves = [of_part & (side * registration.vertices[:, X] > 0) for side in (-1, 1)]
         distance = max(float(np.median(registration.distances[half])) for half in halves if half.any())
         if distance > MISSING:

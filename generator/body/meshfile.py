@@ -23,7 +23,7 @@ __all__ = ["read_mesh"]
 
 MAX_BYTES = 512 << 20  # a scan of a million triangles has 100 MB as OBJ text
 MAX_FACES = 2_000_000  # scans have up to a million; larger ones take minutes and 10 GB
-MAIN_SHARE = 0.8  # least share of the total area by which one of several meshes is clearly the body
+MAIN_SHARE = 0.8  # share of the total area above which one of several meshes is taken for the body
 EXPORT_AGAIN = "export the mesh again"
 
 _Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]

@@ -17,7 +17,7 @@ from gcd_dataset.records import Record
 __all__ = ["Scan", "coincident_vertices"]
 
 MIN_FACES = 500  # fewer give girths off by more than a centimetre: see the benchmark case `measures`
-BODY_SHARE = 0.8  # least share of the area by which the largest piece is taken for the body
+BODY_SHARE = 0.8  # share of the area above which the largest piece is taken for the body
 LONGEST_EDGE = 0.02  # of the mesh's size; longer edges are halved, so that faces are small against the tapes' bands
 WELD = 1e-5  # of the mesh's size; the grid on which positions coincide
 

@@ -51,7 +51,7 @@ class SleeveCuffDesign(Design):
 
     type: Cuff | None = choice(None, *Cuff, None)
     top_ruffle: float = real(1.0, 1.0, 3.0)
-    """Gathers at the sleeve's end: sleeve over cuff."""
+    """Gathers at the sleeve's end: ratio of the sleeve's girth to the cuff's."""
     cuff_len: float = real(0.1, 0.05, 0.9, keep=0.7)
     """Length, as a fraction of the arm."""
     skirt_fraction: float = real(0.5, 0.1, 0.9, keep=0.5)
@@ -68,7 +68,7 @@ class PantsCuffDesign(Design):
 
     type: Cuff | None = choice(None, *Cuff, None, keep=0.5)
     top_ruffle: float = real(1.0, 1.0, 2.0)
-    """Gathers at the leg's end: leg over cuff."""
+    """Gathers at the leg's end: ratio of the leg's girth to the cuff's."""
     cuff_len: float = real(0.1, 0.05, 0.9, keep=0.3)
     """Length, as a fraction of hips to floor; taken off the leg."""
     skirt_fraction: float = real(0.5, 0.1, 0.9)
@@ -98,11 +98,11 @@ class CuffedSleeve(Protocol):
 
     @property
     def length(self) -> float:
-        """As a fraction of armhole to wrist."""
+        """Length, as a fraction of armhole to wrist."""
 
     @property
     def cuff(self) -> SleeveCuffDesign:
-        """The design of its cuff."""
+        """The design of the sleeve's cuff."""
 
 
 def sleeve_cuff_length(size: Measurements, design: CuffedSleeve) -> float:

@@ -25,7 +25,7 @@ DOWN: Point = (0.0, -1.0)
 
 @dataclass(frozen=True)
 class SleeveDesign(Design):
-    """A sleeve, or an armhole without one."""
+    """A sleeve, or an armhole without a sleeve."""
 
     sleeveless: bool = flag(True, keep=0.7)
     armhole_shape: Armhole = choice(Armhole.CURVE, *Armhole, keep=0.7)
@@ -46,7 +46,7 @@ class SleeveDesign(Design):
     standing_shoulder_len: float = real(5.0, 4.0, 10.0)
     """Length of the part that continues the shoulder [cm]."""
     connect_ruffle: float = real(1.0, 1.0, 2.0, keep=0.4)
-    """Gathers at the armhole: opening over armhole."""
+    """Gathers at the armhole: ratio of the sleeve's opening to the armhole."""
     smoothing_coeff: float = real(0.25, 0.1, 0.4, keep=0.8)
     """Position of an angled armhole's corner, as a fraction of its width and height."""
     cuff: SleeveCuffDesign = part(SleeveCuffDesign)

@@ -97,7 +97,7 @@ def _placed(size: Measurements, name: str, half: TorsoHalf, z: float) -> Piece:
 def _armhole_depth(
     size: Measurements, arm: SleeveDesign, front: TorsoHalf, back: TorsoHalf, *, mends: frozenset[Mend]
 ) -> float:
-    """Depth of the armhole [cm], which leaves at least a centimetre of side seam."""
+    """Depth of the armhole [cm], limited so that a centimetre of side seam is left."""
     depth = min(size.eased_armscye_depth * (1 + arm.connecting_width), front.upper_side - SEAM_LEFT)
     if Mend.ARMHOLE_ROOM not in mends:
         return depth
