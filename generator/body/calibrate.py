@@ -119,7 +119,7 @@ def nearest_covariance(
 
 @dataclass(frozen=True)
 class _Statistics:
-    """Means and standard deviations of all measures; correlations of the measures with published ones."""
+    """Means and standard deviations of all measures; correlations between the measures ``survey.correlated``."""
 
     mean: Float[np.ndarray, " m"]
     sd: Float[np.ndarray, " m"]

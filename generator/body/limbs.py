@@ -69,7 +69,7 @@ def limbs_of(body: Body) -> dict[BodyPart, Limb]:
 
 
 def _points_of(body: Body, *parts: BodyPart) -> Float[np.ndarray, "n 3"]:
-    """The vertices of body parts without outliers, which some segmentations mislabel."""
+    """The vertices of body parts, without the outliers that some segmentations mislabel."""
     points = np.asarray(body.vertices, float)[np.isin(body.parts, [part.value for part in parts])]
     if not len(points):
         return points

@@ -84,7 +84,7 @@ def coincident_vertices(vertices: Float[np.ndarray, "v 3"], used: Int[np.ndarray
 
 
 def _welded(vertices: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Used vertices without duplicates, and the row among them of each vertex; 0 for unused ones."""
+    """Used vertices without duplicates, and for each input vertex its row in them; 0 for unused vertices."""
     same = coincident_vertices(vertices, used)
     distinct = np.unique(same[used])
     source = np.zeros(len(vertices), int)

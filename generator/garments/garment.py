@@ -129,7 +129,7 @@ class SimpleUpper(UpperGarment[D]):
 
 @dataclass(frozen=True, slots=True)
 class Cutting:
-    """Rise and length of a bottom in an outfit, which may differ from those of its section."""
+    """Rise and length of a bottom as drawn in an outfit; the values in its section may differ."""
 
     rise: float
     """Position of its top: 0 at the hips, 1 at the waist."""

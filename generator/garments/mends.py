@@ -20,7 +20,7 @@ __all__ = ["ALL_MENDS", "Mend"]
 
 
 class Mend(Enum):
-    """A corrected fault; its value describes the drawing of this package and that of GarmentCode."""
+    """A corrected fault; its value compares the drawings of this package and of GarmentCode."""
 
     SLIT_LENGTH = (
         "skirt.bottom_cut is a fraction of the skirt below the hips; GarmentCode reads "

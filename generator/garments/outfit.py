@@ -56,7 +56,7 @@ def bottom_rise(design: OutfitDesign) -> float:
 
 @lru_cache(maxsize=8)  # sampling draws it for the sewability check, then the outfit draws it again
 def bottom(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> Component:
-    """The bottom of a design that has one; offers the ring ``top``."""
+    """The bottom of a design with a bottom; offers the ring ``top``."""
     assert design.meta.bottom is not None
     return design.meta.bottom.garment.draw(size, design, rise=bottom_rise(design), mends=mends).labelled(PanelRole.LEG)
 
@@ -80,7 +80,7 @@ def _parts(size: Measurements, design: OutfitDesign, mends: frozenset[Mend]) -> 
 
 
 def _placed(parts: tuple[Component, ...]) -> tuple[Component, ...]:
-    """The parts, each moved under the one before."""
+    """The parts, each moved under the previous part."""
     placed = parts[:1]
     for below in parts[1:]:
         placed = (*placed, below.placed_by("top", placed[-1], "bottom", gap=GAP))

@@ -202,7 +202,7 @@ class Choice(Space):
         if keep == 0 and left_in and len(drawn.options) == 1:
             raise ConfigError(f"has no option left: keep is 0, and {plain(self.default)} is the only option")
         if keep > 0 and not left_in:
-            raise ConfigError(f"keeps {plain(self.default)}, which is none of its options: add it, or leave keep out")
+            raise ConfigError(f"has keep, but no option {plain(self.default)}, its default: add it, or leave keep out")
         return replace(drawn, keep=keep if left_in else None)
 
     def _weighed(self) -> Iterable[tuple[Any, int]]:

@@ -107,7 +107,7 @@ def reaches_floor(outfit: DrawnOutfit) -> Reject | None:
 
 
 def slides_off(outfit: DrawnOutfit) -> Reject | None:
-    """A bottom alone is wider at its top than waist and hips."""
+    """A bottom without an upper is wider at its top than waist and hips."""
     if not _is_bottom_alone(outfit.design):
         return None
     size = outfit.size
@@ -119,7 +119,7 @@ def slides_off(outfit: DrawnOutfit) -> Reject | None:
 
 
 def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
-    """A gathered skirt alone has no waistband, or a waistband wider than the body."""
+    """A gathered skirt without an upper has no waistband, or a waistband wider than the body."""
     design = outfit.design
     if not _is_bottom_alone(design) or not is_gathered(design) or has_snug_band(design):
         return None
@@ -130,7 +130,7 @@ def loose_gathers(outfit: DrawnOutfit) -> Reject | None:
 
 
 def too_heavy(outfit: DrawnOutfit) -> Reject | None:
-    """A flared skirt alone is long or wide, and has no firm band."""
+    """A flared skirt without an upper is long or wide, and has no firm band."""
     design = outfit.design
     if not _is_bottom_alone(design) or not is_flared(design) or has_firm_band(design):
         return None

@@ -228,7 +228,7 @@ class _Draft:
         )
 
     def _with_snug_band(self, design: OutfitDesign) -> OutfitDesign:
-        """With a snug band for a gathered bottom alone; without gathers if the overlay allows no band."""
+        """With a snug band for a gathered bottom without an upper; without gathers if the overlay allows no band."""
         if design.meta.upper or not is_gathered(design) or has_snug_band(design):
             return design
         bands = choice_of(self.sections["meta"], "wb")
@@ -239,7 +239,7 @@ class _Draft:
         return replace(design, meta=meta, waistband=band)
 
     def _without_heavy_flare(self, design: OutfitDesign) -> OutfitDesign:
-        """With a shorter and narrower bottom, if it is flared, alone, and has no firm band."""
+        """With a shorter and narrower bottom, if it is flared, without an upper and without a firm band."""
         if design.meta.upper:
             return design
         if is_flared(design) and not has_firm_band(design):

@@ -1,4 +1,4 @@
-"""Sleeves: panels ``right_sleeve_f`` and ``right_sleeve_b``; the left sleeve is drawn as a right one and mirrored."""
+"""Sleeves: panels ``right_sleeve_f`` and ``right_sleeve_b``; the left sleeve is a mirrored right sleeve."""
 
 from dataclasses import dataclass, replace
 from math import atan2, cos, hypot, pi, radians, sin

@@ -151,7 +151,7 @@ BAD = {
     "[meta]\nbottom = 'Kilt'": r"meta\.bottom is 'Kilt', not one of SkirtCircle, .*, None",
     "[meta]\nbottom = { options = [] }": r"meta\.bottom has no option left: name one or more",
     "[meta]\nbottom = { options = ['none'], keep = 0 }": r"meta\.bottom has no option left: keep is 0",
-    "[meta]\nbottom = { options = ['Pants'], keep = 0.5 }": r"meta\.bottom keeps None, which is none of its options",
+    "[meta]\nbottom = { options = ['Pants'], keep = 0.5 }": r"meta\.bottom has keep, but no option None, its default",
     "[meta]\nbottom = { range = ['Pants', 'Pants'] }": r"meta\.bottom takes no range: .*, so give options, keep",
     "[left]\nenable_asym = 'no'": r"left\.enable_asym is 'no', not one of True, False",
     "[left]\nenable_asym = 0": r"left\.enable_asym is 0, not one of True, False",
