@@ -187,7 +187,7 @@ def test_without_a_segmentation_a_box_is_searched_for_a_body(mannequin: dict[str
 
 def test_a_body_of_an_impossible_height_is_an_error(mannequin: dict[str, Path]) -> None:
     trimesh.creation.box((1.0, 20.0, 1.0)).export(mannequin["mesh"])
-    with pytest.raises(BodyError, match="20 tall, which is a person's height in no unit"):
+    with pytest.raises(BodyError, match="20 tall, no person's height in centimetres, metres"):
         read_body(mannequin["mesh"], mannequin["size"], mannequin["parts"])
 
 

@@ -65,7 +65,7 @@ def test_missing_measures_are_named() -> None:
 
 
 def test_a_back_as_wide_as_its_girth_is_refused(woman: Measurements) -> None:
-    with pytest.raises(BodyError, match=r"waist_back_width is 90\.0 cm of a waist of 80\.3 cm"):
+    with pytest.raises(BodyError, match=r"waist_back_width is 90\.0 cm, and waist is 80\.3 cm"):
         outfit(replace(woman, waist_back_width=90.0), design_from_dict({}))
 
 

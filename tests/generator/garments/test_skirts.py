@@ -159,7 +159,7 @@ def test_a_slit_in_the_side_leaves_the_seam_above_it(woman: Measurements, flare:
 
 
 def test_ornaments_are_refused(woman: Measurements) -> None:
-    with pytest.raises(PatternError, match=r"no ornament is drawn: set pencil-skirt\.style_side_cut, Sun, to null"):
+    with pytest.raises(PatternError, match=r"pencil-skirt\.style_side_cut is Sun, but ornaments are not drawn: set it"):
         skirt(woman, Bottom.PENCIL, {"pencil-skirt": {"style_side_cut": "Sun"}})
 
 

@@ -215,7 +215,7 @@ def test_the_deepest_armhole_leaves_side_to_sew(wearer: Measurements, meta: dict
 def test_the_reference_cuts_through_the_side_of_a_back(woman: Measurements) -> None:
     design, left_out = design_from_dict({"meta": FITTED, "sleeve": {"connecting_width": 2.0}}), Mend.ARMHOLE_ROOM
     with pytest.raises(
-        PatternError, match=r"an armhole of 22\.9 cm where 22\.8 cm reach .*: lower sleeve\.connecting_width"
+        PatternError, match=r"an armhole 22\.9 cm deep .* room for 22\.8 cm: lower sleeve\.connecting_width"
     ):
         outfit(woman, design, mends=ALL_MENDS - {left_out})
 

@@ -81,16 +81,18 @@ def test_capes_and_ponchos_are_sampled_without_band_and_bottom() -> None:
 
 def test_an_overlay_that_sews_a_bottom_to_a_cape_is_refused() -> None:
     with pytest.raises(
-        ConfigError, match=r"nothing is sewn to meta\.upper = Cape, .* let meta\.wb and meta\.bottom be"
+        ConfigError, match=r"nothing can be sewn to meta\.upper = Cape, .* set meta\.wb and meta\.bottom to"
     ):
         Overlay.from_dict({"meta": {"upper": "Cape", "bottom": "Pants"}})
-    with pytest.raises(ConfigError, match=r"nothing is sewn to meta\.upper = Cape, Poncho"):
+    with pytest.raises(ConfigError, match=r"nothing can be sewn to meta\.upper = Cape, Poncho"):
         Overlay.from_dict({"meta": {"upper": {"options": ["Cape", "Poncho"]}, "wb": "FittedWB"}})
 
 
 def test_a_design_that_sews_a_bottom_to_a_cape_is_rejected(woman: Measurements) -> None:
     found = try_on(woman, design_from_dict({"meta": {"upper": "Cape", "bottom": "Pants"}}))
-    assert str(found) == "cannot_be_drawn: nothing is sewn to the hem of a Cape: leave out meta.wb and meta.bottom"
+    assert (
+        str(found) == "cannot_be_drawn: nothing can be sewn to the hem of a Cape: set meta.wb and meta.bottom to null"
+    )
 
 
 @pytest.mark.parametrize("upper", OWN)

@@ -87,7 +87,7 @@ def test_an_edge_in_two_seams_is_an_error() -> None:
 
 
 def test_two_pieces_of_one_name_are_an_error() -> None:
-    with pytest.raises(PatternError, match="panels tube_b, tube_f stand twice"):
+    with pytest.raises(PatternError, match="panels tube_b, tube_f appear twice"):
         Component.of(tube("tube"), tube("tube"))
 
 
