@@ -98,7 +98,7 @@ def test_a_folder_of_one_recipe_takes_no_other_and_none(copy: Path, recipe: Reci
     other = find_recipe(written(tmp_path, TINY.replace("designs = 10", "designs = 12")))
     with pytest.raises(ConfigError, match=r"made by recipe tiny \(\w{12}\), asked for tiny \(\w{12}\): use the same"):
         generate_recipe(copy, other)
-    with pytest.raises(ConfigError, match="the data set tiny: go on with --recipe"):
+    with pytest.raises(ConfigError, match="the data set of recipe tiny: continue with --recipe"):
         generate(copy, 20, seed=3, config=recipe.config)
     plain = tmp_path / "plain"
     generate(plain, 1, seed=3, config=recipe.config)
@@ -161,7 +161,7 @@ def test_a_split_that_is_missing_or_another_is_reported(copy: Path, recipe: Reci
     for path in copy.glob("*test*"):
         path.rename(path.with_name(path.name.replace("test", "tset")))
     message = list(recipe_faults(copy, recipe))
-    assert any("split tset is none of tiny" in line for line in message)
+    assert any("split tset does not belong to tiny" in line for line in message)
     assert any("no split test: run gcd generate --recipe tiny again" in line for line in message)
 
 

@@ -18,9 +18,9 @@ log = logging.getLogger(__name__)
 
 
 class RetryableError(Exception):
-    """An error that a retry may cure.
+    """A temporary error: the request is retried.
 
-    ``wait``: seconds to wait, where the server has requested them. ``is_unreachable``: there was no connection.
+    ``wait``: seconds until the retry, if the server has requested a time. ``is_unreachable``: there was no connection.
     """
 
     def __init__(self, message: str, wait: float | None = None, *, is_unreachable: bool = False) -> None:
@@ -64,7 +64,7 @@ class Backoff:
             )
 
     def next_wait(self, requested: float | None) -> float | None:
-        """Seconds to the next attempt, by default a back-off; ``None`` when the patience is exhausted."""
+        """Seconds to the next attempt: ``requested``, or a back-off; ``None`` when the patience is exhausted."""
         self.attempts += 1
         patience = PATIENCE if self.patience is None else self.patience
         if requested is not None:

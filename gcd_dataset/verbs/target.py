@@ -217,4 +217,4 @@ def require_folder(out: Path | str, data: str) -> Path:
 
 
 def _folder_needed(url: Url, data: str) -> ConfigError:
-    return ConfigError(f"{url}: {data} are made in a folder: give one, and copy it there")
+    return ConfigError(f"{url}: {data} are made in a folder: give a folder, then copy it to the URL")

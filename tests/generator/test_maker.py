@@ -66,7 +66,7 @@ def test_a_script_without_a_main_guard_gets_an_error_that_says_so(tmp_path: Path
     script.write_text(SCRIPT.format(guarded=False))
     finished = run(str(script))
     assert finished.returncode == 1
-    assert "begins its work under if __name__" in finished.stderr
+    assert "must start them under if __name__" in finished.stderr
 
 
 def test_indices_may_be_infinite() -> None:

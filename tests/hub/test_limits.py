@@ -56,7 +56,7 @@ def test_a_file_list_declared_over_the_limit_is_not_read(hub: Hub, commit: str, 
 def test_an_invalid_file_list_is_reported(hub: Hub, tmp_path: Path, answer: bytes) -> None:
     with (
         served(answer) as url,
-        pytest.raises(RemoteError, match=r"is not a commit|none of the Hub's: check"),
+        pytest.raises(RemoteError, match=r"is not a commit|the answer is not .* Hub.*: check"),
     ):
         GarmentDataset("org/garments", endpoint=url, cache_dir=tmp_path)
 
@@ -233,5 +233,5 @@ json.kept = reader  # longer than the modules that were imported later
 
 @pytest.mark.parametrize("url", ["http://[bad/x", "http://host:99999999/x", "https:///x", "https://exa mple/x"])
 def test_a_url_without_a_server_is_refused_at_once(url: str) -> None:
-    with pytest.raises(ConfigError, match="no address of a server"):
+    with pytest.raises(ConfigError, match="not a server address"):
         GarmentDataset(url)

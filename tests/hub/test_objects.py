@@ -266,7 +266,7 @@ def test_a_run_continues_from_store_and_spool(s3: Store, here: Path, tmp_path: P
         ".unfinished/00000/index-train.npz",
         ".unfinished/00000/rejects.jsonl",
     }
-    with pytest.raises(MissingError, match="a data set appears when all of it is uploaded"):
+    with pytest.raises(MissingError, match="a data set becomes visible when its upload is complete"):
         GarmentDataset(url, cache_dir=tmp_path / "cache")
     assert make(url, spool=tmp_path) == 1
     assert hashes(s3.objects(url)) == hashes(files_of(here))
@@ -327,7 +327,7 @@ def test_one_writer_at_a_time(s3: Store, here: Path, tmp_path: Path) -> None:
     def second(progress: Progress) -> None:
         if progress.made == 1:
             for spool, told in (
-                ("other", "another run .* writes there: wait for it"),
+                ("other", "another run .* is writing there: wait for it"),
                 ("one", "another process"),
             ):
                 with pytest.raises(OutputError, match=told):

@@ -257,9 +257,7 @@ def test_an_endpoint_unsupported_by_an_old_client_is_reported(
     hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
-    message = (
-        rf"--endpoint {hub.endpoint}0: huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT alone: set that, or install"
-    )
+    message = rf"--endpoint {hub.endpoint}0: huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT only: set it, or install"
     with pytest.raises(ConfigError, match=message):
         upload(staged, "org/new-set", endpoint=f"{hub.endpoint}0", token=hub.token)
 
