@@ -219,7 +219,7 @@ def test_show_draws_a_sample_of_a_repository(hub: Hub, data: Path, tmp_path: Pat
     ("arguments", "code", "message"),
     [
         (["download", "me/nothing"], 1, "me/nothing"),
-        (["download", "."], 2, "a folder of this machine"),
+        (["download", "."], 2, "a local folder"),
         (["download", "one two"], 2, "neither a URL nor a repository"),
         (["download", "me/garments", "--fields", "vertices"], 2, "no field vertices: there are"),
         (["publish", "DATA", "nobody"], 2, "neither a URL nor a repository"),

@@ -55,7 +55,7 @@ WRONG_USAGE = [
     ("show shards --png a.jpg", "end the name in .png"),
     ("show shards", "give --png FILE or --svg FILE"),
     ("verify https://example.org/a", "run gcd download https://example.org/a first"),
-    ("download shards", "a folder of this machine"),
+    ("download shards", "a local folder"),
     ("download org/name --fields vertz", "no field vertz: there are .*: did you mean verts?"),
     ("publish shards nobody --dry-run --out out", "neither a URL nor a repository"),
     ("publish shards me/garments --dry-run --out out --shares 1,2", "give per cent"),

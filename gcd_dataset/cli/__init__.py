@@ -1,7 +1,7 @@
 """The ``gcd`` command: parses the options, calls one function of the library, prints its result.
 
-Errors are one line on stderr. Exit 2 for wrong usage: an unknown verb, option, value or name, or options that do not fit
-each other, this machine or the existing data set. Exit 1 for bad input: missing or damaged files, or files without
+Errors are one line on stderr. Exit 2 for wrong usage: an unknown verb, option, value or name, or options that do not
+fit each other, this machine or the existing data set. Exit 1 for bad input: missing or damaged files, or files without
 the requested content. Exit 130 after Ctrl-C.
 """
 

@@ -442,7 +442,7 @@ def test_options_that_need_a_folder_are_reported(
     assert "data sets of recipes are made in a folder" in capsys.readouterr().err
     assert main(["generate", "s3://bucket/parts", "--count=8", "--stage=pattern", "--shard=0/2"]) == 2
     assert "parts are made in a folder" in capsys.readouterr().err
-    with pytest.raises(OutputError, match="URLs takes them as str"):
+    with pytest.raises(OutputError, match="URLs expect them as str"):
         make(Path("s3://bucket/set"))
     assert not list(tmp_path.iterdir())
 

@@ -228,7 +228,7 @@ FAULTS: tuple[tuple[str, Callable[[bytes], bytes], str], ...] = (
     ("sim", lambda content: content[:-1], "_sim.ply: .* bytes for .* vertices"),
     ("sim", swapped(b"double s", b"float s"), "_sim.ply: not a binary PLY"),
     ("segmentation", lambda content: content + b"front\n", "_sim_segmentation.txt: labels"),
-    ("segmentation", swapped(b"front", b"sleeve"), "names sleeve, which is no panel"),
+    ("segmentation", swapped(b"front", b"sleeve"), "names sleeve, which is not a panel"),
     ("segmentation", swapped(b"stitch_1", b"stitch_7"), "names a stitch outside the 2"),
     ("vertex_labels", swapped(b"lower_interface", b"hem"), "_vertex_labels.yaml: hem is on no edge"),
     ("vertex_labels", swapped(b"- ", b"- -"), "lower_interface is not a list of vertices of the mesh"),

@@ -136,7 +136,7 @@ def test_nothing_is_added_to_schema_1(first: Path, alone: bool) -> None:
         (folder / "index-train.npz").unlink()
         (folder / "manifest.json").unlink()
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    with pytest.raises(ConfigError, match=r"of schema 1, and gcd_dataset 0\.\S+ writes schema 2: its samples can be"):
+    with pytest.raises(ConfigError, match=r"of schema 1, but gcd_dataset 0\.\S+ writes schema 2: its samples can be"):
         ShardWriter(folder, seed=5, recipe=recipe_of(PATTERNS))
     assert main(["generate", str(folder), "--count", "5", "--seed", "5", "--stage", "pattern", "--quiet"]) == 2
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

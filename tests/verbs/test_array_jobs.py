@@ -430,7 +430,9 @@ def test_a_part_of_a_complete_data_set_is_stored_or_refused(tmp_path: Path, whol
 def test_a_folder_without_parts_is_reported(tmp_path: Path, whole: dict[str, bytes]) -> None:
     with pytest.raises(ShardError, match="no parts to be merged: it already holds a complete data set"):
         merge(tmp_path / "whole")
-    with pytest.raises(ShardError, match="no parts to be merged: give a folder in which gcd generate --shard"):
+    with pytest.raises(
+        ShardError, match="no parts to be merged: give a folder with parts made by gcd generate --shard"
+    ):
         merge(tmp_path)
 
 
