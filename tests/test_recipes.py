@@ -281,7 +281,7 @@ def test_the_data_set_of_another_version_is_not_taken_for_it(made: Path, tmp_pat
     """The recipe's hash differs from the hash of the stored patterns."""
     shutil.copytree(made, tmp_path / "tiny")
     newer = written(tmp_path, TINY.replace("seed = 3", f'seed = 3\npatterns = "{"ab" * 32}"'))
-    with pytest.raises(ConfigError, match="patterns that differ from this version of the package: delete the folder"):
+    with pytest.raises(ConfigError, match="patterns drawn by another version of the package: delete the folder"):
         GarmentDataset(f"recipe:{newer}", "test", root=tmp_path)
 
 

@@ -79,7 +79,7 @@ def stage(
 
     A data set of one split is divided by ``shares`` into splits that share neither designs nor bodies; several splits
     are kept. ``partial`` allows a data set whose run was stopped. Raises ``ConfigError`` for splits that share designs,
-    foreign tars, an unfinished data set, parts that are not merged, and a folder that holds another data set.
+    foreign tars, an unfinished data set, parts that are not merged, and for a staging folder that holds other files.
     """
     if not isinstance(parse_source(repo), Repo):
         raise ConfigError(f"{repo}: not a repository: give ORG/NAME, and no local folder of that name")
@@ -197,8 +197,8 @@ def _warn_of_empty_splits(dataset: Path, shares: Mapping[str, float], parts: Map
     """Warn of splits that have a share but get no garment: there are fewer families than splits."""
     if missing := [name for name, share in shares.items() if share > 0 and name not in parts]:
         log.warning(
-            "%s: nothing for %s: garments that share a design or a body stay in one split, and all of these fall into "
-            "%s: add garments of other designs on other bodies, or give --shares 100,0,0",
+            "%s: no garments for %s: garments that share a design or a body stay in one split, and all garments fall "
+            "into %s: add garments of other designs on other bodies, or give --shares 100,0,0",
             dataset,
             " and ".join(missing),
             " and ".join(parts),

@@ -12,7 +12,7 @@ __all__ = ["PATIENCE", "Backoff", "RetryableError", "first_line"]
 PATIENCE = 30.0  # s of waiting without a received byte
 FIRST_WAIT, LAST_WAIT = 0.5, 60.0  # s: each wait is twice the last, up to LAST_WAIT
 REQUESTED_WAITS = 6  # consecutive waits that a server may request (Retry-After)
-LONGEST_WAIT = 300.0  # s; a server that requests a longer wait is given up
+LONGEST_WAIT = 300.0  # s; after a request for a longer wait the server is given up
 
 log = logging.getLogger(__name__)
 

@@ -177,7 +177,7 @@ class Site:
                 self._api(self._parsed.revision, retry_unreachable=retry_unreachable).get("", LARGEST_LISTING)
             )["sha"]
         except (MissingError, RefusedError) as error:
-            raise type(error)(f"{error}; there is no local folder {self._parsed.name} either") from error
+            raise type(error)(f"{error}; no local folder {self._parsed.name} exists either") from error
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise RemoteError(
                 f"{self._parsed}: the answer is not the Hub's description of a revision: {CHECK}"

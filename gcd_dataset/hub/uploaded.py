@@ -92,7 +92,7 @@ class UploadedDataset:
         return range(-(-count // self.range_size))
 
     def ranges(self, count: int) -> dict[int, UploadedRange]:
-        """Number to range, for the ranges whose shards are in the store with their recorded sizes.
+        """Number to range, for each range with all its shards in the store, in their recorded sizes.
 
         During an upload the notes of the ranges of ``count`` samples are read too.
         """

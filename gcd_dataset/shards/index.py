@@ -240,7 +240,7 @@ def _require_known(schema: int, path: str) -> None:
 
 
 def _other_layout(path: str, layout: Layout, schema: int, members: tuple[str, ...], is_foreign: bool) -> ShardError:
-    """The error for an index whose layout is not ``layout``."""
+    """The error for an index with another layout than ``layout``."""
     for other in (GARMENTS, BODIES):
         if other.kind != layout.kind and not is_foreign and layout_of(other, schema, members) is not None:
             return ShardError(

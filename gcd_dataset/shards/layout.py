@@ -203,7 +203,7 @@ def member_name(index: int, member: str) -> str:
 def shard_name(split: str, number: int) -> str:
     """The file name of a shard. It does not hold the number of shards, so that a data set can grow.
 
-    Raises ``ShardError``, as the next three functions do, for a split that is no safe file name.
+    Raises ``ShardError`` for an unsafe split name, as ``index_name``, ``mesh_name`` and ``lock_name`` do.
     """
     return f"{require_name(split, 'split')}-{number:05d}.tar"
 

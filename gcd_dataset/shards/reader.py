@@ -125,7 +125,7 @@ class ShardReader:
     def sample(self, position: int) -> Sample:
         """A garment with all its members.
 
-        Raises ``ShardError`` with shard and key for a damaged one, ``ConfigError`` where the split lacks some members.
+        Raises ``ShardError`` naming shard and key for a damaged garment, ``ConfigError`` if the split lacks members.
         """
         first = FIRST_NAMES if self.layout.schema == 1 else {}
         members = dict.fromkeys([*(first.get(member, member) for member in MEMBERS), *self.layout.members])

@@ -6,7 +6,7 @@ One JSON object per line, in the order of designs and attempts:
 ``seed``        of the data set
 ``design``      number of the design: index of its first sample // wearers per design
 ``attempt``     0 for the first attempt at this design
-``index``       the sample whose wearer the attempt did not fit, or whose drape failed
+``index``       the sample for which the attempt failed: the design did not fit its wearer, or its drape failed
 ``rule``        the rule that rejected it, as counted in ``manifest.json``; ``drape`` for a failed drape
 ``reason``      a sentence; for a drape its outcome
 ``figures``     the numbers behind the rule; names end in their units: ``{"cuff_cm": 29.9, "limb_cm": 35.5}``

@@ -1,4 +1,4 @@
-"""Data sets of recipes: listing the recipes, verifying a folder against one, and making one on demand."""
+"""Data sets of recipes: listing recipes, verifying a folder against a recipe, and generating on demand."""
 
 import logging
 import multiprocessing
@@ -28,7 +28,7 @@ from gcd_dataset.workers import without_main_module
 
 __all__ = ["ensure_recipe", "recipe_faults", "recipe_lines"]
 
-SAMPLED = 32  # designs made again to verify a recipe without a hash of all its patterns
+SAMPLED = 32  # designs generated again to verify a recipe that has no hash of all its patterns
 LOCK = ".recipe.lock"
 
 log = logging.getLogger(__name__)
@@ -146,7 +146,7 @@ def ensure_recipe(recipe: Recipe, folder: Path) -> None:
     stored = (read_manifest(folder) or Manifest()).recipe
     if recipe.patterns and stored is not None and stored.patterns != recipe.patterns:
         raise ConfigError(
-            f"{folder}: holds {recipe.name} with patterns that differ from this version of the package: delete the "
+            f"{folder}: holds {recipe.name} with patterns drawn by another version of the package: delete the "
             "folder to generate it again, or read it by its path"
         )
 
@@ -208,7 +208,7 @@ def _lock_folder(folder: Path, recipe: Recipe) -> Iterator[None]:
 def _is_importing_main() -> bool:
     """Whether this is a spawned worker that imports the main module again.
 
-    The parent may hold the lock and wait for this worker, so waiting here would deadlock. multiprocessing
-    uses the same flag to forbid that such a worker starts processes.
+    The parent may hold the lock and wait for this worker, so waiting here would deadlock. The module
+    ``multiprocessing`` checks the same flag before it starts a process.
     """
     return bool(getattr(multiprocessing.current_process(), "_inheriting", False))

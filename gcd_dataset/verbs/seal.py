@@ -88,7 +88,7 @@ def seal(folder: Path, recipe: NamedRecipe) -> None:
     agrees = found.agrees(recipe.patterns)
     if recipe.patterns and not agrees:
         log.warning(
-            "%s: its patterns differ from those of %s: this version of the package, or of NumPy, SciPy or Shapely, "
+            "%s: its patterns differ from the patterns of %s: this version of the package, of NumPy, SciPy or Shapely, "
             "draws different patterns; the data set can be used, but not under that name",
             folder,
             recipe.name,

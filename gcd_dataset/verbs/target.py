@@ -117,7 +117,7 @@ class _FolderWriter:
 
 @dataclass(frozen=True)
 class _OpenWriter(_FolderWriter):
-    """A folder writer with a method ``close``, for callers without a ``with`` block."""
+    """A folder writer with ``close``: its caller keeps it open without a ``with`` block."""
 
     stack: contextlib.ExitStack
 

@@ -122,8 +122,8 @@ def test_a_member_declared_over_the_limit_is_not_requested(hub: Hub, commit: str
     manifest["splits"]["train"]["shards"][0]["size"] = 2**40
     hub.static["evil/manifest.json"] = json.dumps(manifest).encode()
     told = (
-        rf"{url}@.*/train-00000\.tar: sample gcd_000000000, member back\.jpg: has {remote.LARGEST_MEMBER + 1} bytes according to "
-        rf"its index, over the limit of {remote.LARGEST_MEMBER} for servers"
+        rf"{url}@.*/train-00000\.tar: sample gcd_000000000, member back\.jpg: has {remote.LARGEST_MEMBER + 1} bytes "
+        rf"according to its index, over the limit of {remote.LARGEST_MEMBER} for servers"
     )
     with pytest.raises(RemoteError, match=told):
         opened(hub, tmp_path, "evil", fields=["back"])[0]
