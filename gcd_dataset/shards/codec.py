@@ -263,7 +263,7 @@ def _floats(array: np.ndarray | None, *shape: int) -> np.ndarray:
 def _ids(rows: Int[np.ndarray, "*n"], count: int, name: str, *, smallest: int = 2) -> np.ndarray:
     """Row numbers below ``count`` in the smallest unsigned type of at least ``smallest`` bytes."""
     rows = np.asarray(rows)
-    # The limit also holds for column 1 of labels and seams: neither edge labels nor stitches outnumber the vertices.
+    # Column 1 of labels and seams, rows of edge labels and of stitches, is held to the same limit.
     if rows.size and not 0 <= rows.min() <= rows.max() < count:
         raise ShardError(f"{name} holds row {rows.max() if rows.min() >= 0 else rows.min()} of {count}")
     size = next(n for n in (1, 2, 4) if n >= smallest and count <= 256**n)
