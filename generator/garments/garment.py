@@ -156,6 +156,8 @@ class BottomGarment(Garment[D]):
     """Girths of the band at the end of its legs and of the leg inside the band, for a rise [cm]; ``None``: no legs."""
     always_sewable: Callable[[D], bool] = field(default=lambda design: False)
     """Whether a design needs no sewability check in sampling, since no cut can run into another edge."""
+    remedies: tuple[str, ...] = ()
+    """Paths in its section to draw again, one after the other, if the bottom cannot be sewn or a cuff is too tight."""
     statistics_length_section: str = ""
     """The section whose ``length`` GarmentCodeData's published statistics report; empty for its own section."""
 

@@ -251,5 +251,6 @@ PANTS = SimpleBottom(
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     legs=True,
     cuffs=cuff_and_leg_girth,
+    remedies=("cuff.top_ruffle", "flare", "cuff.cuff_len", "length"),
     always_sewable=lambda design: True,
 )

@@ -1,0 +1,221 @@
+"""Drafts made wearable: limits first, then remedies for what cannot be sewn or worn.
+
+Each step changes as few parameters as it can and counts what it draws again; ``rules.py`` catches the rest.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
+from gcd_dataset.generator.garments.kind import choice_of
+from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw, Redrawing, Remedy
+from gcd_dataset.generator.garments.rules import (
+    LIGHT_LENGTH,
+    LIGHT_SUNS,
+    bottom_length,
+    garment_length,
+    has_firm_band,
+    has_snug_band,
+    has_tight_cuffs,
+    is_flared,
+    is_gathered,
+    room_to_floor,
+    top_girth,
+    top_of_bottom,
+    top_parameter,
+)
+from gcd_dataset.generator.garments.sewable import Fault, bottom_fault, half_fault, sleeve_is_tight, upper_fault
+from gcd_dataset.generator.garments.space import DesignSpace
+from gcd_dataset.generator.garments.upper import Shirt
+from gcd_dataset.records import Measurements
+
+__all__ = ["wearable"]
+
+# A shirt with a band or bottom sewn to its hem ends near the waist, where both have about the same girth.
+JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length
+WHOLE_SHIRT = (("collar",), ("sleeve", "collar"), ("shirt", "sleeve", "collar"))
+WHOLE_LEFT = (("left.collar",), ("left.sleeve", "left.collar"), ("left.shirt", "left.sleeve", "left.collar"))
+SHIRT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
+    "right_ftorso": (("collar.fc_depth",), ("collar.f_collar",), ("collar.width",)),
+    "right_btorso": (("collar.bc_depth",), ("collar.width",), ("collar.b_collar",)),
+    "sleeve": (("sleeve.cuff.top_ruffle",), ("sleeve.end_width",), ("sleeve.cuff.cuff_len",), ("sleeve.length",)),
+    "sl_right_cuff_skirt_f": (("sleeve.cuff.skirt_flare",), ("sleeve.cuff.cuff_len",)),
+    "": (("collar.width",), ("shirt.width",), ("sleeve.connecting_width",)),
+}
+"""The panel at fault, of a shirt's right half, to its remedies; ``sleeve`` for a tight cuff."""
+LEFT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
+    "right_ftorso": (("left.collar.f_collar",), ("left.collar.width",), ("collar.fc_depth",)),
+    "right_btorso": (("left.collar.b_collar",), ("left.collar.width",), ("collar.bc_depth",)),
+    "sleeve": tuple((f"left.{path}",) for (path,) in SHIRT_REMEDIES["sleeve"]),
+    "sl_right_cuff_skirt_f": tuple((f"left.{path}",) for (path,) in SHIRT_REMEDIES["sl_right_cuff_skirt_f"]),
+    "": (("left.collar.width",), ("left.shirt.width",), ("left.sleeve.connecting_width",)),
+}
+"""The same of a left half that differs."""
+LEFT = "left."
+
+
+def wearable(
+    draft: OutfitDesign, wearers: Sequence[Measurements], rng: np.random.Generator, space: DesignSpace[OutfitDesign]
+) -> DrawnDesign:
+    """The draft with what the ``wearers`` cannot sew or wear drawn again, as far as remedies help."""
+    redrawing = Redrawing(rng, space)
+    fitting = _Fitting(redrawing, tuple(wearers))
+    design = fitting.with_band(draft)
+    if design.meta.upper:
+        design = fitting.with_upper(design)
+    if design.meta.bottom:
+        design = fitting.with_bottom(design)
+    return DrawnDesign(design, dict(redrawing.counts))
+
+
+@dataclass(frozen=True)
+class _Fitting:
+    """Limits and remedies of one design for its wearers."""
+
+    redrawing: Redrawing
+    sizes: tuple[Measurements, ...]
+
+    def with_band(self, design: OutfitDesign) -> OutfitDesign:
+        """With a waistband that, without an upper, is no wider than the trunk."""
+        if not design.meta.wb or design.meta.upper:
+            return design
+        snug = replace(design, waistband=replace(design.waistband, waist=1.0))
+        widest = min(max(size.waist, size.hips) / top_girth(size, snug) for size in self.sizes)
+        return self.redrawing.within(design, "slides_off", "waistband.waist", 1.0, widest)
+
+    # ---------------------------------------------------------------------------------------------------------- uppers
+
+    def with_upper(self, design: OutfitDesign) -> OutfitDesign:
+        """With an upper that can be sewn and worn."""
+        assert design.meta.upper is not None
+        if isinstance(design.meta.upper.garment, Shirt):
+            limited = self._ending_in_place
+            return self.redrawing.repaired(limited(design), self._shirt_fault, _shirt_remedies, limited=limited)
+        section = design.meta.upper.garment.section
+        return self.redrawing.repaired(design, self._upper_fault, lambda fault: ((section,),))
+
+    def _shirt_fault(self, design: OutfitDesign) -> Fault | None:
+        """The first fault of the sleeves, then of the halves; the part of the left half begins with ``LEFT``."""
+        halves = tuple(zip(("", LEFT), design.halves(), strict=False))
+        for prefix, half in halves:
+            if any(sleeve_is_tight(size, design, half) for size in self.sizes):
+                return Fault("tight_cuff", f"{prefix}sleeve")
+        for prefix, half in halves:
+            faults = (half_fault(size, design, half) for size in self.sizes)
+            if (fault := _first(faults)) is not None:
+                return Fault(fault.rule, prefix + fault.part)
+        return None
+
+    def _upper_fault(self, design: OutfitDesign) -> Fault | None:
+        return _first(upper_fault(size, design) for size in self.sizes)
+
+    def _ending_in_place(self, design: OutfitDesign) -> OutfitDesign:
+        """With a shirt that ends near the waist if a part is sewn to its hem, and above the floor otherwise."""
+        assert design.meta.upper is not None
+        if design.meta.upper.garment.at_waist:
+            return design
+        if design.meta.wb or design.meta.bottom:
+            return self.redrawing.within(design, "off_the_waist", "shirt.length", *JOINED_SHIRT)
+        longest = min(room_to_floor(size, design) / size.waist_line for size in self.sizes)
+        return self.redrawing.within(design, "reaches_floor", "shirt.length", -np.inf, longest)
+
+    # --------------------------------------------------------------------------------------------------------- bottoms
+
+    def with_bottom(self, design: OutfitDesign) -> OutfitDesign:
+        """With a bottom that can be sewn and worn, within limits set by the floor and by the waistband."""
+        limited = self._hanging_in_place
+        return self.redrawing.repaired(
+            limited(design), self._bottom_fault, partial(_bottom_remedies, design), limited=limited
+        )
+
+    def _hanging_in_place(self, design: OutfitDesign) -> OutfitDesign:
+        return self._without_heavy_flare(self._above_floor(self._with_snug_band(design)))
+
+    def _bottom_fault(self, design: OutfitDesign) -> Fault | None:
+        if any(has_tight_cuffs(size, design) for size in self.sizes):
+            return Fault("tight_cuff", "cuff")
+        return None if _is_plain(design) else _first(bottom_fault(size, design) for size in self.sizes)
+
+    def _above_floor(self, design: OutfitDesign) -> OutfitDesign:
+        """With the bottom short enough to end above the floor; lengths are fractions of hips to floor."""
+        excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
+        if excess <= 0:
+            return design
+        longest = bottom_length(design) - excess
+        return self.redrawing.within(design, "reaches_floor", _length_path(design), -np.inf, longest)
+
+    def _with_snug_band(self, design: OutfitDesign) -> OutfitDesign:
+        """With a snug band for a gathered bottom alone; without gathers if the overlay allows no band."""
+        if design.meta.upper or not is_gathered(design) or has_snug_band(design):
+            return design
+        if top_parameter(design, "gather_parameter") <= 1:
+            return design
+        bands = choice_of(self.redrawing.space.of(MetaDesign), "wb")
+        if all(option is None for option in bands.weighted_options):
+            return self._with_top_within(design, "gather_parameter", 1.0, 1.0, rule="loose_gathers")
+        if design.meta.wb is None:
+            band = bands.only(present=True).draw(self.redrawing.rng)
+            self.redrawing.counts[Redraw("loose_gathers", "meta.wb")] += 1
+            design = replace(design, meta=replace(design.meta, wb=band))
+            design = self.redrawing.again(design, "loose_gathers", "waistband")
+        return self.redrawing.within(design, "loose_gathers", "waistband.waist", 1.0, 1.0)
+
+    def _without_heavy_flare(self, design: OutfitDesign) -> OutfitDesign:
+        """With a shorter and narrower bottom, if it is flared, alone, and has no firm band."""
+        if design.meta.upper or not is_flared(design) or has_firm_band(design):
+            return design
+        design = self.redrawing.within(design, "too_heavy", _length_path(design), -np.inf, LIGHT_LENGTH)
+        return self._with_top_within(design, "fullness_parameter", -np.inf, LIGHT_SUNS, rule="too_heavy")
+
+    def _with_top_within(
+        self,
+        design: OutfitDesign,
+        role: Literal["gather_parameter", "fullness_parameter"],
+        low: float,
+        high: float,
+        *,
+        rule: str,
+    ) -> OutfitDesign:
+        """With the parameter that gathers the bottom's top, or makes it wide, within limits."""
+        top = top_of_bottom(design)
+        name = "" if top is None else getattr(top, role)
+        if top is None or not name:
+            return design
+        return self.redrawing.within(design, rule, f"{top.section}.{name}", low, high)
+
+
+def _first(faults: Iterable[Fault | None]) -> Fault | None:
+    return next((fault for fault in faults if fault is not None), None)
+
+
+def _shirt_remedies(fault: Fault) -> tuple[Remedy, ...]:
+    if fault.part.startswith(LEFT):
+        return LEFT_REMEDIES.get(fault.part.removeprefix(LEFT), ()) + WHOLE_LEFT
+    return SHIRT_REMEDIES.get(fault.part, ()) + WHOLE_SHIRT
+
+
+def _bottom_remedies(design: OutfitDesign, fault: Fault) -> tuple[Remedy, ...]:
+    """The parameters that its record and those of its parts name, then whole sections."""
+    assert design.meta.bottom is not None
+    garment = design.meta.bottom.garment
+    parts = (garment, *garment.parts(design))
+    sections = tuple(dict.fromkeys(part.section for part in parts))
+    named = dict.fromkeys(f"{part.section}.{name}" for part in parts for name in part.remedies)
+    return (*((path,) for path in named), sections)
+
+
+def _is_plain(design: OutfitDesign) -> bool:
+    """Whether the bottom needs no sewability check: see ``BottomGarment.always_sewable``."""
+    assert design.meta.bottom is not None
+    garment = design.meta.bottom.garment
+    return garment.always_sewable(garment.section_design(design))
+
+
+def _length_path(design: OutfitDesign) -> str:
+    """The path of the bottom's ``length``."""
+    assert design.meta.bottom is not None
+    return f"{design.meta.bottom.garment.length_garment(design).section}.length"
