@@ -157,7 +157,10 @@ class BottomGarment(Garment[D]):
     always_sewable: Callable[[D], bool] = field(default=lambda design: False)
     """Whether a design needs no sewability check in sampling, since no cut can run into another edge."""
     remedies: tuple[str, ...] = ()
-    """Paths in its section to draw again, one after the other, if the bottom cannot be sewn or a cuff is too tight."""
+    """Parameters to draw again, in this order, if it cannot be sewn or a cuff is too tight: paths in its section.
+
+    A path that ends in ``-`` (``+``) is drawn below (above) the value at fault.
+    """
     statistics_length_section: str = ""
     """The section whose ``length`` GarmentCodeData's published statistics report; empty for its own section."""
 

@@ -131,6 +131,6 @@ LEVELS_SKIRT = CombinedBottom(
     parts_of=lambda design: (design.base.garment, design.level.garment),
     combine=_combined,
     rise_of=lambda design, parts: design.rise,
-    remedies=("base_length_frac", "num_levels"),
+    remedies=("level_ruffle-", "num_levels-"),
     length_of=lambda size, design, parts, rise: _length(size, design, rise),
 )

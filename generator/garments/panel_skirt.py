@@ -75,5 +75,5 @@ PANEL_SKIRT = SimpleBottom(
     length_of=flare_skirt_length,
     flared=True,
     fullness_parameter="suns",
-    remedies=("skirt-many-panels.panel_curve", "suns", "length"),
+    remedies=("skirt-many-panels.panel_curve", "suns+"),
 )

@@ -1,12 +1,13 @@
 """Redraws: parts of a design drawn again because they break a rule, each counted with the rule and the parameter.
 
 A limit redraws one parameter within it. A fault that no limit describes is removed by remedies, tried in order: each
-names the parameters to draw again while all others stay.
+names a parameter to draw again while all others stay.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,13 +18,11 @@ from gcd_dataset.generator.garments.space import DesignSpace, redrawn, value_at
 
 __all__ = ["DrawnDesign", "FindFault", "Redraw", "Redrawing", "Remedy"]
 
-TRIES = 5  # of one remedy
+TRIES = 4  # of one remedy
 MOST_REPAIRS = 10  # a remedy may remove one fault and cause another
 
 FindFault: TypeAlias = Callable[[OutfitDesign], Fault | None]
 """The first fault of a design."""
-Remedy: TypeAlias = tuple[str, ...]
-"""Paths of the parameters and parts that are drawn again together."""
 
 
 class Redraw(NamedTuple):
@@ -31,6 +30,16 @@ class Redraw(NamedTuple):
 
     rule: str
     path: str
+
+
+class Remedy(NamedTuple):
+    """A parameter, or parts of a design, to draw again."""
+
+    paths: tuple[str, ...]
+    low: bool = False
+    """Whether each number that is drawn must be below the one before."""
+    high: bool = False
+    """Whether each number that is drawn must be above the one before."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +80,18 @@ class Redrawing:
             return design
         return self.again(design, rule, path, low=low, high=high)
 
+    def tried(self, design: OutfitDesign, rule: str, remedy: Remedy) -> Iterator[OutfitDesign]:
+        """The design with a remedy applied, ``TRIES`` times; without trials that change nothing."""
+        trial = design
+        for _ in range(TRIES):
+            low, high = -np.inf, np.inf
+            if remedy.low or remedy.high:
+                last = value_at(self.space, trial, remedy.paths[0])
+                low, high = (low, last) if remedy.low else (last, high)
+            trial = self.again(design, rule, *remedy.paths, low=low, high=high)
+            if trial != design:
+                yield trial
+
     def repaired(
         self,
         design: OutfitDesign,
@@ -87,10 +108,8 @@ class Redrawing:
         for _ in range(MOST_REPAIRS):
             if fault is None:
                 break
-            trials = (
-                limited(self.again(design, fault.rule, *paths)) for paths in remedies(fault) for _ in range(TRIES)
-            )
-            found = ((trial, find(trial)) for trial in trials)
+            trials = chain.from_iterable(self.tried(design, fault.rule, remedy) for remedy in remedies(fault))
+            found = ((trial, find(trial)) for trial in map(limited, trials))
             design, left = next((pair for pair in found if _is_other(pair[1], fault)), (design, fault))
             if left is fault:
                 break

@@ -12,6 +12,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import arm_girth_in_cuff
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
+from gcd_dataset.generator.garments.neckline import NecklineDesign
 from gcd_dataset.generator.garments.outfit import bottom
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half, right_torso
@@ -29,7 +30,7 @@ __all__ = [
     "half_fault",
     "is_mismatched",
     "panel_fault",
-    "sleeve_is_tight",
+    "sleeve_tightness",
     "upper_fault",
 ]
 
@@ -56,13 +57,17 @@ def half_fault(size: Measurements, design: OutfitDesign, half: UpperHalf) -> Fau
     return next((fault for fault in faults if fault is not None), None)
 
 
-def sleeve_is_tight(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
-    """Whether the band at the end of the sleeve of one half is too tight for the arm."""
-    try:
-        band, arm = cuff_and_arm_girth(size, design, half)
-    except PatternError:  # drawing the outfit reports it
-        return False
-    return band * CLOTH_GIVES < arm
+def sleeve_tightness(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
+    """Girth of the arm over the largest girth of the band at the end of a half's sleeve: over 1, it is too tight.
+
+    0 without a band, and for a half that cannot be drawn.
+    """
+    shirt, _, sleeve = half
+    try:  # The girth does not depend on the neckline: the same drawing serves all necklines.
+        band, arm = cuff_and_arm_girth(size, design, (shirt, NecklineDesign(), sleeve))
+    except PatternError:
+        return 0.0
+    return arm / (band * CLOTH_GIVES) if band else 0.0
 
 
 def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf) -> tuple[float, float]:

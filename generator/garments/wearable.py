@@ -12,7 +12,7 @@ import numpy as np
 
 from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
 from gcd_dataset.generator.garments.kind import choice_of
-from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw, Redrawing, Remedy
+from gcd_dataset.generator.garments.redrawing import TRIES, DrawnDesign, Redraw, Redrawing, Remedy
 from gcd_dataset.generator.garments.rules import (
     LIGHT_LENGTH,
     LIGHT_SUNS,
@@ -28,8 +28,8 @@ from gcd_dataset.generator.garments.rules import (
     top_of_bottom,
     top_parameter,
 )
-from gcd_dataset.generator.garments.sewable import Fault, bottom_fault, half_fault, sleeve_is_tight, upper_fault
-from gcd_dataset.generator.garments.space import DesignSpace
+from gcd_dataset.generator.garments.sewable import Fault, bottom_fault, half_fault, sleeve_tightness, upper_fault
+from gcd_dataset.generator.garments.space import DesignSpace, value_at
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.records import Measurements
 
@@ -37,25 +37,36 @@ __all__ = ["wearable"]
 
 # A shirt with a band or bottom sewn to its hem ends near the waist, where both have about the same girth.
 JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length
-WHOLE_SHIRT = (("collar",), ("sleeve", "collar"), ("shirt", "sleeve", "collar"))
-WHOLE_LEFT = (("left.collar",), ("left.sleeve", "left.collar"), ("left.shirt", "left.sleeve", "left.collar"))
+WIDEST_END = 2.0  # largest sleeve.end_width
+LEFT = "left."
+FLARED_CUFF = "sl_right_cuff_skirt_f"
+
+
+def _remedy(path: str) -> Remedy:
+    """The remedy for one path; ``-`` or ``+`` at its end: see ``BottomGarment.remedies``."""
+    return Remedy((path.rstrip("+-"),), low=path.endswith("-"), high=path.endswith("+"))
+
+
+def _remedies(*paths: str) -> tuple[Remedy, ...]:
+    return tuple(map(_remedy, paths))
+
+
 SHIRT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
-    "right_ftorso": (("collar.fc_depth",), ("collar.f_collar",), ("collar.width",)),
-    "right_btorso": (("collar.bc_depth",), ("collar.width",), ("collar.b_collar",)),
-    "sleeve": (("sleeve.cuff.top_ruffle",), ("sleeve.end_width",), ("sleeve.cuff.cuff_len",), ("sleeve.length",)),
-    "sl_right_cuff_skirt_f": (("sleeve.cuff.skirt_flare",), ("sleeve.cuff.cuff_len",)),
-    "": (("collar.width",), ("shirt.width",), ("sleeve.connecting_width",)),
+    "right_ftorso": _remedies("collar.fc_depth-", "collar.f_collar", "collar.width"),
+    "right_btorso": _remedies("collar.bc_depth-", "collar.b_collar", "collar.width"),
+    FLARED_CUFF: _remedies("sleeve.cuff.skirt_flare-", "sleeve.cuff.cuff_len+"),
+    "": _remedies("shirt.flare-", "collar.width", "shirt.width"),
 }
-"""The panel at fault, of a shirt's right half, to its remedies; ``sleeve`` for a tight cuff."""
+"""The panel of a shirt's right half at fault to its remedies; without a panel, a seam or a drawing is at fault."""
 LEFT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
-    "right_ftorso": (("left.collar.f_collar",), ("left.collar.width",), ("collar.fc_depth",)),
-    "right_btorso": (("left.collar.b_collar",), ("left.collar.width",), ("collar.bc_depth",)),
-    "sleeve": tuple((f"left.{path}",) for (path,) in SHIRT_REMEDIES["sleeve"]),
-    "sl_right_cuff_skirt_f": tuple((f"left.{path}",) for (path,) in SHIRT_REMEDIES["sl_right_cuff_skirt_f"]),
-    "": (("left.collar.width",), ("left.shirt.width",), ("left.sleeve.connecting_width",)),
+    "right_ftorso": _remedies("collar.fc_depth-", "left.collar.f_collar", "left.collar.width"),
+    "right_btorso": _remedies("collar.bc_depth-", "left.collar.b_collar", "left.collar.width"),
+    FLARED_CUFF: _remedies("left.sleeve.cuff.skirt_flare-", "left.sleeve.cuff.cuff_len+"),
+    "": _remedies("left.shirt.flare-", "left.collar.width", "left.shirt.width"),
 }
 """The same of a left half that differs."""
-LEFT = "left."
+WHOLE_SHIRT = tuple(map(Remedy, (("collar",), ("sleeve", "collar"), ("shirt", "sleeve", "collar"))))
+WHOLE_LEFT = tuple(map(Remedy, (("left.collar",), ("left.shirt", "left.sleeve", "left.collar"))))
 
 
 def wearable(
@@ -94,19 +105,36 @@ class _Fitting:
         assert design.meta.upper is not None
         if isinstance(design.meta.upper.garment, Shirt):
             limited = self._ending_in_place
-            return self.redrawing.repaired(limited(design), self._shirt_fault, _shirt_remedies, limited=limited)
-        section = design.meta.upper.garment.section
-        return self.redrawing.repaired(design, self._upper_fault, lambda fault: ((section,),))
+            design = self._with_wide_cuffs(limited(design))
+            return self.redrawing.repaired(design, self._shirt_fault, _shirt_remedies, limited=limited)
+        section = Remedy((design.meta.upper.garment.section,))
+        return self.redrawing.repaired(design, self._upper_fault, lambda fault: (section,))
+
+    def _with_wide_cuffs(self, design: OutfitDesign) -> OutfitDesign:
+        """With bands at the ends of the sleeves that the arms fit through."""
+        for number, prefix in enumerate(("", LEFT)[: len(design.halves())]):
+            for _ in range(TRIES):
+                tightness = max(sleeve_tightness(size, design, design.halves()[number]) for size in self.sizes)
+                if tightness <= 1:
+                    break
+                design = self._with_wider_cuff(design, f"{prefix}sleeve", tightness)
+        return design
+
+    def _with_wider_cuff(self, design: OutfitDesign, path: str, tightness: float) -> OutfitDesign:
+        """With fewer gathers over the cuff; if it needs more, with a wider or, last, a shorter sleeve end or cuff."""
+        sleeve = value_at(self.redrawing.space, design, path)
+        ruffle, end = sleeve.cuff.top_ruffle / tightness, sleeve.end_width * tightness / sleeve.cuff.top_ruffle
+        if ruffle >= 1:
+            return self.redrawing.again(design, "tight_cuff", f"{path}.cuff.top_ruffle", high=ruffle)
+        if end <= WIDEST_END:
+            return self.redrawing.again(design, "tight_cuff", f"{path}.end_width", low=end)
+        return self.redrawing.again(design, "tight_cuff", f"{path}.length", low=sleeve.length)
 
     def _shirt_fault(self, design: OutfitDesign) -> Fault | None:
-        """The first fault of the sleeves, then of the halves; the part of the left half begins with ``LEFT``."""
-        halves = tuple(zip(("", LEFT), design.halves(), strict=False))
-        for prefix, half in halves:
-            if any(sleeve_is_tight(size, design, half) for size in self.sizes):
-                return Fault("tight_cuff", f"{prefix}sleeve")
-        for prefix, half in halves:
-            faults = (half_fault(size, design, half) for size in self.sizes)
-            if (fault := _first(faults)) is not None:
+        """The first fault of the halves; the part of the left half begins with ``LEFT``."""
+        for prefix, half in zip(("", LEFT), design.halves(), strict=False):
+            fault = _first(half_fault(size, design, half) for size in self.sizes)
+            if fault is not None:
                 return Fault(fault.rule, prefix + fault.part)
         return None
 
@@ -204,8 +232,8 @@ def _bottom_remedies(design: OutfitDesign, fault: Fault) -> tuple[Remedy, ...]:
     garment = design.meta.bottom.garment
     parts = (garment, *garment.parts(design))
     sections = tuple(dict.fromkeys(part.section for part in parts))
-    named = dict.fromkeys(f"{part.section}.{name}" for part in parts for name in part.remedies)
-    return (*((path,) for path in named), sections)
+    named = dict.fromkeys(f"{part.section}.{path}" for part in parts for path in part.remedies)
+    return (*_remedies(*named), Remedy(sections))
 
 
 def _is_plain(design: OutfitDesign) -> bool:
