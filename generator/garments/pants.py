@@ -251,6 +251,6 @@ PANTS = SimpleBottom(
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     legs=True,
     cuffs=cuff_and_leg_girth,
-    remedies=("cuff.top_ruffle-", "flare+", "cuff.cuff_len-"),
-    always_sewable=lambda design: True,
+    remedies=("cuff.top_ruffle-", "flare+", "cuff.cuff_len", "cuff.skirt_flare-"),
+    always_sewable=lambda design: design.cuff.type is None,
 )

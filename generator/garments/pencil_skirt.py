@@ -217,5 +217,5 @@ PENCIL_SKIRT = SimpleBottom(
     length_of=lambda size, design, rise: length_below_waist(size, design.length, rise=rise),
     without_slits=lambda design: replace(design, front_slit=0.0, back_slit=0.0, left_slit=0.0, right_slit=0.0),
     hem_tilt=lambda design: design.low_angle,
-    remedies=("front_slit-", "back_slit-", "low_angle", "flare"),
+    remedies=("low_angle", "flare", "left_slit-", "right_slit-"),
 )

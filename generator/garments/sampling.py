@@ -49,9 +49,7 @@ def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind
     return kinds[int(rng.integers(len(kinds)))]
 
 
-def sample_draft(
-    rng: np.random.Generator, *, kind: Kind | None = None, overlay: Overlay = NO_OVERLAY
-) -> OutfitDesign:
+def sample_draft(rng: np.random.Generator, *, kind: Kind | None = None, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
     """A random outfit by the declared distributions alone: nobody may be able to sew or wear it."""
     design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), overlay.space.of(MetaDesign)))
     drawn = {"meta"}

@@ -103,11 +103,12 @@ class _Fitting:
     def with_upper(self, design: OutfitDesign) -> OutfitDesign:
         """With an upper that can be sewn and worn."""
         assert design.meta.upper is not None
-        if isinstance(design.meta.upper.garment, Shirt):
+        garment = design.meta.upper.garment
+        if isinstance(garment, Shirt):
             limited = self._ending_in_place
             design = self._with_wide_cuffs(limited(design))
             return self.redrawing.repaired(design, self._shirt_fault, _shirt_remedies, limited=limited)
-        section = Remedy((design.meta.upper.garment.section,))
+        section = Remedy((garment.section,))
         return self.redrawing.repaired(design, self._upper_fault, lambda fault: (section,))
 
     def _with_wide_cuffs(self, design: OutfitDesign) -> OutfitDesign:
