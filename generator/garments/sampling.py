@@ -13,7 +13,7 @@ the rest. Unlike GarmentCode's sampler, this one
   and arms fit through their cuffs.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -52,10 +52,10 @@ def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind
 def sample_draft(rng: np.random.Generator, *, kind: Kind | None = None, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
     """A random outfit by the declared distributions alone: nobody may be able to sew or wear it."""
     design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), overlay.space.of(MetaDesign)))
-    drawn = {"meta"}
-    while new := [name for name in _sections(overlay) if name in _sections_drawn(design) - drawn]:
-        design = replace(design, **{name: draw(_sections(overlay)[name], rng) for name in new})
-        drawn.update(new)  # the base of a combined skirt is known once its own section is drawn
+    design = _with_sections(design, _own_sections(design), rng, overlay)
+    bottom = design.meta.bottom.garment if design.meta.bottom else None
+    parts = {part.field for part in bottom.parts(design)} if bottom else set()
+    design = _with_sections(design, parts, rng, overlay)
     return design if design.left.enable_asym else replace(design, left=LeftDesign())
 
 
@@ -116,9 +116,22 @@ def _meta(rng: np.random.Generator, kind: Kind, space: DesignSpace[MetaDesign]) 
     return MetaDesign(upper, bands.draw(rng), bottom)
 
 
-def _sections_drawn(design: OutfitDesign) -> frozenset[str]:
-    """The fields to draw for the garments of a design."""
-    return design.sections_used() | ({"left"} if design.halves() else frozenset())
+def _own_sections(design: OutfitDesign) -> set[str]:
+    """The fields of the garments of a design, without those of the parts of a combined bottom."""
+    meta = design.meta
+    sections = {"waistband"} if meta.wb else set()
+    if meta.upper:
+        sections.update(meta.upper.garment.sections_used(design))
+    if design.halves():
+        sections.add("left")
+    return sections | ({meta.bottom.garment.field} if meta.bottom else set())
+
+
+def _with_sections(
+    design: OutfitDesign, names: Collection[str], rng: np.random.Generator, overlay: Overlay
+) -> OutfitDesign:
+    """The design with some of its sections drawn, in the order of the fields."""
+    return replace(design, **{name: draw(space, rng) for name, space in _sections(overlay).items() if name in names})
 
 
 def _with_new_numbers(design: OutfitDesign, rng: np.random.Generator, overlay: Overlay) -> OutfitDesign:
