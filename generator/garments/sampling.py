@@ -35,6 +35,7 @@ __all__ = [
     "attempted_design",
     "design_from_dict",
     "design_to_dict",
+    "drafted_design",
     "sample_design",
     "sample_draft",
     "sample_kind",
@@ -71,6 +72,12 @@ def sample_design(
     return wearable(draft, tuple(wearers) or (_neutral(),), rng, overlay.space).design
 
 
+def drafted_design(seed: int, number: int, attempt: int, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
+    """The draft of design ``number`` of a seed: the same kind in all attempts, the same choices in most."""
+    kind = sample_kind(stream(seed, number, Stage.KIND), overlay)
+    return sample_draft(stream(seed, number, Stage.DRAFT, attempt // SAME_CHOICES), kind=kind, overlay=overlay)
+
+
 def attempted_design(
     seed: int, number: int, attempt: int, wearers: Iterable[Measurements], overlay: Overlay = NO_OVERLAY
 ) -> DrawnDesign:
@@ -79,9 +86,7 @@ def attempted_design(
     All attempts have the same kind; ``SAME_CHOICES`` attempts have the same choices, such as upper and bottom, and
     other numbers. Otherwise designs that are often rejected would become rare.
     """
-    kind = sample_kind(stream(seed, number, Stage.KIND), overlay)
-    draft = sample_draft(stream(seed, number, Stage.DRAFT, attempt // SAME_CHOICES), kind=kind, overlay=overlay)
-    rng = stream(seed, number, Stage.DESIGN, attempt)
+    draft, rng = drafted_design(seed, number, attempt, overlay), stream(seed, number, Stage.DESIGN, attempt)
     if attempt % SAME_CHOICES:
         draft = _with_new_numbers(draft, rng, overlay)
     return wearable(draft, tuple(wearers), rng, overlay.space)
