@@ -318,9 +318,7 @@ def collections_in(content: bytes) -> list[int]:
     return places[:-1]
 
 
-def test_heap_collections_on_which_libhdf5_hangs_are_reported(
-    generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_heap_collections_on_which_libhdf5_hangs_are_reported(generated: Path, tmp_path: Path) -> None:
     """An entry of no size, or of nearly 2⁶⁴ bytes, leads libhdf5 back to the same entry forever."""
     path = tmp_path / "endless.h5"
     whole = generated.read_bytes()
