@@ -110,7 +110,7 @@ def test_ctrl_c_keeps_finished_samples(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
-    assert "the same command goes on from there" in one_line(said)
+    assert "the same command continues from there" in one_line(said)
     there = len(read_index(tmp_path))
     assert there > 1
     assert not list(tmp_path.glob("*.part"))

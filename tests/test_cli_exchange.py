@@ -203,8 +203,8 @@ def test_a_stopped_export_goes_on_to_the_same_bytes(
 @pytest.mark.parametrize(
     ("form", "message"),
     [
-        (["--layout", "published", "out"], "stopped at 1 of 6: the same command goes on from there"),
-        (["--hdf5", "out.h5"], "stopped; out.h5 was not written: begin again"),
+        (["--layout", "published", "out"], "stopped at 1 of 6: the same command continues from there"),
+        (["--hdf5", "out.h5"], "stopped; out.h5 was not written: start again"),
     ],
 )
 def test_ctrl_c_reports_the_progress(
@@ -261,7 +261,7 @@ def test_splits_that_the_published_layout_does_not_know_are_reported(
         path.unlink()
     (tmp_path / "shards" / "manifest.json").unlink()
     assert run("export", tmp_path / "shards", "--layout", "published", tmp_path / "out") == 1
-    assert "no split that the published layout has a name for: there is holdout" in capsys.readouterr().err
+    assert "the published layout has no name for its splits (holdout)" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_not_empty_is_not_mixed_up(
@@ -286,7 +286,7 @@ def test_one_file_of_hdf5(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "3 garments of train" in capsys.readouterr().out
     assert len(Hdf5Garments(tmp_path / "all.h5")) == 3
     assert run("export", tmp_path / "shards", "--hdf5", tmp_path / "all.h5", "--split", "test", "--quiet") == 1
-    assert "no samples of split test: there is train" in capsys.readouterr().err
+    assert "no samples of split test: choose from train" in capsys.readouterr().err
 
 
 def test_a_full_disk_ends_an_export_to_hdf5(tmp_path: Path) -> None:

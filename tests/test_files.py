@@ -173,6 +173,6 @@ def test_a_path_without_a_name_is_no_file(path: str) -> None:
 def test_a_url_makes_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str) -> None:
     monkeypatch.chdir(tmp_path)
     for path in (url, Path(url)):
-        with pytest.raises(OutputError, match=r"a URL, where a local folder is needed: give a folder"):
+        with pytest.raises(OutputError, match=r"a URL, but a local folder is needed: give a folder"):
             make_folder(path)
     assert not list(tmp_path.iterdir())

@@ -109,7 +109,7 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @hostile
 def test_a_hostile_name_is_refused_or_made_one_component(name: str) -> None:
-    with pytest.raises(ShardError, match=r"manifest: split: .* cannot be a file's name: give one of letters") as caught:
+    with pytest.raises(ShardError, match=r"manifest: split: .* cannot be a file's name: use letters") as caught:
         require_name(name, "manifest: split")
     assert str(caught.value).isprintable()
     safe = safe_name(name)

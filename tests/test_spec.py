@@ -253,7 +253,7 @@ def test_broken_json_is_named_with_its_line(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match=r"half\.json: line 2, column"):
         read_pattern(path)
     path.write_text('{"pattern": NaN}')
-    with pytest.raises(SpecError, match="NaN is no number"):
+    with pytest.raises(SpecError, match="NaN is not a number"):
         read_pattern(path)
     path.write_text(f'{{"pattern": {"9" * 5000}}}')
     with pytest.raises(SpecError, match="correct the JSON"):

@@ -230,7 +230,7 @@ def test_ctrl_c_leaves_no_process_of_a_local_cluster(tmp_path: Path) -> None:
     os.killpg(process.pid, signal.SIGINT)  # a terminal signals the whole process group
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
-    assert "the same command goes on from there" in one_line(said)
+    assert "the same command continues from there" in one_line(said)
     wait_until(lambda: not marked(mark))
 
 

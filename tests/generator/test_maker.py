@@ -66,7 +66,7 @@ def test_the_error_of_a_script_without_main_guard_names_the_remedy(tmp_path: Pat
     script.write_text(SCRIPT.format(guarded=False))
     finished = run(str(script))
     assert finished.returncode == 1
-    assert "begins its work under if __name__" in finished.stderr
+    assert "must start them under if __name__" in finished.stderr
 
 
 def test_indices_may_be_infinite() -> None:

@@ -56,7 +56,7 @@ def test_a_file_list_declared_over_the_limit_is_not_read(hub: Hub, commit: str, 
 def test_an_invalid_file_list_is_reported(hub: Hub, tmp_path: Path, answer: bytes) -> None:
     with (
         served(answer) as url,
-        pytest.raises(RemoteError, match=r"is not a commit|none of the Hub's: check"),
+        pytest.raises(RemoteError, match=r"is not a commit|the answer is not .* Hub.*: check"),
     ):
         GarmentDataset("org/garments", endpoint=url, cache_dir=tmp_path)
 
@@ -122,8 +122,8 @@ def test_a_member_declared_over_the_limit_is_not_requested(hub: Hub, commit: str
     manifest["splits"]["train"]["shards"][0]["size"] = 2**40
     hub.static["evil/manifest.json"] = json.dumps(manifest).encode()
     told = (
-        rf"{url}@.*/train-00000\.tar: sample gcd_000000000, member back\.jpg: has {remote.LARGEST_MEMBER + 1} bytes by "
-        rf"its index, over the limit of {remote.LARGEST_MEMBER} for servers"
+        rf"{url}@.*/train-00000\.tar: sample gcd_000000000, member back\.jpg: has {remote.LARGEST_MEMBER + 1} bytes "
+        rf"according to its index, over the limit of {remote.LARGEST_MEMBER} for servers"
     )
     with pytest.raises(RemoteError, match=told):
         opened(hub, tmp_path, "evil", fields=["back"])[0]
@@ -233,5 +233,5 @@ json.kept = reader  # freed after the modules that are imported later
 
 @pytest.mark.parametrize("url", ["http://[bad/x", "http://host:99999999/x", "https:///x", "https://exa mple/x"])
 def test_a_url_without_a_server_is_refused_at_once(url: str) -> None:
-    with pytest.raises(ConfigError, match="no address of a server"):
+    with pytest.raises(ConfigError, match="not a server address"):
         GarmentDataset(url)

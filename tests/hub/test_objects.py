@@ -266,7 +266,7 @@ def test_a_run_continues_from_store_and_spool(s3: Store, here: Path, tmp_path: P
         ".unfinished/00000/index-train.npz",
         ".unfinished/00000/rejects.jsonl",
     }
-    with pytest.raises(MissingError, match="a data set appears when all of it is uploaded"):
+    with pytest.raises(MissingError, match="a data set becomes visible when its upload is complete"):
         GarmentDataset(url, cache_dir=tmp_path / "cache")
     assert make(url, spool=tmp_path) == 1
     assert hashes(s3.objects(url)) == hashes(files_of(here))
@@ -327,7 +327,7 @@ def test_a_second_writer_is_refused(s3: Store, here: Path, tmp_path: Path) -> No
     def second(progress: Progress) -> None:
         if progress.made == 1:
             for spool, told in (
-                ("other", "another run .* writes there: wait for it"),
+                ("other", "another run .* is writing there: wait for it"),
                 ("one", "another process"),
             ):
                 with pytest.raises(OutputError, match=told):
@@ -442,7 +442,7 @@ def test_options_that_need_a_folder_are_reported(
     assert "data sets of recipes are made in a folder" in capsys.readouterr().err
     assert main(["generate", "s3://bucket/parts", "--count=8", "--stage=pattern", "--shard=0/2"]) == 2
     assert "parts are made in a folder" in capsys.readouterr().err
-    with pytest.raises(OutputError, match="URLs takes them as str"):
+    with pytest.raises(OutputError, match="URLs expect them as str"):
         make(Path("s3://bucket/set"))
     assert not list(tmp_path.iterdir())
 

@@ -199,7 +199,7 @@ def test_existing_splits_are_kept(tmp_path: Path) -> None:
 def test_empty_splits_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     put(tmp_path / "one", (sample(i, design=i, body=7) for i in range(4)))
     assert list(stage(tmp_path / "one", "org/new", tmp_path / "up").manifest.splits) == ["train"]
-    assert "nothing for validation and test: garments that share a design or a body stay in one split" in caplog.text
+    assert "no garments for validation and test: garments that share a design or a body stay in one" in caplog.text
     caplog.clear()
     stage(tmp_path / "one", "org/new", tmp_path / "all", shares={"train": 1.0, "validation": 0.0, "test": 0.0})
     assert not caplog.text
@@ -255,9 +255,7 @@ def test_an_endpoint_unsupported_by_an_old_client_is_reported(
     hub: Hub, staged: Staged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("huggingface_hub.__version__", "0.36.2")
-    message = (
-        rf"--endpoint {hub.endpoint}0: huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT alone: set that, or install"
-    )
+    message = rf"--endpoint {hub.endpoint}0: huggingface_hub 0\.36\.2 publishes to HF_ENDPOINT only: set it, or install"
     with pytest.raises(ConfigError, match=message):
         upload(staged, "org/new-set", endpoint=f"{hub.endpoint}0", token=hub.token)
 

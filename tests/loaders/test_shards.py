@@ -196,7 +196,7 @@ def test_a_quality_that_no_garment_has_is_refused(tmp_path: Path) -> None:
     folder = fill(tmp_path, range(2))
     with pytest.raises(ShardError, match="none of the 2 samples of split train has the grade clean: leave out quality"):
         GarmentDataset(folder, quality="clean")
-    with pytest.raises(ConfigError, match="quality='good': there is clean, paper, or None for all"):
+    with pytest.raises(ConfigError, match="quality='good': choose from clean, paper, or None for all"):
         GarmentDataset(folder, quality="good")  # type: ignore[arg-type]
 
 

@@ -458,7 +458,7 @@ def test_a_duplicate_name_in_a_stream_is_named(tmp_path: Path) -> None:
     header[148:156] = b"%06o\0 " % sum(header)
     content[second : second + 512] = header
     shard.write_bytes(content)
-    with pytest.raises(ShardError, match=r"train-00000\.tar: a damaged archive \(.*there twice.*\): copy"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: a damaged archive \(.*occurs twice.*\): copy"):
         list(stream)
 
 

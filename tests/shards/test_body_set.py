@@ -125,7 +125,7 @@ def test_people_on_another_mesh_are_not_stored(tmp_path: Path) -> None:
     person = fake_person(0)
     with (
         open_writer(tmp_path) as writer,
-        pytest.raises(ShardError, match="3 vertices apart, the mesh of this set has 4"),
+        pytest.raises(ShardError, match="3 vertices in pose apart, but the mesh of this set has 4"),
     ):
         writer.write(0, replace(person, apart=person.apart[:3]))
     assert contents(tmp_path) == contents(fill(tmp_path / "nobody", []))

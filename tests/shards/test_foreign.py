@@ -210,7 +210,7 @@ def test_a_declared_size_of_two_gigabytes_is_reported(tmp_path: Path, kind: byte
     info = tarfile.TarInfo("a.txt")
     info.size, info.type = 2 << 30, kind
     (tmp_path / "a.tar").write_bytes(info.tobuf(tarfile.GNU_FORMAT) + b"short".ljust(1024, b"\0"))
-    with pytest.raises(ShardError, match=r"a\.tar: (member a\.txt is cut off: 1024|a header of 2147483648 bytes)"):
+    with pytest.raises(ShardError, match=r"a\.tar: (member a\.txt is cut off: only 1024|a header of 2147483648 bytes)"):
         GarmentDataset(tmp_path)
 
 

@@ -136,7 +136,7 @@ def test_data_sets_of_schema_1_are_not_extended(first: Path, alone: bool) -> Non
         (folder / "index-train.npz").unlink()
         (folder / "manifest.json").unlink()
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    with pytest.raises(ConfigError, match=r"of schema 1, and gcd_dataset 0\.\S+ writes schema 2: its samples can be"):
+    with pytest.raises(ConfigError, match=r"of schema 1, but gcd_dataset 0\.\S+ writes schema 2: its samples can be"):
         ShardWriter(folder, seed=5, recipe=recipe_of(PATTERNS))
     assert main(["generate", str(folder), "--count", "5", "--seed", "5", "--stage", "pattern", "--quiet"]) == 2
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
@@ -158,7 +158,7 @@ def test_a_later_schema_is_refused_with_both_versions(tmp_path: Path) -> None:
     index = (folder / "index-train.npz").read_bytes()
     np.savez(folder / "index-train.npz", **{**arrays, "schema": np.array(3)})
     with pytest.raises(
-        ShardError, match=r"index-train\.npz: an index of schema 3, and this reader knows 1 and 2: update"
+        ShardError, match=r"index-train\.npz: an index of schema 3, but this reader knows 1 and 2: update"
     ):
         GarmentDataset(folder)
     (folder / "index-train.npz").write_bytes(index)
@@ -169,7 +169,7 @@ def test_a_later_schema_is_refused_with_both_versions(tmp_path: Path) -> None:
     for name in ("manifest.json", "index-train.npz"):
         (folder / name).unlink()
     for streaming in (False, True):
-        with pytest.raises(ShardError, match=r"train-00000\.tar: .*of schema 3, and this reader knows 1 and 2: update"):
+        with pytest.raises(ShardError, match=r"train-00000\.tar: .*of schema 3, but this reader knows 1 and 2: update"):
             list(GarmentDataset(folder, streaming=streaming))
 
 

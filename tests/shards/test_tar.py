@@ -211,7 +211,7 @@ def test_a_duplicate_member_is_refused(tmp_path: Path) -> None:
     header[148:156] = b"%06o\0 " % sum(header)
     content[second : second + BLOCK] = header
     (folder / "train-00000.tar").write_bytes(content)
-    with pytest.raises(ShardError, match=r"train-00000\.tar: .*gcd_000000000\.meta\.json is there twice"):
+    with pytest.raises(ShardError, match=r"train-00000\.tar: .*gcd_000000000\.meta\.json occurs twice"):
         list(GarmentDataset(folder, streaming=True))
 
 
@@ -222,7 +222,7 @@ def test_a_duplicate_sample_is_refused(tmp_path: Path) -> None:
     (folder / "train-00000.tar").write_bytes(first + content)
     index = ShardIndex.of(folder, {"train-00000.tar": scan_shard(folder / "train-00000.tar")[[0, 2]]})
     index.write(folder / "index-train.npz")
-    with pytest.raises(ShardError, match="is there twice"):
+    with pytest.raises(ShardError, match="occurs twice"):
         list(GarmentDataset(folder, streaming=True))
 
 
@@ -232,7 +232,7 @@ def test_a_zeroed_header_is_not_taken_for_the_end(tmp_path: Path) -> None:
     content, second = bytearray(shard.read_bytes()), int(scan_shard(shard).offset[1, 0]) - BLOCK
     content[second : second + BLOCK] = bytes(BLOCK)
     shard.write_bytes(content)
-    with pytest.raises(ShardError, match=f"zeros at byte {second}, and content after them"):
+    with pytest.raises(ShardError, match=f"zeros at byte {second}, but content after them"):
         scan_shard(shard)
     shard.write_bytes(content[:second] + bytes(10240))  # zero padding, as other programs write it
     assert len(scan_shard(shard)) == 1

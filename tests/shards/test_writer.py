@@ -279,7 +279,7 @@ def test_a_read_only_folder_is_reported() -> None:
 
 def test_another_version_is_refused_naming_both(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gcd_dataset.__version__", "99.1")
-    message = rf"made by gcd_dataset {re.escape(__version__)}, and this is 99\.1: .*another folder"
+    message = rf"made by gcd_dataset {re.escape(__version__)}, but this is 99\.1: .*another folder"
     with pytest.raises(ConfigError, match=message):
         open_writer(whole)
     (whole / "manifest.json").unlink()

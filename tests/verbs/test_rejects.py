@@ -130,4 +130,4 @@ def test_info_names_the_file(tmp_path: Path, whole: dict[str, bytes], capsys: py
     assert main(["info", str(tmp_path / "whole")]) == 0
     said = capsys.readouterr().out
     assert "tight_cuff" in said
-    assert f"each of them, with its figures: {tmp_path / 'whole' / 'rejects.jsonl'}" in said
+    assert f"every rejected attempt, with its figures: {tmp_path / 'whole' / 'rejects.jsonl'}" in said
