@@ -52,27 +52,24 @@ def sewing_start(mesh: BoxMesh, body: Body) -> Float[np.ndarray, "v 3"]:
     if sleeves:
         for part, side in ((BodyPart.LEFT_ARM, 1.0), (BodyPart.RIGHT_ARM, -1.0)):
             if part in limbs:
-                _put_on_arm(mesh, roles, body, limbs[part], side, placed)
+                _put_on_arm(mesh, roles, limbs[part], side, placed)
     if trousers.any():
         for part, side in ((BodyPart.LEFT_LEG, 1.0), (BodyPart.RIGHT_LEG, -1.0)):
             leg = leg_of(body, part)
             if leg is not None:
-                _put_on_leg(mesh, trousers, body, leg, side, placed)
+                _put_on_leg(mesh, trousers, leg, side, placed)
     return placed
 
 
-def _put_on_arm(
-    mesh: BoxMesh, roles: np.ndarray, body: Body, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]
-) -> None:
+def _put_on_arm(mesh: BoxMesh, roles: np.ndarray, arm: Limb, side: float, placed: Float[np.ndarray, "v 3"]) -> None:
     """Put the sleeves of one side on the arm, in ``placed``; ``side``: 1 for the left side, -1 for the right."""
     sleeve = (roles == PanelRole.ARM)[mesh.panel_id] & (side * mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > 0.0)
-    put_on_limb(mesh, sleeve, arm, _skin_of(body, BodyPart.HANDS, arm, side), placed)
+    put_on_limb(mesh, sleeve, arm, placed)
 
 
 def _put_on_leg(
     mesh: BoxMesh,
     trousers: Bool[np.ndarray, " p"],
-    body: Body,
     leg: Limb,
     side: float,
     placed: Float[np.ndarray, "v 3"],
@@ -87,13 +84,7 @@ def _put_on_leg(
     if len(joined):
         crotch = float(mesh.vertices[joined, 1].min()) - UNDER_CROTCH
         below = (left if side > 0.0 else right) & (centres[:, 1] < crotch)
-        put_on_limb(mesh, below, leg, _skin_of(body, BodyPart.FEET, leg, side), placed)
-
-
-def _skin_of(body: Body, end: BodyPart, limb: Limb, side: float) -> Float[np.ndarray, "s 3"]:
-    """Points on the skin of a limb and of its hand or foot [cm]."""
-    of_end = (body.parts == end.value) & (side * body.vertices[:, 0] > 0.0)
-    return np.concatenate([limb.skin, body.vertices[of_end]])
+        put_on_limb(mesh, below, leg, placed)
 
 
 def _fit_between_arms(

@@ -15,26 +15,23 @@ __all__ = ["put_on_limb"]
 SECTION = 2.0  # cm of distance from the root that make a cross section of a tube
 ROOT = 10.0  # cm from the root, within which a tube may lie beside the limb's axis
 GAP = 1.0  # cm that a cross section must reach beyond the limb on either side
+BEFORE_END = 1.0  # cm between the end of a tube and that of the limb
+LEAST_LENGTH = 0.4  # share of its length to which a tube may be compressed
 RINGS = 40  # level sets on which the distance from the root is averaged
 
 
-def put_on_limb(
-    mesh: BoxMesh,
-    tube: Bool[np.ndarray, " f"],
-    limb: Limb,
-    skin: Float[np.ndarray, "s 3"],
-    placed: Float[np.ndarray, "v 3"],
-) -> None:
+def put_on_limb(mesh: BoxMesh, tube: Bool[np.ndarray, " f"], limb: Limb, placed: Float[np.ndarray, "v 3"]) -> None:
     """Move the cross sections of a tube of cloth, in ``placed``, so that each surrounds a limb.
 
-    ``tube`` marks the faces of a sleeve or a trouser leg; ``skin``: points on the limb and on its hand or foot [cm].
-    The tube is turned to the direction of the limb. Its cross sections are centred on the limb's axis, at their
-    distance from the tube's root, where other cloth is sewn to it, and widened where the limb is wider. A tube that
-    surrounds the limb as it is placed keeps its positions.
+    ``tube`` marks the faces of a sleeve or a trouser leg; ``limb``: the arm without the hand, or the leg without the
+    foot. The tube is turned to the direction of the limb. Its cross sections are centred on the limb's axis, at their
+    distance from the tube's root, where other cloth is sewn to it, and widened where the limb is wider. A tube that is
+    longer than the limb is compressed to its length: sewn round a hand or foot it would be too narrow to slip off. A
+    tube that surrounds the limb as it is placed, and is no longer, keeps its positions.
     """
     cloth = _Tube.of(mesh, tube)
-    if cloth is not None and not cloth.surrounds(skin):
-        placed[cloth.rows] = cloth.moved_to(limb, skin)
+    if cloth is not None and not (cloth.surrounds(limb.skin) and cloth.ends_on(limb)):
+        placed[cloth.rows] = cloth.moved_to(limb)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,24 +75,30 @@ class _Tube:
                         return False
         return True
 
-    def moved_to(self, limb: Limb, skin: Float[np.ndarray, "s 3"]) -> Float[np.ndarray, "n 3"]:
+    def ends_on(self, limb: Limb) -> bool:
+        """Whether the end of the tube lies before the end of the limb."""
+        return bool(((self.points - limb.origin) @ limb.axis).max() <= _end_of(limb))
+
+    def moved_to(self, limb: Limb) -> Float[np.ndarray, "n 3"]:
         """The positions round a limb [cm]; the root stays where it is."""
         frame = self.frame @ Rotation.align_vectors(limb.axis[None], self.frame[1:2])[0].as_matrix().T
-        skin_across, skin_along, _ = ((skin - limb.origin) @ frame.T).T
+        skin_across, skin_along, _ = ((limb.skin - limb.origin) @ frame.T).T
         at_root = self.distance < SECTION
         root = float(((self.points[at_root] - limb.origin) @ limb.axis).mean())
         across, _, depth = (self.points @ self.frame.T).T
+        longest = float(self.distance.max())
+        shrink = np.clip((_end_of(limb) - root) / longest, LEAST_LENGTH, 1.0) if longest > ROOT else 1.0
         distances, middles, factors = [], [], []
         for here in self._sections():
             distance = float(self.distance[here].mean())
-            beside = np.abs(skin_along - root - distance) < SECTION
+            beside = np.abs(skin_along - root - shrink * distance) < SECTION
             low, high = float(across[here].min()), float(across[here].max())
             need = float(np.abs(skin_across[beside]).max(initial=0.0)) + GAP if beside.any() else 0.0
             distances.append(distance)
             middles.append(0.5 * (low + high))
             factors.append(max(1.0, 2.0 * need / max(high - low, SECTION)))
         middle, factor = (np.interp(self.distance, distances, values) for values in (middles, factors))
-        local = np.stack([factor * (across - middle), root + self.distance, depth], axis=1)
+        local = np.stack([factor * (across - middle), root + shrink * self.distance, depth], axis=1)
         share = np.minimum(self.distance / ROOT, 1.0)[:, None]
         return self.points + share * (limb.origin + local @ frame - self.points)
 
@@ -103,6 +106,11 @@ class _Tube:
         """The vertices of each cross section, from the root to the end."""
         numbers = np.floor(self.distance / SECTION).astype(int)
         return [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
+
+
+def _end_of(limb: Limb) -> float:
+    """Position along the limb's axis, from its origin, before which a tube ends [cm]."""
+    return float(((limb.skin - limb.origin) @ limb.axis).max()) - BEFORE_END
 
 
 def _averaged(level: Float[np.ndarray, " n"], distance: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
