@@ -21,6 +21,7 @@ __all__ = [
     "neckline_drop",
     "neckline_shape",
     "neckline_width",
+    "neckline_width_parameter",
     "worn_neckline",
 ]
 
@@ -118,6 +119,12 @@ def neckline_width(size: Measurements, design: NecklineDesign) -> float:
     if design.width < 0:
         return blend(0.0, size.neck_w, 1 + design.width)
     return blend(size.neck_w, size.sleeve_balance - 2 * SHOULDER_LEFT, design.width)
+
+
+def neckline_width_parameter(size: Measurements, full_width: float) -> float:
+    """The ``width`` of a design for a full width of the opening at the shoulders [cm]: inverse of ``neckline_width``."""
+    over = full_width - size.neck_w
+    return over / size.neck_w if over < 0 else over / (size.sleeve_balance - 2 * SHOULDER_LEFT - size.neck_w)
 
 
 def neckline_drop(size: Measurements, design: NecklineDesign, *, front: bool, room: float) -> float:

@@ -3,7 +3,7 @@
 Each rule takes a ``DrawnOutfit`` and returns a ``Reject`` or ``None``; ``check_outfit`` applies all rules.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
@@ -15,6 +15,7 @@ from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
 from gcd_dataset.generator.garments.sewable import (
     CLOTH_GIVES,
     SHARPEST_CORNER,
+    SHORTEST_SHOULDER,
     corner_angles,
     cuff_and_arm_girth,
     is_mismatched,
@@ -156,6 +157,15 @@ def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
     return None
 
 
+def narrow_shoulder(outfit: DrawnOutfit) -> Reject | None:
+    """A shoulder seam is shorter than ``SHORTEST_SHOULDER``."""
+    panel, length = min(_shoulder_seams(outfit.pattern), key=lambda seam: seam[1], default=("", SHORTEST_SHOULDER))
+    if length >= SHORTEST_SHOULDER:
+        return None
+    figures = f"panel {panel}: a shoulder seam of {length:.1f} cm, under {SHORTEST_SHOULDER:g} cm: lower collar.width"
+    return Reject("narrow_shoulder", figures, {"shoulder_cm": length})
+
+
 def mismatched_seam(outfit: DrawnOutfit) -> Reject | None:
     """The sides of a seam differ in length without gathers, or by more than gathers allow."""
     for sewn in outfit.joins:
@@ -199,6 +209,7 @@ RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
     loose_gathers,
     too_heavy,
     tight_cuff,
+    narrow_shoulder,
     mismatched_seam,
     self_crossing,
     short_edge,
@@ -289,6 +300,15 @@ def has_tight_cuffs(size: Measurements, design: OutfitDesign) -> bool:
     except PatternError:  # drawing the outfit reports it
         return False
     return cuff * CLOTH_GIVES < leg
+
+
+def _shoulder_seams(pattern: Pattern) -> Iterator[tuple[str, float]]:
+    """Panel and length [cm] of each shoulder seam, all its parts together."""
+    for panel in pattern.panels:
+        for name in ("shoulder", "left_shoulder"):
+            parts = [edge for edge, drawn in enumerate(panel.edges) if drawn.name == name]
+            if parts:
+                yield panel.name, float(sum(panel.edge_lengths()[edge] for edge in parts))
 
 
 def _fault(outfit: DrawnOutfit, name: str, selects: Callable[[Rule], bool]) -> Reject | None:

@@ -9,6 +9,7 @@ the rest. Unlike GarmentCode's sampler, this one
 - leaves sections that the garment does not use at their defaults;
 - shortens a bottom that would reach the floor, and ends a shirt near the waist if a band or bottom is sewn to it;
 - fits a bottom without upper to the trunk, puts a gathered one on a snug band, and limits flares without a firm band;
+- narrows a neckline that leaves shoulder seams under three centimetres;
 - redraws armholes, necklines, slits, cuts and godets until the panels can be sewn, and trousers and sleeves until legs
   and arms fit through their cuffs.
 """
@@ -40,7 +41,13 @@ from gcd_dataset.generator.garments.rules import (
     top_girth,
     top_of_bottom,
 )
-from gcd_dataset.generator.garments.sewable import bottom_is_sewable, half_is_sewable, sleeve_is_tight, upper_is_sewable
+from gcd_dataset.generator.garments.sewable import (
+    bottom_is_sewable,
+    half_is_sewable,
+    sleeve_is_tight,
+    upper_is_sewable,
+    widest_neckline,
+)
 from gcd_dataset.generator.garments.shirt import ShirtDesign
 from gcd_dataset.generator.garments.space import DesignSpace, draw, from_dict, to_dict
 from gcd_dataset.generator.garments.upper import Shirt
@@ -156,7 +163,7 @@ class _Draft:
             if self._has_tight_sleeves(trial):
                 continue
             for _ in range(NECKLINE_TRIES):
-                trial = replace(trial, collar=self.draw_section("collar"))
+                trial = self._with_shoulders(replace(trial, collar=self.draw_section("collar")))
                 if self._is_whole(trial, trial.right_half()):
                     break
             else:
@@ -168,12 +175,29 @@ class _Draft:
     def _with_left_neckline(self, design: OutfitDesign) -> OutfitDesign | None:
         """With a left neckline that can be sewn, if the left half differs; ``None`` if none was found."""
         for _ in range(NECKLINE_TRIES):
+            design = self._with_left_shoulders(design)
             half = design.left_half()
             if half is None or self._is_whole(design, half):
                 return design
             collar = draw(self.sections["left"].of(LeftNecklineDesign), self.rng)
             design = replace(design, left=replace(design.left, collar=collar))
         return None
+
+    def _with_shoulders(self, design: OutfitDesign) -> OutfitDesign:
+        """With the neckline's width drawn again within what leaves a shoulder, if it leaves none."""
+        widest = self._widest_neckline(design, design.right_half())
+        return replace(design, collar=self.redrawn_within("collar", design.collar, width=(-np.inf, widest)))
+
+    def _with_left_shoulders(self, design: OutfitDesign) -> OutfitDesign:
+        """The same for a left half that differs."""
+        half, collar = design.left_half(), design.left.collar
+        if half is None or collar.width <= (widest := self._widest_neckline(design, half)):
+            return design
+        width = _leaf(self.sections["left"].of(LeftNecklineDesign), "width").draw(self.rng, -np.inf, widest)
+        return replace(design, left=replace(design.left, collar=replace(collar, width=width)))
+
+    def _widest_neckline(self, design: OutfitDesign, half: UpperHalf) -> float:
+        return min(widest_neckline(size, design, half) for size in self.sizes)
 
     def _has_tight_sleeves(self, design: OutfitDesign) -> bool:
         return any(sleeve_is_tight(size, design, half) for half in design.halves() for size in self.sizes)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from math import cos, inf
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -11,16 +12,18 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import arm_girth_in_cuff
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
+from gcd_dataset.generator.garments.neckline import neckline_width, neckline_width_parameter
 from gcd_dataset.generator.garments.outfit import bottom
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half, right_torso
-from gcd_dataset.generator.pattern import Component, MeasuredJoin, measure_joins, panel_of
+from gcd_dataset.generator.pattern import Component, MeasuredJoin, Piece, measure_joins, panel_of
 from gcd_dataset.records import Measurements, Panel
 from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
 
 __all__ = [
     "CLOTH_GIVES",
     "SHARPEST_CORNER",
+    "SHORTEST_SHOULDER",
     "bottom_is_sewable",
     "corner_angles",
     "cuff_and_arm_girth",
@@ -29,10 +32,13 @@ __all__ = [
     "panels_are_sewable",
     "sleeve_is_tight",
     "upper_is_sewable",
+    "widest_neckline",
 ]
 
 CLOTH_GIVES = 1.2  # times its length: the most that cloth stretches without losing its shape
 SHARPEST_CORNER = 10.0  # degrees: a sharper corner can be neither meshed nor sewn
+SHORTEST_SHOULDER = 3.0  # cm: a shorter shoulder seam is a strap, which these programs do not draw
+ROUNDING = 1e-6  # cm: a neckline at its widest leaves a shoulder that is not too short by rounding
 SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and share of the seam: sides may differ by the larger without gathers
 TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
 
@@ -63,6 +69,27 @@ def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf
         return 0.0, 0.0
     drawn = right_half(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
     return drawn.length("band") if "band" in drawn.interfaces else 0.0, arm
+
+
+def widest_neckline(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
+    """The largest ``width`` of a half's neckline that leaves shoulder seams of ``SHORTEST_SHOULDER``.
+
+    Infinite for a half whose shoulder seams are long enough, that has none, or that cannot be drawn. The shoulder lies
+    at ``shoulder_incl``: each centimetre of shoulder takes its cosine from half the neckline.
+    """
+    try:
+        drawn = right_torso(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
+    except PatternError:  # drawing the outfit reports it
+        return inf
+    missing = SHORTEST_SHOULDER + ROUNDING - min(map(_shoulder_length, drawn.pieces))
+    if missing <= ROUNDING:
+        return inf
+    return neckline_width_parameter(size, neckline_width(size, half[1]) - 2 * missing * cos(size.shoulder_incl))
+
+
+def _shoulder_length(piece: Piece) -> float:
+    """Length of a piece's shoulder edge [cm]; infinite without one."""
+    return sum(stroke.length for stroke in piece.outline.strokes if stroke.name == "shoulder") or inf
 
 
 def bottom_is_sewable(size: Measurements, design: OutfitDesign) -> bool:

@@ -11,7 +11,7 @@ from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.curves import LINE
 from gcd_dataset.generator.garments import DrawnOutfit, Reject, check_outfit, design_from_dict, outfit, try_on
 from gcd_dataset.generator.garments.pants import cuff_and_leg_girth
-from gcd_dataset.generator.garments.sewable import corner_angles
+from gcd_dataset.generator.garments.sewable import SHORTEST_SHOULDER, corner_angles, widest_neckline
 from gcd_dataset.records import Edge, Measurements, Panel, Placement
 
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}
@@ -128,3 +128,29 @@ def test_a_cuff_too_tight_for_the_leg_is_rejected(woman: Measurements, top_ruffl
     drawn = [panel for panel in pattern.panels if panel.name in ("pant_r_cuff_f", "pant_r_cuff_b")]
     tops = [panel.edge_lengths()[i] for panel in drawn for i, e in enumerate(panel.edges) if e.name == "top"]
     assert cuff_and_leg_girth(woman, design_from_dict(design).pants, 1.0)[0] == pytest.approx(sum(tops))
+
+
+@pytest.mark.parametrize("upper", ["Shirt", "FittedShirt"])
+def test_a_shoulder_seam_under_three_centimetres_is_rejected(woman: Measurements, upper: str) -> None:
+    """A neckline of full width leaves a strap of a centimetre or two."""
+    wide = {"meta": {"upper": upper}, "collar": {"width": 1.0}}
+    (reject,) = check_outfit(DrawnOutfit.of(woman, design_from_dict(wide)))
+    assert reject.rule == "narrow_shoulder"
+    assert 0.8 < reject.numbers["shoulder_cm"] < 2.0
+    assert reasons(woman, wide | {"collar": {"width": 0.6}}) == []
+    assert reasons(woman, wide | {"shirt": {"strapless": True}, "meta": {"upper": "FittedShirt"}}) == []
+
+
+@pytest.mark.parametrize("upper", ["Shirt", "FittedShirt"])
+def test_the_widest_neckline_leaves_three_centimetres_of_shoulder(woman: Measurements, upper: str) -> None:
+    wide = design_from_dict({"meta": {"upper": upper}, "collar": {"width": 1.0}, "shirt": {"width": 1.3}})
+    width = widest_neckline(woman, wide, wide.right_half())
+    pattern = outfit(woman, replace(wide, collar=replace(wide.collar, width=width)))
+    seams = [
+        panel.edge_lengths()[i]
+        for panel in pattern.panels
+        for i, edge in enumerate(panel.edges)
+        if edge.name == "shoulder"
+    ]
+    assert min(seams) == pytest.approx(SHORTEST_SHOULDER, abs=1e-5)
+    assert min(seams) >= SHORTEST_SHOULDER
