@@ -16,7 +16,15 @@ from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.body.population import SEXES
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
+from gcd_dataset.generator.garments import (
+    OutfitDesign,
+    Reject,
+    design_to_dict,
+    outfit_tags,
+    sample_design,
+    sample_kind,
+    try_on,
+)
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.quality import grade_of, strain_of
@@ -266,6 +274,8 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         points=points,
         front=front,
         back=back,
+        gathers=dressed.pattern.gather_ratios(),
+        tags=outfit_tags(dressed.size, design.design),
         fabric=None if reply is None else _fabric(config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
     )

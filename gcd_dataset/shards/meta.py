@@ -35,8 +35,8 @@ garments              JSON type  holds                                          
 ``strain``            object     ``principal``, 2 floats; ``panels``, 2 floats a panel  (*)       -1.0
 ``grade``             text       ``clean``, ``paper`` or ``failed``  (*)                          ``""``
 ``fabric``            object     ``name`` (text), ``parameters`` (JSON text)                      ``""``, ``"{}"``
-``gathers``           floats     left edge over right edge, a seam  (*)                           ``[-1.0]``
-``tags``              texts      kinds of garment  (*)                                            ``[""]``
+``gathers``           floats     length of left edge over right edge, a seam of the pattern  (*)  ``[-1.0]``
+``tags``              texts      names of the style, see ``generator.garments.TAGS``  (*)         ``[""]``
 ``source``            text       publication that the garment comes from                          ``""``
 ``crc32``             object     CRC-32 of every other member, ints
 ``crc32_before``      int        CRC-32 of the bytes of this file before this key

@@ -19,8 +19,11 @@ from gcd_dataset.generator.garments.kind import Kind
 from gcd_dataset.generator.garments.outfit import outfit
 from gcd_dataset.generator.garments.rules import DrawnOutfit, Reject, check_outfit, try_on
 from gcd_dataset.generator.garments.sampling import design_from_dict, design_to_dict, sample_design, sample_kind
+from gcd_dataset.generator.garments.style import outfit_tags
+from gcd_dataset.generator.garments.tags import TAGS
 
 __all__ = [
+    "TAGS",
     "DrawnOutfit",
     "Kind",
     "OutfitDesign",
@@ -29,6 +32,7 @@ __all__ = [
     "design_from_dict",
     "design_to_dict",
     "outfit",
+    "outfit_tags",
     "sample_design",
     "sample_kind",
     "try_on",

@@ -15,6 +15,7 @@ import numpy as np
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.panel_shapes import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
+from gcd_dataset.generator.garments.tags import GATHERED, Tag
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements, PanelRole
 
@@ -24,6 +25,7 @@ __all__ = [
     "SleeveCuffDesign",
     "arm_girth_in_cuff",
     "cuff",
+    "cuff_tags",
     "sleeve_cuff_length",
     "with_sleeve_cuff",
 ]
@@ -80,6 +82,14 @@ class PantsCuffDesign(Design):
 
 
 CuffDesign: TypeAlias = SleeveCuffDesign | PantsCuffDesign
+
+
+def cuff_tags(design: CuffDesign) -> tuple[Tag, ...]:
+    """The tags of a cuff, if there is one."""
+    if design.type is None:
+        return ()
+    ruffle = max(design.top_ruffle, 1.0 if design.type is Cuff.BAND else design.skirt_ruffle)
+    return (Tag.CUFFS, Tag.RUFFLED) if ruffle >= GATHERED else (Tag.CUFFS,)
 
 
 def arm_girth_in_cuff(size: Measurements, design: "CuffedSleeve") -> float:
