@@ -13,7 +13,7 @@ import numpy as np
 
 from gcd_dataset.curves import LINE, Point
 from gcd_dataset.errors import PatternError
-from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_tags
+from gcd_dataset.generator.garments.cuff import Cuff, PantsCuffDesign, cuff, cuff_tags, skirt_share
 from gcd_dataset.generator.garments.garment import Ring, SimpleBottom
 from gcd_dataset.generator.garments.skirt import length_below_waist
 from gcd_dataset.generator.garments.space import Design, part, real
@@ -101,15 +101,16 @@ def pants(size: Measurements, design: PantsDesign, *, rise: float) -> Component:
 
 
 def cuff_and_leg_girth(size: Measurements, design: PantsDesign, rise: float) -> tuple[float, float]:
-    """Girth of the band at the end of a leg, and largest girth of the leg inside it [cm]; 0 without a band."""
-    if design.cuff.type not in (Cuff.BAND, Cuff.BAND_SKIRT):
+    """Girth of a leg's cuff, and largest girth of the leg inside its band or skirt's top [cm]; 0 without a cuff."""
+    if design.cuff.type is None:
         return 0.0, 0.0
     length = _cuff_length(size, design)
     front = _front_quarter(size, rise)
     quarters = (front, _back_quarter(size, rise, crotch=_back_crotch(size, design, front.crotch)))
     ends = (_hem(size, design, quarter, design.length * size.leg_length - length) for quarter in quarters)
-    girth = sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends) / design.cuff.top_ruffle
-    skirt = design.cuff.skirt_fraction if design.cuff.type is Cuff.BAND_SKIRT else 0.0
+    gathers = design.cuff.top_ruffle / (design.cuff.skirt_ruffle if design.cuff.type is Cuff.SKIRT else 1.0)
+    girth = sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in ends) / max(gathers, 1.0)
+    skirt = skirt_share(design.cuff)
     hem, crotch = (1 - design.length) * size.leg_length, size.leg_length - size.crotch_hip_diff
     levels = np.linspace(hem + skirt * length, hem + length, 9) / crotch
     return girth, float(np.interp(levels, LEG_LEVELS, LEG_GIRTHS).max()) * size.leg_circ

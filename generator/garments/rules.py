@@ -20,6 +20,7 @@ from gcd_dataset.generator.garments.sewable import (
     cuff_and_arm_girth,
     is_mismatched,
 )
+from gcd_dataset.generator.garments.tightness import tightest_ring
 from gcd_dataset.generator.garments.trunk import girth_at_rise
 from gcd_dataset.generator.garments.waistband import band_rise
 from gcd_dataset.generator.pattern import MeasuredJoin, assemble_and_measure
@@ -38,6 +39,7 @@ __all__ = [
     "has_tight_cuffs",
     "is_flared",
     "is_gathered",
+    "is_too_tight",
     "room_to_floor",
     "top_girth",
     "top_of_bottom",
@@ -143,7 +145,7 @@ def too_heavy(outfit: DrawnOutfit) -> Reject | None:
 
 
 def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
-    """A band at the end of a leg or sleeve is narrower than the limb inside it, by more than cloth stretches."""
+    """The cuff of a leg or sleeve is narrower than the limb inside it, by more than cloth stretches."""
     size, design = outfit.size, outfit.design
     if has_tight_cuffs(size, design):
         cuff, leg = cuff_and_leg_girth(size, design)
@@ -155,6 +157,15 @@ def tight_cuff(outfit: DrawnOutfit) -> Reject | None:
             figures = f"a cuff of {cuff:.1f} cm round an arm of {arm:.1f} cm: lower top_ruffle"
             return Reject("tight_cuff", figures, {"cuff_cm": cuff, "limb_cm": arm})
     return None
+
+
+def too_tight(outfit: DrawnOutfit) -> Reject | None:
+    """A ring of cloth round trunk or legs is narrower than the body inside it, by more than cloth stretches."""
+    ring = tightest_ring(outfit.size, outfit.design)
+    if ring is None or ring.stretch <= CLOTH_GIVES:
+        return None
+    figures = f"{ring.name} of {ring.cloth:.1f} cm round {ring.body:.1f} cm of body: {ring.remedy}"
+    return Reject("too_tight", figures, {"ring_cm": ring.cloth, "body_cm": ring.body})
 
 
 def narrow_shoulder(outfit: DrawnOutfit) -> Reject | None:
@@ -209,6 +220,7 @@ RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
     loose_gathers,
     too_heavy,
     tight_cuff,
+    too_tight,
     narrow_shoulder,
     mismatched_seam,
     self_crossing,
@@ -283,7 +295,7 @@ def bottom_length(design: OutfitDesign) -> float:
 
 
 def cuff_and_leg_girth(size: Measurements, design: OutfitDesign) -> tuple[float, float]:
-    """Girth of the band at the end of a leg, and largest girth of the leg inside it [cm]; 0 without a band.
+    """Girth of the cuff at the end of a leg, and largest girth of the leg inside it [cm]; 0 without a cuff.
 
     Raises ``PatternError`` for legs that cannot be drawn.
     """
@@ -309,6 +321,15 @@ def _shoulder_seams(pattern: Pattern) -> Iterator[tuple[str, float]]:
             parts = [edge for edge, drawn in enumerate(panel.edges) if drawn.name == name]
             if parts:
                 yield panel.name, float(sum(panel.edge_lengths()[edge] for edge in parts))
+
+
+def is_too_tight(size: Measurements, design: OutfitDesign) -> bool:
+    """Whether a ring of cloth round trunk or legs is too tight."""
+    try:
+        ring = tightest_ring(size, design)
+    except PatternError:  # drawing the outfit reports it
+        return False
+    return ring is not None and ring.stretch > CLOTH_GIVES
 
 
 def _fault(outfit: DrawnOutfit, name: str, selects: Callable[[Rule], bool]) -> Reject | None:

@@ -9,6 +9,7 @@ the rest. Unlike GarmentCode's sampler, this one
 - leaves sections that the garment does not use at their defaults;
 - shortens a bottom that would reach the floor, and ends a shirt near the waist if a band or bottom is sewn to it;
 - fits a bottom without upper to the trunk, puts a gathered one on a snug band, and limits flares without a firm band;
+- lowers a waistband that is too tight for the hips;
 - narrows a neckline that leaves shoulder seams under three centimetres;
 - redraws armholes, necklines, slits, cuts and godets until the panels can be sewn, and trousers and sleeves until legs
   and arms fit through their cuffs.
@@ -29,6 +30,7 @@ from gcd_dataset.generator.garments.neckline import LeftNecklineDesign
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY, Overlay
 from gcd_dataset.generator.garments.parameter import Choice, Space
 from gcd_dataset.generator.garments.rules import (
+    FIRM_BAND,
     LIGHT_LENGTH,
     LIGHT_SUNS,
     garment_length,
@@ -37,6 +39,7 @@ from gcd_dataset.generator.garments.rules import (
     has_tight_cuffs,
     is_flared,
     is_gathered,
+    is_too_tight,
     room_to_floor,
     top_girth,
     top_of_bottom,
@@ -58,7 +61,7 @@ __all__ = ["design_from_dict", "design_to_dict", "sample_design", "sample_kind"]
 
 # With a band or bottom sewn to it, a shirt ends near the waist, where its hem has about their girth.
 JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length
-NECKLINE_TRIES, UPPER_TRIES, BOTTOM_TRIES = 10, 5, 10
+NECKLINE_TRIES, UPPER_TRIES, BOTTOM_TRIES, BAND_TRIES = 10, 5, 10, 4
 
 
 def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind:
@@ -81,7 +84,9 @@ def sample_design(
         design = draft.with_band(design)
     if design.meta.upper:
         design = draft.with_upper(design)
-    return draft.with_bottom(design) if design.meta.bottom else design
+    if design.meta.bottom:
+        design = draft.with_bottom(design)
+    return draft.with_lower_band(design) if design.meta.wb else design
 
 
 def design_to_dict(design: OutfitDesign) -> dict[str, Any]:
@@ -140,6 +145,17 @@ class _Draft:
         snug = replace(design, waistband=replace(design.waistband, waist=1.0))
         widest = min(max(size.waist, size.hips) / top_girth(size, snug) for size in self.sizes)
         return replace(design, waistband=self.redrawn_within("waistband", design.waistband, waist=(1.0, widest)))
+
+    def with_lower_band(self, design: OutfitDesign) -> OutfitDesign:
+        """With the band's height drawn again, below the last, while a ring is too tight."""
+        for _ in range(BAND_TRIES):
+            if not any(is_too_tight(size, design) for size in self.sizes):
+                break
+            height = design.waistband.width
+            least = FIRM_BAND if height > FIRM_BAND else -np.inf
+            lower = _leaf(self.sections["waistband"], "width").draw(self.rng, least, height)
+            design = replace(design, waistband=replace(design.waistband, width=lower))
+        return design
 
     def with_upper(self, design: OutfitDesign) -> OutfitDesign:
         """With the sections of its upper: the first of ``UPPER_TRIES`` draws that can be sewn, or the last."""

@@ -51,7 +51,7 @@ def half_is_sewable(size: Measurements, design: OutfitDesign, half: UpperHalf) -
 
 
 def sleeve_is_tight(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
-    """Whether the band at the end of the sleeve of one half is too tight for the arm."""
+    """Whether the cuff at the end of the sleeve of one half is too tight for the arm."""
     try:
         band, arm = cuff_and_arm_girth(size, design, half)
     except PatternError:  # drawing the outfit reports it
@@ -60,7 +60,7 @@ def sleeve_is_tight(size: Measurements, design: OutfitDesign, half: UpperHalf) -
 
 
 def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf) -> tuple[float, float]:
-    """Girth of the band at the end of a half's sleeve, and of the arm inside it [cm]; 0 without a band.
+    """Girth of the cuff at the end of a half's sleeve, and of the arm inside it [cm]; 0 without a cuff.
 
     Raises ``PatternError`` for a half that cannot be drawn.
     """

@@ -35,7 +35,8 @@ def test_a_plain_shirt_can_be_worn(woman: Measurements) -> None:
 
 def test_a_dress_past_the_floor_is_rejected(woman: Measurements) -> None:
     meta = {"upper": "Shirt", "bottom": "SkirtCircle"}
-    assert reasons(woman, {"meta": meta, "shirt": {"length": 2.0}, "flare-skirt": {"length": 0.9}}) == ["reaches_floor"]
+    long = {"meta": meta, "shirt": {"length": 2.0}, "flare-skirt": {"length": 0.9}}
+    assert "reaches_floor" in reasons(woman, long)
     assert reasons(woman, {"meta": meta, "shirt": {"length": 1.0}, "flare-skirt": {"length": 0.9}}) == []
 
 
@@ -154,3 +155,43 @@ def test_the_widest_neckline_leaves_three_centimetres_of_shoulder(woman: Measure
     ]
     assert min(seams) == pytest.approx(SHORTEST_SHOULDER, abs=1e-5)
     assert min(seams) >= SHORTEST_SHOULDER
+
+
+def test_a_straight_band_from_waist_to_hips_is_too_tight_for_the_hips(woman: Measurements) -> None:
+    """A rectangle as long as the waist, whose lower edge lies at the hips."""
+    high = {"meta": {"bottom": "SkirtCircle", "wb": "StraightWB"}, "waistband": {"width": 1.0}}
+    size = replace(woman, hips=1.3 * woman.waist, hip_back_width=0.65 * woman.waist)
+    (reject,) = check_outfit(DrawnOutfit.of(size, design_from_dict(high)))
+    assert reject.rule == "too_tight"
+    assert reject.numbers == pytest.approx({"ring_cm": size.waist, "body_cm": size.hips})
+    assert "too_tight" not in reasons(size, high | {"waistband": {"width": 0.5}})
+
+
+def test_a_band_under_a_long_shirt_is_worn_at_the_hips(woman: Measurements) -> None:
+    size = replace(woman, hips=1.3 * woman.waist, hip_back_width=0.65 * woman.waist)
+    waist_to_hips = 1 + size.hips_line / size.waist_line
+    band = {"meta": {"upper": "Shirt", "wb": "StraightWB"}, "shirt": {"length": waist_to_hips - 0.1}}
+    assert "too_tight" in reasons(size, band)
+    assert "too_tight" not in reasons(size, band | {"shirt": {"length": 1.0}})
+
+
+def test_a_shirt_that_narrows_to_the_hem_is_too_tight_for_the_hips(woman: Measurements) -> None:
+    tapered = {"meta": SHIRT, "shirt": {"length": 1.5, "width": 1.0, "flare": 0.7}}
+    assert reasons(woman, tapered) == ["too_tight"]
+    assert reasons(woman, tapered | {"shirt": {"length": 1.5, "width": 1.2, "flare": 0.9}}) == []
+
+
+def test_a_pencil_skirt_gathered_in_at_the_knees_needs_a_slit(woman: Measurements) -> None:
+    narrow = {"flare": 0.6, "length": 0.3}
+    assert reasons(woman, {"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": narrow}) == ["too_tight"]
+    assert reasons(woman, {"meta": {"bottom": "PencilSkirt"}, "pencil-skirt": narrow | {"back_slit": 0.7}}) == []
+
+
+@pytest.mark.parametrize(("ruffle", "tight"), [(1.0, False), (3.0, True)])
+def test_a_gathered_cuff_skirt_too_tight_for_the_arm_is_rejected(
+    woman: Measurements, ruffle: float, tight: bool
+) -> None:
+    """The top of a skirt binds like a band."""
+    cuff = {"type": "CuffSkirt", "top_ruffle": ruffle}
+    design = {"meta": SHIRT, "sleeve": {"sleeveless": False, "length": 0.3, "cuff": cuff}}
+    assert reasons(woman, design) == (["tight_cuff"] if tight else [])
