@@ -14,11 +14,13 @@ from gcd_dataset.generator.garments.garment import BottomGarment
 from gcd_dataset.generator.garments.outfit import bottom_rise, pieces
 from gcd_dataset.generator.garments.sewable import (
     CLOTH_GIVES,
+    NARROWEST_STRAP,
     SHARPEST_CORNER,
-    SHORTEST_SHOULDER,
     corner_angles,
     cuff_and_arm_girth,
     is_mismatched,
+    shortest_shoulder,
+    strap_width,
 )
 from gcd_dataset.generator.garments.tightness import tightest_ring
 from gcd_dataset.generator.garments.trunk import girth_at_rise
@@ -169,11 +171,12 @@ def too_tight(outfit: DrawnOutfit) -> Reject | None:
 
 
 def narrow_shoulder(outfit: DrawnOutfit) -> Reject | None:
-    """A shoulder seam is shorter than ``SHORTEST_SHOULDER``."""
-    panel, length = min(_shoulder_seams(outfit.pattern), key=lambda seam: seam[1], default=("", SHORTEST_SHOULDER))
-    if length >= SHORTEST_SHOULDER:
+    """A shoulder seam is shorter than ``shortest_shoulder``."""
+    least = shortest_shoulder(outfit.size)
+    panel, length = min(_shoulder_seams(outfit.pattern), key=lambda seam: seam[1], default=("", least))
+    if length >= least:
         return None
-    figures = f"panel {panel}: a shoulder seam of {length:.1f} cm, under {SHORTEST_SHOULDER:g} cm: lower collar.width"
+    figures = f"panel {panel}: a shoulder seam of {length:.1f} cm, under {least:.1f} cm: lower collar.width"
     return Reject("narrow_shoulder", figures, {"shoulder_cm": length})
 
 
@@ -197,6 +200,16 @@ def sharp_corner(outfit: DrawnOutfit) -> Reject | None:
     name, edge = corners[int(angles.argmin())]
     figures = f"panel {name}, start of edge {edge}: {angles.min():.1f} degrees"
     return Reject("sharp_corner", figures, {"angle_deg": float(angles.min())})
+
+
+def narrow_strap(outfit: DrawnOutfit) -> Reject | None:
+    """A neckline comes nearer to an armhole than ``NARROWEST_STRAP``."""
+    panel = min(outfit.pattern.panels, key=strap_width)
+    width = strap_width(panel)
+    if width >= NARROWEST_STRAP:
+        return None
+    figures = f"panel {panel.name}: {width:.1f} cm of cloth between neckline and armhole: make the neckline shallower"
+    return Reject("narrow_strap", figures, {"width_cm": width})
 
 
 def short_edge(outfit: DrawnOutfit) -> Reject | None:
@@ -227,6 +240,7 @@ RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
     short_edge,
     unsewable,
     sharp_corner,
+    narrow_strap,
 )
 
 

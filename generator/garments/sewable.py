@@ -5,9 +5,11 @@ from functools import partial
 from math import cos, inf
 
 import numpy as np
+import shapely
 from jaxtyping import Complex, Float
 
 from gcd_dataset.crossings import edge_hulls, find_crossings
+from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import arm_girth_in_cuff
 from gcd_dataset.generator.garments.design import OutfitDesign
@@ -22,6 +24,7 @@ from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
 
 __all__ = [
     "CLOTH_GIVES",
+    "NARROWEST_STRAP",
     "SHARPEST_CORNER",
     "SHORTEST_SHOULDER",
     "bottom_is_sewable",
@@ -30,14 +33,19 @@ __all__ = [
     "half_is_sewable",
     "is_mismatched",
     "panels_are_sewable",
+    "shortest_shoulder",
     "sleeve_is_tight",
+    "strap_width",
     "upper_is_sewable",
     "widest_neckline",
 ]
 
 CLOTH_GIVES = 1.2  # stretched length over rest length: the most that cloth stretches without losing its shape
 SHARPEST_CORNER = 10.0  # degrees: a sharper corner can be neither meshed nor sewn
+NARROWEST_STRAP = 1.0  # cm: seam allowances take up the cloth between a nearer neckline and armhole
+STRAP_POINTS = 33  # of an edge: a neckline of 80 cm lies within a millimetre or two of its chords
 SHORTEST_SHOULDER = 3.0  # cm: a shorter shoulder seam is a strap, which these programs do not draw
+SHOULDER_SHARE = 0.5  # of the shoulder beside the neck: shoulder seams of dolls may be as short as that
 ROUNDING = 1e-6  # cm: a neckline at its widest leaves a shoulder that is not too short by rounding
 SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and of the shorter side: ungathered sides may differ by the larger of both
 TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
@@ -72,7 +80,7 @@ def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf
 
 
 def widest_neckline(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
-    """The largest ``width`` of a half's neckline that leaves shoulder seams of ``SHORTEST_SHOULDER``.
+    """The largest ``width`` of a half's neckline that leaves shoulder seams of ``shortest_shoulder``.
 
     Infinite for a half whose shoulder seams are long enough, that has none, or that cannot be drawn. The shoulder lies
     at ``shoulder_incl``: each centimetre of shoulder takes its cosine from half the neckline.
@@ -81,10 +89,16 @@ def widest_neckline(size: Measurements, design: OutfitDesign, half: UpperHalf) -
         drawn = right_torso(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
     except PatternError:  # drawing the outfit reports it
         return inf
-    missing = SHORTEST_SHOULDER + ROUNDING - min(map(_shoulder_length, drawn.pieces))
+    missing = shortest_shoulder(size) + ROUNDING - min(map(_shoulder_length, drawn.pieces))
     if missing <= ROUNDING:
         return inf
     return neckline_width_parameter(size, neckline_width(size, half[1]) - 2 * missing * cos(size.shoulder_incl))
+
+
+def shortest_shoulder(size: Measurements) -> float:
+    """The least length of a shoulder seam for a wearer [cm]."""
+    beside_neck = 0.5 * (size.sleeve_balance - size.neck_w) / cos(size.shoulder_incl)
+    return min(SHORTEST_SHOULDER, SHOULDER_SHARE * beside_neck)
 
 
 def _shoulder_length(piece: Piece) -> float:
@@ -119,10 +133,12 @@ def _can_be_sewn(part: Callable[[], Component]) -> bool:
 
 
 def panels_are_sewable(panels: Sequence[Panel]) -> bool:
-    """Whether all panels have edges of valid lengths, no sharp corner, and no crossing."""
+    """Whether all panels have edges of valid lengths, no sharp corner, no narrow strap, and no crossing."""
     hulls = [edge_hulls(panel) for panel in panels]
     lengths = [panel.edge_lengths() for panel in panels]
     if any(min(edges) < SHORTEST_EDGE or max(edges) > LARGEST for edges in lengths):
+        return False
+    if min(map(strap_width, panels)) < NARROWEST_STRAP:
         return False
     return corner_angles(hulls).min() >= SHARPEST_CORNER and not any(find_crossings(panels, hulls, lengths))
 
@@ -133,6 +149,22 @@ def is_mismatched(sewn: MeasuredJoin) -> bool:
     return longer - shorter > max(SEAM_SLACK, (TIGHTEST_GATHERS - 1 if sewn.join.gathered else SEAM_SHARE) * shorter)
 
 
+def strap_width(panel: Panel) -> float:
+    """The least width of cloth between neckline and armhole of a panel [cm]; infinite without both."""
+    neck, armhole = (_drawn(panel, name) for name in ("neck", "armhole"))
+    return float(neck.distance(armhole)) if neck and armhole else inf
+
+
+def _drawn(panel: Panel, name: str) -> shapely.MultiLineString | None:
+    """The edges of that name as lines; ``None`` without any."""
+    lines = [
+        sample_curve(*panel.edge_ends(index), edge.curve, STRAP_POINTS)
+        for index, edge in enumerate(panel.edges)
+        if edge.name == name
+    ]
+    return shapely.MultiLineString(lines) if lines else None
+
+
 def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarray, " corners"]:
     """Interior angles at the starts of all edges, panel after panel, 0 to 360 [degrees], from ``edge_hulls``."""
     edges, sizes = np.concatenate(hulls), np.array([len(panel) for panel in hulls])
@@ -140,6 +172,7 @@ def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarr
     before, after = np.arange(len(edges)) - 1, np.arange(len(edges)) + 1
     before[first], after[first + sizes - 1] = first + sizes - 1, first
     leaving, arriving = edges[:, 1] - edges[:, 0], (edges[:, 3] - edges[:, 2])[before]
-    corners = edges[:, 0]
-    around = np.sign(np.add.reduceat((corners.conj() * corners[after]).imag, first))
+    # Through the hulls' inner points: the corners alone of more than half a circle run the other way round.
+    areas = (edges.conj() * np.concatenate([edges[:, 1:], edges[after, :1]], axis=1)).imag.sum(axis=1)
+    around = np.sign(np.add.reduceat(areas, first))
     return np.degrees(np.pi - np.repeat(around, sizes) * np.angle(leaving / arriving))

@@ -11,7 +11,13 @@ from gcd_dataset.crossings import edge_hulls
 from gcd_dataset.curves import LINE
 from gcd_dataset.generator.garments import DrawnOutfit, Reject, check_outfit, design_from_dict, outfit, try_on
 from gcd_dataset.generator.garments.pants import cuff_and_leg_girth
-from gcd_dataset.generator.garments.sewable import SHORTEST_SHOULDER, corner_angles, widest_neckline
+from gcd_dataset.generator.garments.sewable import (
+    NARROWEST_STRAP,
+    SHORTEST_SHOULDER,
+    corner_angles,
+    strap_width,
+    widest_neckline,
+)
 from gcd_dataset.records import Edge, Measurements, Panel, Placement
 
 SKIRT = {"upper": None, "bottom": "SkirtCircle"}
@@ -135,7 +141,7 @@ def test_a_cuff_too_tight_for_the_leg_is_rejected(woman: Measurements, top_ruffl
 def test_a_shoulder_seam_under_three_centimetres_is_rejected(woman: Measurements, upper: str) -> None:
     """A neckline of full width leaves a strap of a centimetre or two."""
     wide = {"meta": {"upper": upper}, "collar": {"width": 1.0}}
-    (reject,) = check_outfit(DrawnOutfit.of(woman, design_from_dict(wide)))
+    reject = next(iter(check_outfit(DrawnOutfit.of(woman, design_from_dict(wide)))))
     assert reject.rule == "narrow_shoulder"
     assert 0.8 < reject.numbers["shoulder_cm"] < 2.0
     assert reasons(woman, wide | {"collar": {"width": 0.6}}) == []
@@ -195,3 +201,24 @@ def test_a_gathered_cuff_skirt_too_tight_for_the_arm_is_rejected(
     cuff = {"type": "CuffSkirt", "top_ruffle": ruffle}
     design = {"meta": SHIRT, "sleeve": {"sleeveless": False, "length": 0.3, "cuff": cuff}}
     assert reasons(woman, design) == (["tight_cuff"] if tight else [])
+
+
+def test_the_corners_of_a_panel_of_more_than_half_a_circle_are_inside(woman: Measurements) -> None:
+    """Its corners alone, without its arcs, run the other way round."""
+    skirt = design_from_dict({"meta": {"bottom": "SkirtCircle"}, "flare-skirt": {"suns": 1.9}})
+    front = outfit(woman, skirt).panel("skirt_front")
+    assert corner_angles([edge_hulls(front)]) == pytest.approx([90.0] * 4, abs=1.0)
+
+
+def test_a_neckline_near_the_armhole_leaves_no_strap(woman: Measurements) -> None:
+    """A round neckline bulges as it gets deeper, until it runs into the armhole; before that it leaves a thread."""
+    found = [(depth, reasons(woman, deep_back(depth))) for depth in np.linspace(0.5, 1.9, 57)]
+    first = next(number for number, (_, rules) in enumerate(found) if rules)
+    assert found[first][1] == ["narrow_strap"]
+    assert all(rules for _, rules in found[first:])
+    pattern = outfit(woman, design_from_dict(deep_back(found[first][0])))
+    assert 0.0 < strap_width(pattern.panel("right_btorso")) < NARROWEST_STRAP
+
+
+def deep_back(depth: float) -> dict[str, Any]:
+    return {"meta": SHIRT, "collar": {"width": 0.6, "bc_depth": depth}, "shirt": {"length": 2.0}}

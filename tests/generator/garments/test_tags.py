@@ -75,7 +75,8 @@ def test_a_strapless_bodice_has_no_neckline(woman: Measurements) -> None:
 
 
 def test_every_outfit_has_one_kind_and_words_of_the_vocabulary(woman: Measurements) -> None:
-    random, seen = np.random.default_rng(3), set()
+    random = np.random.default_rng(3)
+    seen: set[str] = set()
     for _ in range(300):
         found = outfit_tags(woman, sample_design(random, [woman]))
         assert set(found) <= set(TAGS)
