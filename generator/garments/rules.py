@@ -239,8 +239,8 @@ RULES: tuple[Callable[[DrawnOutfit], Reject | None], ...] = (
     self_crossing,
     short_edge,
     unsewable,
-    sharp_corner,
     narrow_strap,
+    sharp_corner,
 )
 
 

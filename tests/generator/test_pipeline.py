@@ -15,7 +15,7 @@ from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
-from gcd_dataset.generator.garments import Reject, design_from_dict
+from gcd_dataset.generator.garments import Reject, design_from_dict, outfit_tags
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -53,6 +53,33 @@ def test_a_stage_leaves_out_the_later_fields() -> None:
     assert meshed.pattern == flat.pattern
     assert meshed.points is not None
     assert meshed.points.shape == (64, 6)
+
+
+def test_a_pattern_keeps_the_gathers_of_its_seams() -> None:
+    """Levels one and a half times as long as the hems above: the ratio of exactly those seams."""
+    values = {
+        "meta": {"bottom": "SkirtLevels", "wb": "FittedWB"},
+        "levels-skirt": {"base": "SkirtCircle", "level": "Skirt2", "num_levels": 2, "level_ruffle": 1.5},
+    }
+    pattern = build_pattern(measure(build_body(neutral_shape())), design_from_dict(values))
+    ratios = pattern.gather_ratios()
+    assert len(ratios) == len(pattern.seams)
+    for seam, ratio in zip(pattern.seams, ratios, strict=True):
+        between_levels = seam.left.panel.rpartition("_")[2] != seam.right.panel.rpartition("_")[2]
+        sides = pattern.panel(seam.left.panel).edges[seam.left.edge].name
+        if sides == "bottom" and between_levels and "wb" not in seam.left.panel:
+            assert ratio == pytest.approx(1 / 1.5, abs=1e-3)
+        elif sides in ("right", "left"):
+            assert ratio == pytest.approx(1.0, abs=1e-3)
+    assert sum(ratio < 0.7 for ratio in ratios) == 4  # front and back of two levels
+
+
+def test_samples_of_every_stage_hold_gathers_and_tags() -> None:
+    for config in (FLAT, MESHED):
+        sample = make(5, 0, config)
+        assert sample.gathers == sample.pattern.gather_ratios()
+        assert sample.tags == outfit_tags(sample.measurements, design_from_dict(sample.design))
+        assert sample.tags
 
 
 def test_both_bodies_wear_one_design() -> None:

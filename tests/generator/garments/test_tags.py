@@ -1,5 +1,6 @@
 """The tags of an outfit are the tailor's names for its style."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -84,3 +85,9 @@ def test_every_outfit_has_one_kind_and_words_of_the_vocabulary(woman: Measuremen
         assert len({"top", "dress", "jumpsuit", "skirt"} & set(found)) == (0 if found[0] == "trousers" else 1)
         seen.update(found)
     assert seen == set(TAGS) - {Tag.CAPE.value, Tag.PONCHO.value}  # of weight 0
+
+
+def test_the_documentation_lists_every_tag_with_its_meaning() -> None:
+    listed = (Path(__file__).parents[3] / "docs" / "labels.md").read_text()
+    rows = [line for line in listed.splitlines() if line.startswith("| `")]
+    assert rows == [f"| `{tag.value}` | {tag.meaning} |" for tag in Tag]
