@@ -424,7 +424,7 @@ class Provenance(Record):
     rejects: tuple[str, ...] = ()
     """Rules and reasons of the rejected attempts at this index, in order."""
     redraws: Mapping[str, int] = field(default_factory=dict)
-    """Rule to the number of redraws that it caused, each of one part of the design."""
+    """Rule to the number of redraws that it caused: of a parameter, a part, or the numbers of the whole design."""
     versions: Mapping[str, str] = field(default_factory=dict)
     recipe: Mapping[str, Any] = field(default_factory=dict)
     """The options it was made with."""

@@ -79,6 +79,9 @@ def _recipe_lines(record: SplitRecord) -> Iterator[str]:
     yield f"  seed {record.seed}, recipe {json.dumps(dict(record.recipe), sort_keys=True)}"
     if record.rejects:
         yield from _bars("rejected attempts by rule", record.rejects)
+    if record.redraws:
+        total, count = sum(record.redraws.values()), sum(shard.count for shard in record.shards)
+        yield from _bars(f"redraws by rule, {total / count:.2f} per sample", record.redraws)
 
 
 def _reject_lines(store: Store, record: SplitRecord) -> Iterator[str]:

@@ -16,7 +16,8 @@ garments              JSON type  holds                                          
 ``seed``              int
 ``attempts``          int        designs tried, this one included
 ``rejects``           texts      rule and reason of each rejected design                          ``[""]``
-``redraws``           objects    ``rule`` (text), ``count`` (int): parts drawn again  (*)         one of ``""``, 0
+``redraws``           objects    ``rule`` (text), ``count`` (int): parameters, parts and designs  one of ``""``, 0
+                                 drawn again
 ``versions``          JSON text  package to version, of all packages that decide the bytes
 ``recipe``            JSON text  options of the generator
 ``recipe_sha256``     text

@@ -17,23 +17,35 @@ that reject designs in ``rules.py``. A comment that ends in "GarmentCode" marks 
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.kind import Kind
 from gcd_dataset.generator.garments.outfit import outfit
+from gcd_dataset.generator.garments.redrawing import DrawnDesign, Redraw
 from gcd_dataset.generator.garments.rules import DrawnOutfit, Reject, check_outfit, try_on
-from gcd_dataset.generator.garments.sampling import design_from_dict, design_to_dict, sample_design, sample_kind
+from gcd_dataset.generator.garments.sampling import (
+    attempted_design,
+    design_from_dict,
+    design_to_dict,
+    sample_design,
+    sample_draft,
+    sample_kind,
+)
 from gcd_dataset.generator.garments.style import outfit_tags
 from gcd_dataset.generator.garments.tags import TAGS
 
 __all__ = [
     "TAGS",
+    "DrawnDesign",
     "DrawnOutfit",
     "Kind",
     "OutfitDesign",
+    "Redraw",
     "Reject",
+    "attempted_design",
     "check_outfit",
     "design_from_dict",
     "design_to_dict",
     "outfit",
     "outfit_tags",
     "sample_design",
+    "sample_draft",
     "sample_kind",
     "try_on",
 ]

@@ -17,6 +17,7 @@ from gcd_dataset.records import Measurements
 __all__ = ["ASYMMETRIC_CIRCLE_SKIRT", "CIRCLE_SKIRT", "asymmetric_circle_skirt", "circle_skirt"]
 
 LEAST_HEM = 0.01  # of the hem: a cut with less hem beside it moves to the side seam, GarmentCode
+CUT_REMEDIES = ("cut.depth-", "cut.width-", "cut.place")
 FRONT, BACK = 15.0, -15.0  # cm: z of front and back before sewing, GarmentCode
 
 
@@ -126,6 +127,7 @@ CIRCLE_SKIRT = SimpleBottom(
     flared=True,
     fullness_parameter="suns",
     always_sewable=lambda design: not design.cut.add,
+    remedies=CUT_REMEDIES,
 )
 
 ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
@@ -137,4 +139,5 @@ ASYMMETRIC_CIRCLE_SKIRT = SimpleBottom(
     tags_of=lambda design: (Tag.CIRCLE, Tag.ASYMMETRIC, *_cut_tags(design)),
     without_slits=_uncut,
     flared=True,
+    remedies=CUT_REMEDIES,
 )

@@ -183,6 +183,11 @@ class BottomGarment(Garment[D]):
     """The rings below the hips that may be narrower than the legs, for a rise; empty for a wide skirt."""
     always_sewable: Callable[[D], bool] = field(default=lambda design: False)
     """Whether a design needs no sewability check in sampling, since no cut can run into another edge."""
+    remedies: tuple[str, ...] = ()
+    """Parameters to draw again, in this order, if it cannot be sewn or a cuff is too tight: paths in its section.
+
+    A path that ends in ``-`` (``+``) is drawn below (above) the value at fault.
+    """
     statistics_length_section: str = ""
     """The section whose ``length`` GarmentCodeData's published statistics report; empty for its own section."""
 

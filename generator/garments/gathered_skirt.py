@@ -83,5 +83,6 @@ GATHERED_SKIRT = SimpleBottom(
     without_slits=lambda design: replace(design, bottom_cut=0.0),
     ungathered=lambda design: replace(design, ruffle=1.0),
     gather_parameter="ruffle",
-    always_sewable=lambda design: True,
+    remedies=("bottom_cut", "length+", "flare-"),
+    always_sewable=lambda design: design.bottom_cut == 0,
 )

@@ -158,5 +158,6 @@ GODET_SKIRT = CombinedBottom(
     rise_of=lambda design, parts: parts[0].rise,
     length_of=lambda size, design, parts, rise: parts[0].length(size, rise),
     inherits_length=True,
+    remedies=("insert_depth-", "cuts_distance-"),
     statistics_length_section="skirt",
 )

@@ -133,5 +133,6 @@ LEVELS_SKIRT = CombinedBottom(
     combine=_combined,
     tags_of=lambda design: (Tag.TIERED, Tag.RUFFLED) if design.level_ruffle >= GATHERED else (Tag.TIERED,),
     rise_of=lambda design, parts: design.rise,
+    remedies=("level_ruffle-", "num_levels-"),
     length_of=lambda size, design, parts, rise: _length(size, design, rise),
 )

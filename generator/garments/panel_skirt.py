@@ -77,4 +77,5 @@ PANEL_SKIRT = SimpleBottom(
     tags_of=lambda design: (Tag.PANELLED, *flare_tags(design)),
     flared=True,
     fullness_parameter="suns",
+    remedies=("skirt-many-panels.panel_curve", "suns+"),
 )

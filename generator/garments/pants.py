@@ -269,5 +269,6 @@ PANTS = SimpleBottom(
     legs=True,
     rings_of=_rings,
     cuffs=cuff_and_leg_girth,
-    always_sewable=lambda design: True,
+    remedies=("cuff.top_ruffle-", "flare+", "cuff.cuff_len", "cuff.skirt_flare-"),
+    always_sewable=lambda design: design.cuff.type is None,
 )

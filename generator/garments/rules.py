@@ -33,6 +33,7 @@ __all__ = [
     "RULES",
     "DrawnOutfit",
     "Reject",
+    "bottom_length",
     "check_outfit",
     "cuff_and_leg_girth",
     "garment_length",
@@ -45,6 +46,7 @@ __all__ = [
     "room_to_floor",
     "top_girth",
     "top_of_bottom",
+    "top_parameter",
     "try_on",
 ]
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import cos, inf
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -14,7 +15,7 @@ from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import arm_girth_in_cuff
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
-from gcd_dataset.generator.garments.neckline import neckline_width, neckline_width_parameter
+from gcd_dataset.generator.garments.neckline import NecklineDesign, neckline_width, neckline_width_parameter
 from gcd_dataset.generator.garments.outfit import bottom
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half, right_torso
@@ -27,16 +28,17 @@ __all__ = [
     "NARROWEST_STRAP",
     "SHARPEST_CORNER",
     "SHORTEST_SHOULDER",
-    "bottom_is_sewable",
+    "Fault",
+    "bottom_fault",
     "corner_angles",
     "cuff_and_arm_girth",
-    "half_is_sewable",
+    "half_fault",
     "is_mismatched",
-    "panels_are_sewable",
+    "panel_fault",
     "shortest_shoulder",
-    "sleeve_is_tight",
+    "sleeve_tightness",
     "strap_width",
-    "upper_is_sewable",
+    "upper_fault",
     "widest_neckline",
 ]
 
@@ -51,20 +53,34 @@ SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and of the shorter side: ungathered si
 TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
 
 
-def half_is_sewable(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
-    """Whether one half can be sewn: armhole and neckline fit into front and back, and a flared cuff fits its sleeve."""
+class Fault(NamedTuple):
+    """The first reason why a part of an outfit cannot be sewn or worn."""
+
+    rule: str
+    """Name of the rule in ``rules.py``."""
+    part: str
+    """The panel at fault; empty if it is not one panel."""
+
+
+def half_fault(size: Measurements, design: OutfitDesign, half: UpperHalf) -> Fault | None:
+    """Why one half cannot be sewn: armhole or neckline do not fit front or back, or a flared cuff its sleeve."""
     drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
     fitted = _is_fitted(design)
-    return all(_can_be_sewn(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
+    faults = (_sewing_fault(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
+    return next((fault for fault in faults if fault is not None), None)
 
 
-def sleeve_is_tight(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
-    """Whether the cuff at the end of the sleeve of one half is too tight for the arm."""
-    try:
-        band, arm = cuff_and_arm_girth(size, design, half)
-    except PatternError:  # drawing the outfit reports it
-        return False
-    return band * CLOTH_GIVES < arm
+def sleeve_tightness(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
+    """Girth of the arm over the largest girth of the band at the end of a half's sleeve: over 1, it is too tight.
+
+    0 without a band, and for a half that cannot be drawn.
+    """
+    shirt, _, sleeve = half
+    try:  # The girth does not depend on the neckline: the same drawing serves all necklines.
+        band, arm = cuff_and_arm_girth(size, design, (shirt, NecklineDesign(), sleeve))
+    except PatternError:
+        return 0.0
+    return arm / (band * CLOTH_GIVES) if band else 0.0
 
 
 def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf) -> tuple[float, float]:
@@ -106,15 +122,15 @@ def _shoulder_length(piece: Piece) -> float:
     return sum(stroke.length for stroke in piece.outline.strokes if stroke.name == "shoulder") or inf
 
 
-def bottom_is_sewable(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether the bottom, with its slits, darts and godets, can be drawn and sewn."""
-    return _can_be_sewn(partial(bottom, size, design, ALL_MENDS))
+def bottom_fault(size: Measurements, design: OutfitDesign) -> Fault | None:
+    """Why the bottom, with its slits, darts and godets, cannot be drawn or sewn."""
+    return _sewing_fault(partial(bottom, size, design, ALL_MENDS))
 
 
-def upper_is_sewable(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether an upper other than a shirt can be drawn and sewn."""
+def upper_fault(size: Measurements, design: OutfitDesign) -> Fault | None:
+    """Why an upper other than a shirt cannot be drawn or sewn."""
     assert design.meta.upper is not None
-    return _can_be_sewn(partial(design.meta.upper.garment.draw, size, design, mends=ALL_MENDS))
+    return _sewing_fault(partial(design.meta.upper.garment.draw, size, design, mends=ALL_MENDS))
 
 
 def _is_fitted(design: OutfitDesign) -> bool:
@@ -122,25 +138,33 @@ def _is_fitted(design: OutfitDesign) -> bool:
     return isinstance(garment, Shirt) and garment.fitted
 
 
-def _can_be_sewn(part: Callable[[], Component]) -> bool:
-    """Whether a part of an outfit can be drawn, its panels can be sewn, and its seams match."""
+def _sewing_fault(draw: Callable[[], Component]) -> Fault | None:
+    """Why a part of an outfit cannot be drawn, its panels be sewn, or its seams match."""
     try:
-        drawn = part()
+        drawn = draw()
         panels = [panel_of(piece) for piece in drawn.pieces]
-        return not any(map(is_mismatched, measure_joins(drawn))) and panels_are_sewable(panels)
+        if any(map(is_mismatched, measure_joins(drawn))):
+            return Fault("mismatched_seam", "")
+        return panel_fault(panels)
     except PatternError:
-        return False
+        return Fault("cannot_be_drawn", "")
 
 
-def panels_are_sewable(panels: Sequence[Panel]) -> bool:
-    """Whether all panels have edges of valid lengths, no sharp corner, no narrow strap, and no crossing."""
+def panel_fault(panels: Sequence[Panel]) -> Fault | None:
+    """The first panel with an edge of invalid length, a sharp corner, a narrow strap, or a crossing."""
     hulls = [edge_hulls(panel) for panel in panels]
     lengths = [panel.edge_lengths() for panel in panels]
-    if any(min(edges) < SHORTEST_EDGE or max(edges) > LARGEST for edges in lengths):
-        return False
-    if min(map(strap_width, panels)) < NARROWEST_STRAP:
-        return False
-    return corner_angles(hulls).min() >= SHARPEST_CORNER and not any(find_crossings(panels, hulls, lengths))
+    for panel, edges in zip(panels, lengths, strict=True):
+        if min(edges) < SHORTEST_EDGE or max(edges) > LARGEST:
+            return Fault("short_edge" if min(edges) < SHORTEST_EDGE else "unsewable", panel.name)
+        if strap_width(panel) < NARROWEST_STRAP:
+            return Fault("narrow_strap", panel.name)
+    angles = corner_angles(hulls)
+    if angles.min() < SHARPEST_CORNER:
+        corners = [panel.name for panel in panels for _ in panel.edges]
+        return Fault("sharp_corner", corners[int(angles.argmin())])
+    crossed = next(iter(find_crossings(panels, hulls, lengths)), None)
+    return None if crossed is None else Fault("self_crossing", panels[crossed[0]].name)
 
 
 def is_mismatched(sewn: MeasuredJoin) -> bool:
