@@ -7,6 +7,7 @@ although it was drawn for the waist.
 
 from collections.abc import Iterator
 from itertools import pairwise
+from math import nan
 from typing import NamedTuple
 
 from gcd_dataset.generator.garments.design import OutfitDesign
@@ -20,11 +21,14 @@ from gcd_dataset.records import Measurements
 __all__ = ["rings", "tightest_ring"]
 
 
+WIDER_WAIST = "lower waistband.width, or widen the part below"
+WIDER_HEM = "raise waistband.waist or shirt.flare, or shorten shirt.length"
+
+
 class _Hung(NamedTuple):
-    """A part of an outfit with the depth of its ends below the waist [cm]."""
+    """A part of an outfit, and the depth of its lower end below the waist [cm]."""
 
     part: Component
-    top: float
     bottom: float
 
 
@@ -34,34 +38,31 @@ def tightest_ring(size: Measurements, design: OutfitDesign) -> Ring | None:
 
 
 def rings(size: Measurements, design: OutfitDesign) -> Iterator[Ring]:
-    """The rings round the trunk, and those that the records of the garments name."""
-    hung = _hung(size, design)
+    """The rings round the trunk, and those that the record of the bottom names."""
+    hung, bottom = _hung(size, design), design.meta.bottom
     for above, below in pairwise(hung):
         cloth = min(above.part.length("bottom"), below.part.length("top"))
-        yield Ring("a waist seam", cloth, girth_below_waist(size, above.bottom), "widen the part below it")
+        yield Ring("a waist seam", cloth, girth_below_waist(size, above.bottom), WIDER_WAIST)
     last = hung[-1]
-    bottom = design.meta.bottom
     if bottom is not None:
         yield from bottom.garment.rings(size, design, bottom_rise(design))
     elif "bottom" in last.part.interfaces:
-        remedy = "widen waistband.waist or shirt.flare, or shorten shirt.length"
-        yield Ring("a hem", last.part.length("bottom"), girth_below_waist(size, last.bottom), remedy)
+        yield Ring("a hem", last.part.length("bottom"), girth_below_waist(size, last.bottom), WIDER_HEM)
 
 
 def _hung(size: Measurements, design: OutfitDesign) -> tuple[_Hung, ...]:
-    """The parts from the top down; without an upper the first begins where it was drawn, else under the upper."""
+    """The parts from the top down; without an upper the first hangs where it was drawn, else under the upper.
+
+    The depth of a bottom's hem is left out: no ring ends there.
+    """
     meta, rise = design.meta, bottom_rise(design)
-    band = design.waistband.width * size.hips_line if meta.wb else 0.0
-    depth = 0.0
-    hung = []
-    for number, part in enumerate(parts(size, design)):
-        if number == 0 and meta.upper:
-            depth = meta.upper.garment.length(size, design) - size.waist_line
-            hung.append(_Hung(part, 0.0, depth))
-            continue
-        if number == 0:
-            top_rise = band_rise(design.waistband, rise) + design.waistband.width if meta.wb else rise
-            depth = (1 - top_rise) * size.hips_line
-        hung.append(_Hung(part, depth, depth + band))
-        depth, band = depth + band, 0.0
-    return tuple(hung)
+    if meta.upper:
+        depths = [0.0, meta.upper.garment.length(size, design) - size.waist_line]
+    else:
+        top = band_rise(design.waistband, rise) + design.waistband.width if meta.wb else rise
+        depths = [(1 - top) * size.hips_line]
+    if meta.wb:
+        depths.append(depths[-1] + design.waistband.width * size.hips_line)
+    if meta.bottom:
+        depths.append(nan)
+    return tuple(_Hung(part, bottom) for part, bottom in zip(parts(size, design), depths[1:], strict=True))
