@@ -6,15 +6,16 @@ names a parameter to draw again while all others stay.
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.garment import GarmentChoice
 from gcd_dataset.generator.garments.sewable import Fault
-from gcd_dataset.generator.garments.space import DesignSpace, redrawn, value_at
+from gcd_dataset.generator.garments.space import Design, DesignSpace, redrawn, value_at, with_value
 
 __all__ = ["DrawnDesign", "FindFault", "Redraw", "Redrawing", "Remedy"]
 
@@ -68,9 +69,15 @@ class Redrawing:
     def again(
         self, design: OutfitDesign, rule: str, *paths: str, low: float = -np.inf, high: float = np.inf
     ) -> OutfitDesign:
-        """The design with the parameters or parts at some paths drawn again, between ``low`` and ``high``."""
+        """The design with the parameters or parts at some paths drawn again, between ``low`` and ``high``.
+
+        A part keeps the garments that it consists of, such as the base of a skirt: others have other sections.
+        """
         for path in paths:
+            garments = _garments(value_at(self.space, design, path))
             design = redrawn(self.space, design, path, self.rng, low, high)
+            if garments:
+                design = with_value(self.space, design, path, replace(value_at(self.space, design, path), **garments))
             self.counts[Redraw(rule, path)] += 1
         return design
 
@@ -115,6 +122,12 @@ class Redrawing:
                 break
             fault = left
         return design
+
+
+def _garments(part: object) -> dict[str, GarmentChoice]:
+    """The garments among the parameters of a part, by name; empty for a parameter."""
+    values = vars(part) if isinstance(part, Design) else {}
+    return {name: value for name, value in values.items() if isinstance(value, GarmentChoice)}
 
 
 def _is_other(found: Fault | None, fault: Fault) -> bool:

@@ -14,7 +14,7 @@ the rest. Unlike GarmentCode's sampler, this one
   and arms fit through their cuffs.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -36,6 +36,7 @@ __all__ = [
     "attempted_design",
     "design_from_dict",
     "design_to_dict",
+    "drafted_design",
     "sample_design",
     "sample_draft",
     "sample_kind",
@@ -53,10 +54,10 @@ def sample_kind(rng: np.random.Generator, overlay: Overlay = NO_OVERLAY) -> Kind
 def sample_draft(rng: np.random.Generator, *, kind: Kind | None = None, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
     """A random outfit by the declared distributions alone: nobody may be able to sew or wear it."""
     design = OutfitDesign(meta=_meta(rng, kind or sample_kind(rng, overlay), overlay.space.of(MetaDesign)))
-    drawn = {"meta"}
-    while new := [name for name in _sections(overlay) if name in _sections_drawn(design) - drawn]:
-        design = replace(design, **{name: draw(_sections(overlay)[name], rng) for name in new})
-        drawn.update(new)  # the base of a combined skirt is known once its own section is drawn
+    design = _with_sections(design, _own_sections(design), rng, overlay)
+    bottom = design.meta.bottom.garment if design.meta.bottom else None
+    parts = {part.field for part in bottom.parts(design)} if bottom else set()
+    design = _with_sections(design, parts, rng, overlay)
     return design if design.left.enable_asym else replace(design, left=LeftDesign())
 
 
@@ -72,6 +73,12 @@ def sample_design(
     return wearable(draft, tuple(wearers) or (_neutral(),), rng, overlay.space).design
 
 
+def drafted_design(seed: int, number: int, attempt: int, overlay: Overlay = NO_OVERLAY) -> OutfitDesign:
+    """The draft of design ``number`` of a seed: the same kind in all attempts, the same choices in most."""
+    kind = sample_kind(stream(seed, number, Stage.KIND), overlay)
+    return sample_draft(stream(seed, number, Stage.DRAFT, attempt // SAME_CHOICES), kind=kind, overlay=overlay)
+
+
 def attempted_design(
     seed: int, number: int, attempt: int, wearers: Iterable[Measurements], overlay: Overlay = NO_OVERLAY
 ) -> DrawnDesign:
@@ -80,9 +87,7 @@ def attempted_design(
     All attempts have the same kind; ``SAME_CHOICES`` attempts have the same choices, such as upper and bottom, and
     other numbers. Otherwise designs that are often rejected would become rare.
     """
-    kind = sample_kind(stream(seed, number, Stage.KIND), overlay)
-    draft = sample_draft(stream(seed, number, Stage.DRAFT, attempt // SAME_CHOICES), kind=kind, overlay=overlay)
-    rng = stream(seed, number, Stage.DESIGN, attempt)
+    draft, rng = drafted_design(seed, number, attempt, overlay), stream(seed, number, Stage.DESIGN, attempt)
     if attempt % SAME_CHOICES:
         draft = _with_new_numbers(draft, rng, overlay)
     return wearable(draft, tuple(wearers), rng, overlay.space)
@@ -117,9 +122,22 @@ def _meta(rng: np.random.Generator, kind: Kind, space: DesignSpace[MetaDesign]) 
     return MetaDesign(upper, bands.draw(rng), bottom)
 
 
-def _sections_drawn(design: OutfitDesign) -> frozenset[str]:
-    """The fields to draw for the garments of a design."""
-    return design.sections_used() | ({"left"} if design.halves() else frozenset())
+def _own_sections(design: OutfitDesign) -> set[str]:
+    """The fields of the garments of a design, without those of the parts of a combined bottom."""
+    meta = design.meta
+    sections = {"waistband"} if meta.wb else set()
+    if meta.upper:
+        sections.update(meta.upper.garment.sections_used(design))
+    if design.halves():
+        sections.add("left")
+    return sections | ({meta.bottom.garment.field} if meta.bottom else set())
+
+
+def _with_sections(
+    design: OutfitDesign, names: Collection[str], rng: np.random.Generator, overlay: Overlay
+) -> OutfitDesign:
+    """The design with some of its sections drawn, in the order of the fields."""
+    return replace(design, **{name: draw(space, rng) for name, space in _sections(overlay).items() if name in names})
 
 
 def _with_new_numbers(design: OutfitDesign, rng: np.random.Generator, overlay: Overlay) -> OutfitDesign:

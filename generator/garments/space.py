@@ -48,6 +48,7 @@ __all__ = [
     "value_at",
     "with_new_numbers",
     "with_parts",
+    "with_value",
 ]
 
 D = TypeVar("D", bound="Design")
@@ -171,6 +172,12 @@ class DesignSpace(Generic[D]):
             raise ConfigError(f"{self.kind.__name__} has no {shown(key)}: it has {known}")
         return found
 
+    def at(self, path: str) -> "Space | DesignSpace[Any]":
+        """The space of the parameter or part at a path of design files. Raises ``ConfigError`` for an unknown path."""
+        key, _, rest = path.partition(".")
+        space = self.entry(key).space
+        return space.at(rest) if rest and isinstance(space, DesignSpace) else space
+
     def changed(self, spaces: Mapping[str, Space]) -> "DesignSpace[D]":
         """The space with new spaces for the parameters at some paths. Raises ``ConfigError`` for an unknown path."""
         if unknown := spaces.keys() - {leaf.path for leaf in leaves(self, added=True)}:
@@ -249,14 +256,17 @@ def redrawn(
     >>> redrawn(space, CuffDesign(), "depth", np.random.default_rng(1), high=1.0)
     CuffDesign(depth=1.0, rows=1)
     """
+    inner = space.at(path)
+    value = draw(inner, rng) if isinstance(inner, DesignSpace) else inner.draw(rng, low, high)
+    return with_value(space, design, path, value)
+
+
+def with_value(space: DesignSpace[D], design: D, path: str, value: Any) -> D:
+    """The design with the parameter or part at a path of design files changed. Raises ``ConfigError``."""
     key, _, rest = path.partition(".")
     entry = space.entry(key)
-    if isinstance(entry.space, Space):
-        value = entry.space.draw(rng, low, high)
-    elif rest:
-        value = redrawn(entry.space, getattr(design, entry.name), rest, rng, low, high)
-    else:
-        value = draw(entry.space, rng)
+    if rest and isinstance(entry.space, DesignSpace):
+        value = with_value(entry.space, getattr(design, entry.name), rest, value)
     return replace(design, **{entry.name: value})
 
 
