@@ -15,7 +15,7 @@ import numpy as np
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.panel_shapes import band, skirt_panel
 from gcd_dataset.generator.garments.space import Design, choice, real
-from gcd_dataset.generator.garments.tags import GATHERED, Tag
+from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component, Interface, Piece
 from gcd_dataset.records import Measurements, PanelRole
 
@@ -90,7 +90,7 @@ def cuff_tags(design: CuffDesign) -> tuple[Tag, ...]:
     if design.type is None:
         return ()
     ruffle = max(design.top_ruffle, 1.0 if design.type is Cuff.BAND else design.skirt_ruffle)
-    return (Tag.CUFFS, Tag.RUFFLED) if ruffle >= GATHERED else (Tag.CUFFS,)
+    return (Tag.CUFFS, Tag.RUFFLED) if ruffle >= RUFFLES else (Tag.CUFFS,)
 
 
 def skirt_share(design: CuffDesign) -> float:

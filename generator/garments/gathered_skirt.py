@@ -8,7 +8,7 @@ from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.panel_shapes import skirt_panel
 from gcd_dataset.generator.garments.skirt import SHORTEST, hem_ring, length_below_waist, waist_ring
 from gcd_dataset.generator.garments.space import Design, integer, real
-from gcd_dataset.generator.garments.tags import GATHERED, Tag
+from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.garments.trunk import back_at_rise, girth_at_rise
 from gcd_dataset.generator.pattern import Component, Piece
 from gcd_dataset.records import Measurements
@@ -64,7 +64,7 @@ def _slit(design: GatheredSkirtDesign, below_hips: float, mends: frozenset[Mend]
 
 
 def _tags(design: GatheredSkirtDesign) -> Iterator[Tag]:
-    if design.ruffle >= GATHERED:
+    if design.ruffle >= RUFFLES:
         yield from (Tag.GATHERED, Tag.RUFFLED)
     else:
         yield Tag.A_LINE if design.flare else Tag.STRAIGHT

@@ -10,7 +10,7 @@ from gcd_dataset.generator.garments.armhole import Armhole
 from gcd_dataset.generator.garments.cuff import Cuff, SleeveCuffDesign, cuff_tags, sleeve_cuff_length, with_sleeve_cuff
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.space import Design, choice, flag, integer, part, real
-from gcd_dataset.generator.garments.tags import GATHERED, Tag
+from gcd_dataset.generator.garments.tags import RUFFLES, Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece, Stroke, chain_from, rotate, smooth_cubic
 from gcd_dataset.records import Measurements, PanelRole
 
@@ -78,7 +78,7 @@ def sleeve_tags(design: SleeveDesign) -> tuple[Tag, ...]:
     """The tags of a sleeve with its cuff, or of an armhole without one."""
     if design.sleeveless:
         return (Tag.SLEEVELESS,)
-    ruffled = (Tag.RUFFLED,) if design.connect_ruffle >= GATHERED else ()
+    ruffled = (Tag.RUFFLED,) if design.connect_ruffle >= RUFFLES else ()
     length = Tag.SHORT_SLEEVES if design.length <= ELBOW else Tag.LONG_SLEEVES
     return (length, *cuff_tags(design.cuff), *ruffled)
 

@@ -6,9 +6,9 @@ in their own files. ``style.outfit_tags`` collects them and adds the tags of the
 
 from enum import Enum
 
-__all__ = ["GATHERED", "HEMS", "TAGS", "Tag"]
+__all__ = ["HEMS", "RUFFLES", "TAGS", "Tag"]
 
-GATHERED = 1.2  # cloth over its gathered length, from which gathers count as ruffles
+RUFFLES = 1.2  # cloth over its gathered length, from which gathers count as ruffles
 HEMS = (0.35, 0.55, 0.8)  # of hips to floor: the largest hem depths of mini, knee length and midi
 
 
@@ -40,7 +40,7 @@ class Tag(Enum):
     CIRCLE = "circle skirt", "three quarters of a circle or more, or an off-centre circle"
     PENCIL = "pencil skirt", "a narrow skirt with darts, its hem no wider than the hips"
     STRAIGHT = "straight skirt", "a rectangle in front and behind, hardly gathered"
-    GATHERED = "gathered skirt", f"a rectangle or trapezoid, gathered by {GATHERED} or more at the waist"
+    GATHERED = "gathered skirt", f"a rectangle or trapezoid, gathered by {RUFFLES} or more at the waist"
     PANELLED = "panelled skirt", "four or more panels round the body"
     GODETS = "godet skirt", "triangular inserts in the hem"
     TIERED = "tiered skirt", "skirts sewn one under the other"
@@ -59,7 +59,7 @@ class Tag(Enum):
     LAPEL = "lapel", "a turned collar"
     HOODED = "hooded", "a hood"
     ASYMMETRIC = "asymmetric", "left and right halves differ, or front and back of an off-centre skirt"
-    RUFFLED = "ruffled", f"gathers of {GATHERED} or more at waist, levels, sleeves or cuffs"
+    RUFFLED = "ruffled", f"gathers of {RUFFLES} or more at waist, levels, sleeves or cuffs"
 
 
 TAGS: tuple[str, ...] = tuple(tag.value for tag in Tag)
