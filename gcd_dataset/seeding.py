@@ -22,6 +22,7 @@ class Stage(IntEnum):
     KIND = 6
     ARMS = 7
     SPLIT = 8
+    DRAFT = 9
 
 
 def rng(seed: int, index: int, stage: Stage, attempt: int = 0) -> np.random.Generator:

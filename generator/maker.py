@@ -6,7 +6,7 @@ indices ─► prepare (body, measures, design, pattern, box mesh) ─► draper
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar, overload
 from gcd_dataset.generator.drapers import Draper, DraperAddress, DrapeReply, SharedDraper, addresses_for
 from gcd_dataset.generator.drapers.in_order import Work, in_order
 from gcd_dataset.generator.drapers.shared import AT_ONCE
-from gcd_dataset.generator.pipeline import DressedDesign, drape_jobs, finish, prepare, rejection
+from gcd_dataset.generator.pipeline import NO_REDRAWS, DressedDesign, drape_jobs, finish, prepare, rejection
 from gcd_dataset.generator.recipe import MakeConfig, devices_name, devices_of
 from gcd_dataset.prefetch import prefetch
 from gcd_dataset.records import Rejected, Sample
@@ -157,7 +157,7 @@ class _Pending(Generic[Made]):
                 yield Work((), lambda _, index=index: index)  # type: ignore[misc]
             else:
                 self.under_way.add(number)
-                yield self._attempt(index, ())
+                yield self._attempt(index)
 
     def pop(self, index: int) -> Made:
         """Serve one request of an index; the last one removes the result."""
@@ -175,9 +175,11 @@ class _Pending(Generic[Made]):
             self.done[index] = result
         return result is not None
 
-    def _attempt(self, index: int, rejects: tuple[Rejected, ...]) -> Work[int]:
+    def _attempt(
+        self, index: int, rejects: tuple[Rejected, ...] = (), redraws: Mapping[str, int] = NO_REDRAWS
+    ) -> Work[int]:
         """The next accepted design for an index, as drape jobs."""
-        design = prepare(self.seed, index // self.config.wearers, self.config, rejects)
+        design = prepare(self.seed, index // self.config.wearers, self.config, rejects, redraws)
         picture = self.config.picture if self.pictured else 0
         return Work(drape_jobs(design, self.config), partial(self._finish, index, design), picture)
 
@@ -185,7 +187,7 @@ class _Pending(Generic[Made]):
         """Finish the requested samples of a design; if a drape failed, return the next attempt instead."""
         failed = rejection(design, [reply.drape for reply in replies], self.config)
         if failed is not None:
-            return self._attempt(index, (*design.rejects, failed))
+            return self._attempt(index, (*design.rejects, failed), design.redraws)
         self.under_way.remove(design.number)
         sample_of = partial(_sample_of, design, tuple(replies), self.config)
         for wearer in design.dressed:

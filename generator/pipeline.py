@@ -5,8 +5,10 @@ A sample depends on ``(seed, index)`` and the recipe alone: not on batch, order 
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +18,14 @@ from gcd_dataset.errors import MeshError, PatternError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.body.population import SEXES
 from gcd_dataset.generator.drawing import jpeg_bytes
-from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
+from gcd_dataset.generator.garments import (
+    OutfitDesign,
+    Reject,
+    attempted_design,
+    design_to_dict,
+    outfit_tags,
+    try_on,
+)
 from gcd_dataset.generator.mesh import CoarseMesh, build_box_mesh, coarse_start
 from gcd_dataset.generator.points import sample_surface
 from gcd_dataset.generator.quality import grade_of, strain_of
@@ -41,6 +50,7 @@ if TYPE_CHECKING:
     from gcd_dataset.generator.drapers import DrapeReply
 
 __all__ = [
+    "NO_REDRAWS",
     "DressedDesign",
     "DressedWearer",
     "build_pattern",
@@ -51,6 +61,8 @@ __all__ = [
     "rejection",
     "sample_key",
 ]
+
+NO_REDRAWS: Mapping[str, int] = MappingProxyType({})
 
 
 def build_pattern(size: Measurements, design: OutfitDesign, *, name: str = "outfit") -> Pattern:
@@ -110,25 +122,36 @@ class DressedDesign:
     seed: int
     number: int
     rejects: tuple[Rejected, ...]
+    redraws: Mapping[str, int]
+    """Rule to the number of redraws within all attempts."""
     design: OutfitDesign
     dressed: tuple[DressedWearer, ...]
 
+    def all_redraws(self) -> dict[str, int]:
+        """Rule to the number of redraws within the attempts and of whole attempts, by the name of the rule."""
+        return dict(sorted((Counter(self.redraws) + Counter(reject.rule for reject in self.rejects)).items()))
 
-def prepare(seed: int, number: int, config: MakeConfig, rejects: tuple[Rejected, ...] = ()) -> DressedDesign:
+
+def prepare(
+    seed: int,
+    number: int,
+    config: MakeConfig,
+    rejects: tuple[Rejected, ...] = (),
+    redraws: Mapping[str, int] = NO_REDRAWS,
+) -> DressedDesign:
     """Design ``number`` with its bodies, patterns and meshes: the first accepted attempt after ``rejects``.
 
-    Raises ``PatternError`` once ``config.max_attempts`` designs were rejected.
+    ``redraws``: rule to the number of redraws within the rejected attempts. Raises ``PatternError`` once
+    ``config.max_attempts`` designs were rejected.
     """
     wearers = _wearers(seed, number, config)
-    # The kind is the same in all attempts: otherwise kinds that are often rejected would become rare.
-    kind = sample_kind(rng(seed, number, Stage.KIND), config.design)
+    sizes, counts = [wearer.size for wearer in wearers], Counter(redraws)
     while len(rejects) < config.max_attempts:
-        stream = rng(seed, number, Stage.DESIGN, len(rejects))
-        sizes = [wearer.size for wearer in wearers]
-        design = sample_design(stream, sizes, kind=kind, overlay=config.design)
-        dressed = _dress_all(seed, wearers, design, config)
+        drawn = attempted_design(seed, number, len(rejects), sizes, config.design)
+        counts += drawn.by_rule()
+        dressed = _dress_all(seed, wearers, drawn.design, config)
         if not isinstance(dressed, Rejected):
-            return DressedDesign(seed, number, rejects, design, dressed)
+            return DressedDesign(seed, number, rejects, counts, drawn.design, dressed)
         rejects += (dressed,)
     raise PatternError(
         f"sample {number * config.wearers} of seed {seed}: {len(rejects)} designs were rejected, the last for: "
@@ -252,6 +275,7 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
             index=index,
             attempts=len(design.rejects) + 1,
             rejects=tuple(map(str, design.rejects)),
+            redraws=design.all_redraws(),
             turned_down=design.rejects,
             versions=versions(),
             recipe=recipe_of(config),
@@ -266,6 +290,8 @@ def finish(design: DressedDesign, index: int, config: MakeConfig, reply: "DrapeR
         points=points,
         front=front,
         back=back,
+        gathers=dressed.pattern.gather_ratios(),
+        tags=outfit_tags(dressed.size, design.design),
         fabric=None if reply is None else _fabric(config.fabric),
         grade=None if drape is None else grade_of(drape, drape.strain),
     )

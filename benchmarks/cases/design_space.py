@@ -1,13 +1,36 @@
-"""Distributions of our sampler against those of GarmentCode's sampler, parameter by parameter.
+"""Proposed against accepted: how the rules of sewing and wearing change the declared distribution of each parameter.
 
-Both draw designs for the neutral body and a random one. A parameter is compared over the designs whose garment uses its
-section. ``distance`` is the largest difference of the two distribution functions (Kolmogorov-Smirnov); for choices,
-half the sum of absolute differences of the shares (total variation). It is 0 if equal, 1 if disjoint.
+Designs are drawn for the neutral body and a random one. *Proposed* are the values that the declared rule draws (the
+default with probability ``keep``, else uniform over the range), *accepted* those of the designs that fit both bodies. A
+parameter is compared over the designs whose garment uses its section. ``moved`` is the total variation between the
+two, over 20 bins and the default: the share of designs whose value had to change; ``noise`` is the value to expect
+from chance alone. ``redrawn for``: the rules that drew the parameter again, in redraws per design. ``hardly ever``:
+proposed values of which under a fifth is accepted.
+
+``moved, GarmentCode`` is the same for GarmentCode's sampler, which draws the whole design again. ``distance`` is
+between what both samplers accept: the largest difference of the distribution functions (Kolmogorov-Smirnov), for
+choices the total variation.
+
+The rules that move a parameter by more than 5 %, and why:
+
+- ``self_crossing``, ``sharp_corner``, ``short_edge`` of ``collar.bc_depth`` and ``collar.fc_depth``: a neckline much
+  deeper than wide bulges over the shoulder line, or cuts the armhole or the tip of a dart; the same rules of
+  ``godet-skirt.insert_depth``, ``pencil-skirt.low_angle`` and ``levels-skirt.level_ruffle``: cuts meet each other or
+  the hips, the hem meets the side, the last level is over five metres wide (``unsewable``);
+- ``cannot_be_drawn`` of ``godet-skirt.insert_depth``: the godet is deeper than the skirt is long;
+- ``tight_cuff``: a leg or an arm does not fit through its cuff;
+- ``too_heavy`` of ``flare-skirt.length``, ``flare-skirt.suns`` and ``levels-skirt.length``: a long or wide flared skirt
+  alone needs a firm waistband, as in GarmentCode;
+- ``slides_off`` and ``loose_gathers`` of ``waistband.waist``: a bottom alone may not be wider than the trunk, and
+  gathers need a band no wider than the body;
+- ``off_the_waist`` of ``shirt.length``: a shirt with a part sewn to its hem ends near the waist;
+- ``reaches_floor``: lengths end above the floor.
 """
 
 import argparse
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +38,20 @@ import numpy as np
 
 from benchmarks.cases.figures import Figure, Measured
 from benchmarks.reference_sampler import reference_design, reject_reason
+from benchmarks.selection import FEWEST, UNUSED, shift, used
 from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.garments import OutfitDesign, Reject, design_to_dict, sample_design, sample_kind, try_on
+from gcd_dataset.generator.garments import (
+    DrawnDesign,
+    OutfitDesign,
+    Redraw,
+    Reject,
+    attempted_design,
+    design_to_dict,
+    drafted_design,
+    try_on,
+)
 from gcd_dataset.generator.garments.parameter import Choice
 from gcd_dataset.generator.garments.space import Leaf, leaves
 from gcd_dataset.records import Measurements
@@ -26,38 +59,59 @@ from gcd_dataset.seeding import Stage, rng
 
 __all__ = ["add_arguments", "run"]
 
-FEWEST = 20  # designs that must use a parameter for a comparison
+LARGE = 0.05  # total variation
 Values = Mapping[str, list[Any]]
+"""The values of each parameter, one for each design; ``UNUSED`` in designs without the parameter."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What a sampler proposes and what it accepts."""
+
+    proposed: Values
+    accepted: Values
+    redraws: Mapping[Redraw, int]
+    paired: bool
+    """Whether entry k of ``accepted`` came of entry k of ``proposed``; otherwise it is a subset."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--count", type=int, default=1000, help="designs of each sampler")
+    parser.add_argument("--count", type=int, default=1000, help="accepted designs of our sampler")
+    parser.add_argument("--reference-count", type=int, default=1000, help="accepted designs of GarmentCode's")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--plot", type=Path, help="PNG with the distributions of all parameters")
 
 
 def run(options: argparse.Namespace) -> Measured:
-    """Draw with both samplers and compare. Raises ``ConfigError`` for ``--count`` below 1."""
-    if options.count < 1:
-        raise ConfigError(f"count is {options.count}: give 1 or more")
-    ours = _values(_ours(options.seed, options.count))
+    """Draw with both samplers and compare. Raises ``ConfigError`` for a count below 1."""
+    for name in ("count", "reference_count"):
+        if getattr(options, name) < 1:
+            raise ConfigError(f"{name} is {getattr(options, name)}: give 1 or more")
+    ours = _ours(options.seed, options.count)
     reasons: Counter[str] = Counter()
-    theirs = _values(_theirs(options.seed, options.count, reasons))
-    rows = [_row(leaf, ours[leaf.path], theirs[leaf.path]) for leaf in leaves(OutfitDesign)]
+    theirs = _theirs(options.seed, options.reference_count, reasons)
+    rows = [_row(leaf, ours, theirs) for leaf in leaves(OutfitDesign)]
     if options.plot:
         write_whole(options.plot, _plot(ours, theirs))
+    moved = [row["moved"] for row in rows if isinstance(row["moved"], float)]
     distances = [row["distance"] for row in rows if isinstance(row["distance"], float)]
     figures = [
+        Figure("moved_mean", float(np.mean(moved)), "total variation, over parameters"),
+        Figure("moved_by_5_percent", sum(value > LARGE for value in moved), "parameters"),
+        Figure("redraws", sum(ours.redraws.values()) / options.count, "per design"),
         Figure("distance_mean", float(np.mean(distances)), "over parameters"),
         Figure("distance_max", max(distances), ""),
-        Figure("reference_accepted", options.count / reasons.total(), "of attempts"),
+        Figure("reference_accepted", options.reference_count / reasons.total(), "of attempts"),
         *(
             Figure(f"reference_{reason}".replace(" ", "_"), count / reasons.total(), "of attempts")
             for reason, count in reasons.most_common()
             if reason
         ),
     ]
-    return Measured(figures, sorted(rows, key=lambda row: str(row["distance"]), reverse=True))
+    return Measured(figures, sorted(rows, key=lambda row: str(row["moved"]), reverse=True))
+
+
+# ------------------------------------------------------------------------------------------------------------ samplers
 
 
 def _sizes(seed: int, number: int) -> tuple[Measurements, Measurements]:
@@ -65,39 +119,56 @@ def _sizes(seed: int, number: int) -> tuple[Measurements, Measurements]:
     return measure(build_body(neutral_shape())), random
 
 
-def _ours(seed: int, count: int) -> Iterator[OutfitDesign]:
-    """Designs drawn by our sampler and accepted by our rules."""
-    for number in range(count):
-        sizes, kind, attempt = _sizes(seed, number), sample_kind(rng(seed, number, Stage.KIND)), 0
-        while True:
-            design = sample_design(rng(seed, number, Stage.DESIGN, attempt), sizes, kind=kind)
-            if not any(isinstance(try_on(size, design), Reject) for size in sizes):
-                break
-            attempt += 1
-        yield design
+def _ours(seed: int, count: int) -> Selection:
+    drawn = [_accepted(seed, number) for number in range(count)]
+    redraws: Counter[Redraw] = Counter()
+    for design in drawn:
+        redraws.update(design.redraws)
+    drafts = (drafted_design(seed, number, 0) for number in range(count))
+    return Selection(_values(drafts), _values(design.design for design in drawn), redraws, paired=True)
 
 
-def _theirs(seed: int, count: int, reasons: Counter[str]) -> Iterator[OutfitDesign]:
-    """Designs accepted by GarmentCode's sampler; ``reasons`` counts attempts by reject reason, "" if accepted."""
-    number = 0
-    while reasons[""] < count:
+def _accepted(seed: int, number: int) -> DrawnDesign:
+    """A design accepted by our rules, with the redraws of all attempts."""
+    sizes, attempt = _sizes(seed, number), 0
+    redraws: Counter[Redraw] = Counter()
+    while True:
+        drawn = attempted_design(seed, number, attempt, sizes)
+        redraws.update(drawn.redraws)
+        faults = [found for size in sizes if isinstance(found := try_on(size, drawn.design), Reject)]
+        if not faults:
+            return DrawnDesign(drawn.design, redraws)
+        redraws[Redraw(faults[0].rule, "design")] += 1
+        attempt += 1
+
+
+def _theirs(seed: int, count: int, reasons: Counter[str]) -> Selection:
+    """GarmentCode's sampler; ``reasons`` counts all its verdicts."""
+    proposed: list[OutfitDesign] = []
+    accepted: list[OutfitDesign] = []
+    while len(accepted) < count:
+        number = len(proposed)
         design = reference_design(rng(seed, number, Stage.DESIGN))
         reason = reject_reason(design, _sizes(seed, number))
         reasons[reason] += 1
-        number += 1
+        proposed.append(design)
         if not reason:
-            yield design
+            accepted.append(design)
+    return Selection(_values(proposed), _values(accepted), {}, paired=False)
 
 
-def _values(designs: Iterator[OutfitDesign]) -> Values:
-    """Values of each parameter in the designs that use it."""
+def _values(designs: Iterable[OutfitDesign]) -> Values:
     found: dict[str, list[Any]] = {leaf.path: [] for leaf in leaves(OutfitDesign)}
     for design in designs:
-        tree = design_to_dict(design)
+        tree, sections = design_to_dict(design), design.sections_used()
         for path, values in found.items():
-            if path.split(".")[0].replace("-", "_") in design.sections_used():
-                values.append(_at(tree, path))
+            values.append(_at(tree, path) if _section(path) in sections else UNUSED)
     return found
+
+
+def _section(path: str) -> str:
+    """The field of the section that a design must use to use the parameter."""
+    return "shirt" if path == "left.enable_asym" else path.split(".")[0].replace("-", "_")
 
 
 def _at(tree: Mapping[str, Any], path: str) -> Any:
@@ -106,16 +177,37 @@ def _at(tree: Mapping[str, Any], path: str) -> Any:
     return tree
 
 
-def _row(leaf: Leaf, ours: Sequence[Any], theirs: Sequence[Any]) -> dict[str, Any]:
-    enough = min(len(ours), len(theirs)) >= FEWEST
+# ---------------------------------------------------------------------------------------------------------- comparison
+
+
+def _row(leaf: Leaf, ours: Selection, theirs: Selection) -> dict[str, Any]:
+    path = leaf.path
+    shifts = [shift(leaf, own.proposed[path], own.accepted[path], paired=own.paired) for own in (ours, theirs)]
+    accepted = [used(own.accepted[path]) for own in (ours, theirs)]
+    enough = [len(values) >= FEWEST for values in accepted]
     return {
-        "parameter": leaf.path,
-        "distance": round(_distance(leaf, ours, theirs), 3) if enough else "too few",
-        "ours": _summary(leaf, ours),
-        "GarmentCode": _summary(leaf, theirs),
-        "designs, ours": len(ours),
-        "designs, GarmentCode": len(theirs),
+        "parameter": path,
+        "moved": round(shifts[0].moved, 3) if enough[0] else "too few",
+        "noise": round(shifts[0].noise, 3),
+        "redrawn for": _rules(path, ours.redraws, len(accepted[0])),
+        "hardly ever": ", ".join(shifts[0].rare) or "-",
+        "proposed": _summary(leaf, used(ours.proposed[path])),
+        "accepted": _summary(leaf, accepted[0]),
+        "moved, GarmentCode": f"{shifts[1].moved:.3f}, noise {shifts[1].noise:.3f}" if enough[1] else "too few",
+        "accepted, GarmentCode": _summary(leaf, accepted[1]),
+        "distance": round(_distance(leaf, *accepted), 3) if all(enough) else "too few",
+        "designs, ours": len(accepted[0]),
+        "designs, GarmentCode": len(accepted[1]),
     }
+
+
+def _rules(path: str, redraws: Mapping[Redraw, int], designs: int) -> str:
+    """The rules that redrew a parameter or a part with it, most frequent first, in redraws per design."""
+    counts: Counter[str] = Counter()
+    for redraw, count in redraws.items():
+        if f"{path}.".startswith(f"{redraw.path}."):
+            counts[redraw.rule] += count
+    return ", ".join(f"{rule} {count / designs:.2f}" for rule, count in counts.most_common(3)) or "-"
 
 
 def _distance(leaf: Leaf, ours: Sequence[Any], theirs: Sequence[Any]) -> float:
@@ -137,37 +229,44 @@ def _summary(leaf: Leaf, values: Sequence[Any]) -> str:
     return f"mean {np.mean(values):.2f}, default {100 * share:.0f} %"
 
 
-def _plot(ours: Values, theirs: Values) -> bytes:
-    """PNG: histograms of all parameters, ours filled, theirs as a line."""
+def _plot(ours: Selection, theirs: Selection) -> bytes:
+    """PNG: histograms of all parameters: ours proposed in grey and accepted filled, GarmentCode's as a line."""
     import io
 
     from matplotlib.figure import Figure as Page
 
-    shown = [leaf for leaf in leaves(OutfitDesign) if min(len(ours[leaf.path]), len(theirs[leaf.path])) >= FEWEST]
+    drawn = {
+        leaf: [used(values[leaf.path]) for values in (ours.accepted, theirs.accepted, ours.proposed)]
+        for leaf in leaves(OutfitDesign)
+    }
+    shown = {leaf: values for leaf, values in drawn.items() if min(map(len, values)) >= FEWEST}
     columns = 8
     page = Page(figsize=(2.6 * columns, 1.5 * -(-len(shown) // columns)), layout="constrained")
-    for number, leaf in enumerate(shown, 1):
+    for number, (leaf, values) in enumerate(shown.items(), 1):
         axes = page.add_subplot(-(-len(shown) // columns), columns, number)
-        _histogram(axes, leaf, ours[leaf.path], theirs[leaf.path])
+        _histogram(axes, leaf, *values)
     file = io.BytesIO()
     page.savefig(file, format="png", dpi=80)
     return file.getvalue()
 
 
-def _histogram(axes: Any, leaf: Leaf, ours: Sequence[Any], theirs: Sequence[Any]) -> None:
+def _histogram(axes: Any, leaf: Leaf, ours: Sequence[Any], theirs: Sequence[Any], proposed: Sequence[Any]) -> None:
     axes.set_title(leaf.path, fontsize=7)
     axes.tick_params(labelsize=5)
     axes.set_yticks([])
     if isinstance(leaf.space, Choice):
         options = [str(option) for option in leaf.space.range]
         shares = [
-            [list(map(str, values)).count(option) / len(values) for option in options] for values in (ours, theirs)
+            [list(map(str, values)).count(option) / len(values) for option in options]
+            for values in (ours, theirs, proposed)
         ]
         axes.bar(range(len(options)), shares[0], color="#7aa6c2")
+        axes.bar(range(len(options)), shares[2], fill=False, edgecolor="#b0b0b0")
         axes.step(np.arange(-1, len(options) + 1), [0, *shares[1], 0], where="mid", color="black", linewidth=0.8)
         axes.set_xticks(range(len(options)), [option[:9] for option in options], rotation=40)
         return
     low, high = leaf.space.range
     bins = np.linspace(low, high, 25)
     axes.hist(ours, bins, density=True, color="#7aa6c2")
+    axes.hist(proposed, bins, density=True, histtype="step", color="#b0b0b0")
     axes.hist(theirs, bins, density=True, histtype="step", color="black", linewidth=0.8)

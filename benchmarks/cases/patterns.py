@@ -2,7 +2,8 @@
 
 Every design is drawn for the neutral body and a random one, as in ``gcd generate --bodies both --stage pattern``; it is
 accepted if it fits both. CPU time covers drawing the design, both patterns and all checks; bodies and their
-measures are timed separately. ``defects`` are patterns in which ``validate`` finds an error or an edge under 0.5 cm.
+measures are timed separately. ``redraws`` are the parameters, parts and whole designs drawn again because of a rule,
+rejected attempts included. ``defects`` are patterns in which ``validate`` finds an error or an edge under 0.5 cm.
 """
 
 import argparse
@@ -20,7 +21,8 @@ from gcd_dataset.errors import ConfigError
 from gcd_dataset.files import write_whole
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drawing import design_sheet, jpeg_bytes
-from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, sample_design, sample_kind, try_on
+from gcd_dataset.generator.garments import Kind, OutfitDesign, Reject, attempted_design, try_on
+from gcd_dataset.generator.garments.kind import kind_of
 from gcd_dataset.records import Measurements, Pattern
 from gcd_dataset.seeding import Stage, rng
 from gcd_dataset.validate import Rule, Severity, check_pattern
@@ -33,12 +35,14 @@ ON_SHEET = 64  # designs
 
 @dataclass(frozen=True)
 class AcceptedDesign:
-    """An accepted design: kind, size, rejects and CPU time."""
+    """An accepted design: kind, size, rejects, redraws and CPU time."""
 
     kind: Kind
     counts: tuple["Counts", ...]
     """One entry per pattern."""
     rejects: tuple[Reject, ...]
+    redraws: Counter[str]
+    """Rule to its number of redraws within all attempts."""
     seconds: float
     """CPU time, including rejected attempts."""
 
@@ -87,13 +91,15 @@ def _accepted(seed: int, number: int, sizes: Sequence[Measurements]) -> tuple[Ac
     """Design ``number`` and its patterns: the first attempt that fits all wearers."""
     begun = time.process_time()
     rejects: list[Reject] = []
-    kind = sample_kind(rng(seed, number, Stage.KIND))
+    redraws: Counter[str] = Counter()
     for attempt in range(MOST_ATTEMPTS):
-        design = sample_design(rng(seed, number, Stage.DESIGN, attempt), sizes, kind=kind)
-        patterns = _worn_by_all(sizes, design)
+        drawn = attempted_design(seed, number, attempt, sizes)
+        redraws += drawn.by_rule()
+        patterns = _worn_by_all(sizes, drawn.design)
         if not isinstance(patterns, Reject):
             seconds = time.process_time() - begun
-            return AcceptedDesign(kind, tuple(map(Counts.of, patterns)), tuple(rejects), seconds), patterns
+            counts = tuple(map(Counts.of, patterns))
+            return AcceptedDesign(kind_of(drawn.design.meta), counts, tuple(rejects), redraws, seconds), patterns
         rejects.append(patterns)
     raise ConfigError(f"design {number} of seed {seed}: {MOST_ATTEMPTS} attempts, the last: {rejects[-1]}")
 
@@ -111,11 +117,13 @@ def _worn_by_all(sizes: Sequence[Measurements], design: OutfitDesign) -> tuple[P
 def _costs(drawn: Sequence[AcceptedDesign], body_seconds: Sequence[float]) -> list[Figure]:
     cost = 1e3 * np.array([design.seconds for design in drawn])
     attempts = sum(1 + len(design.rejects) for design in drawn)
+    redraws = sum(design.redraws.total() for design in drawn)
     return [
         Figure("cpu_ms_mean", float(cost.mean()), "ms per accepted design for two bodies"),
         Figure("cpu_ms_p95", float(np.quantile(cost, 0.95)), "ms"),
         Figure("body_cpu_ms", 1e3 * float(np.mean(body_seconds)), "ms per random body with its measures"),
         Figure("accepted", len(drawn) / attempts, "of attempts"),
+        Figure("redraws", attempts / len(drawn) - 1 + redraws / len(drawn), "per accepted design"),
         Figure("designs", len(drawn), ""),
     ]
 
@@ -135,10 +143,12 @@ def _shares(drawn: Sequence[AcceptedDesign]) -> list[Figure]:
 
 
 def _reasons(drawn: Sequence[AcceptedDesign]) -> list[dict[str, object]]:
-    """Reject reasons, most frequent first, with an example."""
+    """Rules by their redraws, most frequent first, with the designs that they rejected and an example."""
     rejects = [reject for design in drawn for reject in design.rejects]
     examples = {reject.rule: reject.figures for reject in reversed(rejects)}
+    rejected = Counter(reject.rule for reject in rejects)
+    redraws = sum((design.redraws for design in drawn), rejected)
     return [
-        {"turned down for": rule, "designs": count, "such as": examples[rule]}
-        for rule, count in Counter(reject.rule for reject in rejects).most_common()
+        {"rule": rule, "redraws": count, "rejected designs": rejected[rule], "such as": examples.get(rule, "-")}
+        for rule, count in redraws.most_common()
     ]

@@ -151,12 +151,15 @@ class GrowingShard:
 def shard_record(path: Path, table: ShardTable) -> ShardRecord:
     """The manifest's record of the finished shard ``path``. Raises ``OSError``."""
     rejects: Counter[str] = Counter()
+    redraws: Counter[str] = Counter()
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         for offset, size in zip(table.offset[:, META].tolist(), table.size[:, META].tolist(), strict=True):
             meta = read_meta(os.pread(file.fileno(), size, offset))
             rejects.update(reason.partition(":")[0] for reason in meta.get("rejects", ()))  # bodies have no rejects
-    return ShardRecord(path.name, len(table), path.stat().st_size, digest, dict(sorted(rejects.items())))
+            redraws.update(meta.get("redraws", {}))
+    counts = (dict(sorted(counter.items())) for counter in (rejects, redraws))
+    return ShardRecord(path.name, len(table), path.stat().st_size, digest, *counts)
 
 
 def _require_members(index: int, members: Mapping[str, Bytes], layout: Layout) -> None:

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
@@ -45,6 +45,8 @@ class ShardRecord:
     sha256: str
     rejects: Mapping[str, int] = field(default_factory=dict)
     """Rule to the number of designs it rejected for the samples of this shard."""
+    redraws: Mapping[str, int] = field(default_factory=dict)
+    """Rule to the number of redraws it caused in the samples of this shard, of parameters, parts and whole designs."""
 
 
 @dataclass(frozen=True)
@@ -62,22 +64,32 @@ class SplitRecord:
     @property
     def rejects(self) -> Mapping[str, int]:
         """Rule to the number of designs it rejected for all samples, the most frequent first."""
-        total: Counter[str] = Counter()
-        for shard in self.shards:
-            total.update(shard.rejects)
-        return dict(total.most_common())
+        return _summed(shard.rejects for shard in self.shards)
+
+    @property
+    def redraws(self) -> Mapping[str, int]:
+        """Rule to the number of redraws it caused in all samples, the most frequent first."""
+        return _summed(shard.redraws for shard in self.shards)
 
     @classmethod
     def from_json(cls, name: str, entry: Any) -> Self:
         """Split ``name`` from its entry in the file. Raises ``ShardError`` for an invalid entry."""
         values = _checked(entry, f"split {name}", SPLIT_TYPES, {"kind": "garments"})
-        shards = [_checked(shard, f"split {name}, shard", SHARD_TYPES, {"rejects": {}}) for shard in values["shards"]]
+        shards = [_checked(shard, f"split {name}, shard", SHARD_TYPES, NO_COUNTS) for shard in values["shards"]]
         for shard in shards:
             if shard_number(require_name(shard["name"], f"split {name}, shard"), name) is None:
                 raise ShardError(f"split {name} lists a shard {found(shard['name'])}: give {name}-00000.tar, …")
-            if not all(map(_is_count, shard["rejects"].values())):
-                raise ShardError(f"split {name}, shard {shard['name']}: rejects is {found(shard['rejects'])}")
+            for counts in NO_COUNTS:
+                if not all(map(_is_count, shard[counts].values())):
+                    raise ShardError(f"split {name}, shard {shard['name']}: {counts} is {found(shard[counts])}")
         return cls(**{**values, "shards": tuple(ShardRecord(**shard) for shard in shards)})
+
+
+def _summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    total: Counter[str] = Counter()
+    for rules in counts:
+        total.update(rules)
+    return dict(total.most_common())
 
 
 @dataclass(frozen=True)
@@ -189,7 +201,10 @@ SHARD_TYPES: Mapping[str, Callable[[Any], bool]] = {
     "size": _is_count,
     "sha256": _is_text,
     "rejects": _is_mapping,
+    "redraws": _is_mapping,
 }
+NO_COUNTS: Mapping[str, Mapping[str, int]] = {"rejects": {}, "redraws": {}}
+"""The counts of a shard that older versions did not write."""
 
 
 def _checked(

@@ -16,7 +16,8 @@ garments              JSON type  holds                                          
 ``seed``              int
 ``attempts``          int        designs tried, this one included
 ``rejects``           texts      rule and reason of each rejected design                          ``[""]``
-``redraws``           objects    ``rule`` (text), ``count`` (int): parts drawn again  (*)         one of ``""``, 0
+``redraws``           objects    ``rule`` (text), ``count`` (int): parameters, parts and designs  one of ``""``, 0
+                                 drawn again
 ``versions``          JSON text  package to version, of all packages that decide the bytes
 ``recipe``            JSON text  options of the generator
 ``recipe_sha256``     text
@@ -36,7 +37,7 @@ garments              JSON type  holds                                          
 ``grade``             text       ``clean``, ``paper`` or ``failed``  (*)                          ``""``
 ``fabric``            object     ``name`` (text), ``parameters`` (JSON text)                      ``""``, ``"{}"``
 ``gathers``           floats     left edge / right edge in length, for each seam  (*)             ``[-1.0]``
-``tags``              texts      kinds of garment  (*)                                            ``[""]``
+``tags``              texts      names of the style: ``generator.garments.TAGS``  (*)             ``[""]``
 ``source``            text       publication that the garment comes from                          ``""``
 ``crc32``             object     CRC-32 of every other member, ints
 ``crc32_before``      int        CRC-32 of the bytes of this file before this key

@@ -10,6 +10,7 @@ from gcd_dataset.generator.garments.gathered_skirt import GATHERED_SKIRT
 from gcd_dataset.generator.garments.mends import Mend
 from gcd_dataset.generator.garments.pencil_skirt import PENCIL_SKIRT
 from gcd_dataset.generator.garments.space import Design, choice, integer
+from gcd_dataset.generator.garments.tags import Tag
 from gcd_dataset.generator.pattern import Component, Outline, Piece, chain_from
 from gcd_dataset.records import Measurements
 
@@ -150,11 +151,13 @@ def _combined(
 GODET_SKIRT = CombinedBottom(
     name="GodetSkirt",
     section="godet-skirt",
+    tags_of=lambda design: (Tag.GODETS,),
     design=GodetSkirtDesign,
     parts_of=lambda design: (design.base.garment,),
     combine=_combined,
     rise_of=lambda design, parts: parts[0].rise,
     length_of=lambda size, design, parts, rise: parts[0].length(size, rise),
     inherits_length=True,
+    remedies=("insert_depth-", "cuts_distance-"),
     statistics_length_section="skirt",
 )

@@ -8,7 +8,7 @@ from gcd_dataset.generator.garments.design import MetaDesign, Upper
 from gcd_dataset.generator.garments.parameter import Choice, plain
 from gcd_dataset.generator.garments.space import DesignSpace
 
-__all__ = ["HAS_UPPER_AND_BOTTOM", "Kind", "choice_of", "possible_kinds", "upper_choice"]
+__all__ = ["HAS_UPPER_AND_BOTTOM", "Kind", "choice_of", "kind_of", "possible_kinds", "upper_choice"]
 
 
 class Kind(Enum):
@@ -25,6 +25,12 @@ HAS_UPPER_AND_BOTTOM: Mapping[Kind, tuple[bool, bool]] = {
     Kind.FULL: (True, True),
 }
 """Whether a garment of each kind has an upper, and whether it has a bottom."""
+
+
+def kind_of(meta: MetaDesign) -> Kind:
+    """The kind of a garment with an upper or a bottom."""
+    parts = (meta.upper is not None, meta.bottom is not None)
+    return next(kind for kind, has in HAS_UPPER_AND_BOTTOM.items() if has == parts)
 
 
 def choice_of(space: DesignSpace[Any], name: str) -> Choice:

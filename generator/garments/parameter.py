@@ -205,6 +205,10 @@ class Choice(Space):
             raise ConfigError(f"has keep, but no option {plain(self.default)}, its default: add it, or leave keep out")
         return replace(drawn, keep=keep if left_in else None)
 
+    def only(self, *, present: bool) -> Self:
+        """The choice without ``None`` (``present``), or of ``None`` alone."""
+        return self.narrowed([option for option in self.range if (option is not None) == present])
+
     def _weighed(self) -> Iterable[tuple[Any, int]]:
         return zip(self.options, self.weights or repeat(1), strict=False)
 

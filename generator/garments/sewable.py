@@ -2,59 +2,89 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from math import cos, inf
+from typing import NamedTuple
 
 import numpy as np
+import shapely
 from jaxtyping import Complex, Float
 
 from gcd_dataset.crossings import edge_hulls, find_crossings
+from gcd_dataset.curves import sample_curve
 from gcd_dataset.errors import PatternError
 from gcd_dataset.generator.garments.cuff import arm_girth_in_cuff
 from gcd_dataset.generator.garments.design import OutfitDesign
 from gcd_dataset.generator.garments.mends import ALL_MENDS
+from gcd_dataset.generator.garments.neckline import NecklineDesign, neckline_width, neckline_width_parameter
 from gcd_dataset.generator.garments.outfit import bottom
 from gcd_dataset.generator.garments.upper import Shirt
 from gcd_dataset.generator.garments.upper_half import UpperHalf, right_half, right_torso
-from gcd_dataset.generator.pattern import Component, MeasuredJoin, measure_joins, panel_of
+from gcd_dataset.generator.pattern import Component, MeasuredJoin, Piece, measure_joins, panel_of
 from gcd_dataset.records import Measurements, Panel
 from gcd_dataset.validate import LARGEST, SHORTEST_EDGE
 
 __all__ = [
     "CLOTH_GIVES",
+    "NARROWEST_STRAP",
     "SHARPEST_CORNER",
-    "bottom_is_sewable",
+    "SHORTEST_SHOULDER",
+    "Fault",
+    "bottom_fault",
     "corner_angles",
     "cuff_and_arm_girth",
-    "half_is_sewable",
+    "half_fault",
     "is_mismatched",
-    "panels_are_sewable",
-    "sleeve_is_tight",
-    "upper_is_sewable",
+    "panel_fault",
+    "shortest_shoulder",
+    "sleeve_tightness",
+    "strap_width",
+    "upper_fault",
+    "widest_neckline",
 ]
 
 CLOTH_GIVES = 1.2  # stretched length over rest length: the most that cloth stretches without losing its shape
 SHARPEST_CORNER = 10.0  # degrees: a sharper corner can be neither meshed nor sewn
+NARROWEST_STRAP = 1.0  # cm: seam allowances take up the cloth between a nearer neckline and armhole
+STRAP_POINTS = 33  # of an edge: a neckline of 80 cm lies within a millimetre or two of its chords
+SHORTEST_SHOULDER = 3.0  # cm: a shorter shoulder seam is a strap, which these programs do not draw
+SHOULDER_SHARE = 0.5  # of the shoulder beside the neck: shoulder seams of dolls may be as short as that
+ROUNDING = 1e-6  # cm: a neckline at its widest leaves a shoulder that is not too short by rounding
 SEAM_SLACK, SEAM_SHARE = 1.5, 0.12  # cm, and of the shorter side: ungathered sides may differ by the larger of both
 TIGHTEST_GATHERS = 3.2  # length of cloth over its gathered length: slightly above the design space's maximum
 
 
-def half_is_sewable(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
-    """Whether one half can be sewn: armhole and neckline fit into front and back, and a flared cuff fits its sleeve."""
+class Fault(NamedTuple):
+    """The first reason why a part of an outfit cannot be sewn or worn."""
+
+    rule: str
+    """Name of the rule in ``rules.py``."""
+    part: str
+    """The panel at fault; empty if it is not one panel."""
+
+
+def half_fault(size: Measurements, design: OutfitDesign, half: UpperHalf) -> Fault | None:
+    """Why one half cannot be sewn: armhole or neckline do not fit front or back, or a flared cuff its sleeve."""
     drawings = [right_torso, right_half] if half[-1].has_flared_cuff else [right_torso]
     fitted = _is_fitted(design)
-    return all(_can_be_sewn(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
+    faults = (_sewing_fault(partial(draw, size, *half, fitted=fitted, mends=ALL_MENDS)) for draw in drawings)
+    return next((fault for fault in faults if fault is not None), None)
 
 
-def sleeve_is_tight(size: Measurements, design: OutfitDesign, half: UpperHalf) -> bool:
-    """Whether the band at the end of the sleeve of one half is too tight for the arm."""
-    try:
-        band, arm = cuff_and_arm_girth(size, design, half)
-    except PatternError:  # drawing the outfit reports it
-        return False
-    return band * CLOTH_GIVES < arm
+def sleeve_tightness(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
+    """Girth of the arm over the largest girth of the band at the end of a half's sleeve: over 1, it is too tight.
+
+    0 without a band, and for a half that cannot be drawn.
+    """
+    shirt, _, sleeve = half
+    try:  # The girth does not depend on the neckline: the same drawing serves all necklines.
+        band, arm = cuff_and_arm_girth(size, design, (shirt, NecklineDesign(), sleeve))
+    except PatternError:
+        return 0.0
+    return arm / (band * CLOTH_GIVES) if band else 0.0
 
 
 def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf) -> tuple[float, float]:
-    """Girth of the band at the end of a half's sleeve, and of the arm inside it [cm]; 0 without a band.
+    """Girth of the cuff at the end of a half's sleeve, and of the arm inside it [cm]; 0 without a cuff.
 
     Raises ``PatternError`` for a half that cannot be drawn.
     """
@@ -65,15 +95,42 @@ def cuff_and_arm_girth(size: Measurements, design: OutfitDesign, half: UpperHalf
     return drawn.length("band") if "band" in drawn.interfaces else 0.0, arm
 
 
-def bottom_is_sewable(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether the bottom, with its slits, darts and godets, can be drawn and sewn."""
-    return _can_be_sewn(partial(bottom, size, design, ALL_MENDS))
+def widest_neckline(size: Measurements, design: OutfitDesign, half: UpperHalf) -> float:
+    """The largest ``width`` of a half's neckline that leaves shoulder seams of ``shortest_shoulder``.
+
+    Infinite for a half whose shoulder seams are long enough, that has none, or that cannot be drawn. The shoulder lies
+    at ``shoulder_incl``: each centimetre of shoulder takes its cosine from half the neckline.
+    """
+    try:
+        drawn = right_torso(size, *half, fitted=_is_fitted(design), mends=ALL_MENDS)
+    except PatternError:  # drawing the outfit reports it
+        return inf
+    missing = shortest_shoulder(size) + ROUNDING - min(map(_shoulder_length, drawn.pieces))
+    if missing <= ROUNDING:
+        return inf
+    return neckline_width_parameter(size, neckline_width(size, half[1]) - 2 * missing * cos(size.shoulder_incl))
 
 
-def upper_is_sewable(size: Measurements, design: OutfitDesign) -> bool:
-    """Whether an upper other than a shirt can be drawn and sewn."""
+def shortest_shoulder(size: Measurements) -> float:
+    """The least length of a shoulder seam for a wearer [cm]."""
+    beside_neck = 0.5 * (size.sleeve_balance - size.neck_w) / cos(size.shoulder_incl)
+    return min(SHORTEST_SHOULDER, SHOULDER_SHARE * beside_neck)
+
+
+def _shoulder_length(piece: Piece) -> float:
+    """Length of a piece's shoulder edge [cm]; infinite without one."""
+    return sum(stroke.length for stroke in piece.outline.strokes if stroke.name == "shoulder") or inf
+
+
+def bottom_fault(size: Measurements, design: OutfitDesign) -> Fault | None:
+    """Why the bottom, with its slits, darts and godets, cannot be drawn or sewn."""
+    return _sewing_fault(partial(bottom, size, design, ALL_MENDS))
+
+
+def upper_fault(size: Measurements, design: OutfitDesign) -> Fault | None:
+    """Why an upper other than a shirt cannot be drawn or sewn."""
     assert design.meta.upper is not None
-    return _can_be_sewn(partial(design.meta.upper.garment.draw, size, design, mends=ALL_MENDS))
+    return _sewing_fault(partial(design.meta.upper.garment.draw, size, design, mends=ALL_MENDS))
 
 
 def _is_fitted(design: OutfitDesign) -> bool:
@@ -81,29 +138,55 @@ def _is_fitted(design: OutfitDesign) -> bool:
     return isinstance(garment, Shirt) and garment.fitted
 
 
-def _can_be_sewn(part: Callable[[], Component]) -> bool:
-    """Whether a part of an outfit can be drawn, its panels can be sewn, and its seams match."""
+def _sewing_fault(draw: Callable[[], Component]) -> Fault | None:
+    """Why a part of an outfit cannot be drawn, its panels be sewn, or its seams match."""
     try:
-        drawn = part()
+        drawn = draw()
         panels = [panel_of(piece) for piece in drawn.pieces]
-        return not any(map(is_mismatched, measure_joins(drawn))) and panels_are_sewable(panels)
+        if any(map(is_mismatched, measure_joins(drawn))):
+            return Fault("mismatched_seam", "")
+        return panel_fault(panels)
     except PatternError:
-        return False
+        return Fault("cannot_be_drawn", "")
 
 
-def panels_are_sewable(panels: Sequence[Panel]) -> bool:
-    """Whether all panels have edges of valid lengths, no sharp corner, and no crossing."""
+def panel_fault(panels: Sequence[Panel]) -> Fault | None:
+    """The first panel with an edge of invalid length, a sharp corner, a narrow strap, or a crossing."""
     hulls = [edge_hulls(panel) for panel in panels]
     lengths = [panel.edge_lengths() for panel in panels]
-    if any(min(edges) < SHORTEST_EDGE or max(edges) > LARGEST for edges in lengths):
-        return False
-    return corner_angles(hulls).min() >= SHARPEST_CORNER and not any(find_crossings(panels, hulls, lengths))
+    for panel, edges in zip(panels, lengths, strict=True):
+        if min(edges) < SHORTEST_EDGE or max(edges) > LARGEST:
+            return Fault("short_edge" if min(edges) < SHORTEST_EDGE else "unsewable", panel.name)
+        if strap_width(panel) < NARROWEST_STRAP:
+            return Fault("narrow_strap", panel.name)
+    angles = corner_angles(hulls)
+    if angles.min() < SHARPEST_CORNER:
+        corners = [panel.name for panel in panels for _ in panel.edges]
+        return Fault("sharp_corner", corners[int(angles.argmin())])
+    crossed = next(iter(find_crossings(panels, hulls, lengths)), None)
+    return None if crossed is None else Fault("self_crossing", panels[crossed[0]].name)
 
 
 def is_mismatched(sewn: MeasuredJoin) -> bool:
     """Whether the sides of a join differ too much in length."""
     shorter, longer = sorted((sewn.left_length, sewn.right_length))
     return longer - shorter > max(SEAM_SLACK, (TIGHTEST_GATHERS - 1 if sewn.join.gathered else SEAM_SHARE) * shorter)
+
+
+def strap_width(panel: Panel) -> float:
+    """The least width of cloth between neckline and armhole of a panel [cm]; infinite without both."""
+    neck, armhole = (_drawn(panel, name) for name in ("neck", "armhole"))
+    return float(neck.distance(armhole)) if neck and armhole else inf
+
+
+def _drawn(panel: Panel, name: str) -> shapely.MultiLineString | None:
+    """The edges of that name as lines; ``None`` without any."""
+    lines = [
+        sample_curve(*panel.edge_ends(index), edge.curve, STRAP_POINTS)
+        for index, edge in enumerate(panel.edges)
+        if edge.name == name
+    ]
+    return shapely.MultiLineString(lines) if lines else None
 
 
 def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarray, " corners"]:
@@ -113,6 +196,7 @@ def corner_angles(hulls: Sequence[Complex[np.ndarray, "e 4"]]) -> Float[np.ndarr
     before, after = np.arange(len(edges)) - 1, np.arange(len(edges)) + 1
     before[first], after[first + sizes - 1] = first + sizes - 1, first
     leaving, arriving = edges[:, 1] - edges[:, 0], (edges[:, 3] - edges[:, 2])[before]
-    corners = edges[:, 0]
-    around = np.sign(np.add.reduceat((corners.conj() * corners[after]).imag, first))
+    # Through the hulls' inner points: the corners alone of more than half a circle run the other way round.
+    areas = (edges.conj() * np.concatenate([edges[:, 1:], edges[after, :1]], axis=1)).imag.sum(axis=1)
+    around = np.sign(np.add.reduceat(areas, first))
     return np.degrees(np.pi - np.repeat(around, sizes) * np.angle(leaving / arriving))

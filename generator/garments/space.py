@@ -42,9 +42,13 @@ __all__ = [
     "leaves",
     "part",
     "real",
+    "redrawn",
     "require_known",
     "to_dict",
+    "value_at",
+    "with_new_numbers",
     "with_parts",
+    "with_value",
 ]
 
 D = TypeVar("D", bound="Design")
@@ -160,6 +164,20 @@ class DesignSpace(Generic[D]):
             raise ConfigError(f"{self.kind.__name__} has {len(found)} parts of kind {kind.__name__}: name another kind")
         return found[0]
 
+    def entry(self, key: str) -> FieldEntry:
+        """The field with this name in design files. Raises ``ConfigError`` for an unknown name."""
+        found = next((entry for entry in self.entries if entry.key == key), None)
+        if found is None:
+            known = ", ".join(entry.key for entry in self.entries)
+            raise ConfigError(f"{self.kind.__name__} has no {shown(key)}: it has {known}")
+        return found
+
+    def at(self, path: str) -> "Space | DesignSpace[Any]":
+        """The space of the parameter or part at a path of design files. Raises ``ConfigError`` for an unknown path."""
+        key, _, rest = path.partition(".")
+        space = self.entry(key).space
+        return space.at(rest) if rest and isinstance(space, DesignSpace) else space
+
     def changed(self, spaces: Mapping[str, Space]) -> "DesignSpace[D]":
         """The space with new spaces for the parameters at some paths. Raises ``ConfigError`` for an unknown path."""
         if unknown := spaces.keys() - {leaf.path for leaf in leaves(self, added=True)}:
@@ -215,6 +233,62 @@ def draw(
         else:
             values[entry.name] = entry.space.draw(rng, *limits.get(entry.name, ()))
     return space.kind(**values)
+
+
+def redrawn(
+    space: DesignSpace[D],
+    design: D,
+    path: str,
+    rng: np.random.Generator,
+    low: float = -np.inf,
+    high: float = np.inf,
+) -> D:
+    """The design with the parameter, or the whole part, at a path of design files drawn again.
+
+    ``low``, ``high``: limits of a parameter, as in ``Space.draw``. Raises ``ConfigError`` for an unknown path.
+
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class CuffDesign(Design):
+    ...     depth: float = real(2.0, 1.0, 5.0)
+    ...     rows: int = integer(1, 1, 3)
+    >>> space = DesignSpace.declared(CuffDesign)
+    >>> redrawn(space, CuffDesign(), "depth", np.random.default_rng(1), high=1.0)
+    CuffDesign(depth=1.0, rows=1)
+    """
+    inner = space.at(path)
+    value = draw(inner, rng) if isinstance(inner, DesignSpace) else inner.draw(rng, low, high)
+    return with_value(space, design, path, value)
+
+
+def with_value(space: DesignSpace[D], design: D, path: str, value: Any) -> D:
+    """The design with the parameter or part at a path of design files changed. Raises ``ConfigError``."""
+    key, _, rest = path.partition(".")
+    entry = space.entry(key)
+    if rest and isinstance(entry.space, DesignSpace):
+        value = with_value(entry.space, getattr(design, entry.name), rest, value)
+    return replace(design, **{entry.name: value})
+
+
+def with_new_numbers(space: DesignSpace[D], design: D, rng: np.random.Generator) -> D:
+    """The design with all its numbers drawn again, and its choices as they are."""
+    values = {}
+    for entry in space.entries:
+        if isinstance(entry.space, Choice):
+            continue
+        if isinstance(entry.space, Space):
+            values[entry.name] = entry.space.draw(rng)
+        else:
+            values[entry.name] = with_new_numbers(entry.space, getattr(design, entry.name), rng)
+    return replace(design, **values)
+
+
+def value_at(space: DesignSpace[Any], design: Any, path: str) -> Any:
+    """The parameter or part at a path of design files. Raises ``ConfigError`` for an unknown path."""
+    key, _, rest = path.partition(".")
+    entry = space.entry(key)
+    value = getattr(design, entry.name)
+    return value_at(entry.space, value, rest) if rest and isinstance(entry.space, DesignSpace) else value
 
 
 def _space(kind: type[D] | DesignSpace[D]) -> DesignSpace[D]:

@@ -15,7 +15,7 @@ from gcd_dataset.errors import ConfigError, MeshError, PatternError
 from gcd_dataset.generator import pipeline
 from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
 from gcd_dataset.generator.drapers import DrapeReply, DrapeRequest
-from gcd_dataset.generator.garments import Reject, design_from_dict
+from gcd_dataset.generator.garments import Reject, attempted_design, design_from_dict, outfit_tags
 from gcd_dataset.generator.garments.overlay import Overlay
 from gcd_dataset.generator.maker import make, produce
 from gcd_dataset.generator.mesh import build_box_mesh
@@ -53,6 +53,33 @@ def test_a_stage_leaves_out_the_later_fields() -> None:
     assert meshed.pattern == flat.pattern
     assert meshed.points is not None
     assert meshed.points.shape == (64, 6)
+
+
+def test_a_pattern_keeps_the_gathers_of_its_seams() -> None:
+    """Levels one and a half times as long as the hems above: the ratio of exactly those seams."""
+    values = {
+        "meta": {"bottom": "SkirtLevels", "wb": "FittedWB"},
+        "levels-skirt": {"base": "SkirtCircle", "level": "Skirt2", "num_levels": 2, "level_ruffle": 1.5},
+    }
+    pattern = build_pattern(measure(build_body(neutral_shape())), design_from_dict(values))
+    ratios = pattern.gather_ratios()
+    assert len(ratios) == len(pattern.seams)
+    for seam, ratio in zip(pattern.seams, ratios, strict=True):
+        between_levels = seam.left.panel.rpartition("_")[2] != seam.right.panel.rpartition("_")[2]
+        sides = pattern.panel(seam.left.panel).edges[seam.left.edge].name
+        if sides == "bottom" and between_levels and "wb" not in seam.left.panel:
+            assert ratio == pytest.approx(1 / 1.5, abs=1e-3)
+        elif sides in ("right", "left"):
+            assert ratio == pytest.approx(1.0, abs=1e-3)
+    assert sum(ratio < 0.7 for ratio in ratios) == 4  # front and back of two levels
+
+
+def test_samples_of_every_stage_hold_gathers_and_tags() -> None:
+    for config in (FLAT, MESHED):
+        sample = make(5, 0, config)
+        assert sample.gathers == sample.pattern.gather_ratios()
+        assert sample.tags == outfit_tags(sample.measurements, design_from_dict(sample.design))
+        assert sample.tags
 
 
 def test_both_bodies_wear_one_design() -> None:
@@ -158,8 +185,28 @@ def test_failed_drapes_raise_the_number_of_attempts() -> None:
     for sample in samples:
         assert sample.provenance.rejects.count("drape: not_settled") == 2
         assert sample.provenance.attempts == len(sample.provenance.rejects) + 1
+        assert sample.provenance.redraws["drape"] == 2
         assert sample.drape is not None
         assert sample.drape.outcome is Outcome.SETTLED
+
+
+def test_redraws_are_those_of_all_attempts() -> None:
+    """A failed drape adds the redraws of the next attempt, and itself."""
+    config = replace(DRAPED, picture=0)
+    [sample] = produce(5, [0], config, draper=Failing(2))
+    attempts = [attempted_design(5, 0, attempt, [sample.measurements]) for attempt in range(3)]
+    assert sample.provenance.attempts == 3
+    assert sample.provenance.redraws == {"drape": 2} | sum((drawn.by_rule() for drawn in attempts), Counter())
+    assert sample.provenance.redraws == dict(sorted(sample.provenance.redraws.items()))
+
+
+def test_after_a_failed_drape_the_upper_and_the_bottom_stay() -> None:
+    config = replace(DRAPED, picture=0, bodies="random")
+    for index in range(4):
+        [kept], [again] = (list(produce(5, [index], config, draper=Failing(times))) for times in (0, 1))
+        for part in ("upper", "bottom"):
+            assert kept.design["meta"][part] == again.design["meta"][part]
+        assert kept.design != again.design
 
 
 def test_a_failed_drape_can_be_kept() -> None:

@@ -233,6 +233,7 @@ BROKEN_MANIFESTS: dict[str, Callable[[dict[str, Any]], object]] = {
     "outside": changed_shard(name="../train-00000.tar"),
     "of another split": changed_shard(name="test-00000.tar"),
     "rejects": changed_shard(rejects={"long": "many"}),
+    "redraws": changed_shard(redraws={"long": -1}),
     "negative": changed_shard(count=-1),
     "seed": changed_split(seed="5"),
     "recipe": changed_split(recipe=[]),

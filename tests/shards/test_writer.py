@@ -449,3 +449,13 @@ def test_captions_and_views_are_in_every_sample_or_in_none(tmp_path: Path) -> No
             writer.write(captioned(1))
     with pytest.raises(ConfigError, match="no field caption"):
         GarmentDataset(plain, fields=["caption"])
+
+
+def test_the_manifest_sums_redraws_by_rule(tmp_path: Path) -> None:
+    with open_writer(tmp_path) as writer:
+        for index, redraws in enumerate([{}, {"tight_cuff": 2}, {"tight_cuff": 1, "self_crossing": 5}]):
+            sample = fake_sample(0, index)
+            writer.write(replace(sample, provenance=replace(sample.provenance, redraws=redraws)))
+    split = read_manifest(tmp_path).splits["train"]  # type: ignore[union-attr]
+    assert [dict(shard.redraws) for shard in split.shards] == [{"self_crossing": 5, "tight_cuff": 3}]
+    assert list(split.redraws.items()) == [("self_crossing", 5), ("tight_cuff", 3)]

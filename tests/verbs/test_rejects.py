@@ -1,6 +1,7 @@
 """``rejects.jsonl``: the same lines for any number of workers, parts and interruptions."""
 
 import json
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 
 from gcd_dataset.cli import main
 from gcd_dataset.generator.maker import produce
+from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.shards import read_manifest
 from gcd_dataset.verbs import JobPart, generate, making, merge, storing
 from tests.verbs.real import COUNT, CUFFED, contents, killed, made_once
@@ -122,7 +124,7 @@ def test_a_shard_that_is_made_again_has_its_lines_again(tmp_path: Path, whole: d
 
 
 def test_a_set_without_rejects_says_so_by_an_empty_file(tmp_path: Path) -> None:
-    generate(tmp_path, 4, config=CUFFED)
+    generate(tmp_path, 4, config=MakeConfig(stage="pattern"))
     assert (tmp_path / "rejects.jsonl").read_bytes() == b""
 
 
@@ -131,3 +133,17 @@ def test_info_names_the_file(tmp_path: Path, whole: dict[str, bytes], capsys: py
     said = capsys.readouterr().out
     assert "tight_cuff" in said
     assert f"every rejected attempt, with its figures: {tmp_path / 'whole' / 'rejects.jsonl'}" in said
+
+
+def test_info_sums_the_redraws_of_all_samples(
+    tmp_path: Path, whole: dict[str, bytes], capsys: pytest.CaptureFixture[str]
+) -> None:
+    split = (read_manifest(tmp_path / "whole") or pytest.fail("no manifest")).splits["train"]
+    made = [sample.provenance for sample in produce(split.seed, range(COUNT), CUFFED)]
+    total = Counter[str]()
+    for provenance in made:
+        total.update(provenance.redraws)
+    assert total.total() > 0
+    assert split.redraws == total
+    assert main(["info", str(tmp_path / "whole")]) == 0
+    assert f"redraws by rule, {total.total() / COUNT:.2f} per sample:" in capsys.readouterr().out

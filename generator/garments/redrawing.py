@@ -1,0 +1,134 @@
+"""Redraws: parts of a design drawn again because they break a rule, each counted with the rule and the parameter.
+
+A limit redraws one parameter within it. A fault that no limit describes is removed by remedies, tried in order: each
+names a parameter to draw again while all others stay.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from gcd_dataset.generator.garments.design import OutfitDesign
+from gcd_dataset.generator.garments.garment import GarmentChoice
+from gcd_dataset.generator.garments.sewable import Fault
+from gcd_dataset.generator.garments.space import Design, DesignSpace, redrawn, value_at, with_value
+
+__all__ = ["DrawnDesign", "FindFault", "Redraw", "Redrawing", "Remedy"]
+
+TRIES = 4  # of one remedy
+MOST_REPAIRS = 10  # a remedy may remove one fault and cause another
+
+FindFault: TypeAlias = Callable[[OutfitDesign], Fault | None]
+"""The first fault of a design."""
+
+
+class Redraw(NamedTuple):
+    """The reason for a redraw, and the path of the parameter or part drawn again."""
+
+    rule: str
+    path: str
+
+
+class Remedy(NamedTuple):
+    """A parameter, or parts of a design, to draw again."""
+
+    paths: tuple[str, ...]
+    low: bool = False
+    """Whether each number that is drawn must be below the one before."""
+    high: bool = False
+    """Whether each number that is drawn must be above the one before."""
+
+
+@dataclass(frozen=True)
+class DrawnDesign:
+    """A random design and the redraws that it took."""
+
+    design: OutfitDesign
+    redraws: Mapping[Redraw, int]
+
+    def by_rule(self) -> Counter[str]:
+        """Rule to its number of redraws."""
+        total: Counter[str] = Counter()
+        for redraw, count in self.redraws.items():
+            total[redraw.rule] += count
+        return total
+
+
+@dataclass(frozen=True)
+class Redrawing:
+    """Draws parameters of a design again and counts the redraws."""
+
+    rng: np.random.Generator
+    space: DesignSpace[OutfitDesign]
+    counts: Counter[Redraw] = field(default_factory=Counter)
+
+    def again(
+        self, design: OutfitDesign, rule: str, *paths: str, low: float = -np.inf, high: float = np.inf
+    ) -> OutfitDesign:
+        """The design with the parameters or parts at some paths drawn again, between ``low`` and ``high``.
+
+        A part keeps the garments that it consists of, such as the base of a skirt: others have other sections.
+        """
+        for path in paths:
+            garments = _garments(value_at(self.space, design, path))
+            design = redrawn(self.space, design, path, self.rng, low, high)
+            if garments:
+                design = with_value(self.space, design, path, replace(value_at(self.space, design, path), **garments))
+            self.counts[Redraw(rule, path)] += 1
+        return design
+
+    def within(self, design: OutfitDesign, rule: str, path: str, low: float, high: float) -> OutfitDesign:
+        """The design with a number outside its limits drawn again within them."""
+        if low <= value_at(self.space, design, path) <= high:
+            return design
+        return self.again(design, rule, path, low=low, high=high)
+
+    def tried(self, design: OutfitDesign, rule: str, remedy: Remedy) -> Iterator[OutfitDesign]:
+        """The design with a remedy applied, ``TRIES`` times; without trials that change nothing."""
+        trial = design
+        for _ in range(TRIES):
+            low, high = -np.inf, np.inf
+            if remedy.low or remedy.high:
+                last = value_at(self.space, trial, remedy.paths[0])
+                low, high = (low, last) if remedy.low else (last, high)
+            trial = self.again(design, rule, *remedy.paths, low=low, high=high)
+            if trial != design:
+                yield trial
+
+    def repaired(
+        self,
+        design: OutfitDesign,
+        find: FindFault,
+        remedies: Callable[[Fault], Sequence[Remedy]],
+        *,
+        limited: Callable[[OutfitDesign], OutfitDesign] = lambda design: design,
+    ) -> OutfitDesign:
+        """The design without faults, or, if no remedy helps, with the last one left.
+
+        ``limited`` puts a design with new parameters back within its limits.
+        """
+        fault = find(design)
+        for _ in range(MOST_REPAIRS):
+            if fault is None:
+                break
+            trials = chain.from_iterable(self.tried(design, fault.rule, remedy) for remedy in remedies(fault))
+            found = ((trial, find(trial)) for trial in map(limited, trials))
+            design, left = next((pair for pair in found if _is_other(pair[1], fault)), (design, fault))
+            if left is fault:
+                break
+            fault = left
+        return design
+
+
+def _garments(part: object) -> dict[str, GarmentChoice]:
+    """The garments among the parameters of a part, by name; empty for a parameter."""
+    values = vars(part) if isinstance(part, Design) else {}
+    return {name: value for name, value in values.items() if isinstance(value, GarmentChoice)}
+
+
+def _is_other(found: Fault | None, fault: Fault) -> bool:
+    return found is None or found.part != fault.part

@@ -1,0 +1,280 @@
+"""Drafts made wearable: limits first, then remedies for what cannot be sewn or worn.
+
+Each step changes as few parameters as it can and counts what it draws again; ``rules.py`` catches the rest.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from math import inf
+from typing import Literal
+
+import numpy as np
+
+from gcd_dataset.generator.garments.design import MetaDesign, OutfitDesign
+from gcd_dataset.generator.garments.kind import choice_of
+from gcd_dataset.generator.garments.redrawing import TRIES, DrawnDesign, Redraw, Redrawing, Remedy
+from gcd_dataset.generator.garments.rules import (
+    FIRM_BAND,
+    LIGHT_LENGTH,
+    LIGHT_SUNS,
+    bottom_length,
+    garment_length,
+    has_firm_band,
+    has_snug_band,
+    has_tight_cuffs,
+    is_flared,
+    is_gathered,
+    is_too_tight,
+    room_to_floor,
+    top_girth,
+    top_of_bottom,
+    top_parameter,
+)
+from gcd_dataset.generator.garments.sewable import (
+    Fault,
+    bottom_fault,
+    half_fault,
+    sleeve_tightness,
+    upper_fault,
+    widest_neckline,
+)
+from gcd_dataset.generator.garments.space import DesignSpace, value_at
+from gcd_dataset.generator.garments.upper import Shirt
+from gcd_dataset.records import Measurements
+
+__all__ = ["wearable"]
+
+# A shirt with a band or bottom sewn to its hem ends near the waist, where both have about the same girth.
+JOINED_SHIRT = (0.8, 1.3)  # limits of shirt.length
+WIDEST_END = 2.0  # largest sleeve.end_width
+LEFT = "left."
+FLARED_CUFF = "sl_right_cuff_skirt_f"
+
+
+def _remedy(path: str) -> Remedy:
+    """The remedy for one path; ``-`` or ``+`` at its end: see ``BottomGarment.remedies``."""
+    return Remedy((path.rstrip("+-"),), low=path.endswith("-"), high=path.endswith("+"))
+
+
+def _remedies(*paths: str) -> tuple[Remedy, ...]:
+    return tuple(map(_remedy, paths))
+
+
+SHIRT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
+    "right_ftorso": _remedies("collar.fc_depth-", "collar.f_collar", "collar.width"),
+    "right_btorso": _remedies("collar.bc_depth-", "collar.b_collar", "collar.width"),
+    FLARED_CUFF: _remedies("sleeve.cuff.skirt_flare-", "sleeve.cuff.cuff_len+"),
+    "": _remedies("shirt.flare-", "collar.width", "shirt.width"),
+}
+"""The panel of a shirt's right half at fault to its remedies; without a panel, a seam or a drawing is at fault."""
+LEFT_REMEDIES: Mapping[str, tuple[Remedy, ...]] = {
+    "right_ftorso": _remedies("collar.fc_depth-", "left.collar.f_collar", "left.collar.width"),
+    "right_btorso": _remedies("collar.bc_depth-", "left.collar.b_collar", "left.collar.width"),
+    FLARED_CUFF: _remedies("left.sleeve.cuff.skirt_flare-", "left.sleeve.cuff.cuff_len+"),
+    "": _remedies("left.shirt.flare-", "left.collar.width", "left.shirt.width"),
+}
+"""The same of a left half that differs."""
+WHOLE_SHIRT = tuple(map(Remedy, (("collar",), ("sleeve", "collar"), ("shirt", "sleeve", "collar"))))
+WHOLE_LEFT = tuple(map(Remedy, (("left.collar",), ("left.shirt", "left.sleeve", "left.collar"))))
+
+
+def wearable(
+    draft: OutfitDesign, wearers: Sequence[Measurements], rng: np.random.Generator, space: DesignSpace[OutfitDesign]
+) -> DrawnDesign:
+    """The draft with what the ``wearers`` cannot sew or wear drawn again, as far as remedies help."""
+    redrawing = Redrawing(rng, space)
+    fitting = _Fitting(redrawing, tuple(wearers))
+    design = fitting.with_band(draft)
+    if design.meta.upper:
+        design = fitting.with_upper(design)
+    if design.meta.bottom:
+        design = fitting.with_bottom(design)
+    design = fitting.with_lower_band(design)
+    return DrawnDesign(design, dict(redrawing.counts))
+
+
+@dataclass(frozen=True)
+class _Fitting:
+    """Limits and remedies of one design for its wearers."""
+
+    redrawing: Redrawing
+    sizes: tuple[Measurements, ...]
+
+    def with_band(self, design: OutfitDesign) -> OutfitDesign:
+        """With a waistband that, without an upper, is no wider than the trunk."""
+        if not design.meta.wb or design.meta.upper:
+            return design
+        snug = replace(design, waistband=replace(design.waistband, waist=1.0))
+        widest = min(max(size.waist, size.hips) / top_girth(size, snug) for size in self.sizes)
+        return self.redrawing.within(design, "slides_off", "waistband.waist", 1.0, widest)
+
+    # ---------------------------------------------------------------------------------------------------------- uppers
+
+    def with_upper(self, design: OutfitDesign) -> OutfitDesign:
+        """With an upper that can be sewn and worn."""
+        assert design.meta.upper is not None
+        garment = design.meta.upper.garment
+        if isinstance(garment, Shirt):
+            limited = self._with_shoulders
+            design = self._with_wide_cuffs(limited(design))
+            return self.redrawing.repaired(design, self._shirt_fault, _shirt_remedies, limited=limited)
+        section = Remedy((garment.section,))
+        return self.redrawing.repaired(design, self._upper_fault, lambda fault: (section,))
+
+    def _with_wide_cuffs(self, design: OutfitDesign) -> OutfitDesign:
+        """With bands at the ends of the sleeves that the arms fit through."""
+        for number, prefix in enumerate(("", LEFT)[: len(design.halves())]):
+            for _ in range(TRIES):
+                tightness = max(sleeve_tightness(size, design, design.halves()[number]) for size in self.sizes)
+                if tightness <= 1:
+                    break
+                design = self._with_wider_cuff(design, f"{prefix}sleeve", tightness)
+        return design
+
+    def _with_wider_cuff(self, design: OutfitDesign, path: str, tightness: float) -> OutfitDesign:
+        """With fewer gathers over the cuff; if it needs more, with a wider or, last, a shorter sleeve end or cuff."""
+        sleeve = value_at(self.redrawing.space, design, path)
+        ruffle, end = sleeve.cuff.top_ruffle / tightness, sleeve.end_width * tightness / sleeve.cuff.top_ruffle
+        if ruffle >= 1:
+            return self.redrawing.again(design, "tight_cuff", f"{path}.cuff.top_ruffle", high=ruffle)
+        if end <= WIDEST_END:
+            return self.redrawing.again(design, "tight_cuff", f"{path}.end_width", low=end)
+        return self.redrawing.again(design, "tight_cuff", f"{path}.length", low=sleeve.length)
+
+    def _shirt_fault(self, design: OutfitDesign) -> Fault | None:
+        """The first fault of the halves; the part of the left half begins with ``LEFT``."""
+        for prefix, half in zip(("", LEFT), design.halves(), strict=False):
+            fault = _first(half_fault(size, design, half) for size in self.sizes)
+            if fault is not None:
+                return Fault(fault.rule, prefix + fault.part)
+        return None
+
+    def _upper_fault(self, design: OutfitDesign) -> Fault | None:
+        return _first(upper_fault(size, design) for size in self.sizes)
+
+    def _with_shoulders(self, design: OutfitDesign) -> OutfitDesign:
+        """With a shirt that ends in place, and necklines that leave shoulder seams."""
+        design = self._ending_in_place(design)
+        for number, prefix in enumerate(("", LEFT)[: len(design.halves())]):
+            widest = min(widest_neckline(size, design, design.halves()[number]) for size in self.sizes)
+            if widest < inf:
+                design = self.redrawing.again(design, "narrow_shoulder", f"{prefix}collar.width", high=widest)
+        return design
+
+    def _ending_in_place(self, design: OutfitDesign) -> OutfitDesign:
+        """With a shirt that ends near the waist if a part is sewn to its hem, and above the floor otherwise."""
+        assert design.meta.upper is not None
+        if design.meta.upper.garment.at_waist:
+            return design
+        if design.meta.wb or design.meta.bottom:
+            return self.redrawing.within(design, "off_the_waist", "shirt.length", *JOINED_SHIRT)
+        longest = min(room_to_floor(size, design) / size.waist_line for size in self.sizes)
+        return self.redrawing.within(design, "reaches_floor", "shirt.length", -np.inf, longest)
+
+    def with_lower_band(self, design: OutfitDesign) -> OutfitDesign:
+        """With a lower waistband while a ring is too tight; a firm band stays firm."""
+        for _ in range(TRIES if design.meta.wb else 0):
+            if not any(is_too_tight(size, design) for size in self.sizes):
+                break
+            height = design.waistband.width
+            least = FIRM_BAND if height > FIRM_BAND else -inf
+            design = self.redrawing.again(design, "too_tight", "waistband.width", low=least, high=height)
+        return design
+
+    # --------------------------------------------------------------------------------------------------------- bottoms
+
+    def with_bottom(self, design: OutfitDesign) -> OutfitDesign:
+        """With a bottom that can be sewn and worn, within limits set by the floor and by the waistband."""
+        limited = self._hanging_in_place
+        return self.redrawing.repaired(
+            limited(design), self._bottom_fault, partial(_bottom_remedies, design), limited=limited
+        )
+
+    def _hanging_in_place(self, design: OutfitDesign) -> OutfitDesign:
+        return self._without_heavy_flare(self._above_floor(self._with_snug_band(design)))
+
+    def _bottom_fault(self, design: OutfitDesign) -> Fault | None:
+        if any(has_tight_cuffs(size, design) for size in self.sizes):
+            return Fault("tight_cuff", "cuff")
+        return None if _is_plain(design) else _first(bottom_fault(size, design) for size in self.sizes)
+
+    def _above_floor(self, design: OutfitDesign) -> OutfitDesign:
+        """With the bottom short enough to end above the floor; lengths are fractions of hips to floor."""
+        excess = max((garment_length(s, design) - room_to_floor(s, design)) / s.leg_length for s in self.sizes)
+        if excess <= 0:
+            return design
+        longest = bottom_length(design) - excess
+        return self.redrawing.within(design, "reaches_floor", _length_path(design), -np.inf, longest)
+
+    def _with_snug_band(self, design: OutfitDesign) -> OutfitDesign:
+        """With a snug band for a gathered bottom alone; without gathers if the overlay allows no band."""
+        if design.meta.upper or not is_gathered(design) or has_snug_band(design):
+            return design
+        if top_parameter(design, "gather_parameter") <= 1:
+            return design
+        bands = choice_of(self.redrawing.space.of(MetaDesign), "wb")
+        if all(option is None for option in bands.weighted_options):
+            return self._with_top_within(design, "gather_parameter", 1.0, 1.0, rule="loose_gathers")
+        if design.meta.wb is None:
+            band = bands.only(present=True).draw(self.redrawing.rng)
+            self.redrawing.counts[Redraw("loose_gathers", "meta.wb")] += 1
+            design = replace(design, meta=replace(design.meta, wb=band))
+            design = self.redrawing.again(design, "loose_gathers", "waistband")
+        return self.redrawing.within(design, "loose_gathers", "waistband.waist", 1.0, 1.0)
+
+    def _without_heavy_flare(self, design: OutfitDesign) -> OutfitDesign:
+        """With a shorter and narrower bottom, if it is flared, alone, and has no firm band."""
+        if design.meta.upper or not is_flared(design) or has_firm_band(design):
+            return design
+        design = self.redrawing.within(design, "too_heavy", _length_path(design), -np.inf, LIGHT_LENGTH)
+        return self._with_top_within(design, "fullness_parameter", -np.inf, LIGHT_SUNS, rule="too_heavy")
+
+    def _with_top_within(
+        self,
+        design: OutfitDesign,
+        role: Literal["gather_parameter", "fullness_parameter"],
+        low: float,
+        high: float,
+        *,
+        rule: str,
+    ) -> OutfitDesign:
+        """With the parameter that gathers the bottom's top, or makes it wide, within limits."""
+        top = top_of_bottom(design)
+        name = "" if top is None else getattr(top, role)
+        if top is None or not name:
+            return design
+        return self.redrawing.within(design, rule, f"{top.section}.{name}", low, high)
+
+
+def _first(faults: Iterable[Fault | None]) -> Fault | None:
+    return next((fault for fault in faults if fault is not None), None)
+
+
+def _shirt_remedies(fault: Fault) -> tuple[Remedy, ...]:
+    if fault.part.startswith(LEFT):
+        return LEFT_REMEDIES.get(fault.part.removeprefix(LEFT), ()) + WHOLE_LEFT
+    return SHIRT_REMEDIES.get(fault.part, ()) + WHOLE_SHIRT
+
+
+def _bottom_remedies(design: OutfitDesign, fault: Fault) -> tuple[Remedy, ...]:
+    """The parameters that its record and those of its parts name, then whole sections."""
+    assert design.meta.bottom is not None
+    garment = design.meta.bottom.garment
+    parts = (garment, *garment.parts(design))
+    sections = tuple(dict.fromkeys(part.section for part in parts))
+    named = dict.fromkeys(f"{part.section}.{path}" for part in parts for path in part.remedies)
+    return (*_remedies(*named), Remedy(sections))
+
+
+def _is_plain(design: OutfitDesign) -> bool:
+    """Whether the bottom needs no sewability check: see ``BottomGarment.always_sewable``."""
+    assert design.meta.bottom is not None
+    garment = design.meta.bottom.garment
+    return garment.always_sewable(garment.section_design(design))
+
+
+def _length_path(design: OutfitDesign) -> str:
+    """The path of the bottom's ``length``."""
+    assert design.meta.bottom is not None
+    return f"{design.meta.bottom.garment.length_garment(design).section}.length"
