@@ -1,8 +1,8 @@
 """Random designs: each parameter by GarmentCode's rule, within limits that keep the outfit wearable.
 
-Each parameter keeps its default with its ``keep`` probability, and is uniform over its range otherwise. A value outside
-the limits set by the rest of the design and by the wearers' measures is drawn again within them; ``rules.py`` catches
-the rest. Unlike GarmentCode's sampler, this one
+Each parameter keeps its default with its ``keep`` probability, and is uniform over its range otherwise: the draft. A
+value outside the limits set by the rest of the design and by the wearers' measures is drawn again within them
+(``wearable.py``); ``rules.py`` catches the rest. Unlike GarmentCode's sampler, this one
 
 - draws the kind of garment first: upper, lower or full-body, with equal probability (GarmentCode redraws a rejected
   design completely, which favours kinds that are rarely rejected);
@@ -10,8 +10,9 @@ the rest. Unlike GarmentCode's sampler, this one
 - shortens a bottom that would reach the floor, and ends a shirt near the waist if a band or bottom is sewn to it;
 - fits a bottom without upper to the trunk, puts a gathered one on a snug band, and limits flares without a firm band;
 - lowers a waistband that is too tight for the hips, and narrows a neckline that leaves too little shoulder;
-- redraws armholes, necklines, slits, cuts and godets until the panels can be sewn, and trousers and sleeves until legs
-  and arms fit through their cuffs.
+- redraws the parameter at fault, such as the depth of a neckline or of a godet, until the panels can be sewn and legs
+  and arms fit through their cuffs; all other parameters stay;
+- counts each redraw with its rule.
 """
 
 from collections.abc import Collection, Iterable, Mapping
