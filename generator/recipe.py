@@ -25,7 +25,7 @@ __all__ = [
     "versions",
 ]
 
-Bodies = Literal["neutral", "random", "female", "male", "both"]
+Bodies = Literal["neutral", "random", "both", "female", "male", "pooled"]
 LastStage = Literal["pattern", "mesh", "drape"]
 OnFail = Literal["retry", "keep"]
 KINDS = {
@@ -55,8 +55,9 @@ class MakeConfig:
     bodies: Annotated[
         Bodies,
         Option(
-            "who wears them: random ones are mostly between the sexes, female and male ones are drawn as a survey "
-            "finds adults; both: samples 2i and 2i+1 are one design on the neutral body and on a random one"
+            "wearers: random draws women and men as a survey finds adults, female and male draw adults of one sex, "
+            "pooled draws bodies mostly between the sexes, as in GarmentCodeData; both: samples 2i and 2i+1 are one "
+            "design on the neutral body and on a random one"
         ),
     ] = "random"
     bodies_each: Annotated[

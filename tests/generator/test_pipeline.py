@@ -98,7 +98,7 @@ def test_turned_arms_do_not_change_the_pattern() -> None:
 def test_women_and_men_of_the_population_wear_designs(sex: Literal["female", "male"]) -> None:
     sample = make(9, 2, replace(FLAT, bodies=sex))
     assert sample.provenance.body_name == f"{sex}:9:2"
-    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), sex=sex)))
+    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group=sex)))
 
 
 def test_a_draped_sample_is_complete() -> None:

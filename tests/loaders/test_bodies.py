@@ -14,7 +14,7 @@ from gcd_dataset.bodies import BodyMesh
 from gcd_dataset.errors import BodyError, ConfigError, ShardError
 from gcd_dataset.generator.body import build_body, measure
 from gcd_dataset.generator.maker import make
-from gcd_dataset.generator.people import PEOPLE_RECIPE, make_person, model_mesh
+from gcd_dataset.generator.people import make_person, model_mesh, people_recipe
 from gcd_dataset.generator.recipe import MakeConfig
 from gcd_dataset.loaders import Bodies, BodyDataset, PublishedBodies
 from gcd_dataset.records import MEASURES, BodyPart
@@ -29,7 +29,7 @@ SEED = 5
 def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three generated people in shards."""
     folder = tmp_path_factory.mktemp("ours")
-    with BodyWriter(folder, model_mesh(), seed=SEED, recipe=PEOPLE_RECIPE) as writer:
+    with BodyWriter(folder, model_mesh(), seed=SEED, recipe=people_recipe("random")) as writer:
         for index in range(COUNT):
             writer.write(index, make_person(SEED, index))
     return folder

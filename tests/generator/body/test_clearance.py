@@ -27,6 +27,6 @@ def test_raised_arms_have_more_clearance() -> None:
 def test_arms_of_drawn_bodies_are_clear_by_a_centimetre() -> None:
     for index in range(25):
         for sex in (None, "female", "male"):
-            shape = draw_shape(rng(13, index, Stage.BODY), sex=sex)
+            shape = draw_shape(rng(13, index, Stage.BODY), group=sex)
             assert arm_clearance(build_body(shape)) > 1.0
             assert abs(shape.arm_angle) <= np.radians(15.0)

@@ -203,7 +203,7 @@ def test_bodies_by_name() -> None:
 def test_women_and_men_by_seed_are_drawn_from_the_population() -> None:
     for sex in ("female", "male"):
         _, _, drawn = named_body(f"{sex}:7")
-        assert drawn == draw_shape(rng(7, 0, Stage.BODY), sex=sex)
+        assert drawn == draw_shape(rng(7, 0, Stage.BODY), group=sex)
         assert drawn != named_body("random:7")[2]
 
 

@@ -17,7 +17,7 @@ PEOPLE = 200
 
 
 def measured(sex: str) -> dict[str, np.ndarray]:
-    bodies = [build_body(draw_shape(rng(3, index, Stage.BODY), sex=sex)) for index in range(PEOPLE)]
+    bodies = [build_body(draw_shape(rng(3, index, Stage.BODY), group=sex)) for index in range(PEOPLE)]
     rows = [survey_measures(body, measure(body)) for body in bodies]
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
@@ -43,20 +43,20 @@ def test_drawn_adults_have_the_surveys_statistics(sex: str) -> None:
 def test_every_drawn_adult_can_be_measured() -> None:
     for index in range(20):
         for sex in ("female", "male"):
-            size = measure(build_body(draw_shape(rng(8, index, Stage.BODY), sex=sex, legs_apart=True)))
+            size = measure(build_body(draw_shape(rng(8, index, Stage.BODY), group=sex, legs_apart=True)))
             assert all(np.isfinite(getattr(size, name)) for name in MEASURES)
 
 
 def test_the_option_sex_does_not_change_bodies_drawn_without_it() -> None:
-    assert draw_shape(rng(3, 5, Stage.BODY)) == draw_shape(rng(3, 5, Stage.BODY), sex=None)
-    woman = draw_shape(rng(3, 5, Stage.BODY), sex="female")
-    assert woman == draw_shape(rng(3, 5, Stage.BODY), sex="female")
-    assert woman != draw_shape(rng(3, 5, Stage.BODY), sex="male")
+    assert draw_shape(rng(3, 5, Stage.BODY)) == draw_shape(rng(3, 5, Stage.BODY), group=None)
+    woman = draw_shape(rng(3, 5, Stage.BODY), group="female")
+    assert woman == draw_shape(rng(3, 5, Stage.BODY), group="female")
+    assert woman != draw_shape(rng(3, 5, Stage.BODY), group="male")
 
 
 def test_the_error_of_an_unknown_sex_lists_the_known_ones() -> None:
     with pytest.raises(BodyError, match="'Female': give female or male, or None"):
-        draw_shape(rng(0, 0, Stage.BODY), sex="Female")
+        draw_shape(rng(0, 0, Stage.BODY), group="Female")
 
 
 def test_drawn_weights_have_the_mean_and_axes_of_the_adults() -> None:
