@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body.asset import checked_data
 from gcd_dataset.records import Record
 

@@ -69,7 +69,7 @@ def survey_of(sex: str) -> Survey:
 
 
 def shoulders_of(sex: str) -> dict[str, tuple[float, float]]:
-    """The published breadths of hanging shoulders of ``female`` or ``male``: name to mean and standard deviation [cm]."""
+    """The published breadths of shoulders with hanging arms, by name: mean and standard deviation [cm]."""
     return {name: (mean, sd) for name, (mean, sd) in _table()["shoulders"][sex].items()}
 
 
