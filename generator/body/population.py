@@ -21,7 +21,7 @@ POOLED = "pooled"
 GROUPS = ("random", *SEXES, POOLED)
 """Groups that bodies are drawn from; ``random``: women and men, as a population is made up."""
 FEMALE_SHARE = 0.5  # of the adults of working age; the CAESAR survey sampled as many women as men
-MAX_DEVIATION = 3.0  # standard deviations along each axis; draws beyond are clipped
+MAX_DEVIATION = 3.0  # standard deviations along each axis, to which draws are clipped
 
 
 @dataclass(frozen=True, eq=False)
