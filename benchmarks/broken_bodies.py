@@ -39,7 +39,7 @@ _Damage = Callable[[Body, np.random.Generator], tuple[_Mesh, Body | None]]
 
 def broken_body(kind: str, rng: np.random.Generator) -> BrokenBody:
     """A drawn body with one kind of damage of ``KINDS``."""
-    body = build_body(draw_shape(rng))
+    body = build_body(draw_shape(rng, group="pooled"))
     # With faces in another order the mesh is not recognised as ours, so landmarks must be found.
     body = replace(body, faces=np.roll(body.faces, 1, axis=0))
     (vertices, faces), true_body = KINDS[kind](body, rng)
@@ -222,7 +222,7 @@ def _no_body(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
 
 
 def _arms_down(body: Body, rng: np.random.Generator) -> tuple[_Mesh, Body | None]:
-    shape = replace(draw_shape(rng), arm_angle=-np.radians(rng.uniform(32, 42)))
+    shape = replace(draw_shape(rng, group="pooled"), arm_angle=-np.radians(rng.uniform(32, 42)))
     return fused_by_scanner(build_body(shape), rng.uniform(1.2, 2.0)), None
 
 

@@ -21,6 +21,7 @@ from gcd_dataset.generator.body.bake import AVERAGE
 from gcd_dataset.generator.body.holes import VisibleSkin
 from gcd_dataset.generator.body.pose import LEFT_ARM, RIGHT_ARM, T_POSE, set_pose, stand
 from gcd_dataset.generator.drape import DrapeJob
+from gcd_dataset.generator.dressing import dress
 from gcd_dataset.generator.dressing.sewing_start import sewing_start
 from gcd_dataset.generator.garments import Reject, sample_design, sample_kind, try_on
 from gcd_dataset.generator.garments.overlay import NO_OVERLAY
@@ -32,6 +33,7 @@ __all__ = ["OTHER_BODIES", "OtherBody", "arms_forward", "decimated", "dressed", 
 
 ATTEMPTS = 30  # designs tried for one garment
 ARM_TURN = np.radians(40.0)
+CLEAR_ARM_TURN = np.radians(25.0)  # further down, the neutral body passes through itself in the armpits
 WIDE_LEGS = np.radians(12.0)  # of each thigh; trousers are sampled for 3°
 FORWARD = np.array([0.25, -0.35, 0.9])
 """Direction of the left arm held forward: a little outward, 20° below the horizontal."""
@@ -44,9 +46,9 @@ HOLES: tuple[tuple[float, float, float], ...] = (
     (0.02, 0.42, 0.0),
     (0.05, 0.74, -0.1),
     (0.08, 0.58, 0.0),
+    (0.0, 1.0, 0.0),
 )
-"""Inside of the arms, a thigh, a shoulder blade and a hip, where scanners miss skin: (x, y, z) in body heights."""
-CROWN = 0.006  # body heights below the highest point: no skin above
+"""Arms, a thigh, a shoulder blade, a hip and the crown, where scanners miss skin: (x, y, z) in body heights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +134,9 @@ def decimated(body: Body) -> Body:
 
 
 def with_holes(body: Body) -> Body:
-    """The body without crown and the skin within ``HOLE`` of ``HOLES``, its faces in another order."""
+    """The body without the skin within ``HOLE`` of ``HOLES``, its faces in another order."""
     height = float(np.ptp(body.vertices[:, 1].copy()))
-    gone = body.vertices[:, 1] > (1 - CROWN) * height
+    gone = np.zeros(len(body.vertices), bool)
     for at in HOLES:
         middle = body.vertices[np.linalg.norm(body.vertices - np.array(at) * height, axis=1).argmin()]
         gone |= np.linalg.norm(body.vertices - middle, axis=1) < HOLE
@@ -182,7 +184,7 @@ def dressed(wearer: OtherBody, name: str, seed: int, resolution: float, number: 
             continue
         trousers = design.meta.bottom is not None and design.meta.bottom.garment.legs
         body = wearer.apart if trousers else wearer.body
-        mesh = build_box_mesh(pattern, spacing=resolution)
+        mesh = build_box_mesh(dress(pattern, body, wearer.size).pattern, spacing=resolution)
         coarse = coarse_start(mesh)
         start = sewing_start(coarse.mesh if coarse else mesh, body)
         job = DrapeJob(mesh, body, wearer.size, coarse=coarse, start=start)
@@ -212,6 +214,7 @@ OTHER_BODIES: Mapping[str, Callable[[Path], OtherBody]] = {
     "male": lambda _: _named("male"),
     "arms_up": lambda _: _posed(ARM_TURN),
     "arms_down": lambda _: _posed(-ARM_TURN),
+    "arms_down_25": lambda _: _posed(-CLEAR_ARM_TURN),
     "t_pose": lambda _: _posed(T_POSE),
     "arms_forward": lambda _: _arms_forward(),
     "legs_wide": lambda _: _legs_wide(),

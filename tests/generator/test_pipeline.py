@@ -101,6 +101,21 @@ def test_women_and_men_of_the_population_wear_designs(sex: Literal["female", "ma
     assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group=sex)))
 
 
+def test_random_wearers_are_women_and_men_named_by_their_sex() -> None:
+    samples = [make(9, index, replace(FLAT, bodies="random")) for index in range(6)]
+    kinds = {sample.provenance.body_name.partition(":")[0] for sample in samples}
+    assert kinds == {"female", "male"}
+    women = replace(FLAT, bodies="female")
+    index, woman = next((i, s) for i, s in enumerate(samples) if s.provenance.body_name == f"female:9:{i}")
+    assert woman.measurements == make(9, index, women).measurements
+
+
+def test_the_pool_is_between_the_sexes_and_has_a_name_of_its_own() -> None:
+    sample = make(9, 2, replace(FLAT, bodies="pooled"))
+    assert sample.provenance.body_name == "pooled:9:2"
+    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group="pooled")))
+
+
 def test_a_draped_sample_is_complete() -> None:
     sample = make(5, 1, DRAPED)
     assert sample.drape is not None
@@ -230,7 +245,7 @@ def test_an_index_may_be_requested_twice() -> None:
         ("picture", 200_000, "picture is 200000: give 0 to 4096"),
         ("bodies_each", 10**9, "bodies_each is 1000000000: give 1 to 10000"),
         ("resolution", 50, "resolution is 50 cm: give a length from 0.2 to 10"),
-        ("bodies", "fat", "bodies is 'fat': known are neutral, random, female, male, both"),
+        ("bodies", "fat", "bodies is 'fat': known are neutral, random, both, female, male, pooled"),
         ("fabric", "denin", "fabric is 'denin': known are default, gcd_soft"),
     ],
 )
