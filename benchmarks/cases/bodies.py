@@ -7,13 +7,13 @@ mixed figures are those of as many women as men; "CAESAR" is the mean of Garment
 is the same. "within" counts measures whose mean differs by at most 2 %, or whose standard deviation by at most 10 %;
 neck, shoulder width and arm length are defined differently there, so only their variation is compared. As in a survey
 all bodies have the same pose, arms in the A-pose. ``failed`` counts bodies with a measure that is not a positive
-number, ``crossing`` those whose trunk, arms or legs intersect themselves or each other; ``clearance`` is the gap between
-arm and trunk 3 cm below the underarm point.
+number, ``crossing`` those whose trunk, arms or legs intersect themselves or each other; ``clearance`` is the gap
+between arm and trunk 3 cm below the underarm point.
 
 ``shoulder_w`` is 2 to 3 cm below the survey's biacromial breadth because of the pose: the survey measures with hanging
-arms, GarmentCode between the shoulder points of the A-pose, and lifted arms move these points together, on GarmentCode's
-own mean body too (3.1 cm from the A-pose to the T-pose). ``biacromial`` and ``bideltoid`` are taken with hanging arms:
-there the shoulder points are further apart than the acromia, and the shoulders as broad as the survey's.
+arms, GarmentCode between the shoulder points of the A-pose, and lifted arms move these points together, on
+GarmentCode's own mean body too (3.1 cm from the A-pose to the T-pose). ``biacromial`` and ``bideltoid`` are taken with
+hanging arms: there the shoulder points are further apart than the acromia, and the shoulders as broad as the survey's.
 """
 
 import argparse
