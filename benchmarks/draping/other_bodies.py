@@ -16,7 +16,7 @@ from benchmarks.stand_ins import coarser
 from gcd_dataset.errors import BodyError
 from gcd_dataset.generator.body import build_body, draw_shape, measure, named_body, neutral_shape, read_body
 from gcd_dataset.generator.body.anny_bodies import AnnyBodies
-from gcd_dataset.generator.body.asset import body_model, mirrored_mesh
+from gcd_dataset.generator.body.asset import body_model
 from gcd_dataset.generator.body.bake import AVERAGE
 from gcd_dataset.generator.body.holes import VisibleSkin
 from gcd_dataset.generator.body.pose import LEFT_ARM, RIGHT_ARM, T_POSE, set_pose, stand
@@ -36,7 +36,7 @@ ARM_TURN = np.radians(40.0)
 CLEAR_ARM_TURN = np.radians(25.0)  # further down, the neutral body passes through itself in the armpits
 WIDE_LEGS = np.radians(12.0)  # of each thigh; trousers are sampled for 3°
 FORWARD = np.array([0.25, -0.35, 0.9])
-"""Direction of the left arm held forward: a little outward, 20° below the horizontal."""
+"""Direction of the left arm held forward: a little outward, 20° below the horizontal. anny's z is up, it faces -y."""
 SCAN_VERTICES = 3000
 SCANNED = 7  # seed of the woman in the scans
 HOLE = 2.5  # cm, radius of a hole in a scan
@@ -160,15 +160,15 @@ def _garmentcode(examples: Path, name: str, *, apart: str = "", sizes: str = "")
 
 
 def _anny_forward() -> OtherBody:
-    """The average adult of ``anny`` on its own mesh, with arms held forward."""
+    """The average adult of ``anny`` with its arms held forward, posed by anny itself."""
     x, y, z = FORWARD
-    bodies = AnnyBodies(arm=(x, -z, y))  # anny's z is up, and it faces -y
-    half = bodies.halves(AVERAGE[None])[0][0]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "anny.obj"
-        path.write_bytes(obj_bytes(stand(mirrored_mesh(half, bodies.mirror)), bodies.faces))
-        body, size = read_body(path)
-    return OtherBody(body, body, size)
+    forward, usual = (_average_adult(bodies) for bodies in (AnnyBodies(arm=(x, -z, y)), AnnyBodies()))
+    size = replace(measure(usual), arm_pose_angle=measure(forward).arm_pose_angle)
+    return OtherBody(forward, forward, size)
+
+
+def _average_adult(bodies: AnnyBodies) -> Body:
+    return Body(bodies.whole(bodies.halves(AVERAGE[None])[0][0]), bodies.fine_faces, bodies.fine_parts, "anny")
 
 
 # ------------------------------------------------------------------------------------------------------------ garments
