@@ -70,6 +70,8 @@ def run(options: argparse.Namespace) -> Measured:
         for name, wearer in wearers.items():
             make = partial(dressed, wearer, name, options.seed, options.resolution)
             worn = [one for one in pool.map(make, range(options.count)) if one is not None]
+            if not worn:
+                raise ConfigError(f"{name}: none of {options.count} designs was accepted: raise --count")
             drapes, seconds = _draped(worn, device, options.batch, warm=bool(rows))
             _write_pictures(options, name, worn, drapes, device)
             rows.append(_row(name, options.count, worn, drapes, seconds))
