@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from gcd_dataset.errors import MeshError, PatternError
-from gcd_dataset.generator.body import build_body, draw_shape, measure, neutral_shape
-from gcd_dataset.generator.body.population import SEXES
+from gcd_dataset.generator.body import build_body, measure, neutral_shape
+from gcd_dataset.generator.body.shape import draw_from
 from gcd_dataset.generator.drawing import jpeg_bytes
 from gcd_dataset.generator.garments import (
     OutfitDesign,
@@ -171,12 +171,12 @@ class _Wearer:
 def _wearers(seed: int, number: int, config: MakeConfig) -> tuple[_Wearer, ...]:
     """The bodies of a design, in the order of their indices."""
     shapes = {}
-    sex = config.bodies if config.bodies in SEXES else None
+    group = "random" if config.bodies == "both" else config.bodies
     if config.bodies in ("neutral", "both"):
         shapes["neutral"] = neutral_shape()
     for drawn in range(config.bodies_each if config.bodies != "neutral" else 0):
-        name = f"{sex or 'random'}:{seed}:{number}" + (f":{drawn}" if drawn else "")
-        shapes[name] = draw_shape(rng(seed, number, Stage.BODY, drawn), sex=sex)
+        kind, shape = draw_from(group, rng(seed, number, Stage.BODY, drawn))
+        shapes[f"{kind}:{seed}:{number}" + (f":{drawn}" if drawn else "")] = shape
     wearers = []
     for offset, (name, shape) in enumerate(shapes.items()):
         body = build_body(shape)

@@ -25,7 +25,7 @@ __all__ = [
     "versions",
 ]
 
-Bodies = Literal["neutral", "random", "female", "male", "both"]
+Bodies = Literal["neutral", "random", "both", "female", "male", "pooled"]
 LastStage = Literal["pattern", "mesh", "drape"]
 OnFail = Literal["retry", "keep"]
 KINDS = {
@@ -55,8 +55,9 @@ class MakeConfig:
     bodies: Annotated[
         Bodies,
         Option(
-            "wearers; neutral: the mean body; random: mostly between the sexes; female, male: adults distributed as in "
-            "a survey; both: samples 2i and 2i+1 are one design on the neutral body and on a random body"
+            "wearers; neutral: the mean body; random: women and men, distributed as in a survey; female, male: adults "
+            "of one sex; pooled: bodies mostly between the sexes, as in GarmentCodeData; both: samples 2i and 2i+1 are "
+            "one design on the neutral body and on a random body"
         ),
     ] = "random"
     bodies_each: Annotated[

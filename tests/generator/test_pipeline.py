@@ -125,7 +125,22 @@ def test_turned_arms_do_not_change_the_pattern() -> None:
 def test_women_and_men_of_the_population_wear_designs(sex: Literal["female", "male"]) -> None:
     sample = make(9, 2, replace(FLAT, bodies=sex))
     assert sample.provenance.body_name == f"{sex}:9:2"
-    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), sex=sex)))
+    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group=sex)))
+
+
+def test_random_wearers_are_women_and_men_named_by_their_sex() -> None:
+    samples = [make(9, index, replace(FLAT, bodies="random")) for index in range(6)]
+    kinds = {sample.provenance.body_name.partition(":")[0] for sample in samples}
+    assert kinds == {"female", "male"}
+    women = replace(FLAT, bodies="female")
+    index, woman = next((i, s) for i, s in enumerate(samples) if s.provenance.body_name == f"female:9:{i}")
+    assert woman.measurements == make(9, index, women).measurements
+
+
+def test_the_pool_is_between_the_sexes_and_has_a_name_of_its_own() -> None:
+    sample = make(9, 2, replace(FLAT, bodies="pooled"))
+    assert sample.provenance.body_name == "pooled:9:2"
+    assert sample.measurements == measure(build_body(draw_shape(rng(9, 2, Stage.BODY), group="pooled")))
 
 
 def test_a_draped_sample_is_complete() -> None:
